@@ -1,0 +1,1 @@
+//! Masks and descriptions by people: drafts out, checked judgements in.

@@ -1,0 +1,338 @@
+//! Canonical segments: cutting a motion into windows that start at the origin facing +z, and
+//! stitching generated windows back into one motion.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::motion::Pose;
+use crate::rotation;
+use crate::skeleton::{NUM_KEYPOINTS, Skeleton};
+
+/// Frames of a window, the fixed ones included (paper Sec. 5; released configuration).
+pub const WINDOW_FRAMES: usize = 16;
+/// Leading frames of a window that are given, not generated.
+pub const FIXED_FRAMES: usize = 2;
+/// Frames a window adds to the motion.
+pub const WINDOW_ADVANCE: usize = WINDOW_FRAMES - FIXED_FRAMES;
+
+/// The keypoints of one frame, in metres.
+pub type KeypointFrame = [DVec3; NUM_KEYPOINTS];
+
+/// A turn about the vertical and a shift on the ground: what places a canonical segment in the
+/// world. The height is never touched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroundTransform {
+    /// Rotation about +y in radians.
+    pub yaw_rad: f64,
+    /// Shift along x in metres, after the rotation.
+    pub x: f64,
+    /// Shift along z in metres, after the rotation.
+    pub z: f64,
+}
+
+impl GroundTransform {
+    /// Leaves everything in place.
+    pub const IDENTITY: GroundTransform = GroundTransform {
+        yaw_rad: 0.0,
+        x: 0.0,
+        z: 0.0,
+    };
+
+    /// Maps a point.
+    pub fn apply(&self, point: DVec3) -> DVec3 {
+        DQuat::from_rotation_y(self.yaw_rad) * point + DVec3::new(self.x, 0.0, self.z)
+    }
+
+    /// The transform that undoes this one.
+    pub fn inverse(&self) -> Self {
+        let shift = DQuat::from_rotation_y(-self.yaw_rad) * DVec3::new(self.x, 0.0, self.z);
+        Self {
+            yaw_rad: -self.yaw_rad,
+            x: -shift.x,
+            z: -shift.z,
+        }
+    }
+}
+
+/// Which point of the first frame is put above the origin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Anchor {
+    /// The pelvis (paper App. B.1; preset `paper`).
+    Pelvis,
+    /// The translation parameter, which leaves the pelvis at its rest x and z (released code;
+    /// preset `official`).
+    Translation,
+}
+
+/// The placement of a segment whose first frame is `first`: the ground transform that carries
+/// canonical coordinates to the world.
+pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
+    let origin = match anchor {
+        Anchor::Pelvis => first.transl + skeleton.rest(0),
+        Anchor::Translation => first.transl,
+    };
+    GroundTransform {
+        yaw_rad: rotation::yaw(DMat3::from_quat(first.rotations[0])),
+        x: origin.x,
+        z: origin.z,
+    }
+}
+
+/// Moves the frames of a segment so that its first one stands at the origin facing +z; heights
+/// stay. Returns where the segment was.
+///
+/// # Source
+/// Paper App. B.1 ([`Anchor::Pelvis`]); the released preprocessing ([`Anchor::Translation`]).
+pub fn canonicalise(
+    segment: &mut [Pose],
+    anchor: Anchor,
+    skeleton: &Skeleton,
+) -> Option<GroundTransform> {
+    let placement = world_from_segment(segment.first()?, anchor, skeleton);
+    let turn = DQuat::from_rotation_y(-placement.yaw_rad);
+    let shift = DVec3::new(placement.x, 0.0, placement.z);
+    // The translation moves the point `transl + pivot`: the root turns about its rest position,
+    // so turning the whole body about the anchor must carry that pivot along.
+    let pivot = match anchor {
+        Anchor::Pelvis => skeleton.rest(0),
+        Anchor::Translation => DVec3::ZERO,
+    };
+    for pose in segment {
+        pose.transl = turn * (pose.transl + pivot - shift) - pivot;
+        pose.rotations[0] = turn * pose.rotations[0];
+    }
+    Some(placement)
+}
+
+/// First frames of the windows that cover a motion: each starts `advance` frames after the one
+/// before. Empty if the motion is shorter than one window.
+pub fn window_starts(num_frames: usize, window: usize, advance: usize) -> Vec<usize> {
+    if num_frames < window {
+        return Vec::new();
+    }
+    (0..=num_frames - window).step_by(advance.max(1)).collect()
+}
+
+/// The rotation and shift that best carry the triangle `from` onto `onto` in the least-squares
+/// sense: `onto_i = R from_i + t`. Reflections are never returned.
+///
+/// # Source
+/// Horn 1987: the rotation is the eigenvector of the largest eigenvalue of a symmetric 4x4 matrix
+/// built from the cross-covariance, which gives the same answer as Kabsch's SVD and needs no
+/// special case for a mirrored triangle.
+pub fn kabsch(from: &[DVec3; 3], onto: &[DVec3; 3]) -> (DMat3, DVec3) {
+    let from_centre = (from[0] + from[1] + from[2]) / 3.0;
+    let onto_centre = (onto[0] + onto[1] + onto[2]) / 3.0;
+    let mut s = [[0.0f64; 3]; 3];
+    for (a, b) in from.iter().zip(onto) {
+        let (a, b) = ((*a - from_centre).to_array(), (*b - onto_centre).to_array());
+        for (row, a) in s.iter_mut().zip(a) {
+            for (cell, b) in row.iter_mut().zip(b) {
+                *cell += a * b;
+            }
+        }
+    }
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = s;
+    let q = largest_eigenvector([
+        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
+        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
+        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
+        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
+    ]);
+    let rotation = DMat3::from_quat(DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize());
+    (rotation, onto_centre - rotation * from_centre)
+}
+
+/// The unit eigenvector of the largest eigenvalue of a symmetric matrix, by cyclic Jacobi
+/// rotations, which converge quadratically: a 4x4 matrix needs five or six sweeps.
+fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
+    let mut v = [[0.0f64; 4]; 4];
+    for (i, row) in v.iter_mut().enumerate() {
+        row[i] = 1.0;
+    }
+    let scale: f64 = a.iter().flatten().map(|x| x * x).sum();
+    for _sweep in 0..30 {
+        let off: f64 = (0..4)
+            .flat_map(|i| (i + 1..4).map(move |j| (i, j)))
+            .map(|(i, j)| a[i][j] * a[i][j])
+            .sum();
+        if off <= 1e-34 * scale {
+            break;
+        }
+        for p in 0..4 {
+            for q in p + 1..4 {
+                if a[p][q] == 0.0 {
+                    continue;
+                }
+                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
+                let t = if theta == 0.0 { 1.0 } else { t };
+                let c = 1.0 / (t * t + 1.0).sqrt();
+                let s = t * c;
+                for row in &mut a {
+                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+                }
+                for k in 0..4 {
+                    (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
+                }
+                for row in &mut v {
+                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+                }
+            }
+        }
+    }
+    let best = (0..4).fold(0, |best, i| if a[i][i] > a[best][best] { i } else { best });
+    [v[0][best], v[1][best], v[2][best], v[3][best]]
+}
+
+/// Where the body stands, from its pelvis and hips: the turn about the vertical and the ground
+/// position that carry the rest triangle onto the three points.
+///
+/// # Source
+/// Released inference code (`algorithms` section 8, step 4): Kabsch alignment of the rest triangle,
+/// of which only the heading and the ground position are kept. The triangle must be that of the
+/// skeleton in use: another body's biases the heading in every window.
+pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> GroundTransform {
+    let (rotation, shift) = kabsch(rest_triangle, points);
+    GroundTransform {
+        yaw_rad: rotation::yaw(rotation),
+        x: shift.x,
+        z: shift.z,
+    }
+}
+
+/// Joins generated windows into one motion, and says in which coordinates the next window lives.
+///
+/// Each window but the first repeats the last two frames before it; those are dropped, and the
+/// window is placed by the second-to-last frame of what came before.
+///
+/// # Source
+/// Paper App. B.2; released inference code (`algorithms` section 8).
+#[derive(Clone, Debug)]
+pub struct Stitcher {
+    rest_triangle: [DVec3; 3],
+    world_from_window: GroundTransform,
+    frames: Vec<KeypointFrame>,
+}
+
+impl Stitcher {
+    /// An empty motion; its first window is placed by `world_from_window`.
+    pub fn new(rest_triangle: [DVec3; 3], world_from_window: GroundTransform) -> Self {
+        Self {
+            rest_triangle,
+            world_from_window,
+            frames: Vec::new(),
+        }
+    }
+
+    /// Appends a window given in its own canonical coordinates, `[W, 28]`.
+    pub fn push(&mut self, window: &[KeypointFrame]) {
+        let new = if self.frames.is_empty() {
+            window
+        } else {
+            window.get(FIXED_FRAMES..).unwrap_or(&[])
+        };
+        for frame in new {
+            self.frames
+                .push(frame.map(|point| self.world_from_window.apply(point)));
+        }
+        if let Some(anchor) = self.frames.len().checked_sub(FIXED_FRAMES) {
+            let frame = &self.frames[anchor];
+            self.world_from_window =
+                ground_transform_of(&[frame[0], frame[1], frame[2]], &self.rest_triangle);
+        }
+    }
+
+    /// The last two frames in the coordinates of the next window: its fixed frames. None before
+    /// the first window.
+    pub fn next_fixed(&self) -> Option<[KeypointFrame; FIXED_FRAMES]> {
+        let window_from_world = self.world_from_window.inverse();
+        let last = self.frames.last_chunk::<FIXED_FRAMES>()?;
+        Some(last.map(|frame| frame.map(|point| window_from_world.apply(point))))
+    }
+
+    /// Where the next window will be placed.
+    pub fn world_from_window(&self) -> GroundTransform {
+        self.world_from_window
+    }
+
+    /// The motion so far, `[T, 28]`.
+    pub fn frames(&self) -> &[KeypointFrame] {
+        &self.frames
+    }
+
+    /// The whole motion.
+    pub fn into_frames(self) -> Vec<KeypointFrame> {
+        self.frames
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::rotation::from_axis_angle;
+
+    fn vector(size: f64) -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-size..size).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn placing_a_canonical_segment_gives_the_motion_back(
+            roots in prop::collection::vec((vector(3.0), vector(2.0)), 1..8),
+            official in any::<bool>(),
+        ) {
+            let skeleton = Skeleton::smplx_neutral();
+            let anchor = if official { Anchor::Translation } else { Anchor::Pelvis };
+            let motion: Vec<Pose> = roots
+                .into_iter()
+                .map(|(transl, root)| {
+                    let mut pose = Pose { transl, ..Pose::REST };
+                    pose.rotations[0] = from_axis_angle(root);
+                    pose
+                })
+                .collect();
+            let mut segment = motion.clone();
+            let placement = canonicalise(&mut segment, anchor, &skeleton).expect("not empty");
+            let first = world_from_segment(&segment[0], anchor, &skeleton);
+            prop_assert!(first.yaw_rad.abs() < 1e-9 && first.x.abs() < 1e-12 && first.z.abs() < 1e-12);
+            // Exact for the pelvis; the released code turns `transl` and leaves the rest pelvis
+            // where it was, which displaces the body by up to twice its distance from the axis.
+            let slack = if official { 2.0 * skeleton.rest(0).with_y(0.0).length() } else { 1e-9 };
+            for (world, canonical) in motion.iter().zip(&segment) {
+                let world = skeleton.keypoints(world);
+                for (a, b) in world.iter().zip(skeleton.keypoints(canonical)) {
+                    prop_assert!((*a - placement.apply(b)).length() <= slack + 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn kabsch_recovers_a_known_placement(turn in vector(3.0), shift in vector(5.0)) {
+            let triangle = Skeleton::smplx_neutral().rest_triangle();
+            let q = from_axis_angle(turn);
+            let moved = triangle.map(|p| q * p + shift);
+            let (rotation, t) = kabsch(&triangle, &moved);
+            prop_assert!(rotation.abs_diff_eq(DMat3::from_quat(q), 1e-9));
+            prop_assert!((t - shift).length() < 1e-9);
+        }
+
+        #[test]
+        fn ground_transforms_invert(yaw_rad in -7.0..7.0f64, shift in vector(5.0), p in vector(3.0)) {
+            let transform = GroundTransform { yaw_rad, x: shift.x, z: shift.z };
+            prop_assert!((transform.inverse().apply(transform.apply(p)) - p).length() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn windows_advance_by_what_they_add() {
+        assert_eq!(
+            window_starts(44, WINDOW_FRAMES, WINDOW_ADVANCE),
+            [0, 14, 28]
+        );
+        assert_eq!(window_starts(43, WINDOW_FRAMES, WINDOW_ADVANCE), [0, 14]);
+        assert!(window_starts(15, WINDOW_FRAMES, WINDOW_ADVANCE).is_empty());
+    }
+}

@@ -1,0 +1,742 @@
+//! Opening datasets, and committing them so that they appear whole or not at all.
+//!
+//! A dataset is a folder: `data/<table>/<split>-<i>-of-<n>.parquet`, `meta/manifest-<n>.json`,
+//! and a `README.md` that the Hugging Face `datasets` library reads. A run locks the folder, writes
+//! its files to temporary names, syncs and renames them, and writes the manifest last; whoever
+//! opens the folder sees the version before or the version after, never something between.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File, TryLockError};
+use std::io::{Seek, Write};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
+use crate::table::{self, Row, SCHEMA_VERSION};
+use crate::{Error, Split};
+
+const META: &str = "meta";
+const DATA: &str = "data";
+const LOCK: &str = "LOCK";
+const STAGED: &str = "staged";
+
+/// A dataset opened for reading; every file has been checked against its hash.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    root: PathBuf,
+    manifest: Manifest,
+}
+
+impl Dataset {
+    /// Opens the newest committed version and verifies the hash of every file.
+    ///
+    /// # Errors
+    /// The folder is no dataset, is of a newer format, or a file is missing or altered.
+    pub fn open(root: &Path) -> Result<Self, Error> {
+        let dataset = Self::open_unverified(root)?;
+        let files: Vec<&FileEntry> = dataset.manifest.tables.values().flatten().collect();
+        files.par_iter().try_for_each(|file| {
+            let path = root.join(&file.path);
+            let found = hash_file(&path)?;
+            if found == file.blake3 {
+                return Ok(());
+            }
+            Err(Error::Corrupt {
+                path,
+                detail: format!("BLAKE3 expected {}, found {found}", file.blake3),
+            })
+        })?;
+        Ok(dataset)
+    }
+
+    /// Opens the newest committed version without reading its files.
+    ///
+    /// # Errors
+    /// The folder is no dataset or is of a newer format.
+    pub fn open_unverified(root: &Path) -> Result<Self, Error> {
+        let manifest = newest_manifest(root)?.ok_or_else(|| Error::NotADataset {
+            path: root.to_owned(),
+            reason: if root.is_dir() {
+                "it has no meta/manifest-<n>.json; was the run that made it interrupted?".to_owned()
+            } else {
+                "there is no such folder".to_owned()
+            },
+        })?;
+        Ok(Self {
+            root: root.to_owned(),
+            manifest,
+        })
+    }
+
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The manifest.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Files of a table, with their paths.
+    pub fn files(&self, table: &str, split: Option<Split>) -> Vec<(PathBuf, &FileEntry)> {
+        self.manifest
+            .tables
+            .get(table)
+            .into_iter()
+            .flatten()
+            .filter(|file| split.is_none() || file.split == split)
+            .map(|file| (self.root.join(&file.path), file))
+            .collect()
+    }
+
+    /// All rows of a table, or those of one split, in the order of the files.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn read<R: Row>(&self, split: Option<Split>) -> Result<Vec<R>, Error> {
+        let shards: Vec<Vec<R>> = self
+            .files(R::TABLE, split)
+            .par_iter()
+            .map(|(path, _)| table::read_rows(path))
+            .collect::<Result<_, _>>()?;
+        Ok(shards.into_iter().flatten().collect())
+    }
+}
+
+/// BLAKE3 of a file, hexadecimal.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn hash_file(path: &Path) -> Result<String, Error> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_mmap(path).map_err(Error::io("read", path))?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+fn manifest_path(root: &Path, version: u64) -> PathBuf {
+    root.join(META).join(format!("manifest-{version}.json"))
+}
+
+fn newest_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
+    let Some(version) = manifest_versions(root)?.pop() else {
+        return Ok(None);
+    };
+    read_manifest(root, version).map(Some)
+}
+
+fn manifest_versions(root: &Path) -> Result<Vec<u64>, Error> {
+    let meta = root.join(META);
+    let entries = match fs::read_dir(&meta) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(Error::io("list", meta)(error)),
+    };
+    let mut versions = Vec::new();
+    for entry in entries {
+        let name = entry.map_err(Error::io("list", &meta))?.file_name();
+        let version: Option<u64> = name.to_str().and_then(|name| {
+            name.strip_prefix("manifest-")?
+                .strip_suffix(".json")?
+                .parse()
+                .ok()
+        });
+        versions.extend(version);
+    }
+    versions.sort_unstable();
+    Ok(versions)
+}
+
+fn read_manifest(root: &Path, version: u64) -> Result<Manifest, Error> {
+    let path = manifest_path(root, version);
+    let text = fs::read(&path).map_err(Error::io("read", &path))?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(|source| Error::Json {
+        path: path.clone(),
+        source,
+    })?;
+    if manifest.format != FORMAT {
+        return Err(Error::NotADataset {
+            path,
+            reason: format!("its manifest says format {:?}", manifest.format),
+        });
+    }
+    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+    if major(&manifest.schema_version) != major(SCHEMA_VERSION) {
+        return Err(Error::Version {
+            path,
+            found: manifest.schema_version,
+            supported: SCHEMA_VERSION,
+        });
+    }
+    let expected = Manifest::compute_root_hash(&manifest.tables);
+    if expected != manifest.root_hash {
+        return Err(Error::Corrupt {
+            path,
+            detail: format!("root hash {} does not cover its files", manifest.root_hash),
+        });
+    }
+    Ok(manifest)
+}
+
+/// The place of a shard among those of its table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ShardName {
+    /// Table.
+    pub table: &'static str,
+    /// Split; none for tables without splits.
+    pub split: Option<Split>,
+    /// Number of the shard, from 0.
+    pub index: usize,
+    /// Shards of this table and split.
+    pub of: usize,
+}
+
+impl ShardName {
+    fn stem(&self) -> String {
+        let split = self.split.map_or("all", Split::as_str);
+        format!("{split}-{:05}-of-{:05}", self.index, self.of)
+    }
+}
+
+/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped.
+#[derive(Debug)]
+pub struct Transaction {
+    root: PathBuf,
+    base: Option<Manifest>,
+    _lock: File,
+}
+
+/// What a commit adds to the dataset.
+#[derive(Clone, Debug, Default)]
+pub struct Commit {
+    /// Files of the tables that this run made; they replace those of the same table.
+    pub tables: BTreeMap<String, Vec<FileEntry>>,
+    /// Hash of the plan that made them.
+    pub plan_hash: String,
+    /// Name of the skeleton.
+    pub skeleton: String,
+    /// What became of the sources, for a run that read any.
+    pub accounting: Option<Accounting>,
+    /// Facts to add.
+    pub facts: BTreeMap<String, String>,
+}
+
+impl Transaction {
+    /// Locks a folder, creating it if needed, and clears what a killed run left half-written.
+    /// `holder` is what another run is told while this one holds the lock.
+    ///
+    /// # Errors
+    /// Another run holds the lock, or the folder cannot be written.
+    pub fn begin(root: &Path, holder: &str) -> Result<Self, Error> {
+        for folder in [root.to_owned(), root.join(META), root.join(DATA)] {
+            fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+        }
+        let path = root.join(META).join(LOCK);
+        let mut lock = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(Error::io("open", &path))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(Error::Locked {
+                    path: root.to_owned(),
+                    holder: fs::read_to_string(&path)
+                        .unwrap_or_default()
+                        .trim()
+                        .to_owned(),
+                });
+            }
+            Err(TryLockError::Error(error)) => return Err(Error::io("lock", &path)(error)),
+        }
+        lock.set_len(0)
+            .and_then(|()| lock.rewind())
+            .and_then(|()| writeln!(lock, "{holder}"))
+            .map_err(Error::io("write", &path))?;
+        let transaction = Self {
+            base: newest_manifest(root)?,
+            root: root.to_owned(),
+            _lock: lock,
+        };
+        transaction.remove_files(|name, _| name.starts_with('.') && name.ends_with(".tmp"))?;
+        Ok(transaction)
+    }
+
+    /// The version this run starts from.
+    pub fn base(&self) -> Option<&Manifest> {
+        self.base.as_ref()
+    }
+
+    fn version(&self) -> u64 {
+        self.base.as_ref().map_or(1, |base| base.version + 1)
+    }
+
+    /// Path of a shard relative to the dataset. A table that replaces an earlier one gets names of
+    /// its own, so that readers of the earlier version keep their files.
+    fn shard_path(&self, name: &ShardName) -> String {
+        let replaces = self
+            .base
+            .as_ref()
+            .is_some_and(|base| base.tables.contains_key(name.table));
+        let suffix = if replaces {
+            format!(".v{}", self.version())
+        } else {
+            String::new()
+        };
+        format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
+    }
+
+    /// Writes a shard whole or not at all. It belongs to the dataset once it is committed.
+    ///
+    /// # Errors
+    /// The rows cannot be encoded or the file cannot be written.
+    pub fn write_shard<R: Row>(
+        &self,
+        name: &ShardName,
+        rows: &[R],
+        facts: &[(&str, String)],
+    ) -> Result<FileEntry, Error> {
+        let relative = self.shard_path(name);
+        let path = self.root.join(&relative);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        }
+        table::write_atomically(&path, |file| table::write_rows(file, &path, rows, facts))?;
+        let bytes = fs::metadata(&path).map_err(Error::io("read", &path))?.len();
+        Ok(FileEntry {
+            path: relative,
+            split: name.split,
+            rows: rows.len() as u64,
+            bytes,
+            blake3: hash_file(&path)?,
+        })
+    }
+
+    fn staged_path(&self, plan_hash: &str, name: &ShardName) -> PathBuf {
+        self.root
+            .join(META)
+            .join(STAGED)
+            .join(plan_hash)
+            .join(format!("{}-{}.json", name.table, name.stem()))
+    }
+
+    /// Remembers that a shard of a plan is done, with whatever its maker needs at the commit, so
+    /// that an interrupted run continues after it.
+    ///
+    /// # Errors
+    /// The note cannot be written.
+    pub fn stage<T: Serialize>(
+        &self,
+        plan_hash: &str,
+        name: &ShardName,
+        entry: &FileEntry,
+        notes: &T,
+    ) -> Result<(), Error> {
+        let path = self.staged_path(plan_hash, name);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        }
+        write_json(&path, &(entry, notes))
+    }
+
+    /// The shard a run of the same plan has staged before, if its file is still whole.
+    ///
+    /// # Errors
+    /// The shard's file exists but cannot be read.
+    pub fn staged<T: DeserializeOwned>(
+        &self,
+        plan_hash: &str,
+        name: &ShardName,
+    ) -> Result<Option<(FileEntry, T)>, Error> {
+        let Ok(text) = fs::read(self.staged_path(plan_hash, name)) else {
+            return Ok(None);
+        };
+        // A note that cannot be read, or whose file changed, only means doing the shard again.
+        let Ok((entry, notes)) = serde_json::from_slice::<(FileEntry, T)>(&text) else {
+            return Ok(None);
+        };
+        let path = self.root.join(&entry.path);
+        if !path.is_file() || hash_file(&path)? != entry.blake3 {
+            return Ok(None);
+        }
+        Ok(Some((entry, notes)))
+    }
+
+    /// Makes the run's tables part of the dataset and releases the lock.
+    ///
+    /// # Errors
+    /// The manifest cannot be written; the dataset then stays at its earlier version.
+    ///
+    /// # Panics
+    /// If the accounting does not balance, which is a bug in the run.
+    pub fn commit(self, commit: Commit) -> Result<Dataset, Error> {
+        let mut manifest = self.base.clone().unwrap_or_else(|| Manifest {
+            format: FORMAT.to_owned(),
+            schema_version: SCHEMA_VERSION.to_owned(),
+            version: 0,
+            tool_version: String::new(),
+            skeleton: commit.skeleton.clone(),
+            tables: BTreeMap::new(),
+            plans: BTreeMap::new(),
+            accounting: Accounting::default(),
+            facts: BTreeMap::new(),
+            root_hash: String::new(),
+        });
+        manifest.version = self.version();
+        manifest.tool_version = concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned();
+        for table in commit.tables.keys() {
+            manifest
+                .plans
+                .insert(table.clone(), commit.plan_hash.clone());
+        }
+        manifest.tables.extend(commit.tables);
+        manifest.facts.extend(commit.facts);
+        if let Some(accounting) = commit.accounting {
+            assert!(
+                accounting.balances(),
+                "sources must equal ingested + quarantined + skipped: {accounting:?}"
+            );
+            manifest.accounting = accounting;
+        }
+        manifest.root_hash = Manifest::compute_root_hash(&manifest.tables);
+
+        let path = manifest_path(&self.root, manifest.version);
+        write_json(&path, &manifest)?;
+        let card = self.root.join("README.md");
+        let text = card_text(&manifest);
+        table::write_atomically(&card, |mut file| {
+            file.write_all(text.as_bytes())
+                .map_err(Error::io("write", &card))?;
+            Ok(file)
+        })?;
+        self.collect_garbage()?;
+        Ok(Dataset {
+            root: self.root,
+            manifest,
+        })
+    }
+
+    /// Removes notes of finished plans and data files that no manifest names.
+    fn collect_garbage(&self) -> Result<(), Error> {
+        let staged = self.root.join(META).join(STAGED);
+        if staged.exists() {
+            fs::remove_dir_all(&staged).map_err(Error::io("remove", &staged))?;
+        }
+        let mut named = BTreeSet::new();
+        for version in manifest_versions(&self.root)? {
+            let manifest = read_manifest(&self.root, version)?;
+            named.extend(
+                manifest
+                    .tables
+                    .into_values()
+                    .flatten()
+                    .map(|file| file.path),
+            );
+        }
+        self.remove_files(|name, relative| name.ends_with(".parquet") && !named.contains(relative))
+    }
+
+    /// Removes the files under `data/` and `meta/` that `unwanted(name, relative path)` picks.
+    fn remove_files(&self, unwanted: impl Fn(&str, &str) -> bool) -> Result<(), Error> {
+        let mut folders = vec![DATA.to_owned(), META.to_owned()];
+        while let Some(folder) = folders.pop() {
+            let path = self.root.join(&folder);
+            for entry in fs::read_dir(&path).map_err(Error::io("list", &path))? {
+                let entry = entry.map_err(Error::io("list", &path))?;
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let relative = format!("{folder}/{name}");
+                if entry.path().is_dir() {
+                    folders.push(relative);
+                } else if unwanted(&name, &relative) {
+                    let path = entry.path();
+                    fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), Error> {
+    let mut text = serde_json::to_vec_pretty(value).map_err(|source| Error::Json {
+        path: path.to_owned(),
+        source,
+    })?;
+    text.push(b'\n');
+    table::write_atomically(path, |mut file| {
+        file.write_all(&text).map_err(Error::io("write", path))?;
+        Ok(file)
+    })
+}
+
+/// The card: YAML that tells the `datasets` library which files are which split of which table,
+/// and a page for people.
+fn card_text(manifest: &Manifest) -> String {
+    let mut text = String::from("---\nconfigs:\n");
+    for (table, files) in &manifest.tables {
+        let mut splits: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for file in files.iter().filter(|file| file.rows > 0) {
+            let split = file.split.map_or("all", Split::as_str);
+            splits.entry(split).or_default().push(&file.path);
+        }
+        if splits.is_empty() {
+            continue;
+        }
+        text += &format!("- config_name: {table}\n  data_files:\n");
+        for (split, paths) in splits {
+            text += &format!("  - split: {split}\n    path:\n");
+            for path in paths {
+                text += &format!("    - {path}\n");
+            }
+        }
+    }
+    text += "---\n\n# Motion dataset\n\n";
+    text += &format!(
+        "Written by {}; format `{}` version {}; skeleton `{}`; y up, metres, radians.\n\n",
+        manifest.tool_version, manifest.format, manifest.schema_version, manifest.skeleton
+    );
+    text += "| table | train | val | test | rows |\n|---|---:|---:|---:|---:|\n";
+    for table in manifest.tables.keys() {
+        let [train, val, test] = Split::ALL.map(|split| manifest.rows(table, Some(split)));
+        let rows = manifest.rows(table, None);
+        text += &format!("| {table} | {train} | {val} | {test} | {rows} |\n");
+    }
+    let accounting = &manifest.accounting;
+    text += &format!(
+        "\nOf {} source files {} were ingested, {} quarantined and {} skipped.\n\nRoot hash: `{}`\n",
+        accounting.sources,
+        accounting.ingested,
+        accounting.quarantined,
+        accounting.skipped,
+        manifest.root_hash
+    );
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::{MaskRow, MotionRow};
+    use crate::table::{Caption, PartCaption, Quality};
+    use crate::{Fps, Motion, MotionId, Pose};
+
+    fn row(index: usize) -> MotionRow {
+        let poses: Vec<Pose> = (0..5 + index)
+            .map(|frame| {
+                let mut pose = Pose::REST;
+                pose.transl.x = frame as f64 * 0.01 + index as f64;
+                pose.rotations[5] = crate::rotation::from_axis_angle(glam::DVec3::X * 0.1);
+                pose
+            })
+            .collect();
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        MotionRow {
+            id: MotionId::parse(&format!("clip{index}")).expect("valid"),
+            split: Split::Train,
+            source: "bvh".to_owned(),
+            source_path: format!("clip{index}.bvh"),
+            source_hash: "00".to_owned(),
+            license: (index % 2 == 0).then(|| "CC0-1.0".to_owned()),
+            mirrored_of: None,
+            skeleton: "smplx-neutral".to_owned(),
+            fps: 20.0,
+            fps_source: 30.0,
+            start_frame: 0,
+            end_frame: 9,
+            n_frames: motion.len() as i32,
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            rotation_source: "native".to_owned(),
+            fit_error_m: (index % 3 == 0).then_some(0.01),
+            captions: vec![
+                Caption {
+                    text: "a person walks, \"proudly\"".to_owned(),
+                    ..Caption::default()
+                };
+                index % 3
+            ],
+            part_captions: vec![PartCaption::default(); index % 2],
+            action: None,
+            style: Some("proud".to_owned()),
+            content_hash: motion.content_hash(),
+            quality: Quality {
+                flags: 3,
+                max_speed: 1.5,
+                foot_skate: 0.25,
+            },
+        }
+    }
+
+    fn shard(index: usize, of: usize) -> ShardName {
+        ShardName {
+            table: MotionRow::TABLE,
+            split: Some(Split::Train),
+            index,
+            of,
+        }
+    }
+
+    fn commit_motions(root: &Path, rows: &[MotionRow]) -> Dataset {
+        let transaction = Transaction::begin(root, "test").expect("lock");
+        let entry = transaction
+            .write_shard(&shard(0, 1), rows, &[("units", "m".to_owned())])
+            .expect("writes");
+        transaction
+            .commit(Commit {
+                tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), vec![entry])]),
+                plan_hash: "p".to_owned(),
+                skeleton: "smplx-neutral".to_owned(),
+                ..Commit::default()
+            })
+            .expect("commits")
+    }
+
+    #[test]
+    fn rows_come_back_bit_for_bit_and_bytes_repeat() {
+        let (a, b) = (
+            tempfile::tempdir().expect("dir"),
+            tempfile::tempdir().expect("dir"),
+        );
+        let rows: Vec<MotionRow> = (0..300).map(row).collect();
+        let first = commit_motions(a.path(), &rows);
+        let second = commit_motions(b.path(), &rows);
+        assert_eq!(first.manifest().root_hash, second.manifest().root_hash);
+        let read: Vec<MotionRow> = Dataset::open(a.path())
+            .expect("opens")
+            .read(None)
+            .expect("reads");
+        assert_eq!(read, rows);
+        assert_eq!(
+            read[7].motion().expect("valid").content_hash(),
+            rows[7].content_hash
+        );
+    }
+
+    #[test]
+    fn single_rows_are_read_by_their_place() {
+        let dir = tempfile::tempdir().expect("dir");
+        let rows: Vec<MotionRow> = (0..300).map(row).collect();
+        let dataset = commit_motions(dir.path(), &rows);
+        let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
+        let some: Vec<MotionRow> = table::read_rows_at(path, &[299, 0, 257, 0]).expect("reads");
+        assert_eq!(
+            some,
+            [rows[0].clone(), rows[257].clone(), rows[299].clone()]
+        );
+    }
+
+    #[test]
+    fn an_altered_byte_is_found_on_open() {
+        let dir = tempfile::tempdir().expect("dir");
+        let dataset = commit_motions(dir.path(), &[row(0), row(1)]);
+        let (path, _) = dataset.files(MotionRow::TABLE, None).remove(0);
+        let mut bytes = fs::read(&path).expect("reads");
+        let middle = bytes.len() / 3;
+        bytes[middle] ^= 1;
+        fs::write(&path, bytes).expect("writes");
+        assert!(matches!(
+            Dataset::open(dir.path()),
+            Err(Error::Corrupt { .. })
+        ));
+    }
+
+    #[test]
+    fn the_lock_names_its_holder_and_ends_with_the_run() {
+        let dir = tempfile::tempdir().expect("dir");
+        let first = Transaction::begin(dir.path(), "run 1 of tests").expect("lock");
+        match Transaction::begin(dir.path(), "run 2") {
+            Err(Error::Locked { holder, .. }) => assert_eq!(holder, "run 1 of tests"),
+            other => panic!("expected a lock error, got {other:?}"),
+        }
+        drop(first);
+        assert!(Transaction::begin(dir.path(), "run 3").is_ok());
+    }
+
+    #[test]
+    fn a_staged_shard_is_found_again_unless_its_file_changed() {
+        let dir = tempfile::tempdir().expect("dir");
+        let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+        let name = shard(0, 2);
+        let entry = transaction
+            .write_shard(&name, &[row(1)], &[])
+            .expect("writes");
+        transaction
+            .stage("plan", &name, &entry, &vec![1u32, 2])
+            .expect("stages");
+        drop(transaction);
+
+        let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+        let found = transaction
+            .staged::<Vec<u32>>("plan", &name)
+            .expect("reads");
+        assert_eq!(found, Some((entry.clone(), vec![1, 2])));
+        assert_eq!(
+            transaction
+                .staged::<Vec<u32>>("other plan", &name)
+                .expect("reads"),
+            None
+        );
+        fs::write(dir.path().join(&entry.path), b"cut off").expect("writes");
+        assert_eq!(
+            transaction
+                .staged::<Vec<u32>>("plan", &name)
+                .expect("reads"),
+            None
+        );
+    }
+
+    #[test]
+    fn a_replaced_table_keeps_the_old_version_readable() {
+        let dir = tempfile::tempdir().expect("dir");
+        let old = commit_motions(dir.path(), &[row(0)]);
+        let new = commit_motions(dir.path(), &[row(1), row(2)]);
+        assert_eq!(new.manifest().version, 2);
+        assert_eq!(old.read::<MotionRow>(None).expect("reads"), [row(0)]);
+        assert_eq!(
+            Dataset::open(dir.path())
+                .expect("opens")
+                .read::<MotionRow>(None)
+                .expect("reads")
+                .len(),
+            2
+        );
+        // Nothing temporary and nothing unnamed is left.
+        let names: Vec<_> = fs::read_dir(dir.path().join("data/motions"))
+            .expect("lists")
+            .map(|entry| entry.expect("entry").file_name())
+            .collect();
+        assert_eq!(names.len(), 2);
+    }
+
+    #[test]
+    fn another_table_in_place_of_the_expected_one_is_an_error() {
+        let dir = tempfile::tempdir().expect("dir");
+        let dataset = commit_motions(dir.path(), &[row(0)]);
+        let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
+        assert!(matches!(
+            table::read_rows::<MaskRow>(path),
+            Err(Error::Column { column, .. }) if column == "motion_id"
+        ));
+    }
+
+    #[test]
+    fn folders_that_are_no_dataset_say_so() {
+        let dir = tempfile::tempdir().expect("dir");
+        assert!(matches!(
+            Dataset::open(dir.path()),
+            Err(Error::NotADataset { .. })
+        ));
+        let missing = dir.path().join("missing");
+        assert!(matches!(
+            Dataset::open(&missing),
+            Err(Error::NotADataset { .. })
+        ));
+    }
+}

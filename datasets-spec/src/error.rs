@@ -1,0 +1,227 @@
+//! What can go wrong in the contract.
+
+use std::path::PathBuf;
+
+/// An error that names the item it happened to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A frame rate is not positive and finite.
+    #[error("frame rate must be positive and finite, got {got}")]
+    FrameRate {
+        /// The value found.
+        got: f64,
+    },
+    /// A motion id is malformed.
+    #[error("motion id {id:?} is not usable: {reason}")]
+    MotionId {
+        /// The text found.
+        id: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// A split name is unknown.
+    #[error("split must be train, val or test, got {got:?}")]
+    Split {
+        /// The text found.
+        got: String,
+    },
+    /// The columns of a motion have different numbers of frames.
+    #[error(
+        "motion columns disagree on the number of frames: transl {transl}, global_orient {global_orient}, body_pose {body_pose}"
+    )]
+    FrameCount {
+        /// Frames of `transl`.
+        transl: usize,
+        /// Frames of `global_orient`.
+        global_orient: usize,
+        /// Frames of `body_pose`.
+        body_pose: usize,
+    },
+    /// A motion has no frame.
+    #[error("motion has no frames")]
+    NoFrames,
+    /// A motion holds a number that is NaN or infinite.
+    #[error("{column} of frame {frame} is not finite")]
+    NotFinite {
+        /// Column name.
+        column: &'static str,
+        /// Frame index.
+        frame: usize,
+    },
+    /// A joint name is unknown.
+    #[error(
+        "unknown joint {name:?}; SMPL-X body joints are named pelvis, left_hip, ... right_wrist"
+    )]
+    Joint {
+        /// The text found.
+        name: String,
+    },
+    /// A body part name is unknown.
+    #[error("unknown body part {name:?}; known: {known}")]
+    BodyPart {
+        /// The text found.
+        name: String,
+        /// The names that would do.
+        known: String,
+    },
+    /// A blend mask names a joint as hard and soft.
+    #[error("joints {joints} are both hard and soft; a joint is one or the other (paper Sec. 4.2)")]
+    MaskOverlap {
+        /// Names of the joints in both sets.
+        joints: String,
+    },
+    /// A clip is too short for what is asked of it.
+    #[error("{frames} frames at {fps} are too short for a window of {needed}")]
+    TooShort {
+        /// Frames present.
+        frames: usize,
+        /// Their rate in frames per second.
+        fps: f64,
+        /// Frames needed.
+        needed: usize,
+    },
+    /// A column of a table is missing or of another type.
+    #[error("table {table}: column {column:?} {problem}")]
+    Column {
+        /// Table name.
+        table: &'static str,
+        /// Column name.
+        column: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A cell holds a value its type forbids.
+    #[error("table {table}, column {column:?}, row {row}: {problem}")]
+    Cell {
+        /// Table name.
+        table: &'static str,
+        /// Column name.
+        column: String,
+        /// Row within the batch.
+        row: usize,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A folder is not a dataset.
+    #[error("{} is not a dataset: {reason}", path.display())]
+    NotADataset {
+        /// The folder.
+        path: PathBuf,
+        /// What was missing.
+        reason: String,
+    },
+    /// A dataset was written by a newer, incompatible version.
+    #[error("{} has format {found}, this program reads {supported}; use a newer stance or ingest again", path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Version found.
+        found: String,
+        /// Version read by this program.
+        supported: &'static str,
+    },
+    /// A file differs from what the manifest records.
+    #[error("{} does not match its manifest ({detail}); restore the file or ingest again", path.display())]
+    Corrupt {
+        /// The file.
+        path: PathBuf,
+        /// Expected and found.
+        detail: String,
+    },
+    /// Another run writes to the same folder.
+    #[error("{} is locked by another run ({holder}); wait for it or choose another folder", path.display())]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+        /// What the lock file says of its holder.
+        holder: String,
+    },
+    /// The folder already holds the result of a different plan.
+    #[error("{} already holds a dataset made by a different plan (recorded {recorded}, now {now}); choose another folder or remove it", path.display())]
+    OtherPlan {
+        /// The folder.
+        path: PathBuf,
+        /// Plan hash recorded.
+        recorded: String,
+        /// Plan hash of this run.
+        now: String,
+    },
+    /// Reading or writing a file failed.
+    #[error("cannot {action} {}", path.display())]
+    Io {
+        /// What was tried, as a verb.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A Parquet file cannot be read or written.
+    #[error("cannot {action} Parquet file {}", path.display())]
+    Parquet {
+        /// What was tried, as a verb.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: parquet::errors::ParquetError,
+    },
+    /// Arrow refused a batch.
+    #[error("table {table}: cannot build a batch")]
+    Arrow {
+        /// Table name.
+        table: &'static str,
+        /// The cause.
+        source: arrow_schema::ArrowError,
+    },
+    /// A JSON document of the dataset is malformed.
+    #[error("cannot read {} as JSON", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: serde_json::Error,
+    },
+}
+
+impl Error {
+    /// Wraps an I/O error with what was tried on which file.
+    pub fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io {
+            action,
+            path,
+            source,
+        }
+    }
+
+    /// Wraps a Parquet error with what was tried on which file. An I/O error inside it is
+    /// unwrapped, so that a full disk is reported as one.
+    pub fn parquet(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
+        let path = path.into();
+        move |source| match source {
+            parquet::errors::ParquetError::External(cause) if cause.is::<std::io::Error>() => {
+                let cause = cause
+                    .downcast::<std::io::Error>()
+                    .map_or_else(|_| std::io::Error::other("unknown"), |cause| *cause);
+                Self::Io {
+                    action,
+                    path,
+                    source: cause,
+                }
+            }
+            source => Self::Parquet {
+                action,
+                path,
+                source,
+            },
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Names of motions, splits and seeded randomness.
+
+use rand::SeedableRng;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// The generator every draw in the project comes from. Its stream is part of its documented
+/// contract, so recorded seeds stay meaningful.
+pub type Rng = rand_pcg::Pcg64;
+
+/// The stable name of a motion: the path of its source relative to the ingested root, without
+/// extension, followed by `@start-end` (source frames) for a crop and `~m` for a mirrored copy;
+/// or a HumanML3D id (`012314`, mirrored `M012314`).
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct MotionId(String);
+
+impl MotionId {
+    /// Longest accepted id in bytes.
+    pub const MAX_BYTES: usize = 512;
+
+    /// Parses an id.
+    ///
+    /// # Errors
+    /// The text is empty, too long, starts or ends with a space, or holds control characters.
+    pub fn parse(text: &str) -> Result<Self, Error> {
+        let reason = if text.is_empty() {
+            "it is empty"
+        } else if text.len() > Self::MAX_BYTES {
+            "it is longer than 512 bytes"
+        } else if text.chars().any(char::is_control) {
+            "it holds a control character"
+        } else if text.trim() != text {
+            "it starts or ends with a space"
+        } else {
+            return Ok(Self(text.to_owned()));
+        };
+        Err(Error::MotionId {
+            id: text.to_owned(),
+            reason,
+        })
+    }
+
+    /// The id as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// The id of the clip this one was mirrored or cropped from: what decides its split, so that
+    /// a mirrored or cropped copy never crosses from one split to another.
+    pub fn source_clip(&self) -> &str {
+        let whole = self.0.split('@').next().unwrap_or(&self.0);
+        let whole = whole.strip_suffix("~m").unwrap_or(whole);
+        match whole.strip_prefix('M') {
+            Some(digits) if digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_digit()) => {
+                digits
+            }
+            _ => whole,
+        }
+    }
+}
+
+impl TryFrom<String> for MotionId {
+    type Error = Error;
+
+    fn try_from(value: String) -> Result<Self, Error> {
+        Self::parse(&value)
+    }
+}
+
+impl From<MotionId> for String {
+    fn from(id: MotionId) -> String {
+        id.0
+    }
+}
+
+impl std::fmt::Display for MotionId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Which part of a dataset a motion belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Fits models, normalisation, masks and embeddings.
+    Train,
+    /// Chooses among checkpoints.
+    Val,
+    /// Is looked at once, for the table.
+    Test,
+}
+
+impl Split {
+    /// All splits, in the order tables list them.
+    pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
+
+    /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 4.3). It depends on
+    /// the clip and the seed alone, so a dataset that grows never moves an old clip.
+    pub fn assign(source_clip: &str, seed: Seed) -> Self {
+        match seed.draw_u64(&["split", source_clip]) % 100 {
+            0..80 => Self::Train,
+            80..85 => Self::Val,
+            _ => Self::Test,
+        }
+    }
+
+    /// The lower-case name used in tables and file names.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Val => "val",
+            Self::Test => "test",
+        }
+    }
+}
+
+impl std::str::FromStr for Split {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self, Error> {
+        Self::ALL
+            .into_iter()
+            .find(|split| split.as_str() == text)
+            .ok_or_else(|| Error::Split {
+                got: text.to_owned(),
+            })
+    }
+}
+
+impl std::fmt::Display for Split {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// The seed of a run. Every generator is derived from it and the names of what is drawn, never
+/// from the order in which threads arrive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Seed(pub u64);
+
+impl Seed {
+    /// A generator of its own for the thing named by `parts`, for example
+    /// `["compose", epoch, item id]`.
+    pub fn rng(self, parts: &[&str]) -> Rng {
+        Rng::from_seed(self.digest(parts))
+    }
+
+    /// One number for the thing named by `parts`.
+    pub fn draw_u64(self, parts: &[&str]) -> u64 {
+        let digest = self.digest(parts);
+        u64::from_le_bytes([
+            digest[0], digest[1], digest[2], digest[3], digest[4], digest[5], digest[6], digest[7],
+        ])
+    }
+
+    /// A seed for a sub-task, independent of this one's other uses.
+    pub fn derive(self, parts: &[&str]) -> Seed {
+        Seed(self.draw_u64(parts))
+    }
+
+    fn digest(self, parts: &[&str]) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&self.0.to_le_bytes());
+        for part in parts {
+            // The length keeps ["ab", "c"] apart from ["a", "bc"].
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        }
+        *hasher.finalize().as_bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mirrored_or_cropped_clip_shares_the_split_of_its_source() {
+        for (id, clip) in [
+            ("012314", "012314"),
+            ("M012314", "012314"),
+            ("CMU/01/01_01_poses@0-120", "CMU/01/01_01_poses"),
+            ("walk~m", "walk"),
+            ("Mwalk", "Mwalk"),
+        ] {
+            assert_eq!(MotionId::parse(id).expect("valid").source_clip(), clip);
+        }
+    }
+
+    #[test]
+    fn splits_follow_the_published_proportions() {
+        let mut counts = [0usize; 3];
+        for index in 0..20_000 {
+            counts[Split::assign(&format!("clip{index}"), Seed(1)) as usize] += 1;
+        }
+        // Four standard deviations of a binomial count of 20,000.
+        for (count, share) in counts.into_iter().zip([0.80, 0.05, 0.15]) {
+            let sigma = (20_000.0 * share * (1.0 - share)) as f64;
+            assert!((count as f64 - 20_000.0 * share).abs() < 4.0 * sigma.sqrt());
+        }
+    }
+
+    #[test]
+    fn seeds_separate_names_and_repeat() {
+        let seed = Seed(7);
+        assert_eq!(seed.draw_u64(&["a", "b"]), seed.draw_u64(&["a", "b"]));
+        assert_ne!(seed.draw_u64(&["ab", "c"]), seed.draw_u64(&["a", "bc"]));
+        assert_ne!(seed.draw_u64(&["a"]), Seed(8).draw_u64(&["a"]));
+    }
+
+    #[test]
+    fn ids_that_could_not_be_a_file_name_are_refused() {
+        for bad in ["", " a", "a\n", &"x".repeat(513)] {
+            assert!(MotionId::parse(bad).is_err(), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! The contract between the stages of `stance`: motion types, skeleton, body parts, kinematics,
+//! canonical segments, and the tables on disk.
+//!
+//! Everything is y up, in metres, radians and seconds; the character's left is +x at rest and it
+//! faces +z. This crate knows no foreign file format, no network, no HTTP and no command line.
+//!
+//! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
+
+pub mod canonical;
+pub mod dataset;
+mod error;
+
+mod ids;
+mod joint_set;
+pub mod kinematics;
+pub mod manifest;
+pub mod motion;
+pub mod normalise;
+mod progress;
+pub mod record;
+pub mod resample;
+pub mod rotation;
+pub mod skeleton;
+pub mod table;
+mod units;
+
+pub use dataset::{Dataset, Transaction};
+pub use error::Error;
+pub use ids::{MotionId, Rng, Seed, Split};
+pub use joint_set::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION};
+pub use motion::{Keypoints, Motion, Pose};
+pub use progress::{NoProgress, Progress};
+pub use resample::Resample;
+pub use skeleton::{Joint, Skeleton};
+pub use units::Fps;

@@ -1,0 +1,103 @@
+//! The manifest: what a dataset consists of, and the hashes that prove it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Split;
+
+/// What `format` says in every manifest.
+pub const FORMAT: &str = "stance-dataset";
+
+/// One committed version of a dataset. Readers open the highest; nothing is found by listing
+/// folders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Always [`FORMAT`].
+    pub format: String,
+    /// Version of the table schemas (`table::SCHEMA_VERSION`).
+    pub schema_version: String,
+    /// Number of this manifest, from 1.
+    pub version: u64,
+    /// Program that wrote it.
+    pub tool_version: String,
+    /// Name of the skeleton every motion is posed on.
+    pub skeleton: String,
+    /// Files of each table.
+    pub tables: BTreeMap<String, Vec<FileEntry>>,
+    /// Plan of the run that made each table: a rerun of the same plan has nothing to do.
+    pub plans: BTreeMap<String, String>,
+    /// What became of the source files.
+    pub accounting: Accounting,
+    /// Further facts of the runs, such as seed and rate.
+    pub facts: BTreeMap<String, String>,
+    /// BLAKE3 over table names, paths and file hashes: equal for equal datasets.
+    pub root_hash: String,
+}
+
+/// A file of a table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileEntry {
+    /// Path relative to the dataset, with forward slashes.
+    pub path: String,
+    /// Split of its rows; none for tables without splits.
+    pub split: Option<Split>,
+    /// Number of rows.
+    pub rows: u64,
+    /// Size in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the file, hexadecimal.
+    pub blake3: String,
+}
+
+/// What became of the source files: `sources = ingested + quarantined + skipped`, always.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Accounting {
+    /// Files found.
+    pub sources: u64,
+    /// Files that became rows.
+    pub ingested: u64,
+    /// Files rejected with a code and a reason.
+    pub quarantined: u64,
+    /// Files that hold no motion, such as captions.
+    pub skipped: u64,
+    /// Rejections by code.
+    pub codes: BTreeMap<String, u64>,
+}
+
+impl Accounting {
+    /// Whether every source is accounted for.
+    pub fn balances(&self) -> bool {
+        self.sources == self.ingested + self.quarantined + self.skipped
+            && self.quarantined == self.codes.values().sum::<u64>()
+    }
+}
+
+impl Manifest {
+    /// The hash over all files.
+    pub fn compute_root_hash(tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
+        let mut hasher = blake3::Hasher::new();
+        for (table, files) in tables {
+            let mut files: Vec<&FileEntry> = files.iter().collect();
+            files.sort_by(|a, b| a.path.cmp(&b.path));
+            for file in files {
+                for part in [table, &file.path, &file.blake3] {
+                    hasher.update(&(part.len() as u64).to_le_bytes());
+                    hasher.update(part.as_bytes());
+                }
+            }
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    /// Rows of a table, by split if one is given.
+    pub fn rows(&self, table: &str, split: Option<Split>) -> u64 {
+        self.tables
+            .get(table)
+            .into_iter()
+            .flatten()
+            .filter(|file| split.is_none() || file.split == split)
+            .map(|file| file.rows)
+            .sum()
+    }
+}

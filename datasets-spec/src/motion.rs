@@ -1,0 +1,301 @@
+//! A motion as SMPL-X parameters, and the 28 keypoints it drives.
+
+use glam::{DQuat, DVec3};
+
+use crate::rotation::{from_axis_angle, to_axis_angle};
+use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use crate::{Error, Fps};
+
+/// Numbers of `body_pose` in a frame: 21 joints times 3.
+pub const BODY_POSE_WIDTH: usize = 3 * (NUM_BODY_JOINTS - 1);
+
+/// A motion of `L` frames as SMPL-X parameters: `transl` `[L, 3]` in metres, `global_orient`
+/// `[L, 3]` and `body_pose` `[L, 63]` as axis-angle in radians; y up, betas zero. Frame-major
+/// arrays of `f32`, the layout of the store, so that writing is a copy.
+///
+/// All columns have the same number of frames, at least one, and only finite numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motion {
+    fps: Fps,
+    transl: Vec<[f32; 3]>,
+    global_orient: Vec<[f32; 3]>,
+    body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
+}
+
+/// One frame of a motion in working precision: translation in metres and the 22 local rotations,
+/// that of the pelvis being `global_orient`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Translation of the body in metres.
+    pub transl: DVec3,
+    /// Rotation of each body joint relative to its parent, `[22]`.
+    pub rotations: [DQuat; NUM_BODY_JOINTS],
+}
+
+impl Pose {
+    /// The T-pose at the model's origin.
+    pub const REST: Pose = Pose {
+        transl: DVec3::ZERO,
+        rotations: [DQuat::IDENTITY; NUM_BODY_JOINTS],
+    };
+}
+
+impl Motion {
+    /// Checks and takes the columns of a motion.
+    ///
+    /// # Errors
+    /// The columns differ in length, are empty, or hold a NaN or an infinity.
+    pub fn new(
+        fps: Fps,
+        transl: Vec<[f32; 3]>,
+        global_orient: Vec<[f32; 3]>,
+        body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
+    ) -> Result<Self, Error> {
+        if transl.len() != global_orient.len() || transl.len() != body_pose.len() {
+            return Err(Error::FrameCount {
+                transl: transl.len(),
+                global_orient: global_orient.len(),
+                body_pose: body_pose.len(),
+            });
+        }
+        if transl.is_empty() {
+            return Err(Error::NoFrames);
+        }
+        check_finite("transl", &transl)?;
+        check_finite("global_orient", &global_orient)?;
+        check_finite("body_pose", &body_pose)?;
+        Ok(Self {
+            fps,
+            transl,
+            global_orient,
+            body_pose,
+        })
+    }
+
+    /// Rounds poses to the stored precision.
+    ///
+    /// # Errors
+    /// As [`Motion::new`].
+    pub fn from_poses(fps: Fps, poses: &[Pose]) -> Result<Self, Error> {
+        let mut transl = Vec::with_capacity(poses.len());
+        let mut global_orient = Vec::with_capacity(poses.len());
+        let mut body_pose = Vec::with_capacity(poses.len());
+        for pose in poses {
+            transl.push(pose.transl.as_vec3().to_array());
+            global_orient.push(to_axis_angle(pose.rotations[0]).as_vec3().to_array());
+            let mut frame = [0.0; BODY_POSE_WIDTH];
+            for (slot, &rotation) in frame.chunks_exact_mut(3).zip(&pose.rotations[1..]) {
+                slot.copy_from_slice(&to_axis_angle(rotation).as_vec3().to_array());
+            }
+            body_pose.push(frame);
+        }
+        Self::new(fps, transl, global_orient, body_pose)
+    }
+
+    /// The frame rate.
+    pub fn fps(&self) -> Fps {
+        self.fps
+    }
+
+    /// Number of frames, at least one.
+    #[expect(clippy::len_without_is_empty, reason = "a motion is never empty")]
+    pub fn len(&self) -> usize {
+        self.transl.len()
+    }
+
+    /// Seconds from the first to the last frame.
+    pub fn duration_secs(&self) -> f64 {
+        self.fps.secs_at(self.len() - 1)
+    }
+
+    /// Translations in metres, `[L, 3]`.
+    pub fn transl(&self) -> &[[f32; 3]] {
+        &self.transl
+    }
+
+    /// Root orientations as axis-angle, `[L, 3]`.
+    pub fn global_orient(&self) -> &[[f32; 3]] {
+        &self.global_orient
+    }
+
+    /// Body rotations as axis-angle, `[L, 63]`.
+    pub fn body_pose(&self) -> &[[f32; BODY_POSE_WIDTH]] {
+        &self.body_pose
+    }
+
+    /// The axis-angle of a body joint relative to its parent, joint 0 being the root.
+    ///
+    /// # Panics
+    /// If the frame or the joint does not exist.
+    pub fn axis_angle(&self, frame_index: usize, joint_index: usize) -> [f32; 3] {
+        if joint_index == 0 {
+            return self.global_orient[frame_index];
+        }
+        let at = 3 * (joint_index - 1);
+        let frame = &self.body_pose[frame_index];
+        [frame[at], frame[at + 1], frame[at + 2]]
+    }
+
+    /// Replaces the axis-angle of a body joint.
+    ///
+    /// # Panics
+    /// If the frame or the joint does not exist, or a number is not finite.
+    pub fn set_axis_angle(&mut self, frame_index: usize, joint_index: usize, value: [f32; 3]) {
+        assert!(
+            value.iter().all(|v| v.is_finite()),
+            "rotation is not finite"
+        );
+        if joint_index == 0 {
+            self.global_orient[frame_index] = value;
+            return;
+        }
+        let at = 3 * (joint_index - 1);
+        self.body_pose[frame_index][at..at + 3].copy_from_slice(&value);
+    }
+
+    /// Replaces the translation of a frame, in metres.
+    ///
+    /// # Panics
+    /// If the frame does not exist or a number is not finite.
+    pub fn set_transl(&mut self, frame_index: usize, value: [f32; 3]) {
+        assert!(
+            value.iter().all(|v| v.is_finite()),
+            "translation is not finite"
+        );
+        self.transl[frame_index] = value;
+    }
+
+    /// A frame in working precision.
+    ///
+    /// # Panics
+    /// If the frame does not exist.
+    pub fn pose(&self, frame_index: usize) -> Pose {
+        Pose {
+            transl: to_dvec3(self.transl[frame_index]),
+            rotations: std::array::from_fn(|joint| {
+                from_axis_angle(to_dvec3(self.axis_angle(frame_index, joint)))
+            }),
+        }
+    }
+
+    /// All frames in working precision.
+    pub fn poses(&self) -> impl ExactSizeIterator<Item = Pose> + '_ {
+        (0..self.len()).map(|frame| self.pose(frame))
+    }
+
+    /// The frames of a range, at the same rate.
+    ///
+    /// # Errors
+    /// The range is empty or leaves the motion.
+    pub fn crop(&self, frames: std::ops::Range<usize>) -> Result<Self, Error> {
+        if frames.is_empty() {
+            return Err(Error::NoFrames);
+        }
+        if frames.end > self.len() {
+            return Err(Error::TooShort {
+                frames: self.len(),
+                fps: self.fps.get(),
+                needed: frames.end,
+            });
+        }
+        Ok(Self {
+            fps: self.fps,
+            transl: self.transl[frames.clone()].to_vec(),
+            global_orient: self.global_orient[frames.clone()].to_vec(),
+            body_pose: self.body_pose[frames].to_vec(),
+        })
+    }
+
+    /// BLAKE3 of the rate and the columns in canonical little-endian bytes, in hexadecimal.
+    pub fn content_hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&self.fps.get().to_le_bytes());
+        for column in [
+            self.transl.as_flattened(),
+            self.global_orient.as_flattened(),
+            self.body_pose.as_flattened(),
+        ] {
+            hasher.update(&(column.len() as u64).to_le_bytes());
+            for value in column {
+                hasher.update(&value.to_le_bytes());
+            }
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+}
+
+/// `L` frames of the 28 keypoints in metres, y up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Keypoints {
+    /// The frame rate.
+    pub fps: Fps,
+    /// Positions, `[L, 28]`.
+    pub points: Vec<[DVec3; NUM_KEYPOINTS]>,
+}
+
+fn check_finite<const D: usize>(column: &'static str, frames: &[[f32; D]]) -> Result<(), Error> {
+    match frames
+        .iter()
+        .position(|frame| frame.iter().any(|value| !value.is_finite()))
+    {
+        Some(frame) => Err(Error::NotFinite { column, frame }),
+        None => Ok(()),
+    }
+}
+
+fn to_dvec3(v: [f32; 3]) -> DVec3 {
+    DVec3::new(v[0].into(), v[1].into(), v[2].into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn still(frames: usize) -> Motion {
+        Motion::from_poses(Fps::STORE, &vec![Pose::REST; frames]).expect("valid")
+    }
+
+    #[test]
+    fn broken_columns_are_refused_by_name() {
+        let fps = Fps::STORE;
+        let mut pose = vec![[0.0; BODY_POSE_WIDTH]; 3];
+        assert!(matches!(
+            Motion::new(fps, vec![[0.0; 3]; 2], vec![[0.0; 3]; 3], pose.clone()),
+            Err(Error::FrameCount { transl: 2, .. })
+        ));
+        pose[1][7] = f32::NAN;
+        assert!(matches!(
+            Motion::new(fps, vec![[0.0; 3]; 3], vec![[0.0; 3]; 3], pose),
+            Err(Error::NotFinite {
+                column: "body_pose",
+                frame: 1
+            })
+        ));
+        assert!(matches!(
+            Motion::new(fps, vec![], vec![], vec![]),
+            Err(Error::NoFrames)
+        ));
+    }
+
+    #[test]
+    fn the_hash_sees_every_column_and_the_rate() {
+        let motion = still(2);
+        let mut turned = motion.clone();
+        turned.set_axis_angle(1, 21, [0.0, 0.0, 1e-6]);
+        let mut moved = motion.clone();
+        moved.set_transl(0, [1e-6, 0.0, 0.0]);
+        let slower = Motion::from_poses(Fps::MODEL, &[Pose::REST; 2]).expect("valid");
+        let hashes = [&motion, &turned, &moved, &slower].map(Motion::content_hash);
+        for (i, a) in hashes.iter().enumerate() {
+            assert!(hashes[i + 1..].iter().all(|b| a != b));
+        }
+        assert_eq!(motion.content_hash(), still(2).content_hash());
+    }
+
+    #[test]
+    fn crops_stay_inside() {
+        assert_eq!(still(5).crop(1..4).expect("inside").len(), 3);
+        assert!(still(5).crop(3..6).is_err());
+        assert!(still(5).crop(2..2).is_err());
+    }
+}

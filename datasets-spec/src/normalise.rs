@@ -1,0 +1,117 @@
+//! The range keypoints are scaled to before a network sees them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::canonical::KeypointFrame;
+use crate::skeleton::NUM_KEYPOINTS;
+
+/// Numbers of a normalised frame: 28 keypoints times 3.
+pub const FRAME_WIDTH: usize = 3 * NUM_KEYPOINTS;
+
+/// A frame of canonical keypoints scaled to the model's range, `[84]`. It is a type of its own so
+/// that metres are never fed to a network.
+pub type NormalizedFrame = [f32; FRAME_WIDTH];
+
+/// Scales each axis linearly so that `min` becomes -1 and `max` becomes 1, alike for all joints
+/// and frames. Metres in, model units out.
+///
+/// # Source
+/// Paper App. B.1; `algorithms` section 4.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Normalizer {
+    /// Lower end per axis in metres.
+    pub min: [f64; 3],
+    /// Upper end per axis in metres.
+    pub max: [f64; 3],
+}
+
+impl Normalizer {
+    /// The share of the data the range keeps; the rest, half on either side, falls outside [-1, 1].
+    pub const KEPT_SHARE: f64 = 0.95;
+
+    /// Fits the range of each axis to the central 95 % of canonical training frames. `None` if there
+    /// is no frame. An axis on which nothing moves gets a range of 1 mm instead of a division by
+    /// zero.
+    pub fn fit<'a>(frames: impl IntoIterator<Item = &'a KeypointFrame>) -> Option<Self> {
+        let mut axes: [Vec<f64>; 3] = [Vec::new(), Vec::new(), Vec::new()];
+        for point in frames.into_iter().flatten() {
+            for (axis, value) in axes.iter_mut().zip(point.to_array()) {
+                axis.push(value);
+            }
+        }
+        let mut normalizer = Self {
+            min: [0.0; 3],
+            max: [0.0; 3],
+        };
+        for (i, axis) in axes.iter_mut().enumerate() {
+            axis.sort_by(f64::total_cmp);
+            let last = axis.len().checked_sub(1)?;
+            let cut = (1.0 - Self::KEPT_SHARE) / 2.0 * last as f64;
+            normalizer.min[i] = axis[cut.round() as usize];
+            normalizer.max[i] = axis[last - cut.round() as usize];
+            if normalizer.max[i] - normalizer.min[i] < 1e-3 {
+                normalizer.min[i] -= 5e-4;
+                normalizer.max[i] += 5e-4;
+            }
+        }
+        Some(normalizer)
+    }
+
+    /// Metres to model units.
+    pub fn normalize(&self, frame: &KeypointFrame) -> NormalizedFrame {
+        let mut out = [0.0; FRAME_WIDTH];
+        for (slot, point) in out.chunks_exact_mut(3).zip(frame) {
+            for (axis, value) in point.to_array().into_iter().enumerate() {
+                let range = self.max[axis] - self.min[axis];
+                slot[axis] = (-1.0 + 2.0 * (value - self.min[axis]) / range) as f32;
+            }
+        }
+        out
+    }
+
+    /// Model units to metres.
+    ///
+    /// # Panics
+    /// If the slice does not hold 84 numbers.
+    pub fn denormalize(&self, frame: &[f32]) -> KeypointFrame {
+        assert_eq!(frame.len(), FRAME_WIDTH);
+        std::array::from_fn(|slot| {
+            glam::DVec3::from_array(std::array::from_fn(|axis| {
+                let value = f64::from(frame[3 * slot + axis]);
+                (value + 1.0) / 2.0 * (self.max[axis] - self.min[axis]) + self.min[axis]
+            }))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn the_range_keeps_95_percent() {
+        let frames: Vec<KeypointFrame> = (0..=1000)
+            .map(|i| [DVec3::new(f64::from(i), 0.0, -f64::from(i)); NUM_KEYPOINTS])
+            .collect();
+        let range = Normalizer::fit(&frames).expect("frames");
+        assert!((range.min[0] - 25.0).abs() <= 1.0 && (range.max[0] - 975.0).abs() <= 1.0);
+        assert!(range.max[1] > range.min[1], "a still axis keeps a range");
+        assert!(Normalizer::fit(&[]).is_none());
+    }
+
+    #[test]
+    fn scaling_there_and_back_is_the_identity() {
+        let range = Normalizer {
+            min: [-1.0, 0.0, -2.0],
+            max: [1.0, 2.0, 3.0],
+        };
+        let frame: KeypointFrame = std::array::from_fn(|i| DVec3::splat(i as f64 * 0.1 - 1.0));
+        let back = range.denormalize(&range.normalize(&frame));
+        for (a, b) in frame.iter().zip(back) {
+            // One rounding to f32 of a value up to 5 in model units, times a half range of 2.5 m.
+            assert!((*a - b).abs().max_element() < 1e-6);
+        }
+    }
+}

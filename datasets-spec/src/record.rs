@@ -1,0 +1,298 @@
+//! The rows of every table. A struct is declared once; its columns, their types, units and meaning
+//! follow from it, and `datasets-spec/README.md` is held equal to them by a test.
+
+use crate::motion::BODY_POSE_WIDTH;
+use crate::table::{Caption, PartCaption, Quality, Row, table};
+use crate::{Error, Fps, Motion, MotionId, Split};
+
+/// Frames of `D` numbers each: a `list<fixed_size_list<f32, D>>` column.
+pub type Frames<const D: usize> = Vec<[f32; D]>;
+
+table! {
+    /// A clip.
+    pub struct MotionRow = "motions" {
+        /// Stable name: source path relative to the ingested root, plus crop or mirror suffix
+        pub id: MotionId [""],
+        /// train, val or test, decided on the source clip
+        pub split: Split [""],
+        /// Kind of source the clip came from, such as amass or bvh
+        pub source: String [""],
+        /// Path of the source file relative to the ingested root
+        pub source_path: String [""],
+        /// BLAKE3 of the source file, hexadecimal
+        pub source_hash: String [""],
+        /// Licence tag of the source, if one was declared
+        pub license: Option<String> [""],
+        /// Id of the clip this one mirrors
+        pub mirrored_of: Option<String> [""],
+        /// Skeleton the parameters drive
+        pub skeleton: String [""],
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Frame rate of the source
+        pub fps_source: f32 ["1/s"],
+        /// First source frame
+        pub start_frame: i32 ["frame"],
+        /// One past the last source frame
+        pub end_frame: i32 ["frame"],
+        /// Stored frames
+        pub n_frames: i32 ["frame"],
+        /// Translation
+        pub transl: Frames<3> ["m"],
+        /// Root orientation, axis-angle
+        pub global_orient: Frames<3> ["rad"],
+        /// 21 body joint rotations, axis-angle
+        pub body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+        /// native, retargeted or fitted
+        pub rotation_source: String [""],
+        /// Mean distance between source and stored joints after retargeting or fitting
+        pub fit_error_m: Option<f32> ["m"],
+        /// What the clip is said to show, with the time it is said of
+        pub captions: Vec<Caption> ["s"],
+        /// What single body parts are said to do
+        pub part_captions: Vec<PartCaption> [""],
+        /// Action label of the source
+        pub action: Option<String> [""],
+        /// Style label of the source
+        pub style: Option<String> [""],
+        /// BLAKE3 of rate and motion columns, hexadecimal
+        pub content_hash: String [""],
+        /// Findings of the quality checks
+        pub quality: Quality [""],
+    }
+}
+
+table! {
+    /// An accepted (motion, mask, text).
+    pub struct MaskRow = "masks" {
+        /// Id of the mask
+        pub id: String [""],
+        /// Motion the mask belongs to
+        pub motion_id: MotionId [""],
+        /// Split of the motion
+        pub split: Split [""],
+        /// Named body parts the mask is made of
+        pub parts: Vec<String> [""],
+        /// Joints taken whole
+        pub hard_joints: Vec<String> [""],
+        /// Joints interpolated
+        pub soft_joints: Vec<String> [""],
+        /// Version of the body-part membership
+        pub mask_def_version: u32 [""],
+        /// What the masked part does, as an instruction
+        pub text: String [""],
+        /// human, draft, imported or automatic
+        pub text_origin: String [""],
+        /// Who or what made the mask
+        pub author: String [""],
+    }
+}
+
+table! {
+    /// A recorded training triplet.
+    pub struct TripletRow = "triplets" {
+        /// Id of the triplet: its place in the stream
+        pub id: String [""],
+        /// Split all motions of the triplet come from
+        pub split: Split [""],
+        /// semantic, style or fine-grained
+        pub kind: String [""],
+        /// What turns the original into the edited motion
+        pub instruction: String [""],
+        /// Motion the original is made of
+        pub source_id: MotionId [""],
+        /// Motion the edit takes from
+        pub target_id: MotionId [""],
+        /// Motions blended under both sides
+        pub donor_ids: Vec<String> [""],
+        /// First frame taken of the source
+        pub source_start: i32 ["frame"],
+        /// First frame taken of the target
+        pub target_start: i32 ["frame"],
+        /// Joints taken whole
+        pub hard_joints: Vec<String> [""],
+        /// Joints interpolated
+        pub soft_joints: Vec<String> [""],
+        /// Weight of the target on soft joints
+        pub alpha: f32 [""],
+        /// Seed of the stream
+        pub seed: u64 [""],
+        /// Epoch of the stream
+        pub epoch: u64 [""],
+        /// BLAKE3 of the composition rules, hexadecimal
+        pub recipe_hash: String [""],
+        /// Frame rate of both motions
+        pub fps: f32 ["1/s"],
+        /// Frames of both motions
+        pub n_frames: i32 ["frame"],
+        /// Translation of the original
+        pub original_transl: Frames<3> ["m"],
+        /// Root orientation of the original, axis-angle
+        pub original_global_orient: Frames<3> ["rad"],
+        /// Body rotations of the original, axis-angle
+        pub original_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+        /// Translation of the edited motion
+        pub edited_transl: Frames<3> ["m"],
+        /// Root orientation of the edited motion, axis-angle
+        pub edited_global_orient: Frames<3> ["rad"],
+        /// Body rotations of the edited motion, axis-angle
+        pub edited_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+    }
+}
+
+table! {
+    /// A motion edited by some system, or a motion it is compared with.
+    pub struct EditRow = "edits" {
+        /// Id of the edited item, shared by all systems that edited it
+        pub id: String [""],
+        /// Split of the item
+        pub split: Split [""],
+        /// System that made the motion; `source` and `target` are the two sides of the item itself
+        pub system: String [""],
+        /// BLAKE3 of the checkpoint, hexadecimal; empty where no model took part
+        pub checkpoint_hash: String [""],
+        /// Motion the original was made of
+        pub source_id: String [""],
+        /// Motion the target took from
+        pub target_id: String [""],
+        /// What was asked for
+        pub instruction: String [""],
+        /// Kind of edit: semantic, style or fine-grained
+        pub kind: String [""],
+        /// Seed of the sampler
+        pub seed: u64 [""],
+        /// Frame rate
+        pub fps: f32 ["1/s"],
+        /// Frames
+        pub n_frames: i32 ["frame"],
+        /// Translation
+        pub transl: Frames<3> ["m"],
+        /// Root orientation, axis-angle
+        pub global_orient: Frames<3> ["rad"],
+        /// Body rotations, axis-angle
+        pub body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+        /// Mean distance between generated keypoints and the fitted body
+        pub fit_error_m: Option<f32> ["m"],
+    }
+}
+
+table! {
+    /// A metric value.
+    pub struct ScoreRow = "scores" {
+        /// System the value is of
+        pub system: String [""],
+        /// Task, such as semantic
+        pub task: String [""],
+        /// Metric name
+        pub metric: String [""],
+        /// Protocol the value was measured under
+        pub protocol: String [""],
+        /// Hash of the feature encoder, hexadecimal
+        pub encoder_hash: String [""],
+        /// Items measured
+        pub n: u32 [""],
+        /// Repetitions
+        pub repeats: u32 [""],
+        /// Mean over the repetitions
+        pub mean: f64 [""],
+        /// Half width of the 95 % interval
+        pub ci95: f64 [""],
+    }
+}
+
+table! {
+    /// A rejected source item.
+    pub struct QuarantineRow = "quarantine" {
+        /// Path of the source file relative to the ingested root
+        pub path: String [""],
+        /// BLAKE3 of the source file, hexadecimal; empty if it could not be read
+        pub source_hash: String [""],
+        /// Code, such as E-BVH-FRAMES
+        pub code: String [""],
+        /// What is wrong, with the numbers found and expected
+        pub reason: String [""],
+        /// Where in the file, if there is such a place
+        pub byte_offset: Option<u64> ["byte"],
+        /// Stage that rejected it: read, check, retarget or encode
+        pub stage: String [""],
+    }
+}
+
+impl MotionRow {
+    /// The motion of the row.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn motion(&self) -> Result<Motion, Error> {
+        motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+    }
+}
+
+impl TripletRow {
+    /// The original motion.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn original(&self) -> Result<Motion, Error> {
+        motion_of(
+            self.fps,
+            &self.original_transl,
+            &self.original_global_orient,
+            &self.original_body_pose,
+        )
+    }
+
+    /// The edited motion.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn edited(&self) -> Result<Motion, Error> {
+        motion_of(
+            self.fps,
+            &self.edited_transl,
+            &self.edited_global_orient,
+            &self.edited_body_pose,
+        )
+    }
+}
+
+impl EditRow {
+    /// The name of the system whose motions are the originals of the items.
+    pub const SOURCE: &'static str = "source";
+    /// The name of the system whose motions are the ground-truth edits of the items.
+    pub const TARGET: &'static str = "target";
+
+    /// The motion of the row.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn motion(&self) -> Result<Motion, Error> {
+        motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+    }
+}
+
+fn motion_of(
+    fps: f32,
+    transl: &[[f32; 3]],
+    global_orient: &[[f32; 3]],
+    body_pose: &[[f32; BODY_POSE_WIDTH]],
+) -> Result<Motion, Error> {
+    Motion::new(
+        Fps::new(fps.into())?,
+        transl.to_vec(),
+        global_orient.to_vec(),
+        body_pose.to_vec(),
+    )
+}
+
+/// Name, columns and key of every table, for documents and tools.
+pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
+    vec![
+        (MotionRow::TABLE, MotionRow::columns()),
+        (MaskRow::TABLE, MaskRow::columns()),
+        (TripletRow::TABLE, TripletRow::columns()),
+        (EditRow::TABLE, EditRow::columns()),
+        (ScoreRow::TABLE, ScoreRow::columns()),
+        (QuarantineRow::TABLE, QuarantineRow::columns()),
+    ]
+}

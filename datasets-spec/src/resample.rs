@@ -1,0 +1,188 @@
+//! Changing the frame rate of a motion.
+
+use serde::{Deserialize, Serialize};
+
+use crate::canonical::KeypointFrame;
+use crate::motion::{Motion, Pose};
+use crate::rotation::slerp;
+use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use crate::{Error, Fps};
+
+/// Slack on the time of the last frame, in output frames: rates are rounded in files, and a frame
+/// due a millionth of a frame after the end of the clip is still there.
+const END_SLACK_FRAMES: f64 = 1e-6;
+
+/// How a motion is brought to another rate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Resample {
+    /// Interpolation at exact times: spherical for rotations, linear for translations.
+    #[default]
+    Exact,
+    /// The published HumanML3D rule: every `floor(fps / target)`-th frame, no interpolation. The
+    /// true rate then differs from the target unless one divides the other.
+    HumanMl3d,
+}
+
+impl Resample {
+    /// Brings a motion to the target rate. The result states the target rate; with
+    /// [`Resample::HumanMl3d`] that is the published fiction.
+    ///
+    /// # Errors
+    /// The source rate is below the target with [`Resample::HumanMl3d`], which can only drop frames.
+    pub fn apply(self, motion: &Motion, target: Fps) -> Result<Motion, Error> {
+        match self {
+            Self::Exact => exact(motion, target),
+            Self::HumanMl3d => floor_stride(motion, target),
+        }
+    }
+}
+
+fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
+    if motion.fps() == target {
+        return Ok(motion.clone());
+    }
+    let source_per_target = motion.fps().get() / target.get();
+    let last = (motion.len() - 1) as f64;
+    let num_frames = (last / source_per_target + END_SLACK_FRAMES).floor() as usize + 1;
+    let poses: Vec<Pose> = (0..num_frames)
+        .map(|frame| {
+            let at = (frame as f64 * source_per_target).min(last);
+            let before = at.floor() as usize;
+            let alpha = at - before as f64;
+            let from = motion.pose(before);
+            if alpha == 0.0 {
+                return from;
+            }
+            interpolate(&from, &motion.pose(before + 1), alpha)
+        })
+        .collect();
+    Motion::from_poses(target, &poses)
+}
+
+/// The pose between two: translation linear, rotations spherical.
+pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
+    let mut rotations = from.rotations;
+    for joint in 0..NUM_BODY_JOINTS {
+        rotations[joint] = slerp(from.rotations[joint], to.rotations[joint], alpha);
+    }
+    Pose {
+        transl: from.transl.lerp(to.transl, alpha),
+        rotations,
+    }
+}
+
+fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
+    let stride = (motion.fps().get() / target.get()).floor() as usize;
+    if stride == 0 {
+        return Err(Error::FrameRate {
+            got: motion.fps().get(),
+        });
+    }
+    Motion::new(
+        target,
+        motion.transl().iter().step_by(stride).copied().collect(),
+        motion
+            .global_orient()
+            .iter()
+            .step_by(stride)
+            .copied()
+            .collect(),
+        motion.body_pose().iter().step_by(stride).copied().collect(),
+    )
+}
+
+/// Doubles the rate of a keypoint sequence by linear interpolation on the exact grid: `T` frames
+/// become `2T - 1`.
+///
+/// # Source
+/// The released code samples `2T` points on the same span, which is not twice the rate
+/// (`algorithms` section 4); this grid is.
+pub fn double_rate(frames: &[KeypointFrame]) -> Vec<KeypointFrame> {
+    let mut out = Vec::with_capacity(2 * frames.len());
+    for (i, frame) in frames.iter().enumerate() {
+        if i > 0 {
+            let before = &frames[i - 1];
+            let mut middle = *frame;
+            for slot in 0..NUM_KEYPOINTS {
+                middle[slot] = before[slot].midpoint(frame[slot]);
+            }
+            out.push(middle);
+        }
+        out.push(*frame);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::rotation::{angle_between, from_axis_angle};
+
+    /// A body moving along x at 1 m/s while turning its left elbow at 1 rad/s.
+    fn steady(fps: f64, num_frames: usize) -> Motion {
+        let fps = Fps::new(fps).expect("valid");
+        let poses: Vec<Pose> = (0..num_frames)
+            .map(|frame| {
+                let secs = fps.secs_at(frame);
+                let mut pose = Pose {
+                    transl: DVec3::X * secs,
+                    ..Pose::REST
+                };
+                pose.rotations[18] = from_axis_angle(DVec3::Y * secs);
+                pose
+            })
+            .collect();
+        Motion::from_poses(fps, &poses).expect("valid")
+    }
+
+    #[test]
+    fn exact_resampling_keeps_time() {
+        for (fps, frames, expected) in [
+            (30.0, 61, 41),
+            (120.0, 241, 41),
+            (60.0, 122, 41),
+            (65.0533, 200, 62),
+            (10.0, 21, 41),
+        ] {
+            let out = Resample::Exact
+                .apply(&steady(fps, frames), Fps::STORE)
+                .expect("resamples");
+            assert_eq!(out.len(), expected, "{fps} fps");
+            for (frame, pose) in out.poses().enumerate() {
+                let secs = Fps::STORE.secs_at(frame);
+                assert!((pose.transl.x - secs).abs() < 1e-6);
+                assert!(angle_between(pose.rotations[18], from_axis_angle(DVec3::Y * secs)) < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn the_published_rule_drops_frames_and_nothing_else() {
+        let source = steady(250.0, 100);
+        let out = Resample::HumanMl3d
+            .apply(&source, Fps::STORE)
+            .expect("drops");
+        assert_eq!(out.len(), 9, "stride floor(250 / 20) = 12");
+        assert_eq!(out.transl()[3], source.transl()[36]);
+        assert!(
+            Resample::HumanMl3d
+                .apply(&steady(10.0, 5), Fps::STORE)
+                .is_err()
+        );
+    }
+
+    #[test]
+    fn doubling_the_rate_keeps_every_frame() {
+        let frames: Vec<KeypointFrame> = (0..4)
+            .map(|i| [DVec3::X * f64::from(i); NUM_KEYPOINTS])
+            .collect();
+        let out = double_rate(&frames);
+        assert_eq!(out.len(), 7);
+        for (i, frame) in out.iter().enumerate() {
+            assert_eq!(frame[5], DVec3::X * (i as f64 / 2.0));
+        }
+    }
+}

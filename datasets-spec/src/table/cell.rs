@@ -1,0 +1,393 @@
+//! How the Rust type of a column maps to Arrow.
+
+use std::sync::Arc;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Float64Type, Int32Type, UInt32Type, UInt64Type};
+use arrow_array::{
+    Array, ArrayRef, FixedSizeListArray, Float32Array, ListArray, PrimitiveArray, StringArray,
+    StructArray,
+};
+use arrow_buffer::{OffsetBuffer, ScalarBuffer};
+use arrow_schema::{DataType, Field, Fields};
+
+use super::{Caption, PartCaption, Quality};
+use crate::{MotionId, Split};
+
+/// A type that can be a column. Encoding cannot fail; decoding reports the row and what is wrong.
+pub trait Cell: Sized {
+    /// Whether values may be missing.
+    const NULLABLE: bool = false;
+
+    /// The Arrow type.
+    fn data_type() -> DataType;
+
+    /// Builds a column.
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef
+    where
+        Self: 'static;
+
+    /// Reads a column whose type is known to be [`Cell::data_type`].
+    ///
+    /// # Errors
+    /// The row whose value breaks the type's rule, and which rule.
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)>;
+}
+
+macro_rules! primitive_cell {
+    ($ty:ty, $arrow:ty) => {
+        impl Cell for $ty {
+            fn data_type() -> DataType {
+                <$arrow as arrow_array::types::ArrowPrimitiveType>::DATA_TYPE
+            }
+
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+                Arc::new(PrimitiveArray::<$arrow>::from_iter_values(values.copied()))
+            }
+
+            fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+                Ok(array.as_primitive::<$arrow>().values().to_vec())
+            }
+        }
+
+        impl Cell for Option<$ty> {
+            const NULLABLE: bool = true;
+
+            fn data_type() -> DataType {
+                <$ty as Cell>::data_type()
+            }
+
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+                Arc::new(PrimitiveArray::<$arrow>::from_iter(values.copied()))
+            }
+
+            fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+                Ok(array.as_primitive::<$arrow>().iter().collect())
+            }
+        }
+    };
+}
+
+primitive_cell!(f32, Float32Type);
+primitive_cell!(f64, Float64Type);
+primitive_cell!(i32, Int32Type);
+primitive_cell!(u32, UInt32Type);
+primitive_cell!(u64, UInt64Type);
+
+impl Cell for String {
+    fn data_type() -> DataType {
+        DataType::Utf8
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(values))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let array = array.as_string::<i32>();
+        Ok((0..array.len())
+            .map(|i| array.value(i).to_owned())
+            .collect())
+    }
+}
+
+impl Cell for Option<String> {
+    const NULLABLE: bool = true;
+
+    fn data_type() -> DataType {
+        DataType::Utf8
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        Arc::new(StringArray::from_iter(values.map(Option::as_deref)))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let array = array.as_string::<i32>();
+        Ok(array.iter().map(|text| text.map(str::to_owned)).collect())
+    }
+}
+
+impl Cell for MotionId {
+    fn data_type() -> DataType {
+        DataType::Utf8
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(values.map(MotionId::as_str)))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        parse_each(array, |text| MotionId::parse(text))
+    }
+}
+
+impl Cell for Split {
+    fn data_type() -> DataType {
+        DataType::Utf8
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(
+            values.map(|split| split.as_str()),
+        ))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        parse_each(array, str::parse)
+    }
+}
+
+fn parse_each<T>(
+    array: &dyn Array,
+    parse: impl Fn(&str) -> Result<T, crate::Error>,
+) -> Result<Vec<T>, (usize, String)> {
+    let array = array.as_string::<i32>();
+    (0..array.len())
+        .map(|row| parse(array.value(row)).map_err(|error| (row, error.to_string())))
+        .collect()
+}
+
+fn item(data_type: DataType) -> Arc<Field> {
+    Arc::new(Field::new("item", data_type, false))
+}
+
+/// Offsets of a list column from the lengths of its rows. Arrow's 32-bit offsets hold any shard:
+/// they count frames, and a shard has at most a few million.
+fn offsets(lengths: &[usize]) -> OffsetBuffer<i32> {
+    OffsetBuffer::from_lengths(lengths.iter().copied())
+}
+
+/// Calls `decode_row(row, start, end)` with the range each list covers in the values array.
+fn decode_lists<T>(
+    list: &ListArray,
+    mut decode_row: impl FnMut(usize, usize) -> Result<T, String>,
+) -> Result<Vec<T>, (usize, String)> {
+    let bounds: &ScalarBuffer<i32> = list.offsets().inner();
+    bounds
+        .windows(2)
+        .enumerate()
+        .map(|(row, pair)| {
+            // Arrow guarantees that offsets are non-negative and ascending.
+            decode_row(pair[0] as usize, pair[1] as usize).map_err(|problem| (row, problem))
+        })
+        .collect()
+}
+
+impl<const D: usize> Cell for Vec<[f32; D]> {
+    fn data_type() -> DataType {
+        let width = i32::try_from(D).unwrap_or(i32::MAX);
+        DataType::List(item(DataType::FixedSizeList(
+            item(DataType::Float32),
+            width,
+        )))
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        let mut lengths = Vec::new();
+        let mut numbers: Vec<f32> = Vec::new();
+        for frames in values {
+            lengths.push(frames.len());
+            numbers.extend_from_slice(frames.as_flattened());
+        }
+        let width = i32::try_from(D).unwrap_or(i32::MAX);
+        let frames = FixedSizeListArray::new(
+            item(DataType::Float32),
+            width,
+            Arc::new(Float32Array::from(numbers)),
+            None,
+        );
+        let frame_field = item(frames.data_type().clone());
+        Arc::new(ListArray::new(
+            frame_field,
+            offsets(&lengths),
+            Arc::new(frames),
+            None,
+        ))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let list = array.as_list::<i32>();
+        let frames = list.values().as_fixed_size_list();
+        let numbers = frames.values().as_primitive::<Float32Type>();
+        if frames.null_count() + numbers.null_count() > 0 {
+            return Err((0, "a frame or a number is missing".to_owned()));
+        }
+        let numbers = numbers.values();
+        // A sliced child array starts at its own offset, which the values accessor has applied.
+        decode_lists(list, |start, end| {
+            let (frames, _rest) = numbers[start * D..end * D].as_chunks::<D>();
+            Ok(frames.to_vec())
+        })
+    }
+}
+
+impl Cell for Vec<String> {
+    fn data_type() -> DataType {
+        DataType::List(item(DataType::Utf8))
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        let mut lengths = Vec::new();
+        let mut texts: Vec<&str> = Vec::new();
+        for row in values {
+            lengths.push(row.len());
+            texts.extend(row.iter().map(String::as_str));
+        }
+        Arc::new(ListArray::new(
+            item(DataType::Utf8),
+            offsets(&lengths),
+            Arc::new(StringArray::from_iter_values(texts)),
+            None,
+        ))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let list = array.as_list::<i32>();
+        let texts = list.values().as_string::<i32>();
+        decode_lists(list, |start, end| {
+            Ok((start..end).map(|i| texts.value(i).to_owned()).collect())
+        })
+    }
+}
+
+/// Builds a list-of-struct column from the lengths of its rows and its fields.
+fn struct_lists(lengths: &[usize], fields: Fields, columns: Vec<ArrayRef>) -> ArrayRef {
+    let items = StructArray::new(fields, columns, None);
+    Arc::new(ListArray::new(
+        item(items.data_type().clone()),
+        offsets(lengths),
+        Arc::new(items),
+        None,
+    ))
+}
+
+fn caption_fields() -> Fields {
+    Fields::from(vec![
+        Field::new("text", DataType::Utf8, false),
+        Field::new("tokens", DataType::Utf8, false),
+        Field::new("from_s", DataType::Float32, false),
+        Field::new("to_s", DataType::Float32, false),
+    ])
+}
+
+impl Cell for Vec<Caption> {
+    fn data_type() -> DataType {
+        DataType::List(item(DataType::Struct(caption_fields())))
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        let rows: Vec<&Self> = values.collect();
+        let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
+        let all: Vec<&Caption> = rows.into_iter().flatten().collect();
+        let columns: Vec<ArrayRef> = vec![
+            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.text))),
+            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.tokens))),
+            Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.from_s))),
+            Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.to_s))),
+        ];
+        struct_lists(&lengths, caption_fields(), columns)
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let list = array.as_list::<i32>();
+        let items = list.values().as_struct();
+        let text = items.column(0).as_string::<i32>();
+        let tokens = items.column(1).as_string::<i32>();
+        let from_s = items.column(2).as_primitive::<Float32Type>();
+        let to_s = items.column(3).as_primitive::<Float32Type>();
+        decode_lists(list, |start, end| {
+            Ok((start..end)
+                .map(|i| Caption {
+                    text: text.value(i).to_owned(),
+                    tokens: tokens.value(i).to_owned(),
+                    from_s: from_s.value(i),
+                    to_s: to_s.value(i),
+                })
+                .collect())
+        })
+    }
+}
+
+fn part_caption_fields() -> Fields {
+    Fields::from(vec![
+        Field::new("part", DataType::Utf8, false),
+        Field::new("text", DataType::Utf8, false),
+    ])
+}
+
+impl Cell for Vec<PartCaption> {
+    fn data_type() -> DataType {
+        DataType::List(item(DataType::Struct(part_caption_fields())))
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        let rows: Vec<&Self> = values.collect();
+        let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
+        let all: Vec<&PartCaption> = rows.into_iter().flatten().collect();
+        let columns: Vec<ArrayRef> = vec![
+            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.part))),
+            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.text))),
+        ];
+        struct_lists(&lengths, part_caption_fields(), columns)
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let list = array.as_list::<i32>();
+        let items = list.values().as_struct();
+        let part = items.column(0).as_string::<i32>();
+        let text = items.column(1).as_string::<i32>();
+        decode_lists(list, |start, end| {
+            Ok((start..end)
+                .map(|i| PartCaption {
+                    part: part.value(i).to_owned(),
+                    text: text.value(i).to_owned(),
+                })
+                .collect())
+        })
+    }
+}
+
+fn quality_fields() -> Fields {
+    Fields::from(vec![
+        Field::new("flags", DataType::UInt32, false),
+        Field::new("max_speed", DataType::Float32, false),
+        Field::new("foot_skate", DataType::Float32, false),
+    ])
+}
+
+impl Cell for Quality {
+    fn data_type() -> DataType {
+        DataType::Struct(quality_fields())
+    }
+
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+        let all: Vec<&Self> = values.collect();
+        let columns: Vec<ArrayRef> = vec![
+            Arc::new(PrimitiveArray::<UInt32Type>::from_iter_values(
+                all.iter().map(|q| q.flags),
+            )),
+            Arc::new(Float32Array::from_iter_values(
+                all.iter().map(|q| q.max_speed),
+            )),
+            Arc::new(Float32Array::from_iter_values(
+                all.iter().map(|q| q.foot_skate),
+            )),
+        ];
+        Arc::new(StructArray::new(quality_fields(), columns, None))
+    }
+
+    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+        let items = array.as_struct();
+        let flags = items.column(0).as_primitive::<UInt32Type>();
+        let max_speed = items.column(1).as_primitive::<Float32Type>();
+        let foot_skate = items.column(2).as_primitive::<Float32Type>();
+        Ok((0..items.len())
+            .map(|i| Self {
+                flags: flags.value(i),
+                max_speed: max_speed.value(i),
+                foot_skate: foot_skate.value(i),
+            })
+            .collect())
+    }
+}

@@ -1,0 +1,231 @@
+//! Tables: how row structs become Arrow batches and back, and how batches become Parquet files.
+
+mod cell;
+mod shard;
+
+use std::sync::Arc;
+
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::{DataType, Field, Schema};
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+pub use cell::Cell;
+pub(crate) use shard::write_atomically;
+pub use shard::{read_rows, read_rows_at, write_rows};
+
+/// Version of the table schemas. The major number changes when an old reader would misread a
+/// column; columns may be added within a major version, and readers ignore those they do not know.
+pub const SCHEMA_VERSION: &str = "1.0.0";
+
+/// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
+/// of the whole clip (HumanML3D's convention).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Caption {
+    /// The text.
+    pub text: String,
+    /// Its tokens as `lemma/POS`, separated by spaces; empty if the source has none.
+    pub tokens: String,
+    /// Start in seconds.
+    pub from_s: f32,
+    /// End in seconds.
+    pub to_s: f32,
+}
+
+/// What one body part does.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PartCaption {
+    /// Name of the part in the release's spelling, such as `LEFT_ARM`.
+    pub part: String,
+    /// What it does, completing "The person is ...".
+    pub text: String,
+}
+
+/// Findings of the quality checks on a clip.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// Bit set of the findings; see the format document.
+    pub flags: u32,
+    /// Highest joint speed in m/s.
+    pub max_speed: f32,
+    /// Mean speed of a planted foot over the ground in m/s.
+    pub foot_skate: f32,
+}
+
+/// One column of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Column {
+    /// Name.
+    pub name: &'static str,
+    /// Unit, empty for names and counts without one.
+    pub unit: &'static str,
+    /// Meaning, one line.
+    pub doc: &'static str,
+    /// Arrow type.
+    pub data_type: DataType,
+    /// Whether a value may be missing.
+    pub nullable: bool,
+}
+
+impl Column {
+    /// The type in the short form of the format document, such as `list<fixed_size_list<f32, 3>>`.
+    pub fn type_name(&self) -> String {
+        type_name(&self.data_type)
+    }
+}
+
+fn type_name(data_type: &DataType) -> String {
+    match data_type {
+        DataType::Utf8 => "utf8".to_owned(),
+        DataType::Float32 => "f32".to_owned(),
+        DataType::Float64 => "f64".to_owned(),
+        DataType::Int32 => "i32".to_owned(),
+        DataType::UInt32 => "u32".to_owned(),
+        DataType::UInt64 => "u64".to_owned(),
+        DataType::List(item) => format!("list<{}>", type_name(item.data_type())),
+        DataType::FixedSizeList(item, width) => {
+            format!("fixed_size_list<{}, {width}>", type_name(item.data_type()))
+        }
+        DataType::Struct(fields) => {
+            let fields: Vec<String> = fields
+                .iter()
+                .map(|field| format!("{}: {}", field.name(), type_name(field.data_type())))
+                .collect();
+            format!("struct<{}>", fields.join(", "))
+        }
+        other => other.to_string(),
+    }
+}
+
+/// A row of a table.
+pub trait Row: Sized + Clone + Send + Sync {
+    /// Name of the table.
+    const TABLE: &'static str;
+
+    /// The columns, in order.
+    fn columns() -> Vec<Column>;
+
+    /// Turns rows into a batch.
+    ///
+    /// # Errors
+    /// Arrow refuses the columns, which means a bug in a cell type.
+    fn encode(rows: &[Self]) -> Result<RecordBatch, Error>;
+
+    /// Turns a batch into rows. Columns the table does not know are ignored.
+    ///
+    /// # Errors
+    /// A column is missing or of another type, or a value breaks its type's rule.
+    fn decode(batch: &RecordBatch) -> Result<Vec<Self>, Error>;
+
+    /// The Arrow schema.
+    fn schema() -> Arc<Schema> {
+        Arc::new(Schema::new(
+            Self::columns()
+                .into_iter()
+                .map(|column| Field::new(column.name, column.data_type, column.nullable))
+                .collect::<Vec<_>>(),
+        ))
+    }
+}
+
+/// Finds a column by name.
+pub(crate) fn column<'a>(
+    table: &'static str,
+    batch: &'a RecordBatch,
+    name: &str,
+) -> Result<&'a dyn Array, Error> {
+    batch
+        .column_by_name(name)
+        .map(AsRef::as_ref)
+        .ok_or_else(|| Error::Column {
+            table,
+            column: name.to_owned(),
+            problem: "is missing".to_owned(),
+        })
+}
+
+/// Declares a row struct and derives its table from it.
+macro_rules! table {
+    (
+        $(#[doc = $struct_doc:literal])*
+        pub struct $name:ident = $table:literal {
+            $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal], )*
+        }
+    ) => {
+        $(#[doc = $struct_doc])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub struct $name {
+            $( #[doc = $doc] pub $field: $ty, )*
+        }
+
+        impl $crate::table::Row for $name {
+            const TABLE: &'static str = $table;
+
+            fn columns() -> Vec<$crate::table::Column> {
+                vec![$( $crate::table::Column {
+                    name: stringify!($field),
+                    unit: $unit,
+                    doc: str::trim_ascii($doc),
+                    data_type: <$ty as $crate::table::Cell>::data_type(),
+                    nullable: <$ty as $crate::table::Cell>::NULLABLE,
+                }, )*]
+            }
+
+            fn encode(rows: &[Self]) -> Result<arrow_array::RecordBatch, $crate::Error> {
+                let columns = vec![$( <$ty as $crate::table::Cell>::encode(
+                    &mut rows.iter().map(|row| &row.$field),
+                ), )*];
+                arrow_array::RecordBatch::try_new(Self::schema(), columns)
+                    .map_err(|source| $crate::Error::Arrow { table: $table, source })
+            }
+
+            fn decode(batch: &arrow_array::RecordBatch) -> Result<Vec<Self>, $crate::Error> {
+                $( let mut $field = $crate::table::decode_column::<$ty>(
+                    $table,
+                    stringify!($field),
+                    batch,
+                )?.into_iter(); )*
+                let mut rows = Vec::with_capacity(batch.num_rows());
+                while let ($( Some($field), )*) = ($( $field.next(), )*) {
+                    rows.push(Self { $( $field, )* });
+                }
+                Ok(rows)
+            }
+        }
+    };
+}
+pub(crate) use table;
+
+/// Decodes one column of a batch.
+pub(crate) fn decode_column<T: Cell>(
+    table: &'static str,
+    name: &'static str,
+    batch: &RecordBatch,
+) -> Result<Vec<T>, Error> {
+    let array = column(table, batch, name)?;
+    if *array.data_type() != T::data_type() {
+        return Err(Error::Column {
+            table,
+            column: name.to_owned(),
+            problem: format!(
+                "has type {}, expected {}",
+                type_name(array.data_type()),
+                type_name(&T::data_type())
+            ),
+        });
+    }
+    if !T::NULLABLE && array.null_count() > 0 {
+        return Err(Error::Column {
+            table,
+            column: name.to_owned(),
+            problem: format!("has {} missing values", array.null_count()),
+        });
+    }
+    T::decode(array).map_err(|(row, problem)| Error::Cell {
+        table,
+        column: name.to_owned(),
+        row,
+        problem,
+    })
+}

@@ -1,0 +1,217 @@
+//! Parquet files of rows.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
+use arrow_schema::{DataType, Schema};
+use bytes::Bytes;
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
+};
+use parquet::basic::{Compression, Encoding, ZstdLevel};
+use parquet::file::metadata::{KeyValue, PageIndexPolicy};
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::schema::types::ColumnPath;
+
+use super::{Row, SCHEMA_VERSION};
+use crate::Error;
+
+/// Clips in a row group: about 30 MB of motion, well under the limits of table viewers.
+const ROW_GROUP_ROWS: usize = 256;
+/// Zstandard level; higher ones gain a percent and cost twice the time.
+const ZSTD_LEVEL: i32 = 3;
+/// One clip must stay one page however long it is.
+const PAGE_BYTES: usize = 64 << 20;
+/// Rows decoded at a time.
+const READ_BATCH_ROWS: usize = 64;
+
+/// Columns of frames: their leaves are encoded byte by byte and read clip by clip.
+fn frame_leaves(schema: &Schema) -> Vec<ColumnPath> {
+    schema
+        .fields()
+        .iter()
+        .filter(|field| {
+            matches!(field.data_type(), DataType::List(item)
+                if matches!(item.data_type(), DataType::FixedSizeList(..)))
+        })
+        .map(|field| {
+            ColumnPath::new(vec![
+                field.name().clone(),
+                "list".to_owned(),
+                "item".to_owned(),
+                "list".to_owned(),
+                "item".to_owned(),
+            ])
+        })
+        .collect()
+}
+
+fn properties(
+    schema: &Schema,
+    facts: &[(&str, String)],
+) -> Result<WriterProperties, parquet::errors::ParquetError> {
+    let mut key_values = vec![KeyValue::new(
+        "motion.schema_version".to_owned(),
+        SCHEMA_VERSION.to_owned(),
+    )];
+    key_values.extend(
+        facts
+            .iter()
+            .map(|(key, value)| KeyValue::new(format!("motion.{key}"), value.clone())),
+    );
+    let mut builder = WriterProperties::builder()
+        .set_created_by(concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned())
+        .set_compression(Compression::ZSTD(ZstdLevel::try_new(ZSTD_LEVEL)?))
+        .set_max_row_group_row_count(Some(ROW_GROUP_ROWS))
+        .set_key_value_metadata(Some(key_values));
+    let leaves = frame_leaves(schema);
+    if !leaves.is_empty() {
+        // One clip a page, so that a reader fetches any clip by its page and decodes nothing else.
+        builder = builder
+            .set_data_page_row_count_limit(1)
+            .set_write_batch_size(1)
+            .set_data_page_size_limit(PAGE_BYTES);
+    }
+    for leaf in leaves {
+        builder = builder
+            .set_column_encoding(leaf.clone(), Encoding::BYTE_STREAM_SPLIT)
+            .set_column_dictionary_enabled(leaf.clone(), false)
+            .set_column_statistics_enabled(leaf, EnabledStatistics::None);
+    }
+    Ok(builder.build())
+}
+
+/// Writes rows as one Parquet file. `facts` become footer entries under the prefix `motion.`.
+/// The bytes depend on the rows and facts alone: no clock and no host name go into them.
+///
+/// # Errors
+/// The rows cannot be encoded or the file cannot be written; `path` is only named in the error.
+pub fn write_rows<R: Row, W: Write + Send>(
+    sink: W,
+    path: &Path,
+    rows: &[R],
+    facts: &[(&str, String)],
+) -> Result<W, Error> {
+    let schema = R::schema();
+    let wrap = || Error::parquet("write", path);
+    let properties = properties(&schema, facts).map_err(wrap())?;
+    let mut writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
+    for chunk in rows.chunks(ROW_GROUP_ROWS) {
+        writer.write(&R::encode(chunk)?).map_err(wrap())?;
+    }
+    writer.into_inner().map_err(wrap())
+}
+
+fn open(path: &Path) -> Result<(Bytes, ArrowReaderMetadata), Error> {
+    let bytes = Bytes::from(std::fs::read(path).map_err(Error::io("read", path))?);
+    let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
+    let metadata =
+        ArrowReaderMetadata::load(&bytes, options).map_err(Error::parquet("read", path))?;
+    check_version(path, &metadata)?;
+    Ok((bytes, metadata))
+}
+
+/// Refuses files of a newer major version; an older reader would misread them.
+fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
+    let found = metadata
+        .metadata()
+        .file_metadata()
+        .key_value_metadata()
+        .into_iter()
+        .flatten()
+        .find(|entry| entry.key == "motion.schema_version")
+        .and_then(|entry| entry.value.clone())
+        .unwrap_or_else(|| "none".to_owned());
+    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+    if major(&found) == major(SCHEMA_VERSION) {
+        return Ok(());
+    }
+    Err(Error::Version {
+        path: path.to_owned(),
+        found,
+        supported: SCHEMA_VERSION,
+    })
+}
+
+/// Reads all rows of a file.
+///
+/// # Errors
+/// The file cannot be read, is not Parquet, is of a newer version, or holds something else.
+pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
+    let (bytes, metadata) = open(path)?;
+    read_selected(path, bytes, metadata, None)
+}
+
+/// Reads the rows at the given places, in file order. Only their pages are decoded.
+///
+/// # Errors
+/// As [`read_rows`].
+pub fn read_rows_at<R: Row>(path: &Path, rows: &[usize]) -> Result<Vec<R>, Error> {
+    let (bytes, metadata) = open(path)?;
+    let total = usize::try_from(metadata.metadata().file_metadata().num_rows()).unwrap_or(0);
+    let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
+    wanted.sort_unstable();
+    wanted.dedup();
+    let ranges = wanted.into_iter().map(|row| row..row + 1);
+    let selection = RowSelection::from_consecutive_ranges(ranges, total);
+    read_selected(path, bytes, metadata, Some(selection))
+}
+
+fn read_selected<R: Row>(
+    path: &Path,
+    bytes: Bytes,
+    metadata: ArrowReaderMetadata,
+    selection: Option<RowSelection>,
+) -> Result<Vec<R>, Error> {
+    let mut builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
+        .with_batch_size(READ_BATCH_ROWS);
+    if let Some(selection) = selection {
+        builder = builder.with_row_selection(selection);
+    }
+    let reader = builder.build().map_err(Error::parquet("read", path))?;
+    let mut rows = Vec::new();
+    for batch in reader {
+        let batch = batch.map_err(|source| Error::Arrow {
+            table: R::TABLE,
+            source,
+        })?;
+        rows.extend(R::decode(&batch)?);
+    }
+    Ok(rows)
+}
+
+/// Writes a file whole or not at all: to a temporary name beside it, synced, then renamed.
+///
+/// # Errors
+/// Any step fails; the temporary file is then removed.
+pub(crate) fn write_atomically(
+    path: &Path,
+    write: impl FnOnce(File) -> Result<File, Error>,
+) -> Result<(), Error> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let staged = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+    let attempt = || {
+        let file = File::create(&staged).map_err(Error::io("create", &staged))?;
+        let file = write(file)?;
+        file.sync_all().map_err(Error::io("sync", &staged))?;
+        drop(file);
+        std::fs::rename(&staged, path).map_err(Error::io("rename into place", path))?;
+        sync_dir(path.parent().unwrap_or(Path::new(".")))
+    };
+    attempt().inspect_err(|_| {
+        // The staged file may not exist; what matters is reported already.
+        let _removed = std::fs::remove_file(&staged);
+    })
+}
+
+/// Makes a rename durable.
+fn sync_dir(dir: &Path) -> Result<(), Error> {
+    if cfg!(unix) {
+        File::open(dir)
+            .and_then(|dir| dir.sync_all())
+            .map_err(Error::io("sync", dir))?;
+    }
+    Ok(())
+}

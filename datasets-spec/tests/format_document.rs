@@ -1,0 +1,40 @@
+//! Holds the format document equal to the code's schemas.
+
+use datasets_spec::record::all_tables;
+use datasets_spec::table::{Column, SCHEMA_VERSION};
+
+/// A table's columns as the format document lists them.
+fn listing(columns: &[Column]) -> String {
+    let mut text = String::from("| column | type | null | unit | meaning |\n|---|---|---|---|---|\n");
+    for column in columns {
+        let null = if column.nullable { "yes" } else { "" };
+        text += &format!(
+            "| `{}` | {} | {null} | {} | {} |\n",
+            column.name,
+            column.type_name(),
+            column.unit,
+            column.doc
+        );
+    }
+    text
+}
+
+#[test]
+fn the_format_document_lists_every_column_as_it_is() {
+    let document = include_str!("../README.md");
+    for (table, columns) in all_tables() {
+        let expected = format!("### `{table}`\n\n{}", listing(&columns));
+        assert!(
+            document.contains(&expected),
+            "datasets-spec/README.md must hold this section:\n\n{expected}"
+        );
+    }
+    assert!(document.contains(&format!("Schema version: **{SCHEMA_VERSION}**")));
+}
+
+#[test]
+fn the_format_document_lists_no_table_the_code_lacks() {
+    let document = include_str!("../README.md");
+    let listed = document.lines().filter(|line| line.starts_with("### `")).count();
+    assert_eq!(listed, all_tables().len());
+}

@@ -1,0 +1,4 @@
+//! Integration tests of the `stance` command and parity with the reference implementations: one
+//! binary, a module per topic.
+
+mod golden;

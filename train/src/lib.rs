@@ -1,0 +1,1 @@
+//! Models, diffusion, trainer and editor.
