@@ -1,2 +1,45 @@
-//! stance.
-fn main() {}
+//! The `stance` command: parse, dispatch, render. What it does lives in the library crates.
+
+mod chain;
+mod cli;
+mod cmd;
+mod device;
+mod exit;
+mod progress;
+mod report;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use cli::{Cli, Command};
+use exit::Exit;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let outcome = cli.global.start().and_then(|()| dispatch(&cli));
+    match outcome {
+        Ok(exit) => exit.into(),
+        Err(error) => {
+            report::error(&error);
+            Exit::of_error(&error).into()
+        }
+    }
+}
+
+fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
+    let global = &cli.global;
+    match &cli.command {
+        Command::Demo(args) => cmd::demo::run(args, global),
+        Command::Run(args) => cmd::run::run(args, global),
+        Command::Corpus(args) => cmd::corpus::run(args, global),
+        Command::Ingest(args) => cmd::ingest::run(args, global),
+        Command::Inspect(args) => cmd::inspect::run(args, global),
+        Command::Masks(args) => cmd::masks::run(args, global),
+        Command::Triplets(args) => cmd::triplets::run(args, global),
+        Command::Train(args) => cmd::train::run(args, global),
+        Command::Edit(args) => cmd::edit::run(args, global),
+        Command::Eval(args) => cmd::eval::run(args, global),
+        Command::Render(args) => cmd::render::run(args, global),
+    }
+}

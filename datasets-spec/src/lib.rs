@@ -9,6 +9,7 @@
 pub mod canonical;
 pub mod dataset;
 mod error;
+pub mod fit;
 
 mod ids;
 mod joint_set;

@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 use crate::canonical::KeypointFrame;
 use crate::motion::{Motion, Pose};
 use crate::rotation::slerp;
-use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use crate::{Error, Fps};
 
 /// Slack on the time of the last frame, in output frames: rates are rounded in files, and a frame
@@ -62,13 +61,11 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
 
 /// The pose between two: translation linear, rotations spherical.
 pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
-    let mut rotations = from.rotations;
-    for joint in 0..NUM_BODY_JOINTS {
-        rotations[joint] = slerp(from.rotations[joint], to.rotations[joint], alpha);
-    }
     Pose {
         transl: from.transl.lerp(to.transl, alpha),
-        rotations,
+        rotations: std::array::from_fn(|joint| {
+            slerp(from.rotations[joint], to.rotations[joint], alpha)
+        }),
     }
 }
 
@@ -103,11 +100,9 @@ pub fn double_rate(frames: &[KeypointFrame]) -> Vec<KeypointFrame> {
     for (i, frame) in frames.iter().enumerate() {
         if i > 0 {
             let before = &frames[i - 1];
-            let mut middle = *frame;
-            for slot in 0..NUM_KEYPOINTS {
-                middle[slot] = before[slot].midpoint(frame[slot]);
-            }
-            out.push(middle);
+            out.push(std::array::from_fn(|slot| {
+                before[slot].midpoint(frame[slot])
+            }));
         }
         out.push(*frame);
     }
@@ -120,6 +115,7 @@ mod tests {
 
     use super::*;
     use crate::rotation::{angle_between, from_axis_angle};
+    use crate::skeleton::NUM_KEYPOINTS;
 
     /// A body moving along x at 1 m/s while turning its left elbow at 1 rad/s.
     fn steady(fps: f64, num_frames: usize) -> Motion {

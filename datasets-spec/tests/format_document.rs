@@ -5,7 +5,8 @@ use datasets_spec::table::{Column, SCHEMA_VERSION};
 
 /// A table's columns as the format document lists them.
 fn listing(columns: &[Column]) -> String {
-    let mut text = String::from("| column | type | null | unit | meaning |\n|---|---|---|---|---|\n");
+    let mut text =
+        String::from("| column | type | null | unit | meaning |\n|---|---|---|---|---|\n");
     for column in columns {
         let null = if column.nullable { "yes" } else { "" };
         text += &format!(
@@ -35,6 +36,9 @@ fn the_format_document_lists_every_column_as_it_is() {
 #[test]
 fn the_format_document_lists_no_table_the_code_lacks() {
     let document = include_str!("../README.md");
-    let listed = document.lines().filter(|line| line.starts_with("### `")).count();
+    let listed = document
+        .lines()
+        .filter(|line| line.starts_with("### `"))
+        .count();
     assert_eq!(listed, all_tables().len());
 }

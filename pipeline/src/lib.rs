@@ -1,1 +1,22 @@
 //! Raw files to motions to triplets.
+//!
+//! [`source`] reads foreign formats and [`retarget`] poses them on the SMPL-X skeleton; [`ingest`]
+//! turns folders into a committed dataset; [`masks`] marks what each clip is about; [`compose`] is
+//! MotionCutMix. [`corpus`] generates the built-in motions, in source formats.
+//!
+//! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
+//! and [`compose::Stream`] first.
+
+pub mod catalogue;
+pub mod check;
+pub mod compose;
+pub mod corpus;
+mod error;
+pub mod ingest;
+pub mod masks;
+pub mod retarget;
+pub mod sidecar;
+pub mod source;
+pub mod write;
+
+pub use error::Error;

@@ -1,4 +1,8 @@
 //! Integration tests of the `stance` command and parity with the reference implementations: one
 //! binary, a module per topic.
 
+mod chain;
 mod golden;
+mod help;
+mod ingest;
+mod util;

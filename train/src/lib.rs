@@ -1,1 +1,27 @@
-//! Models, diffusion, trainer and editor.
+//! Models, diffusion, trainer and editor for text-guided motion editing.
+//!
+//! Batches come in through [`data::WindowSource`] as normalised windows, and edited motions go out
+//! of [`sample::Editor`] as keypoints. The crate reads and writes run folders only: it never opens
+//! a dataset, chooses a device or reads the clock. The caller passes what it needs as a
+//! [`Session`].
+//!
+//! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
+//! [`model::denoiser::Denoiser`].
+
+pub mod checkpoint;
+pub mod config;
+pub mod data;
+pub mod diffusion;
+pub mod edit;
+mod error;
+pub mod features;
+pub mod fit;
+pub mod metrics;
+pub mod model;
+pub mod sample;
+mod session;
+pub mod tmr;
+pub mod vocabulary;
+
+pub use error::Error;
+pub use session::Session;

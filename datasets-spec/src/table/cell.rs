@@ -118,7 +118,7 @@ impl Cell for MotionId {
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        parse_each(array, |text| MotionId::parse(text))
+        parse_each(array, MotionId::parse)
     }
 }
 

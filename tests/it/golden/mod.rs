@@ -3,6 +3,7 @@
 //! Files come from the folder `STANCE_GOLDEN` names, else from the copies the project carries.
 //! Sizes come from the files, never from the tests.
 
+mod compose;
 mod contract;
 
 use std::collections::BTreeMap;

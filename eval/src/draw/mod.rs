@@ -1,0 +1,136 @@
+//! Drawings as SVG text: motions as strips of figures, and plots. Nothing is rasterised and nothing
+//! refers to anything outside the drawing. Text takes the colour of its surroundings
+//! (`currentColor`), so that a drawing suits a light and a dark page.
+
+pub mod plot;
+pub mod strip;
+
+use glam::DVec2;
+
+/// Fonts of a drawing, from the best liked to the surest.
+const FONT: &str = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif";
+
+/// Style of what should stand back, such as the numbers of an axis.
+const FAINT: &str = r#"opacity="0.65""#;
+
+/// Begins a drawing that is as large as it says, or narrower where there is no room.
+fn open(svg: &mut String, width: f64, height: f64, title: &str) {
+    svg.push_str(&format!(
+        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} {height:.0}" width="{width:.0}" height="{height:.0}" role="img" font-family="{FONT}" fill="currentColor" style="max-width:100%;height:auto"><title>{}</title>"#,
+        escaped(title)
+    ));
+}
+
+/// Adds a line of text. `anchor` is `start`, `middle` or `end`; `attributes` are written as given.
+fn text(svg: &mut String, at: DVec2, anchor: &str, size: f64, attributes: &str, content: &str) {
+    svg.push_str(&format!(
+        r#"<text x="{:.1}" y="{:.1}" text-anchor="{anchor}" font-size="{size}" {attributes}>{}</text>"#,
+        at.x,
+        at.y,
+        escaped(content)
+    ));
+}
+
+/// Adds a faint line.
+fn line(svg: &mut String, from: DVec2, to: DVec2) {
+    svg.push_str(&format!(
+        r#"<path d="M{:.1} {:.1}L{:.1} {:.1}" stroke="currentColor" stroke-opacity="0.22" fill="none"/>"#,
+        from.x, from.y, to.x, to.y
+    ));
+}
+
+/// Takes the meaning off the characters that XML and HTML act on, inside and outside of attributes,
+/// and drops the control characters XML forbids.
+pub fn escaped(text: &str) -> String {
+    let mut result = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => result.push_str("&amp;"),
+            '<' => result.push_str("&lt;"),
+            '>' => result.push_str("&gt;"),
+            '"' => result.push_str("&quot;"),
+            '\'' => result.push_str("&#39;"),
+            '\n' | '\t' => result.push(' '),
+            c if c.is_control() => {}
+            c => result.push(c),
+        }
+    }
+    result
+}
+
+/// A colour with red, green and blue in 0..=255.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rgb(pub [f64; 3]);
+
+impl Rgb {
+    /// The colour part of the way from this one to another.
+    pub fn towards(self, other: Self, share: f64) -> Self {
+        Self(std::array::from_fn(|i| {
+            self.0[i] + share * (other.0[i] - self.0[i])
+        }))
+    }
+
+    /// The notation of SVG.
+    pub fn hex(self) -> String {
+        let [r, g, b] = self
+            .0
+            .map(|channel| channel.clamp(0.0, 255.0).round() as u8);
+        format!("#{r:02X}{g:02X}{b:02X}")
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// Fails unless every tag of a drawing or a page is closed in order and no attribute is left
+    /// open: a small check that catches what string building gets wrong.
+    pub(crate) fn check_nesting(markup: &str) {
+        const VOID: [&str; 3] = ["meta", "br", "!doctype"];
+        let mut open: Vec<&str> = Vec::new();
+        let mut rest = markup;
+        while let Some(start) = rest.find('<') {
+            assert!(
+                !rest[..start].contains('>'),
+                "stray > in {:?}",
+                &rest[..start]
+            );
+            let end = start + rest[start..].find('>').expect("a tag ends");
+            let tag = &rest[start + 1..end];
+            assert!(!tag.contains('<'), "a tag inside <{tag}>");
+            assert_eq!(
+                tag.matches('"').count() % 2,
+                0,
+                "an open attribute in <{tag}>"
+            );
+            rest = &rest[end + 1..];
+            if let Some(name) = tag.strip_prefix('/') {
+                assert_eq!(open.pop(), Some(name), "before {:.60}", rest);
+            } else if !tag.ends_with('/') {
+                let name = tag.split_whitespace().next().expect("a name");
+                if name == "style" {
+                    // Style sheets have a grammar of their own.
+                    rest = &rest[rest.find("</style>").expect("a closed style")..];
+                }
+                if !VOID.contains(&name) {
+                    open.push(name);
+                }
+            }
+        }
+        assert!(open.is_empty(), "unclosed: {open:?}");
+    }
+
+    #[test]
+    fn markup_in_a_text_is_harmless() {
+        assert_eq!(
+            escaped("<script>\"a\" & 'b'\u{0}</script>\n"),
+            "&lt;script&gt;&quot;a&quot; &amp; &#39;b&#39;&lt;/script&gt; "
+        );
+    }
+
+    #[test]
+    fn colours_mix_linearly() {
+        let mixed = Rgb([0.0, 100.0, 255.0]).towards(Rgb([255.0, 200.0, 255.0]), 0.5);
+        assert_eq!(mixed.hex(), "#8096FF");
+    }
+}

@@ -1,0 +1,563 @@
+//! Line plots and bar charts.
+
+use glam::DVec2;
+
+use super::{FAINT, line, open, text};
+
+/// A named line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Name in the legend.
+    pub name: String,
+    /// Abscissa and ordinate of each point, from left to right. A point that is not finite, or not
+    /// positive on a logarithmic axis, interrupts the line.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// How ordinates are spaced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scale {
+    /// Equal distances for equal differences.
+    #[default]
+    Linear,
+    /// Equal distances for equal ratios, as losses are best read.
+    Log,
+}
+
+/// Curves on common axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plot {
+    /// Title above the axes; empty for none.
+    pub title: String,
+    /// What the abscissa counts.
+    pub x_label: String,
+    /// What the ordinate measures.
+    pub y_label: String,
+    /// How ordinates are spaced.
+    pub y_scale: Scale,
+    /// The lines.
+    pub curves: Vec<Curve>,
+}
+
+/// Named counts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bars {
+    /// Title above the bars.
+    pub title: String,
+    /// What tells the bars apart.
+    pub x_label: String,
+    /// Label and height of each bar, from left to right.
+    pub bars: Vec<(String, f64)>,
+}
+
+/// Colours of the lines: the first six of Okabe and Ito's palette, which all kinds of colour vision
+/// tell apart, in an order that puts the best readable on light and dark first.
+const COLOURS: [&str; 6] = [
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9",
+];
+
+/// Size of a drawing in pixels.
+const SIZE: DVec2 = DVec2::new(640.0, 300.0);
+/// Space around the axes in pixels: left and top, right and bottom.
+const MARGIN_START: DVec2 = DVec2::new(64.0, 34.0);
+const MARGIN_END: DVec2 = DVec2::new(16.0, 46.0);
+/// Ticks wanted on an axis; their number varies so that they fall on round numbers.
+const NUM_TICKS: f64 = 5.0;
+/// Decades from which on only powers of ten have a tick.
+const SPARSE_DECADES: f64 = 3.0;
+/// Points of a curve that are drawn as they are. Longer curves are drawn by the extremes of each
+/// of half as many pieces, which looks the same and keeps a long training run's drawing small.
+const MAX_POINTS: usize = 1200;
+/// Share of the range that is added below and above the curves.
+const PADDING: f64 = 0.04;
+/// Distance between legend entries, by their number of characters, in pixels.
+const LEGEND_CHAR: f64 = 6.6;
+const LEGEND_GAP: f64 = 34.0;
+
+/// Draws curves as one SVG document.
+pub fn plot(plot: &Plot) -> String {
+    let mut svg = String::new();
+    let title = if plot.title.is_empty() {
+        format!("{} over {}", plot.y_label, plot.x_label)
+    } else {
+        plot.title.clone()
+    };
+    open(&mut svg, SIZE.x, SIZE.y, &title);
+    heading(&mut svg, &plot.title);
+    let Some(axes) = Axes::around(plot) else {
+        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
+        svg.push_str("</svg>");
+        return svg;
+    };
+    axes.draw(&mut svg, plot);
+    for (index, curve) in plot.curves.iter().enumerate() {
+        let path = axes.path(&curve.points);
+        if !path.is_empty() {
+            svg.push_str(&format!(
+                r#"<path d="{path}" fill="none" stroke="{}" stroke-width="1.8" stroke-linejoin="round" stroke-linecap="round"/>"#,
+                colour(index)
+            ));
+        }
+    }
+    legend(&mut svg, &plot.curves);
+    svg.push_str("</svg>");
+    svg
+}
+
+/// Draws counts as bars from left to right, one SVG document. Negative heights are drawn as none.
+pub fn bar_chart(chart: &Bars) -> String {
+    let mut svg = String::new();
+    open(&mut svg, SIZE.x, SIZE.y, &chart.title);
+    heading(&mut svg, &chart.title);
+    let bars = &chart.bars;
+    let highest = bars
+        .iter()
+        .map(|(_, value)| *value)
+        .filter(|value| value.is_finite())
+        .fold(0.0, f64::max);
+    if highest == 0.0 {
+        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
+        svg.push_str("</svg>");
+        return svg;
+    }
+    let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
+    let ticks = linear_ticks(0.0, highest);
+    let top = ticks.last().copied().unwrap_or(highest).max(highest);
+    let y_of = |value: f64| end.y - (end.y - start.y) * value / top;
+    for tick in ticks {
+        grid_line(&mut svg, start.x, end.x, y_of(tick), tick);
+    }
+    let slot = (end.x - start.x) / bars.len() as f64;
+    // Labels that would touch each other are thinned out.
+    let longest = bars.iter().map(|(label, _)| label.chars().count()).max();
+    let label_width = LEGEND_CHAR * (longest.unwrap_or(0) + 1) as f64;
+    let every = ((label_width / slot).ceil() as usize).max(1);
+    for (index, (label, value)) in bars.iter().enumerate() {
+        let left = start.x + slot * index as f64;
+        let value = if value.is_finite() {
+            value.max(0.0)
+        } else {
+            0.0
+        };
+        svg.push_str(&format!(
+            r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
+            left + 0.1 * slot,
+            y_of(value),
+            0.8 * slot,
+            end.y - y_of(value),
+            colour(0)
+        ));
+        if index % every == 0 {
+            let at = DVec2::new(left + slot / 2.0, end.y + 16.0);
+            text(&mut svg, at, "middle", 11.0, FAINT, label);
+        }
+    }
+    axis_label(&mut svg, &chart.x_label);
+    svg.push_str("</svg>");
+    svg
+}
+
+/// The counts of values in intervals of equal, round width, labelled by where each begins; values
+/// that are not finite are left out. There are at most `max_bins` intervals and one more.
+pub fn histogram(values: &[f64], max_bins: usize) -> Vec<(String, f64)> {
+    let finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let Some((low, high)) = extent(finite.iter().copied()) else {
+        return Vec::new();
+    };
+    let width = if high > low {
+        round_step((high - low) / max_bins.max(1) as f64)
+    } else {
+        1.0
+    };
+    let first = (low / width).floor();
+    let num_bins = ((high / width).floor() - first) as usize + 1;
+    let mut counts = vec![0.0; num_bins];
+    for value in finite {
+        let bin = ((value / width).floor() - first) as usize;
+        counts[bin.min(num_bins - 1)] += 1.0;
+    }
+    counts
+        .into_iter()
+        .enumerate()
+        .map(|(bin, count)| (tick_text((first + bin as f64) * width, width), count))
+        .collect()
+}
+
+fn colour(index: usize) -> &'static str {
+    COLOURS[index % COLOURS.len()]
+}
+
+fn heading(svg: &mut String, title: &str) {
+    if !title.is_empty() {
+        let at = DVec2::new(MARGIN_START.x, 16.0);
+        text(svg, at, "start", 13.0, r#"font-weight="600""#, title);
+    }
+}
+
+fn axis_label(svg: &mut String, label: &str) {
+    let at = DVec2::new((MARGIN_START.x + SIZE.x - MARGIN_END.x) / 2.0, SIZE.y - 8.0);
+    text(svg, at, "middle", 12.0, FAINT, label);
+}
+
+/// A horizontal line of the grid with its value.
+fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64) {
+    line(svg, DVec2::new(left, y), DVec2::new(right, y));
+    let at = DVec2::new(left - 8.0, y + 4.0);
+    text(svg, at, "end", 11.0, FAINT, &tick_text(value, value.abs()));
+}
+
+fn legend(svg: &mut String, curves: &[Curve]) {
+    if curves.len() < 2 {
+        return;
+    }
+    // From the right edge inwards, the last curve first.
+    let mut right = SIZE.x - MARGIN_END.x;
+    for (index, curve) in curves.iter().enumerate().rev() {
+        let at = DVec2::new(right, 16.0);
+        text(svg, at, "end", 12.0, "", &curve.name);
+        let length = LEGEND_CHAR * curve.name.chars().count() as f64;
+        let swatch = right - length - 22.0;
+        svg.push_str(&format!(
+            r#"<path d="M{swatch:.1} 12L{:.1} 12" stroke="{}" stroke-width="3" stroke-linecap="round"/>"#,
+            swatch + 14.0,
+            colour(index)
+        ));
+        right -= length + LEGEND_GAP;
+    }
+}
+
+/// The ranges of a plot, those of the ordinate on the scale it is drawn on.
+struct Axes {
+    x: (f64, f64),
+    y: (f64, f64),
+    scale: Scale,
+}
+
+impl Axes {
+    /// Axes that hold all drawable points; none if there is none.
+    fn around(plot: &Plot) -> Option<Self> {
+        let scale = plot.y_scale;
+        let points = || {
+            plot.curves
+                .iter()
+                .flat_map(|curve| &curve.points)
+                .filter_map(move |&point| on_scale(point, scale))
+        };
+        let (left, right) = extent(points().map(|point| point.0))?;
+        let (low, high) = extent(points().map(|point| point.1))?;
+        let (left, right) = widened(left, right);
+        let (low, high) = widened(low, high);
+        let padding = PADDING * (high - low);
+        Some(Self {
+            x: (left, right),
+            y: (low - padding, high + padding),
+            scale,
+        })
+    }
+
+    fn place(&self, (x, y): (f64, f64)) -> DVec2 {
+        let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
+        DVec2::new(
+            start.x + (end.x - start.x) * (x - self.x.0) / (self.x.1 - self.x.0),
+            end.y - (end.y - start.y) * (y - self.y.0) / (self.y.1 - self.y.0),
+        )
+    }
+
+    fn draw(&self, svg: &mut String, plot: &Plot) {
+        let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
+        let ticks = match self.scale {
+            Scale::Linear => linear_ticks(self.y.0, self.y.1),
+            Scale::Log => log_ticks(self.y.0, self.y.1),
+        };
+        for tick in ticks {
+            let on_axis = match self.scale {
+                Scale::Linear => tick,
+                Scale::Log => tick.log10(),
+            };
+            let y = self.place((self.x.0, on_axis)).y;
+            grid_line(svg, start.x, end.x, y, tick);
+        }
+        line(svg, DVec2::new(start.x, end.y), end);
+        for tick in linear_ticks(self.x.0, self.x.1) {
+            let x = self.place((tick, self.y.0)).x;
+            line(svg, DVec2::new(x, end.y), DVec2::new(x, end.y + 4.0));
+            let at = DVec2::new(x, end.y + 17.0);
+            text(
+                svg,
+                at,
+                "middle",
+                11.0,
+                FAINT,
+                &tick_text(tick, self.x.1 - self.x.0),
+            );
+        }
+        axis_label(svg, &plot.x_label);
+        let middle = f64::midpoint(start.y, end.y);
+        let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
+        text(
+            svg,
+            DVec2::new(14.0, middle),
+            "middle",
+            12.0,
+            &turned,
+            &plot.y_label,
+        );
+    }
+
+    fn path(&self, points: &[(f64, f64)]) -> String {
+        let mut path = String::new();
+        let mut drawing = false;
+        for point in thinned(points) {
+            let Some(point) = on_scale(point, self.scale) else {
+                drawing = false;
+                continue;
+            };
+            let at = self.place(point);
+            path.push_str(&format!(
+                "{}{:.1} {:.1}",
+                if drawing { 'L' } else { 'M' },
+                at.x,
+                at.y
+            ));
+            drawing = true;
+        }
+        path
+    }
+}
+
+/// A point with its ordinate on the scale, if it has a place there.
+fn on_scale((x, y): (f64, f64), scale: Scale) -> Option<(f64, f64)> {
+    let y = match scale {
+        Scale::Linear => y,
+        Scale::Log if y > 0.0 => y.log10(),
+        Scale::Log => return None,
+    };
+    (x.is_finite() && y.is_finite()).then_some((x, y))
+}
+
+fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |extent: Option<(f64, f64)>, value| {
+        let (low, high) = extent.unwrap_or((value, value));
+        Some((low.min(value), high.max(value)))
+    })
+}
+
+/// A range that is not a point.
+fn widened(low: f64, high: f64) -> (f64, f64) {
+    if high > low {
+        (low, high)
+    } else {
+        let half = (0.5 * low.abs()).max(0.5);
+        (low - half, high + half)
+    }
+}
+
+/// The points of a curve, or the lowest and highest of each piece of a long one in their order.
+fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    if points.len() <= MAX_POINTS {
+        return points.to_vec();
+    }
+    let piece = points.len().div_ceil(MAX_POINTS / 2);
+    points
+        .chunks(piece)
+        .flat_map(|piece| {
+            let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
+            let low = piece.iter().min_by(by_height);
+            let high = piece.iter().max_by(by_height);
+            let mut pair: Vec<(f64, f64)> = low.into_iter().chain(high).copied().collect();
+            pair.sort_by(|a, b| a.0.total_cmp(&b.0));
+            pair
+        })
+        .collect()
+}
+
+/// The smallest of 1, 2, 5 and 10 times a power of ten that is not below a positive number.
+fn round_step(at_least: f64) -> f64 {
+    let magnitude = 10f64.powf(at_least.log10().floor());
+    [1.0, 2.0, 5.0]
+        .into_iter()
+        .map(|factor| factor * magnitude)
+        .find(|step| *step >= at_least)
+        .unwrap_or(10.0 * magnitude)
+}
+
+/// Multiples of a round step within a range.
+fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+    let step = round_step((high - low) / NUM_TICKS);
+    let first = (low / step).ceil() as i64;
+    let last = (high / step).floor() as i64;
+    (first..=last).map(|index| index as f64 * step).collect()
+}
+
+/// Powers of ten within a range of exponents, with 2 and 5 between where the range is small.
+fn log_ticks(low: f64, high: f64) -> Vec<f64> {
+    let factors: &[f64] = if high - low > SPARSE_DECADES {
+        &[1.0]
+    } else {
+        &[1.0, 2.0, 5.0]
+    };
+    let exponents = low.floor() as i32..=high.ceil() as i32;
+    exponents
+        .flat_map(|exponent| {
+            factors
+                .iter()
+                .map(move |factor| factor * 10f64.powi(exponent))
+        })
+        .filter(|tick| (low..=high).contains(&tick.log10()))
+        .collect()
+}
+
+/// A number as short as its step allows; thousands and millions are abbreviated.
+fn tick_text(value: f64, span: f64) -> String {
+    const THOUSAND: f64 = 1e3;
+    const MILLION: f64 = 1e6;
+    /// Below this, digits after the point would crowd out the axis.
+    const SMALL: f64 = 1e-3;
+    let trimmed = |value: f64, digits: usize| {
+        let text = format!("{value:.digits$}");
+        if text.contains('.') {
+            text.trim_end_matches('0').trim_end_matches('.').to_owned()
+        } else {
+            text
+        }
+    };
+    if value == 0.0 {
+        "0".to_owned()
+    } else if value.abs() >= MILLION {
+        format!("{}M", trimmed(value / MILLION, 2))
+    } else if value.abs() >= THOUSAND {
+        format!("{}k", trimmed(value / THOUSAND, 2))
+    } else if value.abs() < SMALL {
+        format!("{value:.0e}")
+    } else {
+        // Two digits more than the span has leave a step of it readable.
+        let digits = (2.0 - span.log10().floor()).clamp(0.0, 6.0) as usize;
+        trimmed(value, digits)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::tests::check_nesting;
+
+    fn sample(y_scale: Scale, points: Vec<(f64, f64)>) -> Plot {
+        Plot {
+            title: "Loss <train>".to_owned(),
+            x_label: "step".to_owned(),
+            y_label: "loss".to_owned(),
+            y_scale,
+            curves: vec![
+                Curve {
+                    name: "train".to_owned(),
+                    points,
+                },
+                Curve {
+                    name: "val \"x\"".to_owned(),
+                    points: vec![(0.0, 0.5), (10.0, 0.25)],
+                },
+            ],
+        }
+    }
+
+    #[test]
+    fn ticks_are_round_and_within_the_range() {
+        assert_eq!(linear_ticks(0.0, 10.0), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
+        assert_eq!(linear_ticks(-0.3, 0.3), [-0.2, 0.0, 0.2]);
+        assert_eq!(log_ticks(-1.0, 0.0), [0.1, 0.2, 0.5, 1.0]);
+        assert_eq!(log_ticks(-4.5, 0.2), [1e-4, 1e-3, 1e-2, 1e-1, 1.0]);
+        for (value, span, expected) in [
+            (0.25, 1.0, "0.25"),
+            (1500.0, 5000.0, "1.5k"),
+            (2e6, 2e6, "2M"),
+            (0.0, 1.0, "0"),
+            (5e-5, 1e-4, "5e-5"),
+            (40.0, 100.0, "40"),
+            (0.003, 0.003, "0.003"),
+        ] {
+            assert_eq!(tick_text(value, span), expected);
+        }
+    }
+
+    #[test]
+    fn a_plot_is_well_formed_and_escaped() {
+        let points: Vec<(f64, f64)> = (0..100)
+            .map(|i| (f64::from(i), (-f64::from(i) / 20.0).exp()))
+            .collect();
+        for scale in [Scale::Linear, Scale::Log] {
+            let svg = plot(&sample(scale, points.clone()));
+            check_nesting(&svg);
+            assert!(svg.contains("Loss &lt;train&gt;") && svg.contains("val &quot;x&quot;"));
+            assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        }
+    }
+
+    #[test]
+    fn values_without_a_place_interrupt_the_line() {
+        let points = vec![
+            (0.0, 1.0),
+            (1.0, 0.5),
+            (2.0, f64::NAN),
+            (3.0, 0.2),
+            (4.0, -1.0),
+            (5.0, 0.1),
+        ];
+        let linear = sample(Scale::Linear, points.clone());
+        let axes = Axes::around(&linear).expect("points");
+        assert_eq!(axes.path(&points).matches('M').count(), 2);
+        let log = sample(Scale::Log, points.clone());
+        let axes = Axes::around(&log).expect("points");
+        assert_eq!(axes.path(&points).matches('M').count(), 3);
+    }
+
+    #[test]
+    fn degenerate_plots_are_still_drawings() {
+        for points in [
+            vec![],
+            vec![(3.0, 2.0)],
+            vec![(0.0, f64::NAN)],
+            vec![(1.0, 5.0), (2.0, 5.0)],
+        ] {
+            let mut only = sample(Scale::Log, points);
+            only.curves.truncate(1);
+            let svg = plot(&only);
+            check_nesting(&svg);
+            assert!(!svg.contains("NaN"), "{svg}");
+        }
+        check_nesting(&bar_chart(&chart(Vec::new())));
+    }
+
+    #[test]
+    fn long_curves_keep_their_extremes() {
+        let mut points: Vec<(f64, f64)> = (0..100_000).map(|i| (f64::from(i), 0.0)).collect();
+        points[54_321].1 = 7.0;
+        points[98_765].1 = -3.0;
+        let thin = thinned(&points);
+        assert!(thin.len() <= MAX_POINTS);
+        assert!(thin.contains(&(54_321.0, 7.0)) && thin.contains(&(98_765.0, -3.0)));
+        assert!(thin.is_sorted_by(|a, b| a.0 <= b.0));
+    }
+
+    fn chart(bars: Vec<(String, f64)>) -> Bars {
+        Bars {
+            title: "Lengths".to_owned(),
+            x_label: "seconds".to_owned(),
+            bars,
+        }
+    }
+
+    #[test]
+    fn a_histogram_counts_every_finite_value_once() {
+        let values = [0.3, 1.0, 1.5, 2.0, 4.0, f64::NAN];
+        let bins = histogram(&values, 4);
+        let labels: Vec<&str> = bins.iter().map(|bin| bin.0.as_str()).collect();
+        let counts: Vec<f64> = bins.iter().map(|bin| bin.1).collect();
+        assert_eq!(labels, ["0", "1", "2", "3", "4"]);
+        assert_eq!(counts, [1.0, 2.0, 1.0, 0.0, 1.0]);
+        assert_eq!(histogram(&[5.0; 3], 10), [("5".to_owned(), 3.0)]);
+        assert!(histogram(&[], 3).is_empty());
+        let svg = bar_chart(&chart(bins));
+        check_nesting(&svg);
+        assert_eq!(svg.matches("<rect").count(), 5);
+    }
+}

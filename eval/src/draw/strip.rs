@@ -1,0 +1,573 @@
+//! Motions as a row of stick figures, one row for each clip, time running to the right.
+
+use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
+use datasets_spec::{Joint, JointSet, Keypoints, Motion, Skeleton};
+use glam::{DVec2, DVec3};
+
+use super::{FAINT, Rgb, line, open, text};
+
+/// A clip of a strip.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// What the clip is, such as `original`.
+    pub label: String,
+    /// The clip.
+    pub keypoints: Keypoints,
+    /// Joints drawn with a halo, such as those of an edit's mask.
+    pub highlighted: JointSet,
+}
+
+impl Row {
+    /// A row of a motion without highlighted joints.
+    pub fn new(label: impl Into<String>, motion: &Motion, skeleton: &Skeleton) -> Self {
+        Self {
+            label: label.into(),
+            keypoints: skeleton.motion_keypoints(motion),
+            highlighted: JointSet::EMPTY,
+        }
+    }
+}
+
+/// From where the figures are looked at, relative to the way the first clip faces at its start. Both
+/// show the figure facing right, the way time runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// From the front right and slightly above.
+    ThreeQuarter,
+    /// From the right side, at eye level.
+    Side,
+}
+
+impl View {
+    /// Angle in radians from the figure's front towards its right, and angle above the horizon.
+    fn angles(self) -> (f64, f64) {
+        match self {
+            Self::ThreeQuarter => (40f64.to_radians(), 12f64.to_radians()),
+            Self::Side => (90f64.to_radians(), 0.0),
+        }
+    }
+}
+
+/// How a strip is laid out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Style {
+    /// Width in pixels.
+    pub width: f64,
+    /// Figures in each row; a shorter clip has as many as it has frames.
+    pub num_figures: usize,
+    /// From where the figures are looked at.
+    pub view: View,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self {
+            width: 960.0,
+            num_figures: 10,
+            view: View::ThreeQuarter,
+        }
+    }
+}
+
+/// Colour of the first figure.
+const START: Rgb = Rgb([232.0, 131.0, 58.0]);
+/// Colour of the middle: orange and blue mixed would be grey.
+const MIDDLE: Rgb = Rgb([181.0, 84.0, 140.0]);
+/// Colour of the last figure.
+const END: Rgb = Rgb([47.0, 111.0, 208.0]);
+/// Halo of highlighted joints: far from both in hue, readable on light and dark.
+const HALO: &str = "#1BAA78";
+/// Opacity of the halo, of the left limbs and of the trunk's area.
+const HALO_OPACITY: f64 = 0.4;
+const LEFT_OPACITY: f64 = 0.5;
+const TRUNK_OPACITY: f64 = 0.22;
+
+/// Space for the row labels in pixels.
+const LABEL_WIDTH: f64 = 126.0;
+/// Characters of a label that fit into that space.
+const LABEL_CHARS: usize = 17;
+/// Space around the drawing in pixels.
+const MARGIN: f64 = 8.0;
+/// Space between the ground line and the next row in pixels; the times stand in it.
+const TIME_HEIGHT: f64 = 30.0;
+/// Pixels to a metre where there is room: a standing figure is about 115 pixels high.
+const PIXELS_PER_M: f64 = 68.0;
+/// Metres from one figure to the next below which figures are drawn smaller instead: less than the
+/// span of two arms, more than a walking body needs.
+const MIN_SLOT_M: f64 = 1.0;
+/// Radius of the drawn head in metres, and how far its centre lies behind the eyes.
+const HEAD_RADIUS_M: f64 = 0.1;
+const EYE_DEPTH_M: f64 = 0.07;
+/// Length of the nose from the centre of the head in metres: it tells where the figure looks.
+const NOSE_M: f64 = 0.15;
+/// Radius of the shadow on the ground in metres.
+const SHADOW_RADIUS_M: f64 = 0.26;
+/// Width of the halo in metres.
+const HALO_WIDTH_M: f64 = 0.15;
+/// Width of the nose's line in metres.
+const NOSE_WIDTH_M: f64 = 0.05;
+
+/// The left and the right eye.
+const EYES: [usize; 2] = [22, 23];
+/// Corners of the trunk: shoulders and hips.
+const TRUNK: [usize; 4] = [16, 17, 2, 1];
+
+/// A limb is drawn as a whole, those farther away first.
+struct Limb {
+    /// Keypoints in the order a pen would follow.
+    chains: &'static [&'static [usize]],
+    left: bool,
+    width_m: f64,
+}
+
+/// The trunk comes first; the head is drawn with it.
+const LIMBS: [Limb; 5] = [
+    Limb {
+        chains: &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
+        left: false,
+        width_m: 0.06,
+    },
+    Limb {
+        chains: &[&[1, 4, 7, 10]],
+        left: true,
+        width_m: 0.068,
+    },
+    Limb {
+        chains: &[&[2, 5, 8, 11]],
+        left: false,
+        width_m: 0.068,
+    },
+    Limb {
+        chains: &[&[16, 18, 20, 24], &[20, 25]],
+        left: true,
+        width_m: 0.052,
+    },
+    Limb {
+        chains: &[&[17, 19, 21, 26], &[21, 27]],
+        left: false,
+        width_m: 0.052,
+    },
+];
+
+/// Draws clips below each other as one SVG document.
+///
+/// Figures stand at equal distances and are sampled at equal times; how far they walk is written
+/// under the label, how high they are is shown. Colours run from orange at the start to blue at the
+/// end. The right limbs are in full colour, the left ones pale. All rows share one camera, so a clip
+/// that faces another way is seen from another side.
+pub fn strip(rows: &[Row], style: &Style) -> String {
+    let camera = Camera::facing(rows, style.view);
+    let num_figures = style.num_figures.max(1);
+    let slot = (style.width - LABEL_WIDTH - 2.0 * MARGIN) / num_figures as f64;
+    let scale = PIXELS_PER_M.min(slot / MIN_SLOT_M);
+    let drawn: Vec<Drawn<'_>> = rows
+        .iter()
+        .map(|row| Drawn::new(row, num_figures, &camera))
+        .collect();
+    let heights: Vec<f64> = drawn
+        .iter()
+        .map(|drawn| MARGIN + drawn.rise_m * scale + TIME_HEIGHT)
+        .collect();
+
+    let mut svg = String::new();
+    let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
+    open(
+        &mut svg,
+        style.width,
+        heights.iter().sum::<f64>(),
+        &format!("Motion strip: {}", labels.join(", ")),
+    );
+    let mut top = 0.0;
+    for (drawn, height) in drawn.iter().zip(&heights) {
+        let ground = top + height - TIME_HEIGHT;
+        drawn.label(&mut svg, ground - drawn.rise_m * scale / 2.0);
+        line(
+            &mut svg,
+            DVec2::new(LABEL_WIDTH + MARGIN, ground),
+            DVec2::new(style.width - MARGIN, ground),
+        );
+        for (place, figure) in drawn.figures.iter().enumerate() {
+            let middle = LABEL_WIDTH + MARGIN + (place as f64 + 0.5) * slot;
+            let share = place as f64 / (drawn.figures.len() - 1).max(1) as f64;
+            figure.draw(
+                &mut svg,
+                &Pen {
+                    origin: DVec2::new(middle, ground),
+                    scale,
+                    colour: colour_at(share).hex(),
+                    elevation: style.view.angles().1,
+                },
+                drawn.row.highlighted,
+            );
+            text(
+                &mut svg,
+                DVec2::new(middle, ground + TIME_HEIGHT / 2.0 + 3.0),
+                "middle",
+                11.0,
+                FAINT,
+                &format!("{:.1} s", figure.secs),
+            );
+        }
+        top += height;
+    }
+    svg.push_str("</svg>");
+    svg
+}
+
+/// The colour at a share of the clip.
+fn colour_at(share: f64) -> Rgb {
+    if share < 0.5 {
+        START.towards(MIDDLE, 2.0 * share)
+    } else {
+        MIDDLE.towards(END, 2.0 * share - 1.0)
+    }
+}
+
+/// Three axes to project on, of unit length.
+struct Camera {
+    right: DVec3,
+    up: DVec3,
+    towards: DVec3,
+}
+
+impl Camera {
+    fn facing(rows: &[Row], view: View) -> Self {
+        let left = rows
+            .iter()
+            .find_map(|row| row.keypoints.points.first())
+            .map(|frame| {
+                let across = frame[Joint::LeftHip.index()] - frame[Joint::RightHip.index()];
+                DVec3::new(across.x, 0.0, across.z)
+            })
+            .and_then(DVec3::try_normalize)
+            .unwrap_or(DVec3::X);
+        let forward = left.cross(DVec3::Y);
+        let (to_the_right, above) = view.angles();
+        let level = to_the_right.cos() * forward - to_the_right.sin() * left;
+        let towards = above.cos() * level + above.sin() * DVec3::Y;
+        let right = DVec3::Y.cross(level);
+        Self {
+            right,
+            up: towards.cross(right),
+            towards,
+        }
+    }
+
+    /// Right, up and depth of a point, depth growing towards the camera.
+    fn project(&self, point: DVec3) -> DVec3 {
+        DVec3::new(
+            point.dot(self.right),
+            point.dot(self.up),
+            point.dot(self.towards),
+        )
+    }
+}
+
+/// A row with its figures projected.
+struct Drawn<'a> {
+    row: &'a Row,
+    figures: Vec<Figure>,
+    /// Height of the tallest figure above the ground in metres.
+    rise_m: f64,
+}
+
+/// One frame: keypoints relative to the ground under the pelvis, projected.
+struct Figure {
+    secs: f64,
+    points: [DVec3; NUM_KEYPOINTS],
+    head: DVec3,
+    nose: DVec3,
+}
+
+impl<'a> Drawn<'a> {
+    fn new(row: &'a Row, num_figures: usize, camera: &Camera) -> Self {
+        let frames = &row.keypoints.points;
+        let floor = frames
+            .iter()
+            .flatten()
+            .map(|point| point.y)
+            .fold(f64::INFINITY, f64::min);
+        let count = num_figures.min(frames.len());
+        let figures: Vec<Figure> = (0..count)
+            .map(|place| {
+                let last = frames.len() - 1;
+                // The nearest frame, without passing through floating point.
+                let frame = if count > 1 {
+                    (2 * place * last + count - 1) / (2 * (count - 1))
+                } else {
+                    0
+                };
+                Figure::new(
+                    &frames[frame],
+                    floor,
+                    row.keypoints.fps.secs_at(frame),
+                    camera,
+                )
+            })
+            .collect();
+        let rise_m = figures.iter().map(Figure::rise_m).fold(0.0, f64::max);
+        Self {
+            row,
+            figures,
+            rise_m,
+        }
+    }
+
+    /// Writes the name of the row, its length, and how far the body moves over the ground.
+    fn label(&self, svg: &mut String, middle: f64) {
+        let frames = &self.row.keypoints.points;
+        let path_m: f64 = frames
+            .windows(2)
+            .map(|pair| {
+                let step = pair[1][0] - pair[0][0];
+                step.x.hypot(step.z)
+            })
+            .sum();
+        let secs = self
+            .row
+            .keypoints
+            .fps
+            .secs_at(frames.len().saturating_sub(1));
+        let name: String = if self.row.label.chars().count() > LABEL_CHARS {
+            self.row
+                .label
+                .chars()
+                .take(LABEL_CHARS - 1)
+                .chain(['…'])
+                .collect()
+        } else {
+            self.row.label.clone()
+        };
+        let at = |offset| DVec2::new(MARGIN, middle + offset);
+        text(svg, at(-6.0), "start", 13.0, r#"font-weight="600""#, &name);
+        let length = format!("{secs:.1} s at {} ", self.row.keypoints.fps);
+        text(svg, at(11.0), "start", 11.0, FAINT, length.trim_end());
+        text(
+            svg,
+            at(26.0),
+            "start",
+            11.0,
+            FAINT,
+            &format!("moves {path_m:.2} m"),
+        );
+    }
+}
+
+/// How a figure is put on the page.
+struct Pen {
+    /// Where the ground under the pelvis is, in pixels.
+    origin: DVec2,
+    /// Pixels to a metre.
+    scale: f64,
+    colour: String,
+    /// Angle of the camera above the horizon in radians.
+    elevation: f64,
+}
+
+impl Pen {
+    fn place(&self, point: DVec3) -> DVec2 {
+        self.origin + self.scale * DVec2::new(point.x, -point.y)
+    }
+
+    /// A path that visits chains of points.
+    fn path(&self, chains: impl IntoIterator<Item = Vec<DVec3>>) -> String {
+        let mut path = String::new();
+        for chain in chains {
+            for (index, point) in chain.into_iter().enumerate() {
+                let at = self.place(point);
+                path.push(if index == 0 { 'M' } else { 'L' });
+                path.push_str(&format!("{:.1} {:.1}", at.x, at.y));
+            }
+        }
+        path
+    }
+}
+
+impl Figure {
+    fn new(frame: &[DVec3; NUM_KEYPOINTS], floor: f64, secs: f64, camera: &Camera) -> Self {
+        let under_pelvis = DVec3::new(frame[0].x, floor, frame[0].z);
+        let rise = (frame[Joint::Head.index()] - frame[Joint::Neck.index()])
+            .try_normalize()
+            .unwrap_or(DVec3::Y);
+        let [left_eye, right_eye] = EYES.map(|eye| frame[eye]);
+        let gaze = (left_eye - right_eye)
+            .cross(rise)
+            .try_normalize()
+            .unwrap_or(DVec3::Z);
+        let head = left_eye.midpoint(right_eye) - EYE_DEPTH_M * gaze;
+        let place = |point: DVec3| camera.project(point - under_pelvis);
+        Self {
+            secs,
+            points: frame.map(place),
+            head: place(head),
+            nose: place(head + NOSE_M * gaze),
+        }
+    }
+
+    fn rise_m(&self) -> f64 {
+        self.points
+            .iter()
+            .map(|point| point.y)
+            .fold(self.head.y + HEAD_RADIUS_M, f64::max)
+    }
+
+    fn draw(&self, svg: &mut String, pen: &Pen, highlighted: JointSet) {
+        let colour = &pen.colour;
+        let shadow = pen.scale * SHADOW_RADIUS_M;
+        svg.push_str(&format!(
+            r#"<ellipse cx="{:.1}" cy="{:.1}" rx="{shadow:.1}" ry="{:.1}" opacity="0.1"/>"#,
+            pen.origin.x,
+            pen.origin.y,
+            (shadow * pen.elevation.sin()).max(1.0),
+        ));
+        svg.push_str(&format!(
+            r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
+        ));
+        // A joint turns the bones that hang from it.
+        let turned = KEYPOINT_PARENTS
+            .iter()
+            .enumerate()
+            .filter_map(|(child, &parent)| {
+                let parent = usize::try_from(parent).ok()?;
+                highlighted
+                    .contains(parent)
+                    .then(|| vec![self.points[parent], self.points[child]])
+            });
+        let halo = pen.path(turned);
+        if !halo.is_empty() {
+            svg.push_str(&format!(
+                r#"<path d="{halo}" stroke="{HALO}" stroke-opacity="{HALO_OPACITY}" stroke-width="{:.1}"/>"#,
+                HALO_WIDTH_M * pen.scale
+            ));
+        }
+        let mut order: Vec<(f64, usize)> = LIMBS
+            .iter()
+            .enumerate()
+            .map(|(index, limb)| (self.depth(limb), index))
+            .collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, index) in order {
+            if index == 0 {
+                self.draw_trunk(svg, pen);
+            }
+            let limb = &LIMBS[index];
+            let path = pen.path(
+                limb.chains
+                    .iter()
+                    .map(|chain| chain.iter().map(|&point| self.points[point]).collect()),
+            );
+            let opacity = if limb.left { LEFT_OPACITY } else { 1.0 };
+            svg.push_str(&format!(
+                r#"<path d="{path}" stroke-opacity="{opacity}" stroke-width="{:.1}"/>"#,
+                limb.width_m * pen.scale
+            ));
+        }
+        svg.push_str("</g>");
+    }
+
+    fn draw_trunk(&self, svg: &mut String, pen: &Pen) {
+        let outline = pen.path([TRUNK.map(|corner| self.points[corner]).to_vec()]);
+        let colour = &pen.colour;
+        svg.push_str(&format!(
+            r#"<path d="{outline}Z" fill="{colour}" fill-opacity="{TRUNK_OPACITY}" stroke="none"/>"#
+        ));
+        let head = pen.place(self.head);
+        svg.push_str(&format!(
+            r#"<circle cx="{:.1}" cy="{:.1}" r="{:.1}" fill="{colour}" stroke="none"/>"#,
+            head.x,
+            head.y,
+            HEAD_RADIUS_M * pen.scale
+        ));
+        svg.push_str(&format!(
+            r#"<path d="{}" stroke-width="{:.1}"/>"#,
+            pen.path([vec![self.head, self.nose]]),
+            NOSE_WIDTH_M * pen.scale
+        ));
+    }
+
+    /// Mean depth of a limb's keypoints.
+    fn depth(&self, limb: &Limb) -> f64 {
+        let depths: Vec<f64> = limb
+            .chains
+            .iter()
+            .flat_map(|chain| chain.iter().map(|&point| self.points[point].z))
+            .collect();
+        depths.iter().sum::<f64>() / depths.len() as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{BodyPart, Fps, Pose};
+    use glam::DQuat;
+
+    use super::*;
+    use crate::draw::tests::check_nesting;
+
+    fn row(label: &str, num_frames: usize, turn: f64) -> Row {
+        let pose = Pose {
+            transl: DVec3::new(0.3, 1.0, 4.0),
+            rotations: std::array::from_fn(|joint| {
+                DQuat::from_rotation_y(if joint == 0 { turn } else { 0.0 })
+            }),
+        };
+        let motion = Motion::from_poses(Fps::STORE, &vec![pose; num_frames]).expect("valid");
+        Row::new(label, &motion, &Skeleton::smplx_neutral())
+    }
+
+    #[test]
+    fn a_strip_holds_the_figures_asked_for_and_well_formed_markup() {
+        let rows = [row("<original> & \"more\"", 60, 0.0), row("target", 3, 0.0)];
+        let svg = strip(&rows, &Style::default());
+        check_nesting(&svg);
+        // Ten figures of the long clip, three of the short one.
+        assert_eq!(svg.matches("<circle").count(), 13);
+        assert!(svg.contains("#E8833A") && svg.contains("#2F6FD0"));
+        assert!(svg.contains(">0.0 s<") && svg.contains(">3.0 s<") && svg.contains(">0.1 s<"));
+        assert!(svg.contains("&lt;original&gt; &amp; &quot;more&quot;"));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+    }
+
+    #[test]
+    fn only_masked_joints_have_a_halo() {
+        let mut marked = row("edited", 5, 0.0);
+        assert!(!strip(&[marked.clone()], &Style::default()).contains(HALO));
+        marked.highlighted = BodyPart::LeftArm.joints();
+        let svg = strip(&[marked], &Style::default());
+        assert_eq!(svg.matches(HALO).count(), 5);
+    }
+
+    #[test]
+    fn the_first_clip_faces_right_whatever_its_heading() {
+        for view in [View::ThreeQuarter, View::Side] {
+            for turn in [0.0, 1.0, 3.0, -2.0] {
+                let row = row("a", 1, turn);
+                let camera = Camera::facing(std::slice::from_ref(&row), view);
+                let drawn = Drawn::new(&row, 1, &camera);
+                let figure = &drawn.figures[0];
+                assert!(figure.nose.x > figure.head.x + 0.05, "{view:?} {turn}");
+                assert!(figure.points[15].y > figure.points[0].y);
+                // The toes of both feet are near the ground, the camera being slightly above.
+                assert!(figure.points[10].y.abs() < 0.1 && figure.points[11].y.abs() < 0.1);
+            }
+        }
+    }
+
+    #[test]
+    fn limbs_cover_every_keypoint_but_the_eyes() {
+        let mut covered = [false; NUM_KEYPOINTS];
+        for chain in LIMBS.iter().flat_map(|limb| limb.chains) {
+            for &point in *chain {
+                covered[point] = true;
+            }
+        }
+        for (point, covered) in covered.into_iter().enumerate() {
+            assert_eq!(covered, !EYES.contains(&point), "{point}");
+        }
+    }
+
+    #[test]
+    fn an_empty_strip_is_still_a_drawing() {
+        check_nesting(&strip(&[], &Style::default()));
+    }
+}

@@ -1,0 +1,184 @@
+//! What can go wrong while measuring.
+
+/// What a caller's encoder may fail with.
+pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
+
+/// An error that names the system and the item it happened to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The table of edits has no row of a side every score needs.
+    #[error(
+        "the edits hold no motion of system {system:?}; score a table written by `stance edit`"
+    )]
+    NoItems {
+        /// The missing system.
+        system: &'static str,
+    },
+    /// A system edited only some of the items.
+    #[error(
+        "system {system:?} lacks {count} of {total} items: {ids}; edit them or leave the system out"
+    )]
+    MissingItems {
+        /// The system.
+        system: String,
+        /// Number of missing items.
+        count: usize,
+        /// Number of items of the test set.
+        total: usize,
+        /// Ids of the first missing items.
+        ids: String,
+    },
+    /// A system edited items that have no target.
+    #[error(
+        "system {system:?} has {count} items without a target: {ids}; score them with the table they belong to"
+    )]
+    UnknownItems {
+        /// The system.
+        system: String,
+        /// Number of such items.
+        count: usize,
+        /// Ids of the first of them.
+        ids: String,
+    },
+    /// A system edited some items more often than others.
+    #[error(
+        "system {system:?} has {found} motions of item {id:?} but {expected} of the others; give every item the same number of takes"
+    )]
+    UnevenTakes {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// Motions of this item.
+        found: usize,
+        /// Motions of the first item.
+        expected: usize,
+    },
+    /// A system bears the name of a row this crate computes itself.
+    #[error("a system cannot be named {system:?}, which is a row of every table; rename it")]
+    ReservedSystem {
+        /// The name.
+        system: String,
+    },
+    /// The columns of a row make no motion.
+    #[error("system {system:?}, item {id:?}: not a motion")]
+    Motion {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// The cause, boxed because it is larger than any other variant.
+        source: Box<datasets_spec::Error>,
+    },
+    /// A motion is too short for a foot speed.
+    #[error(
+        "system {system:?}, item {id:?}: {frames} frames are too few for the foot score, which needs {needed}"
+    )]
+    TooShort {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// Frames present.
+        frames: usize,
+        /// Frames needed.
+        needed: usize,
+    },
+    /// Two sides of an item run at different rates.
+    #[error(
+        "system {system:?}, item {id:?}: {found} fps, but its target runs at {expected} fps; resample before scoring"
+    )]
+    FrameRate {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// Rate of the motion.
+        found: f64,
+        /// Rate of the target.
+        expected: f64,
+    },
+    /// The encoder failed.
+    #[error("cannot encode the motions of system {system:?}")]
+    Encoder {
+        /// The system.
+        system: String,
+        /// The cause.
+        source: EncoderError,
+    },
+    /// The encoder returned another number of latents than it was given motions.
+    #[error("the encoder returned {found} latents for {expected} motions of system {system:?}")]
+    LatentCount {
+        /// The system.
+        system: String,
+        /// Latents returned.
+        found: usize,
+        /// Motions given.
+        expected: usize,
+    },
+    /// A latent has another width than the others, is not finite, or has no direction.
+    #[error("system {system:?}, item {id:?}: the latent {problem}")]
+    Latent {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A metric was given fewer feature rows than it is defined for.
+    #[error("{metric} needs at least {needed} rows, got {found}")]
+    TooFewRows {
+        /// The metric.
+        metric: &'static str,
+        /// Rows needed.
+        needed: usize,
+        /// Rows given.
+        found: usize,
+    },
+    /// Two inputs of a metric differ in size.
+    #[error("{metric}: {what} is {found}, expected {expected}")]
+    Size {
+        /// The metric.
+        metric: &'static str,
+        /// Which size.
+        what: &'static str,
+        /// Size found.
+        found: usize,
+        /// Size expected.
+        expected: usize,
+    },
+    /// A metric was given a number that is NaN or infinite.
+    #[error("{metric}: row {row} is not finite")]
+    NotFinite {
+        /// The metric.
+        metric: &'static str,
+        /// Row index.
+        row: usize,
+    },
+    /// A latent of length zero has no cosine with anything.
+    #[error("{metric}: row {row} is zero and has no direction")]
+    NoDirection {
+        /// The metric.
+        metric: &'static str,
+        /// Row index.
+        row: usize,
+    },
+    /// A protocol asks for nothing.
+    #[error("protocol: {field} must be at least {needed}, got {found}")]
+    Protocol {
+        /// The setting.
+        field: &'static str,
+        /// Smallest sensible value.
+        needed: usize,
+        /// Value given.
+        found: usize,
+    },
+    /// A score table cannot be written as JSON.
+    #[error("cannot write the scores as JSON")]
+    Json {
+        /// The cause.
+        source: serde_json::Error,
+    },
+}

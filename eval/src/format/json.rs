@@ -1,0 +1,94 @@
+//! Scores as JSON, one object for each.
+
+use datasets_spec::record::ScoreRow;
+use serde::Serialize;
+
+use crate::Error;
+
+/// A row of the table of scores in its JSON form.
+#[derive(Serialize)]
+struct Score<'a> {
+    system: &'a str,
+    task: &'a str,
+    metric: &'a str,
+    protocol: &'a str,
+    encoder_hash: &'a str,
+    n: u32,
+    repeats: u32,
+    mean: f64,
+    ci95: f64,
+}
+
+/// Writes one array with one object for each row of the table of scores, an object a line, so that
+/// the document can be read whole or compared line by line.
+///
+/// # Errors
+/// JSON cannot express a row.
+pub fn render(scores: &[ScoreRow]) -> Result<String, Error> {
+    let mut text = "[".to_owned();
+    for (index, row) in scores.iter().enumerate() {
+        text.push_str(if index == 0 { "\n" } else { ",\n" });
+        let score = Score {
+            system: &row.system,
+            task: &row.task,
+            metric: &row.metric,
+            protocol: &row.protocol,
+            encoder_hash: &row.encoder_hash,
+            n: row.n,
+            repeats: row.repeats,
+            mean: row.mean,
+            ci95: row.ci95,
+        };
+        let line = serde_json::to_string(&score).map_err(|source| Error::Json { source })?;
+        text.push_str(&line);
+    }
+    text.push_str("\n]\n");
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+    use crate::table::tests::sample_scores;
+
+    /// What a reader of the document relies on; a new field is a change of the contract.
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Read {
+        system: String,
+        task: String,
+        metric: String,
+        protocol: String,
+        encoder_hash: String,
+        n: u32,
+        repeats: u32,
+        mean: f64,
+        ci95: f64,
+    }
+
+    #[test]
+    fn the_document_is_one_array_that_gives_the_rows_back() {
+        let scores = sample_scores("semantic");
+        let text = render(&scores).expect("serialisable");
+        let read: Vec<Read> = serde_json::from_str(&text).expect("an array");
+        assert_eq!(read.len(), scores.len());
+        // The reader of serde_json may be off by the last bit.
+        let same = |a: f64, b: f64| (a - b).abs() <= f64::EPSILON * b.abs();
+        for (read, row) in read.iter().zip(&scores) {
+            assert_eq!(
+                (&read.system, &read.task, &read.metric, &read.protocol),
+                (&row.system, &row.task, &row.metric, &row.protocol)
+            );
+            assert_eq!(
+                (&read.encoder_hash, read.n, read.repeats),
+                (&row.encoder_hash, row.n, row.repeats)
+            );
+            assert!(same(read.mean, row.mean) && same(read.ci95, row.ci95));
+        }
+        assert_eq!(text.lines().count(), scores.len() + 2);
+        let none: Vec<Read> = serde_json::from_str(&render(&[]).expect("fine")).expect("an array");
+        assert!(none.is_empty());
+    }
+}

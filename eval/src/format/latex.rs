@@ -1,0 +1,117 @@
+//! Tables for a paper, with the rules of the `booktabs` package.
+
+use super::{RowGroup, row_name};
+use crate::metric::Better;
+use crate::table::Table;
+
+/// Writes tables as `tabular` environments. They need `\usepackage{booktabs}`.
+pub fn render(tables: &[Table]) -> String {
+    let mut text = String::new();
+    for (index, table) in tables.iter().enumerate() {
+        if index > 0 {
+            text.push('\n');
+        }
+        text.push_str(&format!("% {}\n", comment(&table.head())));
+        text.push_str(&format!(
+            "\\begin{{tabular}}{{l{}}}\n\\toprule\nMethod",
+            "r".repeat(table.columns.len())
+        ));
+        for column in &table.columns {
+            let arrow = match column.better {
+                Better::Lower => "\\downarrow",
+                Better::Higher => "\\uparrow",
+                Better::NearReal => "\\rightarrow",
+            };
+            text.push_str(&format!(" & {} ${arrow}$", escaped(column.metric.name())));
+        }
+        text.push_str(" \\\\\n\\midrule\n");
+        let mut previous = None;
+        for row in &table.rows {
+            let group = RowGroup::of(row);
+            if previous.is_some_and(|previous| previous != group) {
+                text.push_str("\\midrule\n");
+            }
+            previous = Some(group);
+            text.push_str(&escaped(&row_name(row)));
+            for (cell, column) in row.cells.iter().zip(&table.columns) {
+                text.push_str(" & ");
+                let Some(cell) = cell else {
+                    text.push_str("--");
+                    continue;
+                };
+                let mean = cell.mean_text(column.metric);
+                if cell.best {
+                    text.push_str(&format!("\\textbf{{{mean}}}"));
+                } else {
+                    text.push_str(&mean);
+                }
+                let ci = cell.ci_text(column.metric);
+                if let Some(half_width) = ci.strip_prefix('±') {
+                    text.push_str(&format!("{{\\tiny$\\pm${half_width}}}"));
+                }
+            }
+            text.push_str(" \\\\\n");
+        }
+        text.push_str("\\bottomrule\n\\end{tabular}\n");
+    }
+    text
+}
+
+/// A text that ends with its line, as a comment must.
+fn comment(text: &str) -> String {
+    text.chars()
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect()
+}
+
+/// Takes the meaning off the ten characters TeX acts on.
+fn escaped(text: &str) -> String {
+    let mut result = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\\' => result.push_str("\\textbackslash{}"),
+            '~' => result.push_str("\\textasciitilde{}"),
+            '^' => result.push_str("\\textasciicircum{}"),
+            '<' => result.push_str("\\textless{}"),
+            '>' => result.push_str("\\textgreater{}"),
+            '|' => result.push_str("\\textbar{}"),
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => {
+                result.push('\\');
+                result.push(c);
+            }
+            c if c.is_control() => result.push(' '),
+            c => result.push(c),
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::tests::sample_table;
+
+    #[test]
+    fn rows_are_complete_and_names_harmless() {
+        let mut table = sample_table();
+        table.rows[2].system = "a & b \\input{x}".to_owned();
+        let text = render(&[table]);
+        assert!(
+            text.contains("a \\& b \\textbackslash{}input\\{x\\} &"),
+            "{text}"
+        );
+        assert!(
+            text.contains("ours\\_100\\%\\textbar{}\\textless{}b\\textgreater{}"),
+            "{text}"
+        );
+        assert!(
+            text.contains("\\textbf{2.222}{\\tiny$\\pm$0.022}"),
+            "{text}"
+        );
+        for line in text.lines().filter(|line| line.ends_with("\\\\")) {
+            let separators = line.replace("\\&", "").matches('&').count();
+            assert_eq!(separators, 11, "{line}");
+        }
+        assert_eq!(text.matches("\\midrule").count(), 2);
+    }
+}

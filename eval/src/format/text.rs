@@ -1,0 +1,295 @@
+//! Tables for a terminal.
+
+use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
+use crate::table::{Cell, Column, Table};
+
+/// Columns a terminal is assumed to have.
+pub const MAX_WIDTH: usize = 160;
+/// Spaces between columns.
+const GAP: usize = 2;
+/// The shortest a system name is cut to.
+const MIN_NAME_WIDTH: usize = 8;
+/// Mark of the best measured value, as a terminal need not have bold type.
+const BEST: char = '*';
+
+/// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped and
+/// long system names are cut.
+pub fn render(tables: &[Table]) -> String {
+    let mut text = String::new();
+    for (index, table) in tables.iter().enumerate() {
+        if index > 0 {
+            text.push('\n');
+        }
+        table_text(table, &mut text);
+    }
+    if tables
+        .iter()
+        .flat_map(|table| &table.rows)
+        .any(|row| row.cells.iter().flatten().any(|cell| cell.best))
+    {
+        text.push_str(&format!("\n{BEST} best measured system of its column\n"));
+    }
+    text
+}
+
+fn table_text(table: &Table, text: &mut String) {
+    for line in wrapped(&table.head()) {
+        text.push_str(&line);
+        text.push('\n');
+    }
+    // Columns of one family, such as the four of E2S, stand under one heading.
+    let (families, labels): (Vec<&str>, Vec<String>) = table.columns.iter().map(heading).unzip();
+    let columns: Vec<Vec<String>> = (0..table.columns.len())
+        .map(|index| column_texts(table, index))
+        .collect();
+    let widths: Vec<usize> = columns
+        .iter()
+        .zip(&labels)
+        .map(|(cells, label)| {
+            let cells = cells.iter().map(|cell| width(cell));
+            cells.chain([width(label)]).max().unwrap_or(0)
+        })
+        .collect();
+    let values_width: usize = widths.iter().map(|width| width + GAP).sum();
+    let name_width = table
+        .rows
+        .iter()
+        .map(|row| width(&row.system))
+        .chain([width("System")])
+        .max()
+        .unwrap_or(0)
+        .min(MAX_WIDTH.saturating_sub(values_width).max(MIN_NAME_WIDTH));
+    let rule = "─".repeat(name_width + values_width);
+
+    text.push_str(&rule);
+    text.push('\n');
+    if families.iter().any(|family| !family.is_empty()) {
+        push_line(text, &families_line(name_width, &families, &widths));
+    }
+    push_line(text, &line("System", name_width, &labels, &widths));
+    text.push_str(&rule);
+    text.push('\n');
+    let mut previous = None;
+    for (index, row) in table.rows.iter().enumerate() {
+        let cells: Vec<String> = columns.iter().map(|cells| cells[index].clone()).collect();
+        let group = RowGroup::of(row);
+        if previous.is_some_and(|previous| previous != group) {
+            text.push('\n');
+        }
+        if group == RowGroup::Published && previous != Some(group) {
+            push_line(text, PUBLISHED_HEADING);
+        }
+        previous = Some(group);
+        push_line(text, &line(&row.system, name_width, &cells, &widths));
+    }
+    text.push_str(&rule);
+    text.push('\n');
+}
+
+/// The family of a column and what is left of its label.
+fn heading(column: &Column) -> (&'static str, String) {
+    let name = column.metric.name();
+    for family in ["E2S", "E2T"] {
+        if let Some(rest) = name.strip_prefix(family) {
+            return (
+                family,
+                format!("{} {}", rest.trim_start(), column.better.arrow()),
+            );
+        }
+    }
+    ("", column.label())
+}
+
+fn families_line(name_width: usize, families: &[&str], widths: &[usize]) -> String {
+    let mut line = " ".repeat(name_width);
+    let mut index = 0;
+    while index < families.len() {
+        let count = families[index..]
+            .iter()
+            .take_while(|family| **family == families[index])
+            .count();
+        let span: usize = widths[index..index + count]
+            .iter()
+            .map(|width| width + GAP)
+            .sum::<usize>()
+            - GAP;
+        let family = families[index];
+        let filling = if family.is_empty() { " " } else { "─" };
+        let title = if family.is_empty() {
+            String::new()
+        } else {
+            format!(" {family} ")
+        };
+        let free = span.saturating_sub(width(&title));
+        line.push_str(&" ".repeat(GAP));
+        line.push_str(&filling.repeat(free / 2));
+        line.push_str(&title);
+        line.push_str(&filling.repeat(free - free / 2));
+        index += count;
+    }
+    line
+}
+
+fn line(name: &str, name_width: usize, cells: &[String], widths: &[usize]) -> String {
+    let mut line = cut(name, name_width);
+    line.push_str(&" ".repeat(name_width.saturating_sub(width(&line))));
+    for (cell, &column_width) in cells.iter().zip(widths) {
+        line.push_str(&" ".repeat(GAP + column_width.saturating_sub(width(cell))));
+        line.push_str(cell);
+    }
+    line
+}
+
+fn push_line(text: &mut String, line: &str) {
+    text.push_str(line.trim_end());
+    text.push('\n');
+}
+
+/// The cells of a column, all of one width: means end and half widths begin in the same place.
+fn column_texts(table: &Table, index: usize) -> Vec<String> {
+    let column = &table.columns[index];
+    let parts: Vec<(String, String)> = table
+        .rows
+        .iter()
+        .map(|row| cell_parts(row.cells[index].as_ref(), column))
+        .collect();
+    let mean_width = parts.iter().map(|part| width(&part.0)).max().unwrap_or(0);
+    let ci_width = parts.iter().map(|part| width(&part.1)).max().unwrap_or(0);
+    parts
+        .into_iter()
+        .map(|(mean, ci)| format!("{mean:>mean_width$}{ci:<ci_width$}"))
+        .collect()
+}
+
+/// The mean and the half width of a cell.
+fn cell_parts(cell: Option<&Cell>, column: &Column) -> (String, String) {
+    let Some(cell) = cell else {
+        return (ABSENT.to_owned(), String::new());
+    };
+    let mean = cell.mean_text(column.metric);
+    let mean = if cell.best {
+        format!("{BEST}{mean}")
+    } else {
+        mean
+    };
+    // As in the paper, a half width below one goes without its zero, which leaves the names room.
+    let half_width = cell.ci_text(column.metric).replacen("±0.", "±.", 1);
+    (mean, half_width)
+}
+
+/// Characters of a text, each of which is taken to fill one column.
+fn width(text: &str) -> usize {
+    text.chars().count()
+}
+
+/// A text in at most so many columns, without its middle if it is longer.
+fn cut(text: &str, max_width: usize) -> String {
+    // Control characters of a system's name must not move the cursor.
+    let text: String = text
+        .chars()
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
+    let length = width(&text);
+    if length <= max_width {
+        return text;
+    }
+    // Names of variants differ at their ends, so the middle goes.
+    let tail = (max_width - 1) / 2;
+    text.chars()
+        .take(max_width - 1 - tail)
+        .chain(['…'])
+        .chain(text.chars().skip(length - tail))
+        .collect()
+}
+
+/// Breaks a line at spaces; a word longer than a line keeps a line of its own.
+fn wrapped(text: &str) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last = lines.len() - 1;
+        if !lines[last].is_empty() && width(&lines[last]) + 1 + width(word) > MAX_WIDTH {
+            lines.push(word.to_owned());
+        } else {
+            if !lines[last].is_empty() {
+                lines[last].push(' ');
+            }
+            lines[last].push_str(word);
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::tests::sample_table;
+
+    #[test]
+    fn a_table_is_aligned_and_fits_the_terminal() {
+        let mut table = sample_table();
+        table.rows[3].system = "a system whose name says everything about its training".to_owned();
+        table.rows[3].cells[1] = None;
+        let text = render(&[table]);
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines.iter().all(|line| width(line) <= MAX_WIDTH), "{text}");
+        let rules: Vec<usize> = lines
+            .iter()
+            .enumerate()
+            .filter(|(_, line)| line.starts_with("──"))
+            .map(|(index, _)| index)
+            .collect();
+        assert_eq!(rules.len(), 3, "{text}");
+        // All means and half widths meet in the same columns.
+        let signs = |line: &str| -> Vec<usize> {
+            line.chars()
+                .enumerate()
+                .filter(|(_, c)| *c == '±')
+                .map(|(at, _)| at)
+                .collect()
+        };
+        let first = signs(lines[rules[1] + 1]);
+        assert_eq!(first.len(), 11, "{text}");
+        for line in &lines[rules[1] + 1..rules[2]] {
+            assert!(signs(line).iter().all(|at| first.contains(at)), "{text}");
+        }
+        assert!(text.contains("\na system"), "{text}");
+        assert!(text.contains("…") && text.contains("training "), "{text}");
+        assert!(text.contains(" – "), "{text}");
+    }
+
+    #[test]
+    fn numbers_and_marks_are_where_they_belong() {
+        let text = render(&[sample_table()]);
+        let row = text
+            .lines()
+            .find(|line| line.starts_with("ours_100%|<b>"))
+            .expect("the row");
+        let cells: Vec<&str> = row.split_whitespace().skip(1).collect();
+        assert_eq!(
+            cells[..4],
+            ["*2.222±.022", "*32.45±.32", "*0.900±.009", "*90.00±.90"]
+        );
+        assert!(text.contains("─ E2S ─"), "{text}");
+        assert_eq!(render(&[]), "");
+    }
+
+    #[test]
+    fn published_rows_stand_apart_under_a_heading_of_their_own() {
+        let mut table = sample_table();
+        assert!(table.append_published());
+        let text = render(&[table]);
+        let (measured, published) = text.split_once(PUBLISHED_HEADING).expect("a heading");
+        assert!(measured.ends_with("\n\n"), "{text}");
+        assert!(published.contains("MotionReFit w/o MCM  "), "{text}");
+        let (published, _) = published.split_once("─").expect("a rule");
+        assert!(!published.contains("\n\n"), "{text}");
+        assert!(text.lines().all(|line| width(line) <= MAX_WIDTH), "{text}");
+    }
+
+    #[test]
+    fn a_name_cannot_move_the_cursor() {
+        let mut table = sample_table();
+        table.rows[2].system = "a\u{1b}[2Jb\nc".to_owned();
+        assert!(!render(&[table]).contains('\u{1b}'));
+    }
+}

@@ -1,0 +1,117 @@
+//! How different the motions of a set are from each other.
+
+use datasets_spec::Rng;
+
+use super::{check_finite, check_size, distance, draw_without_replacement};
+use crate::Error;
+use crate::linalg::Matrix;
+
+const METRIC: &str = "Diversity";
+
+/// Smallest set two different motions can be drawn from.
+pub const MIN_ROWS: usize = 2;
+
+/// Pairs drawn in the T2M evaluation.
+pub const T2M_PAIRS: usize = 300;
+
+/// The mean distance between latents paired at random: two lists of positions are drawn, each
+/// without replacement, so that a latent may meet itself in the other list.
+///
+/// At most `num_pairs` pairs are drawn; a smaller set uses each latent once on either side.
+///
+/// # Shapes
+/// `latents` is `[N, D]`.
+///
+/// # Errors
+/// There are fewer than [`MIN_ROWS`] latents, or one is not finite.
+///
+/// # Source
+/// T2M evaluation with 300 pairs. There the set must hold more than 300 rows; the paper reports
+/// the metric for smaller sets too without saying how.
+pub fn diversity(latents: &Matrix, num_pairs: usize, rng: &mut Rng) -> Result<f64, Error> {
+    if latents.num_rows() < MIN_ROWS {
+        return Err(Error::TooFewRows {
+            metric: METRIC,
+            needed: MIN_ROWS,
+            found: latents.num_rows(),
+        });
+    }
+    let num_pairs = num_pairs.min(latents.num_rows());
+    let first = draw_without_replacement(latents.num_rows(), num_pairs, rng);
+    let second = draw_without_replacement(latents.num_rows(), num_pairs, rng);
+    diversity_of_pairs(latents, &first, &second)
+}
+
+/// The mean distance between the latents at paired positions.
+///
+/// # Errors
+/// The lists are empty or differ in length, or a latent is not finite.
+///
+/// # Panics
+/// If a position does not exist.
+pub fn diversity_of_pairs(
+    latents: &Matrix,
+    first: &[usize],
+    second: &[usize],
+) -> Result<f64, Error> {
+    check_size(METRIC, "second index list", second.len(), first.len())?;
+    if first.is_empty() {
+        return Err(Error::TooFewRows {
+            metric: METRIC,
+            needed: 1,
+            found: 0,
+        });
+    }
+    check_finite(METRIC, latents)?;
+    let total: f64 = first
+        .iter()
+        .zip(second)
+        .map(|(&a, &b)| distance(latents.row(a), latents.row(b)))
+        .sum();
+    Ok(total / first.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+
+    use super::*;
+    use crate::golden::Golden;
+
+    #[test]
+    fn golden_diversity_agrees_with_the_reference() {
+        let golden = Golden::read("metrics_t2m");
+        let value = diversity_of_pairs(
+            &golden.matrix("in.div.features"),
+            &golden.indices("in.div.first"),
+            &golden.indices("in.div.second"),
+        )
+        .expect("valid");
+        golden.check_scalar(
+            "diversity",
+            value,
+            golden.scalar("out.div.value"),
+            0.0,
+            1e-9,
+        );
+    }
+
+    #[test]
+    fn two_points_are_met_on_both_sides() {
+        let latents = Matrix::from_rows(&[[0.0, 0.0], [3.0, 4.0]]);
+        let value = diversity_of_pairs(&latents, &[0, 1], &[1, 1]).expect("valid");
+        assert_eq!(value, 2.5);
+        // Each list holds both points, so the pairs are either all equal or all different.
+        let drawn = diversity(&latents, T2M_PAIRS, &mut Seed(1).rng(&["two"])).expect("valid");
+        assert!(drawn == 0.0 || drawn == 5.0, "{drawn}");
+    }
+
+    #[test]
+    fn sets_without_a_pair_are_refused() {
+        let mut rng = Seed(1).rng(&["none"]);
+        let one = Matrix::from_rows(&[[1.0]]);
+        assert!(diversity(&one, 300, &mut rng).is_err());
+        assert!(diversity_of_pairs(&one, &[], &[]).is_err());
+        assert!(diversity_of_pairs(&one, &[0], &[]).is_err());
+    }
+}

@@ -1,0 +1,294 @@
+//! Fréchet distance between two sets of latents.
+
+use super::{check_finite, check_size};
+use crate::Error;
+use crate::linalg::{Matrix, mean_and_covariance, symmetric_eigen, symmetric_eigenvalues};
+
+const METRIC: &str = "FID";
+
+/// Smallest set a covariance can be estimated from.
+pub const MIN_ROWS: usize = 2;
+
+/// A normal distribution: what a set of latents is taken for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gaussian {
+    mean: Vec<f64>,
+    covariance: Matrix,
+}
+
+impl Gaussian {
+    /// Takes a mean and a symmetric positive semi-definite covariance.
+    ///
+    /// # Errors
+    /// The sizes disagree or a number is not finite.
+    pub fn new(mean: Vec<f64>, covariance: Matrix) -> Result<Self, Error> {
+        check_size(
+            METRIC,
+            "covariance height",
+            covariance.num_rows(),
+            mean.len(),
+        )?;
+        check_size(
+            METRIC,
+            "covariance width",
+            covariance.num_cols(),
+            mean.len(),
+        )?;
+        check_finite(METRIC, &covariance)?;
+        check_finite(METRIC, &Matrix::from_rows(&[&mean]))?;
+        Ok(Self { mean, covariance })
+    }
+
+    /// Estimates a distribution from latents: mean and unbiased covariance.
+    ///
+    /// # Shapes
+    /// `latents` is `[N, D]`; `N` may be smaller than `D`.
+    ///
+    /// # Errors
+    /// There are fewer than [`MIN_ROWS`] latents, or one is not finite.
+    pub fn of_latents(latents: &Matrix) -> Result<Self, Error> {
+        if latents.num_rows() < MIN_ROWS {
+            return Err(Error::TooFewRows {
+                metric: METRIC,
+                needed: MIN_ROWS,
+                found: latents.num_rows(),
+            });
+        }
+        check_finite(METRIC, latents)?;
+        let (mean, covariance) = mean_and_covariance(latents);
+        Ok(Self { mean, covariance })
+    }
+
+    /// The mean, `[D]`.
+    pub fn mean(&self) -> &[f64] {
+        &self.mean
+    }
+
+    /// The covariance, `[D, D]`.
+    pub fn covariance(&self) -> &Matrix {
+        &self.covariance
+    }
+}
+
+/// One side of a Fréchet distance, prepared for being compared with many others: the square root
+/// of its covariance is computed once.
+#[derive(Clone, Debug)]
+pub struct Reference {
+    gaussian: Gaussian,
+    /// `Λ^{1/2} Vᵀ` over the range of the covariance, `[R, D]`: its Gram matrix is the covariance.
+    root: Matrix,
+}
+
+impl Reference {
+    /// Decomposes the covariance.
+    pub fn new(gaussian: Gaussian) -> Self {
+        let eigen = symmetric_eigen(&gaussian.covariance);
+        let size = eigen.values.len();
+        let largest = eigen.values.last().copied().unwrap_or(0.0);
+        // Eigenvalues below this are rounding noise. Their square roots would not be: dropping
+        // them keeps the distance exact where there are fewer samples than dimensions.
+        let noise = size as f64 * f64::EPSILON * largest;
+        let range: Vec<usize> = (0..size).filter(|&k| eigen.values[k] > noise).collect();
+        let mut root = eigen.vectors.select_rows(&range);
+        for (row, &k) in range.iter().enumerate() {
+            let length = eigen.values[k].sqrt();
+            for entry in root.row_mut(row) {
+                *entry *= length;
+            }
+        }
+        Self { gaussian, root }
+    }
+
+    /// The squared Fréchet distance to another distribution, never negative.
+    ///
+    /// # Errors
+    /// The distributions differ in dimension.
+    ///
+    /// # Source
+    /// `‖μ_A - μ_B‖² + tr Σ_A + tr Σ_B - 2 tr (Σ_A^{1/2} Σ_B Σ_A^{1/2})^{1/2}`. The product under
+    /// the root has the eigenvalues of `Σ_A Σ_B` and is symmetric, so no complex root arises; the
+    /// reference (T2M) takes the root of the plain product and agrees wherever that is defined.
+    pub fn distance(&self, other: &Gaussian) -> Result<f64, Error> {
+        check_size(
+            METRIC,
+            "latent width",
+            other.mean.len(),
+            self.gaussian.mean.len(),
+        )?;
+        let shift: f64 = self
+            .gaussian
+            .mean
+            .iter()
+            .zip(&other.mean)
+            .map(|(a, b)| (a - b) * (a - b))
+            .sum();
+        let seen = self.root.times_transposed(&other.covariance);
+        let inner = seen.times_transposed(&self.root);
+        let overlap: f64 = symmetric_eigenvalues(&inner)
+            .into_iter()
+            .map(|value| value.max(0.0).sqrt())
+            .sum();
+        let spread = self.gaussian.covariance.trace() + other.covariance.trace();
+        Ok((shift + spread - 2.0 * overlap).max(0.0))
+    }
+}
+
+/// The Fréchet distance between two sets of latents.
+///
+/// # Shapes
+/// `real` is `[N, D]`, `generated` is `[M, D]`.
+///
+/// # Errors
+/// A set has fewer than two rows, the widths differ, or a number is not finite.
+pub fn fid(real: &Matrix, generated: &Matrix) -> Result<f64, Error> {
+    Reference::new(Gaussian::of_latents(real)?).distance(&Gaussian::of_latents(generated)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+    use proptest::prelude::*;
+    use rand::RngExt;
+
+    use super::*;
+    use crate::golden::Golden;
+
+    fn random(num_rows: usize, num_cols: usize, seed: u64) -> Matrix {
+        let mut rng = Seed(seed).rng(&["fid"]);
+        let data = (0..num_rows * num_cols)
+            .map(|_| rng.random_range(-1.0..1.0))
+            .collect();
+        Matrix::new(num_rows, num_cols, data)
+    }
+
+    /// A symmetric rotation of the plane's axes by an angle, applied to a diagonal covariance.
+    fn turned(variances: [f64; 2], angle: f64) -> Matrix {
+        let (s, c) = angle.sin_cos();
+        let rotation = Matrix::from_rows(&[[c, -s], [s, c]]);
+        rotation
+            .times(&Matrix::diagonal(&variances))
+            .times(&rotation.transposed())
+    }
+
+    #[test]
+    fn golden_fid_agrees_with_the_reference_and_the_symmetric_form() {
+        let golden = Golden::read("metrics_fid");
+        for case in ["generic", "deficient", "unit", "same"] {
+            let a = golden.matrix(&format!("in.{case}.a"));
+            let b = golden.matrix(&format!("in.{case}.b"));
+            let value = fid(&a, &b).expect("valid sets");
+            let symmetric = golden.scalar(&format!("out.{case}.fid_sym"));
+            golden.check_scalar(case, value, symmetric, 1e-6, 1e-8);
+            let reference = golden.scalar(&format!("out.{case}.fid"));
+            // The reference raises where its matrix root is not finite and records that as NaN.
+            if !reference.is_nan() {
+                golden.check_scalar(case, value, reference, 1e-6, 1e-8);
+            }
+        }
+        let gaussian = Gaussian::of_latents(&golden.matrix("in.generic.a")).expect("valid set");
+        for (found, expected) in [
+            (gaussian.mean(), golden.numbers("out.generic.mu_a")),
+            (
+                &gaussian.covariance().rows().collect::<Vec<_>>().concat(),
+                golden.numbers("out.generic.cov_a"),
+            ),
+        ] {
+            assert_eq!(found.len(), expected.len());
+            for (found, expected) in found.iter().zip(expected) {
+                golden.check_scalar("moments", *found, expected, 1e-12, 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn gaussians_with_known_distance() {
+        // With commuting covariances the trace term is the sum of (√a - √b)².
+        for angle in [0.0, 0.3, 1.2] {
+            let a = Gaussian::new(vec![1.0, -2.0], turned([4.0, 9.0], angle)).expect("valid");
+            let b = Gaussian::new(vec![4.0, 2.0], turned([1.0, 16.0], angle)).expect("valid");
+            let value = Reference::new(a).distance(&b).expect("same size");
+            assert!(
+                (value - (25.0 + 1.0 + 1.0)).abs() < 1e-12,
+                "{angle}: {value}"
+            );
+        }
+        // Directions at right angles share nothing: only the traces remain.
+        let a = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[4.0, 0.0])).expect("valid");
+        let b = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[0.0, 9.0])).expect("valid");
+        let value = Reference::new(a).distance(&b).expect("same size");
+        assert!((value - 13.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_shifted_or_scaled_copy_has_the_distance_of_its_moments() {
+        let latents = random(60, 8, 1);
+        let (_, covariance) = mean_and_covariance(&latents);
+        let mut shifted = latents.clone();
+        let mut scaled = latents.clone();
+        let (mean, _) = mean_and_covariance(&latents);
+        for row in 0..latents.num_rows() {
+            shifted.row_mut(row)[3] += 2.5;
+            for (value, mean) in scaled.row_mut(row).iter_mut().zip(&mean) {
+                *value = mean + 3.0 * (*value - mean);
+            }
+        }
+        let by_shift = fid(&latents, &shifted).expect("valid");
+        assert!((by_shift - 6.25).abs() < 1e-10, "{by_shift}");
+        // (1 - 3)² times the trace.
+        let by_scale = fid(&latents, &scaled).expect("valid");
+        assert!(
+            (by_scale - 4.0 * covariance.trace()).abs() < 1e-10,
+            "{by_scale}"
+        );
+    }
+
+    #[test]
+    fn a_set_is_at_no_distance_from_itself_even_with_few_samples() {
+        for (num_rows, num_cols) in [(50, 10), (6, 40), (2, 5)] {
+            let latents = random(num_rows, num_cols, 2);
+            // Rounding of the trace, about the dimension times the precision.
+            assert!(fid(&latents, &latents).expect("valid") < 1e-11);
+        }
+    }
+
+    #[test]
+    fn impossible_inputs_are_refused() {
+        let one = random(1, 4, 3);
+        let two = random(2, 4, 3);
+        assert!(matches!(
+            fid(&one, &two),
+            Err(Error::TooFewRows { found: 1, .. })
+        ));
+        assert!(matches!(
+            fid(&two, &random(3, 5, 3)),
+            Err(Error::Size { .. })
+        ));
+        let mut broken = two.clone();
+        broken.row_mut(1)[2] = f64::NAN;
+        assert!(matches!(
+            fid(&two, &broken),
+            Err(Error::NotFinite { row: 1, .. })
+        ));
+        assert!(Gaussian::new(vec![0.0], Matrix::identity(2)).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn distance_is_symmetric_and_blind_to_order(
+            seed in any::<u64>(),
+            rows in 3usize..20,
+            cols in 1usize..12,
+        ) {
+            let a = random(rows, cols, seed);
+            let b = random(rows + 4, cols, seed ^ 1);
+            let forward = fid(&a, &b).expect("valid");
+            let backward = fid(&b, &a).expect("valid");
+            let reversed: Vec<usize> = (0..rows).rev().collect();
+            let reordered = fid(&a.select_rows(&reversed), &b).expect("valid");
+            // The square root of a rounding error of 1e-16, summed over the dimensions.
+            let tolerance = 1e-7 * cols as f64;
+            prop_assert!((forward - backward).abs() < tolerance);
+            prop_assert!((forward - reordered).abs() < tolerance);
+        }
+    }
+}

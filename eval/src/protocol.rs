@@ -1,0 +1,297 @@
+//! How a table of scores is measured: galleries, repeats, and what varies between repeats.
+
+use datasets_spec::{Rng, Seed};
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::metric::foot_score::Floor;
+use crate::metric::{diversity, draw_without_replacement, fid, retrieval};
+
+/// Among how many motions a counterpart is looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gallery {
+    /// All items of the test set.
+    Full,
+    /// Random batches of this many items; the items left over are not ranked. A test set smaller
+    /// than one batch is one gallery.
+    Batches(usize),
+}
+
+/// Which latents enter a Fréchet distance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FidSample {
+    /// Each repeat cuts the items into two random halves: the real motions of one are compared
+    /// with the motions of the other, which are real ones in the row of the real data and a
+    /// system's in its own row. All rows of a repeat share the halves, so they differ by the
+    /// motions alone, and the row of the real data is what a perfect system reaches, the bias of a
+    /// finite sample included.
+    Halves,
+    /// All real motions against all of a system's. The real data are at distance 0 from
+    /// themselves, and values are not comparable between test sets of different size.
+    All,
+}
+
+/// Which side of a retrieval asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Queries {
+    /// Originals or targets ask, edited motions answer: what the MotionFix evaluation computes.
+    Real,
+    /// Edited motions ask: what the words "Edited-to-Source" say.
+    Edited,
+}
+
+/// How scores are measured. Two runs with equal protocols and encoders are comparable.
+///
+/// What varies between repeats: the cut of the items into galleries, the pairs of Diversity, the
+/// halves of the Fréchet distance, and, where a system edited every item several times, which of
+/// its takes is scored. Nothing depends on the system, so all systems meet the same draws.
+///
+/// # Source
+/// Paper Sec. 5: galleries of 32 sampled at random, ten evaluations, 95 % intervals. Re-sampling
+/// the galleries for every evaluation is inferred.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Protocol {
+    /// Among how many motions a counterpart is looked for.
+    pub gallery: Gallery,
+    /// Evaluations.
+    pub repeats: usize,
+    /// Pairs drawn for Diversity; a smaller test set draws as many as it has items.
+    pub diversity_pairs: usize,
+    /// Which latents enter a Fréchet distance.
+    pub fid_sample: FidSample,
+    /// Where the foot score takes the floor to be.
+    pub floor: Floor,
+    /// Which side of a retrieval asks.
+    pub queries: Queries,
+    /// Whether edited motions are cut to the length of their target before they are encoded, as
+    /// the MotionFix evaluation does.
+    pub truncate_to_target: bool,
+    /// Seed of all draws.
+    pub seed: Seed,
+}
+
+/// Evaluations behind a row of the paper.
+const PAPER_REPEATS: usize = 10;
+
+impl Default for Protocol {
+    fn default() -> Self {
+        Self {
+            gallery: Gallery::Batches(retrieval::PAPER_GALLERY),
+            repeats: PAPER_REPEATS,
+            diversity_pairs: diversity::T2M_PAIRS,
+            fid_sample: FidSample::Halves,
+            floor: Floor::Lowest,
+            queries: Queries::Real,
+            truncate_to_target: false,
+            seed: Seed(0),
+        }
+    }
+}
+
+impl Protocol {
+    /// Refuses settings that measure nothing.
+    ///
+    /// # Errors
+    /// There are no repeats, no pairs, or galleries without a wrong answer.
+    pub fn check(&self) -> Result<(), Error> {
+        let at_least = |field, needed, found| {
+            if found < needed {
+                Err(Error::Protocol {
+                    field,
+                    needed,
+                    found,
+                })
+            } else {
+                Ok(())
+            }
+        };
+        at_least("repeats", 1, self.repeats)?;
+        at_least("diversity_pairs", 1, self.diversity_pairs)?;
+        match self.gallery {
+            Gallery::Full => Ok(()),
+            Gallery::Batches(size) => at_least("gallery", 2, size),
+        }
+    }
+
+    /// The protocol in words as it applies to a number of items, so that a table says what was done
+    /// and not only what was asked for.
+    pub fn name(&self, num_items: usize) -> String {
+        let gallery = match self.gallery {
+            Gallery::Full => format!("one gallery of all {num_items}"),
+            Gallery::Batches(size) if num_items < size => {
+                format!("one gallery of all {num_items} (fewer than {size})")
+            }
+            Gallery::Batches(size) => format!("galleries of {size}"),
+        };
+        let pairs = self.diversity_pairs.min(num_items);
+        let fid = match self.fid_sample {
+            FidSample::Halves => format!("FID between halves of {}", num_items / 2),
+            FidSample::All => format!("FID on all {num_items}"),
+        };
+        let floor = match self.floor {
+            Floor::Lowest => "floor at the lowest foot".to_owned(),
+            Floor::At(height) => format!("floor at {height} m"),
+        };
+        let queries = match self.queries {
+            Queries::Real => "real queries",
+            Queries::Edited => "edited queries",
+        };
+        let length = if self.truncate_to_target {
+            ", cut to the target's length"
+        } else {
+            ""
+        };
+        format!(
+            "{gallery}, {queries}, {pairs} diversity pairs, {fid}, {floor}{length}, seed {}",
+            self.seed.0
+        )
+    }
+
+    /// The galleries of a repeat, as positions of items.
+    pub fn galleries(&self, num_items: usize, repeat: usize) -> Vec<Vec<usize>> {
+        match self.gallery {
+            Gallery::Batches(size) if num_items >= size => {
+                let order = draw_without_replacement(
+                    num_items,
+                    num_items,
+                    &mut self.rng("gallery", repeat),
+                );
+                order.chunks_exact(size).map(<[usize]>::to_vec).collect()
+            }
+            Gallery::Full | Gallery::Batches(_) => vec![(0..num_items).collect()],
+        }
+    }
+
+    /// The items whose real motions, and those whose compared motions, enter the Fréchet distance
+    /// of a repeat; none where a side would be too small for a covariance.
+    pub fn fid_items(&self, num_items: usize, repeat: usize) -> Option<(Vec<usize>, Vec<usize>)> {
+        let (real, compared) = match self.fid_sample {
+            FidSample::Halves => {
+                let order =
+                    draw_without_replacement(num_items, num_items, &mut self.rng("fid", repeat));
+                let half = num_items / 2;
+                (order[..half].to_vec(), order[half..2 * half].to_vec())
+            }
+            FidSample::All => ((0..num_items).collect(), (0..num_items).collect()),
+        };
+        (real.len() >= fid::MIN_ROWS).then_some((real, compared))
+    }
+
+    /// The generator of a repeat's Diversity pairs.
+    pub fn diversity_rng(&self, repeat: usize) -> Rng {
+        self.rng("diversity", repeat)
+    }
+
+    fn rng(&self, what: &str, repeat: usize) -> Rng {
+        self.seed.rng(&["eval", what, &repeat.to_string()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn the_name_says_what_applies_to_the_set_at_hand() {
+        let protocol = Protocol::default();
+        assert_eq!(
+            protocol.name(1013),
+            "galleries of 32, real queries, 300 diversity pairs, FID between halves of 506, \
+             floor at the lowest foot, seed 0"
+        );
+        assert!(
+            protocol
+                .name(20)
+                .starts_with("one gallery of all 20 (fewer than 32)")
+        );
+        assert!(protocol.name(20).contains(", 20 diversity pairs"));
+        let full = Protocol {
+            gallery: Gallery::Full,
+            fid_sample: FidSample::All,
+            truncate_to_target: true,
+            floor: Floor::At(0.0),
+            queries: Queries::Edited,
+            ..protocol
+        };
+        assert_eq!(
+            full.name(5),
+            "one gallery of all 5, edited queries, 5 diversity pairs, FID on all 5, \
+             floor at 0 m, cut to the target's length, seed 0"
+        );
+    }
+
+    #[test]
+    fn protocols_that_measure_nothing_are_refused() {
+        let default = Protocol::default();
+        assert!(default.check().is_ok());
+        for broken in [
+            Protocol {
+                repeats: 0,
+                ..default
+            },
+            Protocol {
+                diversity_pairs: 0,
+                ..default
+            },
+            Protocol {
+                gallery: Gallery::Batches(1),
+                ..default
+            },
+        ] {
+            assert!(broken.check().is_err(), "{broken:?}");
+        }
+    }
+
+    #[test]
+    fn a_protocol_survives_json_and_refuses_unknown_settings() {
+        let protocol = Protocol::default();
+        let text = serde_json::to_string(&protocol).expect("serialisable");
+        assert_eq!(
+            serde_json::from_str::<Protocol>(&text).expect("readable"),
+            protocol
+        );
+        assert_eq!(
+            serde_json::from_str::<Protocol>("{}").expect("readable"),
+            protocol
+        );
+        assert!(serde_json::from_str::<Protocol>(r#"{"repeat": 3}"#).is_err());
+    }
+
+    #[test]
+    fn sets_too_small_for_a_covariance_have_no_halves() {
+        let protocol = Protocol::default();
+        assert!(protocol.fid_items(3, 0).is_none());
+        assert!(protocol.fid_items(4, 0).is_some());
+    }
+
+    proptest! {
+        #[test]
+        fn galleries_and_halves_never_repeat_an_item(
+            num_items in 0usize..200,
+            repeat in 0usize..10,
+            seed in any::<u64>(),
+        ) {
+            let protocol = Protocol { seed: Seed(seed), ..Protocol::default() };
+            let galleries = protocol.galleries(num_items, repeat);
+            let expected = if num_items < 32 { 1 } else { num_items / 32 };
+            prop_assert_eq!(galleries.len(), expected);
+            let mut seen = galleries.concat();
+            let count = seen.len();
+            seen.sort_unstable();
+            seen.dedup();
+            prop_assert_eq!(seen.len(), count);
+            prop_assert!(seen.last().is_none_or(|last| *last < num_items));
+            if let Some((real, compared)) = protocol.fid_items(num_items, repeat) {
+                prop_assert_eq!(real.len(), compared.len());
+                prop_assert!(real.iter().all(|item| !compared.contains(item)));
+            }
+            prop_assert_eq!(protocol.galleries(num_items, repeat), galleries);
+        }
+    }
+}

@@ -1,0 +1,957 @@
+//! From edited motions to rows of the table of scores.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::record::{EditRow, ScoreRow};
+use datasets_spec::skeleton::NUM_KEYPOINTS;
+use datasets_spec::{Motion, Progress, Skeleton};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::error::EncoderError;
+use crate::linalg::Matrix;
+use crate::metric::Metric;
+use crate::metric::diversity::{self, diversity};
+use crate::metric::fid::{Gaussian, Reference};
+use crate::metric::foot_score::{FOOT_JOINTS, MIN_FRAMES, foot_score};
+use crate::metric::interval::Interval;
+use crate::metric::position_error::mean_position_error;
+use crate::metric::retrieval::{retrieval, unit_rows};
+use crate::protocol::{Protocol, Queries};
+
+/// Row of the real data: the targets taken as if a system had made them.
+pub const REAL_DATA: &str = "Real Data";
+/// Row of the identity editor: the originals returned unchanged.
+pub const IDENTITY: &str = "Identity";
+/// Task of a score over all kinds of edit together.
+pub const ALL_TASKS: &str = "all";
+
+/// Motions decoded and encoded together: enough for a full batch of the encoder, and little memory.
+const MOTIONS_PER_CALL: usize = 256;
+/// Ids an error message lists.
+const MAX_IDS_SHOWN: usize = 5;
+/// Centimetres in a metre.
+const CM_PER_M: f64 = 100.0;
+
+/// A frozen network that turns motions into points of a space where distance means difference.
+pub trait MotionEncoder {
+    /// One latent for each motion, in order, all of one width.
+    ///
+    /// # Errors
+    /// Whatever keeps the encoder from encoding.
+    fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError>;
+
+    /// The hash of the weights in hexadecimal; scores of different hashes are not comparable.
+    fn hash(&self) -> String;
+
+    /// How the encoder came about, in one line for the head of a table.
+    fn recipe(&self) -> String;
+}
+
+/// Measures every system of a table of edits.
+///
+/// The rows must hold the systems [`EditRow::SOURCE`] and [`EditRow::TARGET`] and may hold any
+/// number of others, each with a motion for every item. A system may hold several takes of every
+/// item, such as samples from different seeds; repeat r then scores take r modulo their number.
+///
+/// The result has one row for each task, system and metric: first [`REAL_DATA`] and [`IDENTITY`],
+/// then the systems by name. A task is a kind of edit; with more than one kind there is also
+/// [`ALL_TASKS`], which comes first. A metric that needs more items than a task has is left out.
+///
+/// # Errors
+/// A side is missing or a system lacks items, has unknown ones or uneven takes, bears a reserved
+/// name, or holds a motion that cannot be measured; the protocol measures nothing; the encoder
+/// fails or returns latents that are no points.
+///
+/// # Source
+/// Table 1 of the paper for the metrics. FID is on latents of unit length and Diversity on raw
+/// ones, the pair that explains the published magnitudes.
+pub fn score(
+    items: &[EditRow],
+    encoder: &dyn MotionEncoder,
+    skeleton: &Skeleton,
+    protocol: &Protocol,
+    progress: &dyn Progress,
+) -> Result<Vec<ScoreRow>, Error> {
+    protocol.check()?;
+    let test_set = TestSet::new(items)?;
+    let measuring = Measuring {
+        encoder,
+        skeleton,
+        protocol,
+        progress,
+    };
+
+    progress.begin("encode", Some(test_set.num_motions() as u64));
+    let sources = measuring.take(&test_set.sources, &test_set.targets, Cut::Never)?;
+    let mut systems = vec![
+        System {
+            name: REAL_DATA,
+            takes: vec![measuring.take(&test_set.targets, &test_set.targets, Cut::Never)?],
+        },
+        System {
+            name: IDENTITY,
+            takes: vec![if protocol.truncate_to_target {
+                measuring.take(&test_set.sources, &test_set.targets, Cut::ToTarget)?
+            } else {
+                sources.clone()
+            }],
+        },
+    ];
+    let cut = if protocol.truncate_to_target {
+        Cut::ToTarget
+    } else {
+        Cut::Never
+    };
+    for (&name, takes) in &test_set.systems {
+        let takes = takes
+            .iter()
+            .map(|rows| measuring.take(rows, &test_set.targets, cut))
+            .collect::<Result<Vec<_>, Error>>()?;
+        systems.push(System { name, takes });
+    }
+    progress.finish(&format!(
+        "{} items, {} rows",
+        test_set.targets.len(),
+        systems.len()
+    ));
+
+    let encoder_hash = encoder.hash();
+    let tasks = test_set.tasks();
+    progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
+    let mut scores = Vec::new();
+    for (task, indices) in tasks {
+        let sources = sources.select(&indices);
+        let systems: Vec<System<'_>> = systems
+            .iter()
+            .map(|system| System {
+                name: system.name,
+                takes: system
+                    .takes
+                    .iter()
+                    .map(|take| take.select(&indices))
+                    .collect(),
+            })
+            .collect();
+        let repeats = (0..protocol.repeats)
+            .into_par_iter()
+            .map(|repeat| {
+                let values = evaluate(&sources, &systems, protocol, repeat)?;
+                progress.advance(1);
+                Ok(values)
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        for (position, system) in systems.iter().enumerate() {
+            for metric in Metric::ALL {
+                let values: Option<Vec<f64>> = repeats
+                    .iter()
+                    .map(|systems| systems[position].get(&metric).copied())
+                    .collect();
+                let Some(values) = values else {
+                    continue;
+                };
+                let Interval { mean, ci95 } = Interval::of(&values);
+                scores.push(ScoreRow {
+                    system: system.name.to_owned(),
+                    task: task.to_owned(),
+                    metric: metric.name().to_owned(),
+                    protocol: protocol.name(indices.len()),
+                    encoder_hash: encoder_hash.clone(),
+                    n: indices.len() as u32,
+                    repeats: protocol.repeats as u32,
+                    mean,
+                    ci95,
+                });
+            }
+        }
+    }
+    progress.finish(&format!("{} scores", scores.len()));
+    Ok(scores)
+}
+
+/// The rows of a table of edits, by role and in the order of the item ids.
+struct TestSet<'a> {
+    sources: Vec<&'a EditRow>,
+    targets: Vec<&'a EditRow>,
+    /// Takes of each system, each with one row for every item.
+    systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
+}
+
+impl<'a> TestSet<'a> {
+    fn new(items: &'a [EditRow]) -> Result<Self, Error> {
+        let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
+        for row in items {
+            if row.system == REAL_DATA || row.system == IDENTITY {
+                return Err(Error::ReservedSystem {
+                    system: row.system.clone(),
+                });
+            }
+            by_system
+                .entry(&row.system)
+                .or_default()
+                .entry(&row.id)
+                .or_default()
+                .push(row);
+        }
+        let targets = by_system.remove(EditRow::TARGET).ok_or(Error::NoItems {
+            system: EditRow::TARGET,
+        })?;
+        let sources = by_system.remove(EditRow::SOURCE).ok_or(Error::NoItems {
+            system: EditRow::SOURCE,
+        })?;
+        let ids: Vec<&str> = targets.keys().copied().collect();
+        Ok(Self {
+            sources: single_take(EditRow::SOURCE, sources, &ids)?,
+            targets: single_take(EditRow::TARGET, targets, &ids)?,
+            systems: by_system
+                .into_iter()
+                .map(|(system, rows)| Ok((system, takes(system, rows, &ids)?)))
+                .collect::<Result<_, Error>>()?,
+        })
+    }
+
+    /// Motions that will be encoded.
+    fn num_motions(&self) -> usize {
+        let num_takes: usize = self.systems.values().map(Vec::len).sum();
+        (2 + num_takes) * self.targets.len()
+    }
+
+    /// Positions of the items of each task.
+    fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
+        let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, row) in self.targets.iter().enumerate() {
+            kinds.entry(&row.kind).or_default().push(index);
+        }
+        let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.targets.len()).collect()));
+        all.into_iter().chain(kinds).collect()
+    }
+}
+
+/// Orders the rows of a system by item and take. Takes are told apart by their seed.
+fn takes<'a>(
+    system: &str,
+    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
+    ids: &[&'a str],
+) -> Result<Vec<Vec<&'a EditRow>>, Error> {
+    let missing: Vec<&str> = ids
+        .iter()
+        .copied()
+        .filter(|id| !rows.contains_key(id))
+        .collect();
+    if !missing.is_empty() {
+        return Err(Error::MissingItems {
+            system: system.to_owned(),
+            count: missing.len(),
+            total: ids.len(),
+            ids: listed(&missing),
+        });
+    }
+    let unknown: Vec<&str> = rows
+        .keys()
+        .copied()
+        .filter(|id| ids.binary_search(id).is_err())
+        .collect();
+    if !unknown.is_empty() {
+        return Err(Error::UnknownItems {
+            system: system.to_owned(),
+            count: unknown.len(),
+            ids: listed(&unknown),
+        });
+    }
+    let num_takes = rows.values().next().map_or(0, Vec::len);
+    let mut takes = vec![Vec::with_capacity(ids.len()); num_takes];
+    for (id, mut rows) in rows {
+        if rows.len() != num_takes {
+            return Err(Error::UnevenTakes {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                found: rows.len(),
+                expected: num_takes,
+            });
+        }
+        rows.sort_by_key(|row| row.seed);
+        for (take, row) in takes.iter_mut().zip(rows) {
+            take.push(row);
+        }
+    }
+    Ok(takes)
+}
+
+/// As [`takes`], for a side that has one motion for every item.
+fn single_take<'a>(
+    system: &str,
+    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
+    ids: &[&'a str],
+) -> Result<Vec<&'a EditRow>, Error> {
+    if let Some((id, rows)) = rows.iter().find(|(_, rows)| rows.len() != 1) {
+        return Err(Error::UnevenTakes {
+            system: system.to_owned(),
+            id: (*id).to_owned(),
+            found: rows.len(),
+            expected: 1,
+        });
+    }
+    Ok(takes(system, rows, ids)?.concat())
+}
+
+fn listed(ids: &[&str]) -> String {
+    let mut text = ids[..ids.len().min(MAX_IDS_SHOWN)].join(", ");
+    if ids.len() > MAX_IDS_SHOWN {
+        text.push_str(", …");
+    }
+    text
+}
+
+/// Whether a motion is shortened before it is measured.
+#[derive(Clone, Copy)]
+enum Cut {
+    Never,
+    ToTarget,
+}
+
+struct System<'a> {
+    name: &'a str,
+    takes: Vec<Take>,
+}
+
+/// What the metrics need of one motion for each item.
+#[derive(Clone)]
+struct Take {
+    raw: Matrix,
+    unit: Matrix,
+    foot_scores: Vec<f64>,
+    position_errors_m: Vec<f64>,
+}
+
+impl Take {
+    fn select(&self, indices: &[usize]) -> Self {
+        let pick = |values: &[f64]| indices.iter().map(|&index| values[index]).collect();
+        Self {
+            raw: self.raw.select_rows(indices),
+            unit: self.unit.select_rows(indices),
+            foot_scores: pick(&self.foot_scores),
+            position_errors_m: pick(&self.position_errors_m),
+        }
+    }
+}
+
+struct Measuring<'a> {
+    encoder: &'a dyn MotionEncoder,
+    skeleton: &'a Skeleton,
+    protocol: &'a Protocol,
+    progress: &'a dyn Progress,
+}
+
+impl Measuring<'_> {
+    /// Measures one motion for each item. Motions are decoded a batch at a time, so that memory
+    /// does not grow with the number of systems.
+    fn take(&self, rows: &[&EditRow], targets: &[&EditRow], cut: Cut) -> Result<Take, Error> {
+        let mut latents = Vec::with_capacity(rows.len());
+        let mut foot_scores = Vec::with_capacity(rows.len());
+        let mut position_errors_m = Vec::with_capacity(rows.len());
+        for (rows, targets) in rows
+            .chunks(MOTIONS_PER_CALL)
+            .zip(targets.chunks(MOTIONS_PER_CALL))
+        {
+            // The encoder stays on this thread: it need not be shareable.
+            let (skeleton, protocol) = (self.skeleton, self.protocol);
+            let measured = rows
+                .par_iter()
+                .zip(targets)
+                .map(|(row, target)| measure(row, target, cut, skeleton, protocol))
+                .collect::<Result<Vec<_>, Error>>()?;
+            for measured in &measured {
+                foot_scores.push(measured.foot_score);
+                position_errors_m.push(measured.position_error_m);
+            }
+            let motions: Vec<&Motion> = measured.iter().map(|measured| &measured.motion).collect();
+            latents.extend(self.encode(rows, &motions, latents.first().map(Vec::len))?);
+            self.progress.advance(rows.len() as u64);
+        }
+        let raw = Matrix::from_rows(&latents);
+        let unit = unit_rows(&raw)?;
+        Ok(Take {
+            raw,
+            unit,
+            foot_scores,
+            position_errors_m,
+        })
+    }
+
+    /// Encodes motions and checks that the latents are points with a direction.
+    fn encode(
+        &self,
+        rows: &[&EditRow],
+        motions: &[&Motion],
+        width: Option<usize>,
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let system = || rows[0].system.clone();
+        let latents = self
+            .encoder
+            .encode(motions)
+            .map_err(|source| Error::Encoder {
+                system: system(),
+                source,
+            })?;
+        if latents.len() != motions.len() {
+            return Err(Error::LatentCount {
+                system: system(),
+                found: latents.len(),
+                expected: motions.len(),
+            });
+        }
+        let width = width.unwrap_or_else(|| latents[0].len());
+        for (row, latent) in rows.iter().zip(&latents) {
+            let problem = if latent.len() != width {
+                "has another width than the others"
+            } else if !latent.iter().all(|value| value.is_finite()) {
+                "is not finite"
+            } else if latent.iter().all(|&value| value == 0.0) {
+                "is zero, so it has no direction to compare"
+            } else {
+                continue;
+            };
+            return Err(Error::Latent {
+                system: row.system.clone(),
+                id: row.id.clone(),
+                problem,
+            });
+        }
+        Ok(latents)
+    }
+}
+
+struct Measured {
+    motion: Motion,
+    foot_score: f64,
+    position_error_m: f64,
+}
+
+/// Measures everything about a motion that needs no encoder.
+fn measure(
+    row: &EditRow,
+    target: &EditRow,
+    cut: Cut,
+    skeleton: &Skeleton,
+    protocol: &Protocol,
+) -> Result<Measured, Error> {
+    let mut motion = decode(row)?;
+    let target_motion = decode(target)?;
+    if motion.fps() != target_motion.fps() {
+        return Err(Error::FrameRate {
+            system: row.system.clone(),
+            id: row.id.clone(),
+            found: motion.fps().get(),
+            expected: target_motion.fps().get(),
+        });
+    }
+    match cut {
+        Cut::ToTarget if motion.len() > target_motion.len() => {
+            motion = motion
+                .crop(0..target_motion.len())
+                .map_err(|source| not_a_motion(row, source))?;
+        }
+        Cut::ToTarget | Cut::Never => {}
+    }
+    let keypoints = skeleton.motion_keypoints(&motion).points;
+    let expected = skeleton.motion_keypoints(&target_motion).points;
+    let foot_score =
+        foot_score(&feet(&keypoints), motion.fps(), protocol.floor).ok_or_else(|| {
+            Error::TooShort {
+                system: row.system.clone(),
+                id: row.id.clone(),
+                frames: motion.len(),
+                needed: MIN_FRAMES,
+            }
+        })?;
+    Ok(Measured {
+        foot_score,
+        position_error_m: mean_position_error(&keypoints, &expected),
+        motion,
+    })
+}
+
+fn decode(row: &EditRow) -> Result<Motion, Error> {
+    row.motion().map_err(|source| not_a_motion(row, source))
+}
+
+fn not_a_motion(row: &EditRow, source: datasets_spec::Error) -> Error {
+    Error::Motion {
+        system: row.system.clone(),
+        id: row.id.clone(),
+        source: Box::new(source),
+    }
+}
+
+/// The positions the foot score looks at. The first 22 keypoints are the body joints.
+fn feet(keypoints: &[[DVec3; NUM_KEYPOINTS]]) -> Vec<[DVec3; FOOT_JOINTS.len()]> {
+    keypoints
+        .iter()
+        .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()]))
+        .collect()
+}
+
+/// One evaluation of all systems of a task; the first of them is the real data.
+fn evaluate(
+    sources: &Take,
+    systems: &[System<'_>],
+    protocol: &Protocol,
+    repeat: usize,
+) -> Result<Vec<BTreeMap<Metric, f64>>, Error> {
+    let takes: Vec<&Take> = systems
+        .iter()
+        .map(|system| &system.takes[repeat % system.takes.len()])
+        .collect();
+    let targets = takes[0];
+    let num_items = targets.raw.num_rows();
+    let galleries = protocol.galleries(num_items, repeat);
+    let fid_items = protocol.fid_items(num_items, repeat);
+    let references = match &fid_items {
+        Some((real, compared)) => Some((
+            Reference::new(Gaussian::of_latents(&targets.unit.select_rows(real))?),
+            Reference::new(Gaussian::of_latents(&targets.raw.select_rows(real))?),
+            compared,
+        )),
+        None => None,
+    };
+    let ask = |real: &Take, edited: &Take| match protocol.queries {
+        Queries::Real => retrieval(&real.unit, &edited.unit, &galleries),
+        Queries::Edited => retrieval(&edited.unit, &real.unit, &galleries),
+    };
+
+    takes
+        .into_iter()
+        .map(|take| {
+            let mut values = BTreeMap::new();
+            if let Some((unit, raw, compared)) = &references {
+                let unit =
+                    unit.distance(&Gaussian::of_latents(&take.unit.select_rows(compared))?)?;
+                let raw = raw.distance(&Gaussian::of_latents(&take.raw.select_rows(compared))?)?;
+                values.insert(Metric::FidUnit, unit);
+                values.insert(Metric::FidRaw, raw);
+            }
+            if num_items >= diversity::MIN_ROWS {
+                let mut rng = protocol.diversity_rng(repeat);
+                let value = diversity(&take.raw, protocol.diversity_pairs, &mut rng)?;
+                values.insert(Metric::Diversity, value);
+            }
+            values.insert(Metric::FootScore, mean(&take.foot_scores));
+            values.insert(
+                Metric::PositionError,
+                CM_PER_M * mean(&take.position_errors_m),
+            );
+            let to_source = ask(sources, take)?;
+            let to_target = ask(targets, take)?;
+            for (place, (source, target)) in
+                to_source.recall.iter().zip(to_target.recall).enumerate()
+            {
+                let k = place as u8 + 1;
+                values.insert(Metric::SourceRecall(k), *source);
+                values.insert(Metric::TargetRecall(k), target);
+            }
+            values.insert(Metric::SourceAverageRank, to_source.average_rank);
+            values.insert(Metric::TargetAverageRank, to_target.average_rank);
+            Ok(values)
+        })
+        .collect()
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{Fps, NoProgress, Pose, Seed, Split};
+    use glam::DQuat;
+    use rand::RngExt;
+
+    use super::*;
+    use crate::protocol::{FidSample, Gallery};
+
+    /// Latents that are a fixed function of the first frame: enough to tell motions apart.
+    struct FirstFrame;
+
+    impl MotionEncoder for FirstFrame {
+        fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+            Ok(motions
+                .iter()
+                .map(|motion| {
+                    motion.body_pose()[0]
+                        .iter()
+                        .take(12)
+                        .map(|&value| f64::from(value))
+                        .collect()
+                })
+                .collect())
+        }
+
+        fn hash(&self) -> String {
+            "00ff".to_owned()
+        }
+
+        fn recipe(&self) -> String {
+            "first frame".to_owned()
+        }
+    }
+
+    fn row(system: &str, index: usize, kind: &str, name: &str) -> EditRow {
+        let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
+        let mut pose = Pose::REST;
+        for rotation in &mut pose.rotations[1..] {
+            *rotation = DQuat::from_rotation_x(rng.random_range(-1.0..1.0))
+                * DQuat::from_rotation_z(rng.random_range(-1.0..1.0));
+        }
+        let fps = Fps::STORE;
+        let motion = Motion::from_poses(fps, &[pose; 4]).expect("valid");
+        EditRow {
+            id: format!("item{index:03}"),
+            split: Split::Test,
+            system: system.to_owned(),
+            checkpoint_hash: String::new(),
+            source_id: String::new(),
+            target_id: String::new(),
+            instruction: "wave".to_owned(),
+            kind: kind.to_owned(),
+            seed: 0,
+            fps: fps.get() as f32,
+            n_frames: 4,
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            fit_error_m: None,
+        }
+    }
+
+    /// Originals and targets of `num_items` items, alternating between two kinds.
+    fn sides(num_items: usize) -> Vec<EditRow> {
+        let kind = |index: usize| {
+            if index.is_multiple_of(2) {
+                "semantic"
+            } else {
+                "style"
+            }
+        };
+        (0..num_items)
+            .flat_map(|index| {
+                [
+                    row(EditRow::SOURCE, index, kind(index), "source"),
+                    row(EditRow::TARGET, index, kind(index), "target"),
+                ]
+            })
+            .collect()
+    }
+
+    fn with_system(rows: &mut Vec<EditRow>, system: &str, like: &str) {
+        let copies: Vec<EditRow> = rows
+            .iter()
+            .filter(|row| row.system == like)
+            .map(|row| EditRow {
+                system: system.to_owned(),
+                ..row.clone()
+            })
+            .collect();
+        rows.extend(copies);
+    }
+
+    fn scored(rows: &[EditRow], protocol: &Protocol) -> Result<Vec<ScoreRow>, Error> {
+        score(
+            rows,
+            &FirstFrame,
+            &Skeleton::smplx_neutral(),
+            protocol,
+            &NoProgress,
+        )
+    }
+
+    fn value(scores: &[ScoreRow], task: &str, system: &str, metric: Metric) -> f64 {
+        scores
+            .iter()
+            .find(|row| row.task == task && row.system == system && row.metric == metric.name())
+            .unwrap_or_else(|| panic!("{task} {system} {metric}"))
+            .mean
+    }
+
+    #[test]
+    fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
+        let mut rows = sides(80);
+        with_system(&mut rows, "perfect", EditRow::TARGET);
+        with_system(&mut rows, "lazy", EditRow::SOURCE);
+        let scores = scored(&rows, &Protocol::default()).expect("valid");
+        let tasks = ["all", "semantic", "style"];
+        // Three tasks, four systems, all metrics.
+        assert_eq!(scores.len(), 3 * 4 * Metric::ALL.len());
+        for task in tasks {
+            for metric in Metric::ALL {
+                for (system, row) in [("perfect", REAL_DATA), ("lazy", IDENTITY)] {
+                    assert_eq!(
+                        value(&scores, task, system, metric),
+                        value(&scores, task, row, metric),
+                        "{task} {metric}"
+                    );
+                }
+            }
+            assert_eq!(
+                value(&scores, task, REAL_DATA, Metric::TargetRecall(1)),
+                100.0
+            );
+            assert_eq!(value(&scores, task, REAL_DATA, Metric::PositionError), 0.0);
+            assert_eq!(
+                value(&scores, task, IDENTITY, Metric::SourceRecall(1)),
+                100.0
+            );
+            assert_eq!(
+                value(&scores, task, IDENTITY, Metric::SourceAverageRank),
+                1.0
+            );
+            // Nothing moves, so every foot is planted.
+            assert_eq!(value(&scores, task, IDENTITY, Metric::FootScore), 1.0);
+            assert!(value(&scores, task, REAL_DATA, Metric::FidUnit) > 0.0);
+        }
+        assert_eq!(scores[0].task, "all");
+        assert_eq!((scores[0].n, scores[0].repeats), (80, 10));
+        assert_eq!(scores[0].encoder_hash, "00ff");
+    }
+
+    #[test]
+    fn order_of_rows_and_threads_do_not_change_a_bit() {
+        let mut rows = sides(40);
+        with_system(&mut rows, "copy", EditRow::TARGET);
+        let protocol = Protocol::default();
+        let scores = scored(&rows, &protocol).expect("valid");
+        rows.reverse();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .expect("a pool");
+        let again = pool.install(|| scored(&rows, &protocol)).expect("valid");
+        assert_eq!(scores, again);
+        let other = Protocol {
+            seed: Seed(1),
+            ..protocol
+        };
+        assert_ne!(scored(&rows, &other).expect("valid"), scores);
+    }
+
+    #[test]
+    fn whole_sets_are_at_no_distance_from_themselves() {
+        let protocol = Protocol {
+            fid_sample: FidSample::All,
+            gallery: Gallery::Full,
+            ..Protocol::default()
+        };
+        let scores = scored(&sides(30), &protocol).expect("valid");
+        // Rounding of a trace of order one.
+        assert!(value(&scores, "all", REAL_DATA, Metric::FidRaw) < 1e-11);
+        assert_eq!(
+            value(&scores, "all", REAL_DATA, Metric::TargetAverageRank),
+            1.0
+        );
+    }
+
+    #[test]
+    fn asking_the_other_way_round_transposes_the_ranks() {
+        let rows = sides(48);
+        let real = Protocol {
+            gallery: Gallery::Full,
+            ..Protocol::default()
+        };
+        let edited = Protocol {
+            queries: Queries::Edited,
+            ..real
+        };
+        let by_real = scored(&rows, &real).expect("valid");
+        let by_edited = scored(&rows, &edited).expect("valid");
+        // The originals asking the targets is the targets, taken as edits, asked by the originals.
+        assert_eq!(
+            value(&by_real, "all", REAL_DATA, Metric::SourceAverageRank),
+            value(&by_edited, "all", IDENTITY, Metric::TargetAverageRank),
+        );
+    }
+
+    #[test]
+    fn takes_are_scored_in_turn() {
+        let mut rows = sides(20);
+        with_system(&mut rows, "sampler", EditRow::TARGET);
+        let lazy: Vec<EditRow> = rows
+            .iter()
+            .filter(|row| row.system == EditRow::SOURCE)
+            .map(|row| EditRow {
+                system: "sampler".to_owned(),
+                seed: 1,
+                ..row.clone()
+            })
+            .collect();
+        rows.extend(lazy);
+        let scores = scored(&rows, &Protocol::default()).expect("valid");
+        let error = value(&scores, "all", "sampler", Metric::PositionError);
+        let lazy = value(&scores, "all", IDENTITY, Metric::PositionError);
+        // Half of the ten repeats score the perfect take.
+        assert!((error - lazy / 2.0).abs() < 1e-12, "{error} {lazy}");
+        rows.pop();
+        assert!(matches!(
+            scored(&rows, &Protocol::default()),
+            Err(Error::UnevenTakes {
+                found: 1,
+                expected: 2,
+                ..
+            })
+        ));
+    }
+
+    #[test]
+    fn a_task_of_one_item_keeps_the_metrics_that_mean_something() {
+        let scores = scored(&sides(1), &Protocol::default()).expect("valid");
+        let metrics: Vec<&str> = scores
+            .iter()
+            .filter(|row| row.system == REAL_DATA)
+            .map(|row| row.metric.as_str())
+            .collect();
+        assert!(!metrics.contains(&"FID") && !metrics.contains(&"Diversity"));
+        assert!(metrics.contains(&"FS") && metrics.contains(&"E2T R@1"));
+        assert!(scores.iter().all(|row| row.task == "semantic"));
+    }
+
+    #[test]
+    fn long_edits_are_cut_to_their_target_on_request() {
+        let mut rows = sides(8);
+        with_system(&mut rows, "slow", EditRow::TARGET);
+        for row in rows.iter_mut().filter(|row| row.system == "slow") {
+            // Surplus frames that hover would cost foot score if they were looked at.
+            for _ in 0..4 {
+                row.transl.push([0.0, 5.0, 0.0]);
+                row.global_orient.push([0.0; 3]);
+                row.body_pose.push([0.0; 63]);
+            }
+        }
+        let whole = scored(&rows, &Protocol::default()).expect("valid");
+        assert!(value(&whole, "all", "slow", Metric::FootScore) < 1.0);
+        let protocol = Protocol {
+            truncate_to_target: true,
+            ..Protocol::default()
+        };
+        let cut = scored(&rows, &protocol).expect("valid");
+        assert_eq!(value(&cut, "all", "slow", Metric::FootScore), 1.0);
+        assert_eq!(value(&cut, "all", "slow", Metric::PositionError), 0.0);
+    }
+
+    #[test]
+    fn broken_tables_are_refused_with_the_items_named() {
+        let default = Protocol::default();
+        assert!(matches!(
+            scored(&[], &default),
+            Err(Error::NoItems { system: "target" })
+        ));
+
+        let mut rows = sides(8);
+        with_system(&mut rows, "partial", EditRow::TARGET);
+        rows.retain(|row| row.system != "partial" || !row.id.ends_with('3'));
+        let error = scored(&rows, &default).expect_err("an item is missing");
+        assert_eq!(
+            error.to_string(),
+            "system \"partial\" lacks 1 of 8 items: item003; edit them or leave the system out"
+        );
+
+        let mut rows = sides(8);
+        rows.push(row("stray", 99, "style", "x"));
+        rows.extend((0..8).map(|index| row("stray", index, "style", "x")));
+        let error = scored(&rows, &default).expect_err("an item is unknown");
+        assert!(error.to_string().contains("item099"), "{error}");
+
+        let mut rows = sides(8);
+        with_system(&mut rows, IDENTITY, EditRow::SOURCE);
+        assert!(matches!(
+            scored(&rows, &default),
+            Err(Error::ReservedSystem { .. })
+        ));
+
+        let mut rows = sides(8);
+        rows.push(rows[0].clone());
+        assert!(matches!(
+            scored(&rows, &default),
+            Err(Error::UnevenTakes { .. })
+        ));
+
+        let mut rows = sides(8);
+        rows[0].fps = 30.0;
+        assert!(matches!(
+            scored(&rows, &default),
+            Err(Error::FrameRate {
+                found: 30.0,
+                expected: 20.0,
+                ..
+            })
+        ));
+
+        let mut rows = sides(8);
+        rows[3].transl[0][1] = f32::NAN;
+        assert!(matches!(scored(&rows, &default), Err(Error::Motion { .. })));
+
+        let mut rows = sides(8);
+        for row in &mut rows {
+            row.transl.truncate(2);
+            row.global_orient.truncate(2);
+            row.body_pose.truncate(2);
+        }
+        assert!(matches!(
+            scored(&rows, &default),
+            Err(Error::TooShort { frames: 2, .. })
+        ));
+    }
+
+    /// An encoder that returns the same thing whatever it is given.
+    struct Constant(Vec<Vec<f64>>);
+
+    impl MotionEncoder for Constant {
+        fn encode(&self, _motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+            if self.0.is_empty() {
+                return Err("no weights".into());
+            }
+            Ok(self.0.clone())
+        }
+
+        fn hash(&self) -> String {
+            String::new()
+        }
+
+        fn recipe(&self) -> String {
+            String::new()
+        }
+    }
+
+    #[test]
+    fn broken_latents_are_refused() {
+        let rows = sides(2);
+        let skeleton = Skeleton::smplx_neutral();
+        for (latents, expected) in [
+            (vec![], "cannot encode the motions of system \"source\""),
+            (
+                vec![vec![1.0]],
+                "the encoder returned 1 latents for 2 motions of system \"source\"",
+            ),
+            (
+                vec![vec![1.0, 2.0], vec![1.0]],
+                "system \"source\", item \"item001\": the latent has another width than the others",
+            ),
+            (
+                vec![vec![f64::NAN], vec![1.0]],
+                "system \"source\", item \"item000\": the latent is not finite",
+            ),
+            (
+                vec![vec![1.0], vec![0.0]],
+                "system \"source\", item \"item001\": the latent is zero, so it has no direction to compare",
+            ),
+        ] {
+            let error = score(
+                &rows,
+                &Constant(latents),
+                &skeleton,
+                &Protocol::default(),
+                &NoProgress,
+            )
+            .expect_err("broken latents");
+            assert_eq!(error.to_string(), expected);
+        }
+    }
+}

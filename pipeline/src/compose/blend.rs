@@ -1,0 +1,219 @@
+//! Spatial blending: a source motion that takes some joints of a target.
+
+use datasets_spec::rotation::{from_axis_angle, slerp, to_axis_angle};
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use datasets_spec::{BlendMask, Motion, Pose};
+use glam::Vec3;
+
+use super::Error;
+
+/// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`,
+/// the others stay with the source. The translation goes with a hard pelvis.
+///
+/// # Shapes
+/// `alpha` is `[22]`, the weight of the target on each joint; only those of soft joints are read.
+///
+/// # Source
+/// Paper Sec. 4.2 (BLD), with the exact slerp instead of the released one.
+pub fn blend_pose(
+    source: &Pose,
+    target: &Pose,
+    mask: BlendMask,
+    alpha: &[f64; NUM_BODY_JOINTS],
+) -> Pose {
+    let mut blended = *source;
+    for joint in mask.hard().iter().map(|joint| joint.index()) {
+        blended.rotations[joint] = target.rotations[joint];
+    }
+    for joint in mask.soft().iter().map(|joint| joint.index()) {
+        blended.rotations[joint] = slerp(
+            source.rotations[joint],
+            target.rotations[joint],
+            alpha[joint],
+        );
+    }
+    if mask.moves_root() {
+        blended.transl = target.transl;
+    }
+    blended
+}
+
+/// Blends two motions of equal length and rate, all soft joints by the same `alpha`.
+///
+/// Stored numbers are copied, not recomputed: hard joints are bit for bit those of the target, and
+/// joints outside the mask those of the source. An `alpha` of exactly 0 or 1 copies as well.
+///
+/// # Errors
+/// The motions differ in length or rate.
+///
+/// # Source
+/// Paper Sec. 4.2 (BLD).
+pub fn blend_motion(
+    source: &Motion,
+    target: &Motion,
+    mask: BlendMask,
+    alpha: f64,
+) -> Result<Motion, Error> {
+    if source.len() != target.len() || source.fps() != target.fps() {
+        return Err(Error::OutOfStep {
+            source_frames: source.len(),
+            source_fps: source.fps().get(),
+            target_frames: target.len(),
+            target_fps: target.fps().get(),
+        });
+    }
+    let mut blended = source.clone();
+    for frame in 0..source.len() {
+        for joint in mask.hard().iter().map(|joint| joint.index()) {
+            blended.set_axis_angle(frame, joint, target.axis_angle(frame, joint));
+        }
+        for joint in mask.soft().iter().map(|joint| joint.index()) {
+            let (from, to) = (
+                source.axis_angle(frame, joint),
+                target.axis_angle(frame, joint),
+            );
+            blended.set_axis_angle(frame, joint, blend_axis_angle(from, to, alpha));
+        }
+        if mask.moves_root() {
+            blended.set_transl(frame, target.transl()[frame]);
+        }
+    }
+    Ok(blended)
+}
+
+fn blend_axis_angle(from: [f32; 3], to: [f32; 3], alpha: f64) -> [f32; 3] {
+    if alpha == 0.0 {
+        return from;
+    }
+    if alpha == 1.0 {
+        return to;
+    }
+    let quaternion = |v: [f32; 3]| from_axis_angle(Vec3::from_array(v).as_dvec3());
+    to_axis_angle(slerp(quaternion(from), quaternion(to), alpha))
+        .as_vec3()
+        .to_array()
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::motion::BODY_POSE_WIDTH;
+    use datasets_spec::{BodyPart, Fps, Joint, JointSet};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const FRAMES: usize = 5;
+
+    fn motion() -> impl Strategy<Value = Motion> {
+        prop::collection::vec(
+            prop::collection::vec(-3.0f32..3.0, 6 + BODY_POSE_WIDTH),
+            FRAMES,
+        )
+        .prop_map(|frames| {
+            Motion::new(
+                Fps::STORE,
+                frames.iter().map(|f| [f[0], f[1], f[2]]).collect(),
+                frames.iter().map(|f| [f[3], f[4], f[5]]).collect(),
+                frames
+                    .iter()
+                    .map(|f| std::array::from_fn(|i| f[6 + i]))
+                    .collect(),
+            )
+            .expect("valid")
+        })
+    }
+
+    fn mask() -> impl Strategy<Value = BlendMask> {
+        prop::collection::vec(0..3u8, NUM_BODY_JOINTS).prop_map(|codes| {
+            let of = |code| {
+                Joint::ALL
+                    .into_iter()
+                    .filter(|joint| codes[joint.index()] == code)
+                    .collect::<JointSet>()
+            };
+            BlendMask::new(of(2), of(1)).expect("disjoint")
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn an_empty_mask_gives_the_source_and_a_full_one_the_target(
+            source in motion(), target in motion(), alpha in 0.0..=1.0f64,
+        ) {
+            let blend = |mask| blend_motion(&source, &target, mask, alpha).expect("in step");
+            prop_assert_eq!(&blend(BlendMask::EMPTY), &source);
+            prop_assert_eq!(&blend(BlendMask::FULL), &target);
+        }
+
+        #[test]
+        fn joints_outside_the_mask_and_hard_joints_are_copied_bit_for_bit(
+            source in motion(), target in motion(), mask in mask(), alpha in 0.0..=1.0f64,
+        ) {
+            let blended = blend_motion(&source, &target, mask, alpha).expect("in step");
+            for frame in 0..FRAMES {
+                let root = if mask.moves_root() { &target } else { &source };
+                prop_assert_eq!(blended.transl()[frame], root.transl()[frame]);
+                for joint in 0..NUM_BODY_JOINTS {
+                    let got = blended.axis_angle(frame, joint);
+                    if mask.hard().contains(joint) {
+                        prop_assert_eq!(got, target.axis_angle(frame, joint));
+                    } else if !mask.soft().contains(joint) {
+                        prop_assert_eq!(got, source.axis_angle(frame, joint));
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn the_ends_of_the_soft_range_are_the_two_motions(
+            source in motion(), target in motion(), mask in mask(),
+        ) {
+            let hard_only = BlendMask::new(mask.hard(), JointSet::EMPTY).expect("disjoint");
+            let blend = |mask, alpha| blend_motion(&source, &target, mask, alpha).expect("in step");
+            prop_assert_eq!(blend(mask, 0.0), blend(hard_only, 0.5));
+            // Softly blended in whole, a pelvis takes the orientation and leaves the translation.
+            let whole = blend(mask, 1.0);
+            for joint in mask.soft().iter() {
+                prop_assert_eq!(
+                    whole.axis_angle(0, joint.index()),
+                    target.axis_angle(0, joint.index())
+                );
+            }
+        }
+
+        #[test]
+        fn motions_blend_as_their_poses_do(
+            source in motion(), target in motion(), mask in mask(), alpha in 0.0..=1.0f64,
+        ) {
+            let blended = blend_motion(&source, &target, mask, alpha).expect("in step");
+            for frame in 0..FRAMES {
+                let pose = blend_pose(
+                    &source.pose(frame), &target.pose(frame), mask, &[alpha; NUM_BODY_JOINTS],
+                );
+                for joint in 0..NUM_BODY_JOINTS {
+                    let angle = datasets_spec::rotation::angle_between(
+                        pose.rotations[joint], blended.pose(frame).rotations[joint],
+                    );
+                    // Three roundings to f32 of angles up to pi.
+                    prop_assert!(angle < 1e-6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn motions_out_of_step_are_refused() {
+        let still =
+            |frames, fps| Motion::from_poses(fps, &vec![Pose::REST; frames]).expect("valid");
+        let mask = BodyPart::LeftArm.mask();
+        for (frames, fps) in [(4, Fps::STORE), (5, Fps::MODEL)] {
+            assert!(matches!(
+                blend_motion(&still(5, Fps::STORE), &still(frames, fps), mask, 0.5),
+                Err(Error::OutOfStep {
+                    source_frames: 5,
+                    ..
+                })
+            ));
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Settings of the composer.
+
+use datasets_spec::Fps;
+use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_ADVANCE, WINDOW_FRAMES};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::Error;
+
+/// Version of the composition rules. It changes whenever the same settings, seed and library would
+/// give other motions, and is part of every recipe hash.
+pub const COMPOSE_VERSION: u32 = 1;
+
+/// How edits are composed. The default is the published method.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ComposeConfig {
+    /// Share of the motion base that partners are drawn from. A smaller share is a subset of a
+    /// larger one.
+    ///
+    /// Source: the MotionCutMix ratio of the paper's ablation.
+    pub mcm_ratio: f64,
+    /// Share of the masks that is used. A smaller share is a subset of a larger one.
+    ///
+    /// Source: the annotated data size of the paper's ablation.
+    pub annotated_ratio: f64,
+    /// Whether each mask meets one partner, one crop and one alpha once and for all instead of new
+    /// ones for each item: training without MotionCutMix.
+    pub fixed_pairs: bool,
+    /// Frames of a window at the model's rate, the two fixed ones included.
+    pub window: usize,
+    /// Rate of the model in frames per second. The stored rate must be a whole multiple of it.
+    pub fps: Fps,
+    /// Weight of the target on soft joints.
+    pub alpha: AlphaDistribution,
+    /// Point of a window's first frame that is put above the origin.
+    pub anchor: Anchor,
+}
+
+impl Default for ComposeConfig {
+    fn default() -> Self {
+        Self {
+            mcm_ratio: 1.0,
+            annotated_ratio: 1.0,
+            fixed_pairs: false,
+            window: WINDOW_FRAMES,
+            fps: Fps::MODEL,
+            alpha: AlphaDistribution::Uniform {
+                low: 0.0,
+                high: 1.0,
+            },
+            anchor: Anchor::Pelvis,
+        }
+    }
+}
+
+/// Where the weight of soft joints is drawn from, once per composed motion (paper Sec. 4.2:
+/// "randomly varied"; the distribution is not published).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum AlphaDistribution {
+    /// Every weight of a range is equally likely.
+    Uniform {
+        /// Lower end.
+        low: f64,
+        /// Upper end.
+        high: f64,
+    },
+}
+
+impl AlphaDistribution {
+    /// Draws a weight. It is rounded to the `f32` it is recorded as, so that a recorded triplet can
+    /// be composed again to the last bit.
+    pub(super) fn draw(self, rng: &mut datasets_spec::Rng) -> f64 {
+        let Self::Uniform { low, high } = self;
+        f64::from((low + (high - low) * rng.random::<f64>()) as f32)
+    }
+}
+
+impl ComposeConfig {
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        for (key, got) in [
+            ("mcm_ratio", self.mcm_ratio),
+            ("annotated_ratio", self.annotated_ratio),
+        ] {
+            if !(got > 0.0 && got <= 1.0) {
+                return Err(Error::Config {
+                    key,
+                    expected: "above 0 and at most 1",
+                    got,
+                });
+            }
+        }
+        if self.window <= FIXED_FRAMES {
+            return Err(Error::Config {
+                key: "window",
+                expected: "more than the two fixed frames",
+                got: self.window as f64,
+            });
+        }
+        let AlphaDistribution::Uniform { low, high } = self.alpha;
+        for (key, got, fits) in [
+            ("alpha.low", low, (0.0..=1.0).contains(&low)),
+            ("alpha.high", high, (low..=1.0).contains(&high)),
+        ] {
+            if !fits {
+                return Err(Error::Config {
+                    key,
+                    expected: "between 0 and 1, low not above high",
+                    got,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Stored frames per frame of the model.
+    ///
+    /// # Errors
+    /// The stored rate is no whole multiple of the model's.
+    pub fn stride(&self, stored: Fps) -> Result<usize, Error> {
+        let ratio = stored.get() / self.fps.get();
+        // Rates are whole numbers or exact quotients of them; the slack is for rounding alone.
+        if ratio >= 1.0 - 1e-9 && (ratio - ratio.round()).abs() < 1e-9 * ratio {
+            Ok(ratio.round() as usize)
+        } else {
+            Err(Error::Stride {
+                stored: stored.get(),
+                model: self.fps.get(),
+            })
+        }
+    }
+
+    /// Stored frames a window spans.
+    pub(super) fn span(&self, stride: usize) -> usize {
+        (self.window - 1) * stride + 1
+    }
+
+    /// Stored frames from one window of a motion to the next.
+    pub(super) fn advance(&self, stride: usize) -> usize {
+        // A window repeats the two fixed frames of the one before: 14 new ones of 16.
+        const { assert!(WINDOW_FRAMES - FIXED_FRAMES == WINDOW_ADVANCE) };
+        (self.window - FIXED_FRAMES) * stride
+    }
+
+    /// BLAKE3 of the settings and [`COMPOSE_VERSION`], in hexadecimal: what, with the library and
+    /// the seed, determines every composed motion.
+    pub fn recipe_hash(&self) -> String {
+        let settings = serde_json::to_vec(self).expect("plain numbers and names serialise");
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&COMPOSE_VERSION.to_le_bytes());
+        hasher.update(&settings);
+        hasher.finalize().to_hex().to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let check = |change: fn(&mut ComposeConfig)| {
+            let mut config = ComposeConfig::default();
+            change(&mut config);
+            match config.check() {
+                Err(Error::Config { key, .. }) => key,
+                other => panic!("expected a refused setting, got {other:?}"),
+            }
+        };
+        assert!(ComposeConfig::default().check().is_ok());
+        assert_eq!(check(|c| c.mcm_ratio = 0.0), "mcm_ratio");
+        assert_eq!(check(|c| c.annotated_ratio = f64::NAN), "annotated_ratio");
+        assert_eq!(check(|c| c.window = 2), "window");
+        let backwards = |c: &mut ComposeConfig| {
+            c.alpha = AlphaDistribution::Uniform {
+                low: 0.8,
+                high: 0.2,
+            };
+        };
+        assert_eq!(check(backwards), "alpha.high");
+    }
+
+    #[test]
+    fn a_window_spans_31_stored_frames_and_advances_28() {
+        let config = ComposeConfig::default();
+        let stride = config.stride(Fps::STORE).expect("a multiple");
+        assert_eq!(
+            (stride, config.span(stride), config.advance(stride)),
+            (2, 31, 28)
+        );
+        let odd = Fps::new(25.0).expect("valid");
+        assert!(matches!(config.stride(odd), Err(Error::Stride { .. })));
+    }
+
+    #[test]
+    fn settings_read_back_and_refuse_what_they_do_not_know() {
+        let text = serde_json::to_string(&ComposeConfig::default()).expect("serialises");
+        let back: ComposeConfig = serde_json::from_str(&text).expect("its own text");
+        assert_eq!(back, ComposeConfig::default());
+        assert!(serde_json::from_str::<ComposeConfig>("{\"mcm\": 1}").is_err());
+    }
+
+    #[test]
+    fn every_setting_changes_the_recipe() {
+        let default = ComposeConfig::default();
+        let changed = ComposeConfig {
+            fixed_pairs: true,
+            ..default.clone()
+        };
+        assert_eq!(
+            default.recipe_hash(),
+            ComposeConfig::default().recipe_hash()
+        );
+        assert_ne!(default.recipe_hash(), changed.recipe_hash());
+    }
+}

@@ -1,0 +1,153 @@
+//! What is drawn, and from which names: subsets, orders and crops.
+
+use datasets_spec::{Rng, Seed};
+use rand::RngExt;
+
+/// Rounds of the Feistel network below; four make it as good as random for a known key
+/// (Luby and Rackoff 1988).
+const FEISTEL_ROUNDS: u64 = 4;
+
+/// The items of a seeded share of a list, in their order: those with the smallest draws. A smaller
+/// share of the same list is a subset of a larger one, and a new item displaces at most one other.
+pub(super) fn subset(share: f64, seed: Seed, purpose: &str, ids: &[&str]) -> Vec<usize> {
+    let num_kept = ((share * ids.len() as f64).ceil() as usize).min(ids.len());
+    if num_kept == ids.len() {
+        return (0..ids.len()).collect();
+    }
+    let mut ranked: Vec<(u64, usize)> = ids
+        .iter()
+        .enumerate()
+        .map(|(index, id)| (seed.draw_u64(&[purpose, id]), index))
+        .collect();
+    ranked.sort_unstable();
+    let mut kept: Vec<usize> = ranked[..num_kept].iter().map(|&(_, index)| index).collect();
+    kept.sort_unstable();
+    kept
+}
+
+/// A shuffled order of `0..len` that is looked up rather than stored, so that training resumes at
+/// any item of any epoch without walking there.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shuffle {
+    len: u64,
+    half_bits: u32,
+    key: u64,
+}
+
+impl Shuffle {
+    /// The order named by `key`.
+    pub(super) fn new(len: u64, key: u64) -> Self {
+        let bits = u64::BITS - len.saturating_sub(1).leading_zeros();
+        Self {
+            len,
+            half_bits: bits.div_ceil(2).max(1),
+            key,
+        }
+    }
+
+    /// The item at a place of the order.
+    ///
+    /// # Panics
+    /// If the place is not below `len`.
+    pub(super) fn at(&self, place: u64) -> u64 {
+        assert!(place < self.len, "item {place} of {}", self.len);
+        // The network permutes the next power of four, so at most every fourth number on a walk
+        // falls inside, and a walk that starts inside must come back inside.
+        let mut item = self.permuted(place);
+        while item >= self.len {
+            item = self.permuted(item);
+        }
+        item
+    }
+
+    fn permuted(&self, item: u64) -> u64 {
+        let mask = (1 << self.half_bits) - 1;
+        let (mut left, mut right) = (item >> self.half_bits, item & mask);
+        for round in 0..FEISTEL_ROUNDS {
+            (left, right) = (right, left ^ (mixed(right ^ self.key, round) & mask));
+        }
+        left << self.half_bits | right
+    }
+}
+
+/// The finaliser of SplitMix64 (Steele, Lea and Flood 2014), with its increment as round constant.
+fn mixed(value: u64, round: u64) -> u64 {
+    let z = value.wrapping_add((round + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// The stretch of two motions that is blended: the whole of the shorter and as much of the longer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Crop {
+    pub(super) source_start: usize,
+    pub(super) target_start: usize,
+    pub(super) num_frames: usize,
+}
+
+impl Crop {
+    /// Draws where the shorter motion lies in the longer.
+    pub(super) fn draw(source_frames: usize, target_frames: usize, rng: &mut Rng) -> Self {
+        let num_frames = source_frames.min(target_frames);
+        let offset = rng.random_range(0..=source_frames.max(target_frames) - num_frames);
+        let (source_start, target_start) = if source_frames > target_frames {
+            (offset, 0)
+        } else {
+            (0, offset)
+        };
+        Self {
+            source_start,
+            target_start,
+            num_frames,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_shuffle_visits_every_item_once(len in 1..600u64, key in any::<u64>()) {
+            let shuffle = Shuffle::new(len, key);
+            let mut seen: Vec<u64> = (0..len).map(|place| shuffle.at(place)).collect();
+            seen.sort_unstable();
+            prop_assert!(seen.into_iter().eq(0..len));
+        }
+
+        #[test]
+        fn a_crop_lies_in_both_motions(a in 1..300usize, b in 1..300usize, seed in any::<u64>()) {
+            let crop = Crop::draw(a, b, &mut Seed(seed).rng(&["crop"]));
+            prop_assert_eq!(crop.num_frames, a.min(b));
+            prop_assert!(crop.source_start + crop.num_frames <= a);
+            prop_assert!(crop.target_start + crop.num_frames <= b);
+        }
+    }
+
+    #[test]
+    fn different_keys_shuffle_differently() {
+        let order = |key| {
+            let shuffle = Shuffle::new(100, key);
+            (0..100)
+                .map(|place| shuffle.at(place))
+                .collect::<Vec<u64>>()
+        };
+        assert_ne!(order(1), order(2));
+        assert_ne!(order(1), (0..100).collect::<Vec<u64>>());
+    }
+
+    #[test]
+    fn a_smaller_share_is_a_subset_of_a_larger_one() {
+        let ids: Vec<String> = (0..200).map(|i| format!("clip{i}")).collect();
+        let ids: Vec<&str> = ids.iter().map(String::as_str).collect();
+        let kept = |share| subset(share, Seed(1), "base", &ids);
+        assert_eq!(kept(0.01).len(), 2);
+        assert_eq!(kept(1.0).len(), 200);
+        assert!(kept(0.1).iter().all(|i| kept(0.2).contains(i)));
+        assert_ne!(kept(0.1), subset(0.1, Seed(2), "base", &ids));
+    }
+}

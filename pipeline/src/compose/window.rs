@@ -1,0 +1,558 @@
+//! The composer's inner loop: from two runs of frames to two windows of model units.
+//!
+//! A frame is kept as its 28 keypoints and 22 local rotations, ready to use. Points that a blend does
+//! not touch are copied from the motion they belong to; only the others need forward kinematics,
+//! which runs over 16 frames at once, one array per component, in loops that the compiler turns into
+//! vector instructions. Everything is `f32`: over a chain of eight joints that costs a micrometre, a
+//! thousandth of what the model resolves.
+
+use std::f32::consts::FRAC_PI_2;
+
+use datasets_spec::canonical::Anchor;
+use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
+use datasets_spec::skeleton::{
+    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
+};
+use datasets_spec::{BlendMask, Motion};
+use glam::{DMat3, Quat};
+
+/// Frames processed together: a window of the published length.
+const LANES: usize = 16;
+/// Components of a quaternion.
+const QUAT: usize = 4;
+/// Zeros before and after the points of a frame, so that every number has neighbours two places
+/// away ([`Placement`]).
+const MARGIN: usize = 2;
+/// The points of a frame with their margins.
+type PaddedPoints = [f32; FRAME_WIDTH + 2 * MARGIN];
+
+type Lanes = [f32; LANES];
+type Points = [Lanes; 3];
+type Quats = [Lanes; QUAT];
+
+/// A frame: world positions `[28, 3]` in metres and local rotations `[22]` as x, y, z, w.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    points: PaddedPoints,
+    rotations: [[f32; QUAT]; NUM_BODY_JOINTS],
+}
+
+/// A motion thinned out to the model's rate, at every phase: with a stride of 2, the frames of even
+/// number are one phase and those of odd number the next, so a window may start at any stored frame
+/// and its frames are still adjacent in memory.
+#[derive(Clone, Debug)]
+pub(super) struct Thinned {
+    stride: usize,
+    /// First frame of each phase, and one past the last frame of the last.
+    phase_bounds: Vec<usize>,
+    frames: Vec<Frame>,
+}
+
+impl Thinned {
+    /// Prepares a motion.
+    pub(super) fn new(motion: &Motion, stride: usize, skeleton: &Skeleton) -> Self {
+        let mut frames = Vec::with_capacity(motion.len());
+        let mut phase_bounds = vec![0];
+        for phase in 0..stride {
+            frames.extend((phase..motion.len()).step_by(stride).map(|frame| {
+                let pose = motion.pose(frame);
+                let mut points = [0.0; FRAME_WIDTH + 2 * MARGIN];
+                for (slot, point) in skeleton.keypoints(&pose).into_iter().enumerate() {
+                    points[place(slot)..place(slot) + 3]
+                        .copy_from_slice(&point.as_vec3().to_array());
+                }
+                Frame {
+                    points,
+                    rotations: pose.rotations.map(|rotation| rotation.as_quat().to_array()),
+                }
+            }));
+            phase_bounds.push(frames.len());
+        }
+        Self {
+            stride,
+            phase_bounds,
+            frames,
+        }
+    }
+
+    /// The `num_frames` frames at the model's rate from the stored frame `start` on.
+    pub(super) fn window(&self, start: usize, num_frames: usize) -> &[Frame] {
+        let phase = &self.phase_bounds[start % self.stride..];
+        let first = phase[0] + start / self.stride;
+        assert!(
+            first + num_frames <= phase[1],
+            "the window leaves the motion"
+        );
+        &self.frames[first..first + num_frames]
+    }
+}
+
+/// Where the three numbers of a point start among the padded points.
+fn place(slot: usize) -> usize {
+    MARGIN + 3 * slot
+}
+
+/// A joint's rotation in up to 16 frames; the last frame fills the rest.
+#[inline]
+fn rotations(frames: &[Frame], joint: usize) -> Quats {
+    let mut out = [[0.0; LANES]; QUAT];
+    for lane in 0..LANES {
+        let rotation = &frames[lane.min(frames.len() - 1)].rotations[joint];
+        for component in 0..QUAT {
+            out[component][lane] = rotation[component];
+        }
+    }
+    out
+}
+
+/// A point in up to 16 frames; the last frame fills the rest.
+#[inline]
+fn points(frames: &[Frame], slot: usize) -> Points {
+    let mut out = [[0.0; LANES]; 3];
+    for lane in 0..LANES {
+        let point = &frames[lane.min(frames.len() - 1)].points[place(slot)..place(slot) + 3];
+        for axis in 0..3 {
+            out[axis][lane] = point[axis];
+        }
+    }
+    out
+}
+
+/// Where a blended joint gets its rotation from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Origin {
+    Source,
+    Target,
+    Both,
+}
+
+/// What has to be computed to blend with a mask. Points that hang from joints of one motion alone,
+/// up to the root, are where they are in that motion; only the others need forward kinematics.
+#[derive(Clone, Debug)]
+pub(super) struct BlendPlan {
+    origins: [Origin; NUM_BODY_JOINTS],
+    /// The motion that owns root position and orientation.
+    owner: Origin,
+    /// Joints whose global rotation is needed, parents first.
+    joints: Vec<usize>,
+    /// Points that are computed, parents first.
+    points: Vec<usize>,
+    /// Points of the owner that computed points hang from.
+    anchors: Vec<usize>,
+}
+
+impl BlendPlan {
+    /// Plans the blend with a mask.
+    pub(super) fn new(mask: BlendMask) -> Self {
+        let origins: [Origin; NUM_BODY_JOINTS] = std::array::from_fn(|joint| {
+            if mask.hard().contains(joint) {
+                Origin::Target
+            } else if mask.soft().contains(joint) {
+                Origin::Both
+            } else {
+                Origin::Source
+            }
+        });
+        let owner = if mask.moves_root() {
+            Origin::Target
+        } else {
+            Origin::Source
+        };
+        let mut kept = origins.map(|origin| origin == owner);
+        for joint in 1..NUM_BODY_JOINTS {
+            kept[joint] &= kept[parent_of(joint)];
+        }
+        let points: Vec<usize> = (1..NUM_KEYPOINTS)
+            .filter(|&slot| !kept[parent_of(slot)])
+            .collect();
+        let mut anchors: Vec<usize> = points
+            .iter()
+            .map(|&slot| parent_of(slot))
+            .filter(|parent| !points.contains(parent))
+            .collect();
+        anchors.dedup();
+        let mut needed = [false; NUM_BODY_JOINTS];
+        for &slot in &points {
+            let mut joint = parent_of(slot);
+            while !needed[joint] {
+                needed[joint] = true;
+                joint = parent_of(joint);
+            }
+        }
+        Self {
+            origins,
+            owner,
+            joints: (0..NUM_BODY_JOINTS).filter(|&j| needed[j]).collect(),
+            points,
+            anchors,
+        }
+    }
+}
+
+/// The parent of a keypoint; the pelvis is its own.
+fn parent_of(slot: usize) -> usize {
+    usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
+}
+
+/// Turns frames into windows of model units.
+#[derive(Clone, Debug)]
+pub(super) struct Composer {
+    /// Rest position of each point relative to its parent.
+    offsets: [[f32; 3]; NUM_KEYPOINTS],
+    /// Where the anchor leaves the first pelvis, x and z, in metres.
+    pelvis_at: [f64; 2],
+    /// Model units per metre and value at 0 m, per axis.
+    scale: [f64; 3],
+    bias: [f64; 3],
+}
+
+impl Composer {
+    /// A composer for a skeleton and a range.
+    pub(super) fn new(skeleton: &Skeleton, anchor: Anchor, normalizer: &Normalizer) -> Self {
+        let scale = std::array::from_fn::<f64, 3, _>(|axis| {
+            2.0 / (normalizer.max[axis] - normalizer.min[axis])
+        });
+        Self {
+            offsets: KEYPOINT_JOINTS.map(|joint| skeleton.offset(joint).as_vec3().to_array()),
+            pelvis_at: match anchor {
+                Anchor::Pelvis => [0.0, 0.0],
+                Anchor::Translation => [skeleton.rest(0).x, skeleton.rest(0).z],
+            },
+            scale,
+            bias: std::array::from_fn(|axis| -1.0 - normalizer.min[axis] * scale[axis]),
+        }
+    }
+
+    /// Writes the canonical, normalised keypoints of frames, `[W, 84]`.
+    pub(super) fn original(&self, frames: &[Frame], out: &mut [f32]) {
+        let first = &frames[0];
+        let placement = self.placement(&first.points, first.rotations[0]);
+        for (frame, out) in frames.iter().zip(out.as_chunks_mut::<FRAME_WIDTH>().0) {
+            placement.apply(&frame.points, out);
+        }
+    }
+
+    /// Writes the canonical, normalised keypoints of a blend, `[W, 84]`. The window is canonical by
+    /// its own first frame, whichever motion that is from.
+    pub(super) fn blended(
+        &self,
+        source: &[Frame],
+        target: &[Frame],
+        plan: &BlendPlan,
+        alpha: f32,
+        out: &mut [f32],
+    ) {
+        let owner = match plan.owner {
+            Origin::Target => target,
+            Origin::Source | Origin::Both => source,
+        };
+        let root = match plan.origins[0] {
+            Origin::Both => slerp(&rotations(source, 0), &rotations(target, 0), alpha)
+                .map(|component| component[0]),
+            Origin::Source | Origin::Target => owner[0].rotations[0],
+        };
+        let placement = self.placement(&owner[0].points, root);
+        let blocks = source
+            .chunks(LANES)
+            .zip(target.chunks(LANES))
+            .zip(owner.chunks(LANES));
+        for (((source, target), owner), out) in blocks.zip(out.chunks_mut(LANES * FRAME_WIDTH)) {
+            let moved = self.moved_points(source, target, owner, plan, alpha);
+            let frames = out.as_chunks_mut::<FRAME_WIDTH>().0;
+            for (lane, (owner, out)) in owner.iter().zip(frames).enumerate() {
+                let mut frame = owner.points;
+                for &slot in &plan.points {
+                    for axis in 0..3 {
+                        frame[place(slot) + axis] = moved[slot][axis][lane];
+                    }
+                }
+                placement.apply(&frame, out);
+            }
+        }
+    }
+
+    /// Forward kinematics of up to 16 frames for the points the plan asks for.
+    fn moved_points(
+        &self,
+        source: &[Frame],
+        target: &[Frame],
+        owner: &[Frame],
+        plan: &BlendPlan,
+        alpha: f32,
+    ) -> [Points; NUM_KEYPOINTS] {
+        let mut moved = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
+        let mut global = [[[0.0; LANES]; QUAT]; NUM_BODY_JOINTS];
+        for &slot in &plan.anchors {
+            moved[slot] = points(owner, slot);
+        }
+        for &joint in &plan.joints {
+            let local = match plan.origins[joint] {
+                Origin::Source => rotations(source, joint),
+                Origin::Target => rotations(target, joint),
+                Origin::Both => slerp(&rotations(source, joint), &rotations(target, joint), alpha),
+            };
+            global[joint] = if joint == 0 {
+                local
+            } else {
+                product(&global[parent_of(joint)], &local)
+            };
+        }
+        for &slot in &plan.points {
+            let parent = parent_of(slot);
+            moved[slot] = attached(&moved[parent], &global[parent], self.offsets[slot]);
+        }
+        moved
+    }
+
+    /// The placement of a window by the points and the root rotation of its first frame.
+    fn placement(&self, points: &PaddedPoints, root: [f32; QUAT]) -> Placement {
+        let root = Quat::from_array(root).as_dquat().normalize();
+        let yaw = datasets_spec::rotation::yaw(DMat3::from_quat(root));
+        let (sine, cosine) = yaw.sin_cos();
+        let (x, z) = (f64::from(points[place(0)]), f64::from(points[place(0) + 2]));
+        let shift = [
+            self.pelvis_at[0] - (cosine * x - sine * z),
+            0.0,
+            self.pelvis_at[1] - (sine * x + cosine * z),
+        ];
+        let own = [cosine, 1.0, cosine];
+        let other = [-sine, 0.0, sine];
+        let mut placement = Placement {
+            own: [0.0; FRAME_WIDTH],
+            ahead: [0.0; FRAME_WIDTH],
+            behind: [0.0; FRAME_WIDTH],
+            bias: [0.0; FRAME_WIDTH],
+        };
+        for i in 0..FRAME_WIDTH {
+            let axis = i % 3;
+            placement.own[i] = (own[axis] * self.scale[axis]) as f32;
+            placement.bias[i] = (shift[axis] * self.scale[axis] + self.bias[axis]) as f32;
+            let other = (other[axis] * self.scale[axis]) as f32;
+            match axis {
+                0 => placement.ahead[i] = other,
+                2 => placement.behind[i] = other,
+                _ => {}
+            }
+        }
+        placement
+    }
+}
+
+/// Turns, shifts and scales the points of a frame. A point's x and z mix, which are two numbers
+/// apart: spread over the 84 numbers of a frame, this is three products with neighbouring numbers.
+struct Placement {
+    own: [f32; FRAME_WIDTH],
+    ahead: [f32; FRAME_WIDTH],
+    behind: [f32; FRAME_WIDTH],
+    bias: [f32; FRAME_WIDTH],
+}
+
+impl Placement {
+    #[inline]
+    fn apply(&self, points: &PaddedPoints, out: &mut [f32; FRAME_WIDTH]) {
+        for i in 0..FRAME_WIDTH {
+            out[i] = self.own[i] * points[i + MARGIN]
+                + self.ahead[i] * points[i + 2 * MARGIN]
+                + self.behind[i] * points[i]
+                + self.bias[i];
+        }
+    }
+}
+
+#[inline]
+fn product(a: &Quats, b: &Quats) -> Quats {
+    let ([ax, ay, az, aw], [bx, by, bz, bw]) = (a, b);
+    let mut out = [[0.0; LANES]; QUAT];
+    for i in 0..LANES {
+        out[0][i] = aw[i] * bx[i] + ax[i] * bw[i] + ay[i] * bz[i] - az[i] * by[i];
+        out[1][i] = aw[i] * by[i] - ax[i] * bz[i] + ay[i] * bw[i] + az[i] * bx[i];
+        out[2][i] = aw[i] * bz[i] + ax[i] * by[i] - ay[i] * bx[i] + az[i] * bw[i];
+        out[3][i] = aw[i] * bw[i] - ax[i] * bx[i] - ay[i] * by[i] - az[i] * bz[i];
+    }
+    out
+}
+
+/// Points at an offset fixed to turning joints: `p + q v q*`, written as
+/// `p + v + 2 w (u x v) + 2 u x (u x v)` with `q = (u, w)`.
+#[inline]
+fn attached(points: &Points, rotations: &Quats, [vx, vy, vz]: [f32; 3]) -> Points {
+    let [qx, qy, qz, qw] = rotations;
+    let mut out = *points;
+    for i in 0..LANES {
+        let (x, y, z, w) = (qx[i], qy[i], qz[i], qw[i]);
+        let (tx, ty, tz) = (
+            2.0 * (y * vz - z * vy),
+            2.0 * (z * vx - x * vz),
+            2.0 * (x * vy - y * vx),
+        );
+        out[0][i] += vx + w * tx + (y * tz - z * ty);
+        out[1][i] += vy + w * ty + (z * tx - x * tz);
+        out[2][i] += vz + w * tz + (x * ty - y * tx);
+    }
+    out
+}
+
+/// Spherical interpolation along the shorter arc.
+#[inline]
+fn slerp(from: &Quats, to: &Quats, alpha: f32) -> Quats {
+    let mut out = [[0.0; LANES]; QUAT];
+    for i in 0..LANES {
+        let dot = from[0][i] * to[0][i]
+            + from[1][i] * to[1][i]
+            + from[2][i] * to[2][i]
+            + from[3][i] * to[3][i];
+        let sign = if dot < 0.0 { -1.0 } else { 1.0 };
+        let square = arc_cosine_squared(dot.abs().min(1.0));
+        // sin(a t) / sin(t) = a sinc(a t) / sinc(t), which has no pole at t = 0.
+        let whole = 1.0 / sinc_of_square(square);
+        let beta = 1.0 - alpha;
+        let from_weight = beta * sinc_of_square(beta * beta * square) * whole;
+        let to_weight = alpha * sinc_of_square(alpha * alpha * square) * whole * sign;
+        for component in 0..QUAT {
+            out[component][i] = from[component][i] * from_weight + to[component][i] * to_weight;
+        }
+    }
+    out
+}
+
+/// The square of the arc cosine on [0, 1], smooth at 1 unlike the arc cosine itself, to 4e-7.
+///
+/// # Source
+/// Abramowitz and Stegun 4.4.46: `acos(x) = sqrt(1 - x) P(x)`.
+#[inline]
+fn arc_cosine_squared(x: f32) -> f32 {
+    const P: [f32; 8] = [
+        FRAC_PI_2,
+        -0.214_598_8,
+        0.088_978_99,
+        -0.050_174_305,
+        0.030_891_88,
+        -0.017_088_126,
+        0.006_670_09,
+        -0.001_262_491_1,
+    ];
+    let p = P.iter().rev().fold(0.0, |sum, c| sum * x + c);
+    (1.0 - x) * p * p
+}
+
+/// `sin(t) / t` for `t` up to a right angle, given `t` squared: the series up to `t^10`, whose next
+/// term is 4e-8 there.
+#[inline]
+fn sinc_of_square(square: f32) -> f32 {
+    const S: [f32; 6] = [
+        1.0,
+        -1.0 / 6.0,
+        1.0 / 120.0,
+        -1.0 / 5_040.0,
+        1.0 / 362_880.0,
+        -1.0 / 39_916_800.0,
+    ];
+    S.iter().rev().fold(0.0, |sum, c| sum * square + c)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::canonical::{WINDOW_FRAMES, canonicalise};
+    use datasets_spec::{BodyPart, Pose};
+    use glam::{DQuat, DVec3};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::compose::blend_pose;
+    use crate::compose::fixture;
+
+    const RANGE: Normalizer = Normalizer {
+        min: [-1.0, -1.5, -2.0],
+        max: [1.0, 1.0, 3.0],
+    };
+
+    /// The window in `f64`, step by step as the contract defines it.
+    fn reference(mut poses: Vec<Pose>, anchor: Anchor, skeleton: &Skeleton) -> Vec<f32> {
+        canonicalise(&mut poses, anchor, skeleton).expect("not empty");
+        poses
+            .iter()
+            .flat_map(|pose| RANGE.normalize(&skeleton.keypoints(pose)))
+            .collect()
+    }
+
+    fn check_close(got: &[f32], expected: &[f32]) {
+        assert_eq!(got.len(), expected.len());
+        for (got, expected) in got.iter().zip(expected) {
+            // Model units span about a metre; positions of up to 10 m carry 1e-6 m of rounding and
+            // a chain of eight f32 rotations about as much.
+            assert!((got - expected).abs() < 2e-5, "{got} is not {expected}");
+        }
+    }
+
+    #[test]
+    fn windows_agree_with_the_contract() {
+        let skeleton = Skeleton::smplx_neutral();
+        let masks = BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
+            BlendMask::EMPTY,
+            BlendMask::FULL,
+            BlendMask::of_parts(&[BodyPart::LowerBody, BodyPart::LeftArm]),
+        ]);
+        let source = fixture::wandering("source", 70);
+        let target = fixture::wandering("target", 64);
+        // A window of 40 frames needs more than one block of lanes.
+        for (mask, window) in masks.flat_map(|mask| [(mask, WINDOW_FRAMES), (mask, 40)]) {
+            let stride = if window == WINDOW_FRAMES { 2 } else { 1 };
+            for anchor in [Anchor::Pelvis, Anchor::Translation] {
+                let (source_start, target_start, alpha) = (11, 4, 0.3f32);
+                let frames = |motion: &Motion, start: usize| -> Vec<Pose> {
+                    (0..window)
+                        .map(|i| motion.pose(start + i * stride))
+                        .collect()
+                };
+                let sources = frames(&source, source_start);
+                let blended: Vec<Pose> = sources
+                    .iter()
+                    .zip(frames(&target, target_start))
+                    .map(|(s, t)| blend_pose(s, &t, mask, &[alpha.into(); NUM_BODY_JOINTS]))
+                    .collect();
+                let source_frames = Thinned::new(&source, stride, &skeleton);
+                let target_frames = Thinned::new(&target, stride, &skeleton);
+                let composer = Composer::new(&skeleton, anchor, &RANGE);
+                let mut out = vec![0.0; window * FRAME_WIDTH];
+                let from = source_frames.window(source_start, window);
+                composer.original(from, &mut out);
+                check_close(&out, &reference(sources, anchor, &skeleton));
+                let to = target_frames.window(target_start, window);
+                composer.blended(from, to, &BlendPlan::new(mask), alpha, &mut out);
+                check_close(&out, &reference(blended, anchor, &skeleton));
+            }
+        }
+    }
+
+    #[test]
+    fn only_what_a_mask_touches_is_computed() {
+        assert!(BlendPlan::new(BlendMask::EMPTY).points.is_empty());
+        assert!(BlendPlan::new(BlendMask::FULL).points.is_empty());
+        // Shoulder, elbow, wrist and two knuckles, reached by way of spine and collar.
+        let plan = BlendPlan::new(BodyPart::LeftArm.mask());
+        assert_eq!(plan.points, [16, 18, 20, 24, 25]);
+        assert_eq!(plan.joints, [0, 3, 6, 9, 13, 16, 18, 20]);
+        assert_eq!(plan.anchors, [13]);
+    }
+
+    proptest! {
+        #[test]
+        fn lanes_interpolate_as_the_exact_slerp_does(
+            a in prop::array::uniform3(-3.0..3.0f64),
+            b in prop::array::uniform3(-3.0..3.0f64),
+            near in any::<bool>(),
+            alpha in 0.0..=1.0f32,
+        ) {
+            use datasets_spec::rotation::{angle_between, from_axis_angle, slerp as exact};
+            let a = from_axis_angle(DVec3::from_array(a));
+            let b = from_axis_angle(DVec3::from_array(b) * if near { 1e-4 } else { 1.0 });
+            let b = if near { a * b } else { b };
+            let lanes = |q: DQuat| q.as_quat().to_array().map(|v| [v; LANES]);
+            let got = slerp(&lanes(a), &lanes(b), alpha).map(|component| component[0]);
+            let got = Quat::from_array(got).as_dquat().normalize();
+            // Rotations half a turn apart have no shorter arc; the two may choose differently.
+            prop_assume!(a.dot(b).abs() > 1e-3);
+            prop_assert!(angle_between(got, exact(a, b, alpha.into())) < 2e-6);
+        }
+    }
+}

@@ -1,0 +1,428 @@
+//! Masks without annotators: which parts of the body a clip is about, judged by how they move.
+//!
+//! A part is active in a clip if it moves fast compared with the liveliest clips of the training
+//! split. Speeds are measured so that a part is not credited with what carries it: arms relative to
+//! the chest, legs and torso relative to the pelvis and the heading of the body.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split, rotation};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::compose::{Error, action_phrase, instruction};
+
+/// Who made these masks; the number counts versions of the rules.
+pub const AUTHOR: &str = "stance-activity-1";
+/// Origin of a text that the source itself gave for the part.
+pub const IMPORTED: &str = "imported";
+/// Origin of a text made from what the source says of the whole clip.
+pub const AUTOMATIC: &str = "automatic";
+
+/// When a part counts as active. The defaults are choices of this project; the paper's masks are
+/// made by people.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MaskConfig {
+    /// Share of a clip's frames that are slower than its activity: at 0.75 a part has to move for a
+    /// quarter of the clip, so a wave at the end of a walk still counts and a twitch does not.
+    pub frame_quantile: f64,
+    /// Share of training clips that are less active than the reference of a part. Below 1, so that
+    /// one broken clip does not silence all others.
+    pub clip_quantile: f64,
+    /// Activity relative to the reference from which a part is active.
+    pub threshold: f64,
+    /// Speed in m/s below which a part is at rest whatever the other clips do.
+    pub min_speed_m_s: f64,
+}
+
+impl Default for MaskConfig {
+    fn default() -> Self {
+        Self {
+            frame_quantile: 0.75,
+            clip_quantile: 0.95,
+            threshold: 0.4,
+            min_speed_m_s: 0.1,
+        }
+    }
+}
+
+impl MaskConfig {
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        for (key, got) in [
+            ("frame_quantile", self.frame_quantile),
+            ("clip_quantile", self.clip_quantile),
+            ("threshold", self.threshold),
+        ] {
+            if !(0.0..=1.0).contains(&got) {
+                return Err(Error::Config {
+                    key,
+                    expected: "between 0 and 1",
+                    got,
+                });
+            }
+        }
+        if !(self.min_speed_m_s >= 0.0 && self.min_speed_m_s.is_finite()) {
+            return Err(Error::Config {
+                key: "min_speed_m_s",
+                expected: "finite and not negative",
+                got: self.min_speed_m_s,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// A part of the body whose movement is measured by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Region {
+    LeftArm,
+    RightArm,
+    Torso,
+    Legs,
+}
+
+impl Region {
+    const ALL: [Region; 4] = [Self::LeftArm, Self::RightArm, Self::Torso, Self::Legs];
+
+    /// The SMPL-X joints whose speed is averaged.
+    fn joints(self) -> &'static [usize] {
+        match self {
+            Self::LeftArm => &[16, 18, 20],
+            Self::RightArm => &[17, 19, 21],
+            Self::Torso => &[3, 6, 9, 12, 15],
+            Self::Legs => &[4, 5, 7, 8, 10, 11],
+        }
+    }
+}
+
+/// The chest (SMPL-X spine3), which carries the arms.
+const CHEST: usize = 9;
+
+/// Derives masks for all motions of a dataset: for each clip, one per part of the release that the
+/// clip is about, in the order of the motions.
+///
+/// * A part the source describes has a mask with that description, however it moves.
+/// * An active torso makes `UPPER_BODY`; otherwise two active arms make `BOTH_ARMS` and one makes
+///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text is taken from what the
+///   source says of the whole clip; where it says nothing, there is no mask.
+///
+/// The reference of each part is taken from clips of the training split alone.
+///
+/// # Errors
+/// A setting is out of range, no motion is of the training split, or a row is not usable.
+pub fn automatic_masks(
+    motions: &[MotionRow],
+    skeleton: &Skeleton,
+    config: &MaskConfig,
+) -> Result<Vec<MaskRow>, Error> {
+    config.check()?;
+    let activities: Vec<[f64; Region::ALL.len()]> = motions
+        .par_iter()
+        .map(|row| {
+            if row.skeleton != skeleton.name() {
+                return Err(Error::OtherSkeleton {
+                    motion: row.id.clone(),
+                    found: row.skeleton.clone(),
+                    expected: skeleton.name().to_owned(),
+                });
+            }
+            let motion = row.motion().map_err(|source| Error::Motion {
+                motion: row.id.clone(),
+                source,
+            })?;
+            Ok(activity(&motion, skeleton, config.frame_quantile))
+        })
+        .collect::<Result<_, Error>>()?;
+    let train: Vec<[f64; Region::ALL.len()]> = motions
+        .iter()
+        .zip(&activities)
+        .filter(|(row, _)| row.split == Split::Train)
+        .map(|(_, activity)| *activity)
+        .collect();
+    if train.is_empty() {
+        return Err(Error::NoTrainMotions);
+    }
+    let reference: [f64; Region::ALL.len()] = std::array::from_fn(|region| {
+        let all = train.iter().map(|activity| activity[region]).collect();
+        quantile(all, config.clip_quantile)
+    });
+    let mut masks = Vec::new();
+    for (row, activity) in motions.iter().zip(&activities) {
+        let active: BTreeSet<Region> = Region::ALL
+            .into_iter()
+            .filter(|&region| {
+                let speed = activity[region as usize];
+                speed >= config.min_speed_m_s
+                    && speed >= config.threshold * reference[region as usize]
+            })
+            .collect();
+        masks.extend(masks_of(row, &active)?);
+    }
+    Ok(masks)
+}
+
+/// Mean joint speed of each region in m/s that a share `frame_quantile` of the frames stays below.
+fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; Region::ALL.len()] {
+    let carried: Vec<[DVec3; 22]> = motion
+        .poses()
+        .map(|pose| {
+            let points = skeleton.keypoints(&pose);
+            let global = skeleton.global_rotations(&pose);
+            let heading =
+                DQuat::from_rotation_y(-rotation::yaw(DMat3::from_quat(pose.rotations[0])));
+            let chest = global[CHEST].inverse();
+            let mut carried = std::array::from_fn(|joint| heading * (points[joint] - points[0]));
+            for arm in [Region::LeftArm, Region::RightArm] {
+                for &joint in arm.joints() {
+                    carried[joint] = chest * (points[joint] - points[CHEST]);
+                }
+            }
+            carried
+        })
+        .collect();
+    Region::ALL.map(|region| {
+        let joints = region.joints();
+        let speeds = carried
+            .windows(2)
+            .map(|pair| {
+                let moved: f64 = joints
+                    .iter()
+                    .map(|&j| pair[0][j].distance(pair[1][j]))
+                    .sum();
+                moved / joints.len() as f64 * motion.fps().get()
+            })
+            .collect();
+        quantile(speeds, frame_quantile)
+    })
+}
+
+/// The value that a share of the others stays below, by nearest rank; 0 without values.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len().checked_sub(1) {
+        Some(last) => values[(share * last as f64).round() as usize],
+        None => 0.0,
+    }
+}
+
+fn parts_of(active: &BTreeSet<Region>) -> Vec<BodyPart> {
+    let has = |region| active.contains(&region);
+    let mut parts = Vec::new();
+    match (
+        has(Region::Torso),
+        has(Region::LeftArm),
+        has(Region::RightArm),
+    ) {
+        (true, _, _) => parts.push(BodyPart::UpperBody),
+        (false, true, true) => parts.push(BodyPart::BothArms),
+        (false, true, false) => parts.push(BodyPart::LeftArm),
+        (false, false, true) => parts.push(BodyPart::RightArm),
+        (false, false, false) => {}
+    }
+    if has(Region::Legs) {
+        parts.push(BodyPart::LowerBody);
+    }
+    parts
+}
+
+fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, Error> {
+    let mut texts: BTreeMap<BodyPart, (String, &str)> = BTreeMap::new();
+    for described in &row.part_captions {
+        let part: BodyPart = described.part.parse().map_err(|source| Error::Part {
+            motion: row.id.clone(),
+            source,
+        })?;
+        let action = described.text.trim().trim_end_matches('.');
+        if !action.is_empty() {
+            // Of several descriptions of one part the first counts, as with captions.
+            texts
+                .entry(part)
+                .or_insert_with(|| (instruction(action, part), IMPORTED));
+        }
+    }
+    if let Some(action) = action_phrase(&row.captions, row.action.as_deref()) {
+        for part in parts_of(active) {
+            texts
+                .entry(part)
+                .or_insert_with(|| (instruction(&action, part), AUTOMATIC));
+        }
+    }
+    Ok(texts
+        .into_iter()
+        .map(|(part, (text, origin))| MaskRow {
+            id: format!("{}#{part}", row.id),
+            motion_id: row.id.clone(),
+            split: row.split,
+            parts: vec![part.name().to_owned()],
+            hard_joints: part.mask().hard().names(),
+            soft_joints: part.mask().soft().names(),
+            mask_def_version: MASK_DEF_VERSION,
+            text,
+            text_origin: origin.to_owned(),
+            author: AUTHOR.to_owned(),
+        })
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::rotation::from_axis_angle;
+    use datasets_spec::table::PartCaption;
+    use datasets_spec::{Fps, Pose};
+
+    use super::*;
+    use crate::compose::fixture;
+
+    /// A clip of 60 frames in which some joints swing by 0.8 rad at 1 Hz.
+    fn swinging(id: &str, split: Split, joints: &[usize]) -> MotionRow {
+        let poses: Vec<Pose> = (0..60)
+            .map(|frame| {
+                let angle = 0.8 * (f64::from(frame) / 20.0 * std::f64::consts::TAU).sin();
+                let mut pose = Pose::REST;
+                pose.transl = DVec3::new(0.0, 0.0, f64::from(frame) * 0.05);
+                for &joint in joints {
+                    pose.rotations[joint] = from_axis_angle(DVec3::new(angle, 0.0, angle));
+                }
+                pose
+            })
+            .collect();
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("finite");
+        let mut row = fixture::motion_row(id, split, &motion);
+        row.action = Some("wave".to_owned());
+        row
+    }
+
+    const WHOLE_BODY: [usize; 5] = [3, 1, 2, 16, 17];
+
+    fn parts(rows: &[MotionRow], id: &str) -> Vec<String> {
+        automatic_masks(rows, &Skeleton::smplx_neutral(), &MaskConfig::default())
+            .expect("valid rows")
+            .into_iter()
+            .filter(|mask| mask.motion_id.as_str() == id)
+            .flat_map(|mask| mask.parts)
+            .collect()
+    }
+
+    #[test]
+    fn the_parts_that_move_are_masked() {
+        for (joints, expected) in [
+            (&[16][..], &["LEFT_ARM"][..]),
+            (&[17], &["RIGHT_ARM"]),
+            (&[16, 17], &["BOTH_ARMS"]),
+            (&[1, 2], &["LOWER_BODY"]),
+            // The arms ride along on the spine without moving on their own.
+            (&[3], &["UPPER_BODY"]),
+            (&[3, 16, 1, 2], &["UPPER_BODY", "LOWER_BODY"]),
+            (&[], &[]),
+        ] {
+            let rows = [
+                swinging("lively", Split::Train, &WHOLE_BODY),
+                swinging("clip", Split::Val, joints),
+            ];
+            assert_eq!(parts(&rows, "clip"), expected, "{joints:?}");
+        }
+    }
+
+    #[test]
+    fn masks_hold_what_the_table_asks_for() {
+        let rows = [
+            swinging("lively", Split::Train, &WHOLE_BODY),
+            swinging("clip", Split::Test, &[16]),
+        ];
+        let masks = automatic_masks(&rows, &Skeleton::smplx_neutral(), &MaskConfig::default())
+            .expect("valid rows");
+        let mask = masks.last().expect("a mask");
+        assert_eq!(mask.id, "clip#LEFT_ARM");
+        assert_eq!(mask.split, Split::Test);
+        assert_eq!(
+            mask.hard_joints,
+            ["left_shoulder", "left_elbow", "left_wrist"]
+        );
+        assert_eq!(mask.soft_joints, ["left_collar"]);
+        assert_eq!(mask.text, "The person is waving with their left arm.");
+        assert_eq!(
+            (mask.text_origin.as_str(), mask.author.as_str()),
+            (AUTOMATIC, AUTHOR)
+        );
+    }
+
+    #[test]
+    fn what_the_source_says_of_a_part_is_kept() {
+        let mut row = swinging("clip", Split::Train, &[16]);
+        row.part_captions = vec![
+            PartCaption {
+                part: "LEFT_ARM".to_owned(),
+                text: "throwing a ball.".to_owned(),
+            },
+            PartCaption {
+                part: "LOWER_BODY".to_owned(),
+                text: "standing still".to_owned(),
+            },
+        ];
+        let skeleton = Skeleton::smplx_neutral();
+        let rows = [swinging("lively", Split::Train, &WHOLE_BODY), row.clone()];
+        let masks = automatic_masks(&rows, &skeleton, &MaskConfig::default()).expect("valid");
+        let texts: Vec<(&str, &str)> = masks
+            .iter()
+            .filter(|mask| mask.motion_id == row.id)
+            .map(|mask| (mask.text.as_str(), mask.text_origin.as_str()))
+            .collect();
+        assert_eq!(
+            texts,
+            [
+                (
+                    "The person is standing still with their lower body.",
+                    IMPORTED
+                ),
+                (
+                    "The person is throwing a ball with their left arm.",
+                    IMPORTED
+                ),
+            ]
+        );
+        row.part_captions[0].part = "TAIL".to_owned();
+        assert!(matches!(
+            automatic_masks(&[row], &skeleton, &MaskConfig::default()),
+            Err(Error::Part { .. })
+        ));
+    }
+
+    #[test]
+    fn only_the_training_split_sets_the_reference() {
+        let lively = swinging("lively", Split::Train, &WHOLE_BODY);
+        let mut frantic = swinging("frantic", Split::Test, &WHOLE_BODY);
+        frantic.fps *= 10.0;
+        let without = parts(std::slice::from_ref(&lively), "lively");
+        assert_eq!(parts(&[lively, frantic.clone()], "lively"), without);
+        assert_eq!(without, ["UPPER_BODY", "LOWER_BODY"]);
+        assert!(matches!(
+            automatic_masks(
+                &[frantic],
+                &Skeleton::smplx_neutral(),
+                &MaskConfig::default()
+            ),
+            Err(Error::NoTrainMotions)
+        ));
+    }
+
+    #[test]
+    fn a_clip_nobody_describes_has_no_mask() {
+        let mut row = swinging("clip", Split::Train, &WHOLE_BODY);
+        row.action = None;
+        assert!(parts(&[row], "clip").is_empty());
+    }
+
+    #[test]
+    fn quantiles_by_nearest_rank() {
+        assert_eq!(quantile(vec![3.0, 1.0, 2.0, 5.0, 4.0], 0.75), 4.0);
+        assert_eq!(quantile(vec![2.0], 0.95), 2.0);
+        assert_eq!(quantile(Vec::new(), 0.5), 0.0);
+    }
+}

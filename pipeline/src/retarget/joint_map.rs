@@ -1,0 +1,671 @@
+//! Which joint of a source skeleton is which joint of the body.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::Joint;
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+
+use crate::source::Rejected;
+use crate::source::bvh::BvhJoint;
+
+/// The source names of the 22 body joints in SMPL-X order; empty where the dialect has no such
+/// joint.
+#[derive(Clone, Copy, Debug)]
+pub struct JointMap {
+    /// Name of the dialect.
+    pub name: &'static str,
+    /// Source names, `[22]`.
+    pub source_names: [&'static str; NUM_BODY_JOINTS],
+}
+
+/// The known dialects. The one with most names in the file is taken, the first of them in a tie.
+///
+/// Spines differ in number and place. Each source joint is given to the body joint whose height on
+/// the way from pelvis to neck is nearest; the joints left over follow from their neighbours.
+pub const JOINT_MAPS: [JointMap; 9] = [
+    JointMap {
+        name: "smplx",
+        source_names: [
+            "pelvis",
+            "left_hip",
+            "right_hip",
+            "spine1",
+            "left_knee",
+            "right_knee",
+            "spine2",
+            "left_ankle",
+            "right_ankle",
+            "spine3",
+            "left_foot",
+            "right_foot",
+            "neck",
+            "left_collar",
+            "right_collar",
+            "head",
+            "left_shoulder",
+            "right_shoulder",
+            "left_elbow",
+            "right_elbow",
+            "left_wrist",
+            "right_wrist",
+        ],
+    },
+    JointMap {
+        name: "smpl",
+        source_names: [
+            "Pelvis",
+            "L_Hip",
+            "R_Hip",
+            "Spine1",
+            "L_Knee",
+            "R_Knee",
+            "Spine2",
+            "L_Ankle",
+            "R_Ankle",
+            "Spine3",
+            "L_Foot",
+            "R_Foot",
+            "Neck",
+            "L_Collar",
+            "R_Collar",
+            "Head",
+            "L_Shoulder",
+            "R_Shoulder",
+            "L_Elbow",
+            "R_Elbow",
+            "L_Wrist",
+            "R_Wrist",
+        ],
+    },
+    JointMap {
+        name: "bandai-namco",
+        source_names: [
+            "Hips",
+            "UpperLeg_L",
+            "UpperLeg_R",
+            "Spine",
+            "LowerLeg_L",
+            "LowerLeg_R",
+            "",
+            "Foot_L",
+            "Foot_R",
+            "Chest",
+            "Toes_L",
+            "Toes_R",
+            "Neck",
+            "Shoulder_L",
+            "Shoulder_R",
+            "Head",
+            "UpperArm_L",
+            "UpperArm_R",
+            "LowerArm_L",
+            "LowerArm_R",
+            "Hand_L",
+            "Hand_R",
+        ],
+    },
+    // The neck of the CMU skeleton is two bones; the upper one starts where the body's neck joint
+    // is, the lower one within the chest.
+    JointMap {
+        name: "cmu",
+        source_names: [
+            "Hips",
+            "LeftUpLeg",
+            "RightUpLeg",
+            "LowerBack",
+            "LeftLeg",
+            "RightLeg",
+            "Spine",
+            "LeftFoot",
+            "RightFoot",
+            "Spine1",
+            "LeftToeBase",
+            "RightToeBase",
+            "Neck1",
+            "LeftShoulder",
+            "RightShoulder",
+            "Head",
+            "LeftArm",
+            "RightArm",
+            "LeftForeArm",
+            "RightForeArm",
+            "LeftHand",
+            "RightHand",
+        ],
+    },
+    JointMap {
+        name: "motionbuilder",
+        source_names: [
+            "Hips",
+            "LeftUpLeg",
+            "RightUpLeg",
+            "Spine",
+            "LeftLeg",
+            "RightLeg",
+            "Spine2",
+            "LeftFoot",
+            "RightFoot",
+            "Spine3",
+            "LeftToeBase",
+            "RightToeBase",
+            "Neck",
+            "LeftShoulder",
+            "RightShoulder",
+            "Head",
+            "LeftArm",
+            "RightArm",
+            "LeftForeArm",
+            "RightForeArm",
+            "LeftHand",
+            "RightHand",
+        ],
+    },
+    JointMap {
+        name: "lafan1",
+        source_names: [
+            "Hips",
+            "LeftUpLeg",
+            "RightUpLeg",
+            "Spine",
+            "LeftLeg",
+            "RightLeg",
+            "Spine1",
+            "LeftFoot",
+            "RightFoot",
+            "Spine2",
+            "LeftToe",
+            "RightToe",
+            "Neck",
+            "LeftShoulder",
+            "RightShoulder",
+            "Head",
+            "LeftArm",
+            "RightArm",
+            "LeftForeArm",
+            "RightForeArm",
+            "LeftHand",
+            "RightHand",
+        ],
+    },
+    JointMap {
+        name: "mixamo",
+        source_names: [
+            "Hips",
+            "LeftUpLeg",
+            "RightUpLeg",
+            "Spine",
+            "LeftLeg",
+            "RightLeg",
+            "Spine1",
+            "LeftFoot",
+            "RightFoot",
+            "Spine2",
+            "LeftToeBase",
+            "RightToeBase",
+            "Neck",
+            "LeftShoulder",
+            "RightShoulder",
+            "Head",
+            "LeftArm",
+            "RightArm",
+            "LeftForeArm",
+            "RightForeArm",
+            "LeftHand",
+            "RightHand",
+        ],
+    },
+    JointMap {
+        name: "biovision",
+        source_names: [
+            "Hips",
+            "LeftHip",
+            "RightHip",
+            "Chest",
+            "LeftKnee",
+            "RightKnee",
+            "",
+            "LeftAnkle",
+            "RightAnkle",
+            "Chest2",
+            "LeftToe",
+            "RightToe",
+            "Neck",
+            "LeftCollar",
+            "RightCollar",
+            "Head",
+            "LeftShoulder",
+            "RightShoulder",
+            "LeftElbow",
+            "RightElbow",
+            "LeftWrist",
+            "RightWrist",
+        ],
+    },
+    JointMap {
+        name: "100style",
+        source_names: [
+            "Hips",
+            "LeftHip",
+            "RightHip",
+            "Chest",
+            "LeftKnee",
+            "RightKnee",
+            "Chest3",
+            "LeftAnkle",
+            "RightAnkle",
+            "Chest4",
+            "LeftToe",
+            "RightToe",
+            "Neck",
+            "LeftCollar",
+            "RightCollar",
+            "Head",
+            "LeftShoulder",
+            "RightShoulder",
+            "LeftElbow",
+            "RightElbow",
+            "LeftWrist",
+            "RightWrist",
+        ],
+    },
+];
+
+/// Joints without which a skeleton is no body. One of neck and head is needed besides.
+const REQUIRED: [Joint; 7] = [
+    Joint::Pelvis,
+    Joint::LeftHip,
+    Joint::RightHip,
+    Joint::LeftKnee,
+    Joint::RightKnee,
+    Joint::LeftAnkle,
+    Joint::RightAnkle,
+];
+
+/// The joints of a file that were found to be joints of the body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mapping {
+    /// Name of the dialect, or how the joints were guessed.
+    pub name: String,
+    /// Index in the file of each body joint, `[22]`.
+    pub source_of: [Option<usize>; NUM_BODY_JOINTS],
+}
+
+impl Mapping {
+    /// Finds the body in a skeleton: by a known dialect, otherwise by the words in its names.
+    ///
+    /// # Errors
+    /// `E-BVH-SKELETON` if pelvis, legs or head are not found, or a name that is needed occurs
+    /// twice.
+    pub fn find(joints: &[BvhJoint]) -> Result<Self, Rejected> {
+        let mut by_name: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, joint) in joints.iter().enumerate() {
+            by_name.entry(bare(&joint.name)).or_default().push(index);
+        }
+        let num_matches = |map: &JointMap| {
+            map.source_names
+                .iter()
+                .filter(|name| by_name.contains_key(*name))
+                .count()
+        };
+        let mut best = &JOINT_MAPS[0];
+        for map in &JOINT_MAPS[1..] {
+            if num_matches(map) > num_matches(best) {
+                best = map;
+            }
+        }
+        let named = Self {
+            name: best.name.to_owned(),
+            source_of: best.source_names.map(|name| {
+                by_name
+                    .get(name)
+                    .and_then(|indices| indices.first().copied())
+            }),
+        };
+        if named.missing().is_empty() {
+            for name in best.source_names {
+                if let Some(indices) = by_name.get(name).filter(|indices| indices.len() > 1) {
+                    return Err(Rejected::retarget(
+                        "E-BVH-SKELETON",
+                        format!(
+                            "found {} joints named \"{name}\", expected one",
+                            indices.len()
+                        ),
+                    ));
+                }
+            }
+            return Ok(named.completed(&guess(joints)));
+        }
+        let guessed = guess(joints);
+        if guessed.missing().is_empty() {
+            return Ok(guessed);
+        }
+        let (missing, kind) = if guessed.missing().len() < named.missing().len() {
+            (guessed.missing(), "by words in names".to_owned())
+        } else {
+            (named.missing(), format!("by the {} names", named.name))
+        };
+        Err(Rejected::retarget(
+            "E-BVH-SKELETON",
+            format!(
+                "found no {} among {} joints ({kind}); expected a body with hips, legs and a head",
+                missing.join(", "),
+                joints.len()
+            ),
+        ))
+    }
+
+    /// Takes limb joints that the dialect's names did not find, such as a foot of another name,
+    /// from a guess. Spine joints are left out: the guess counts them differently.
+    fn completed(mut self, guessed: &Self) -> Self {
+        for joint in 0..NUM_BODY_JOINTS {
+            let is_limb = Joint::ALL[joint].mirrored() != Joint::ALL[joint];
+            let free = guessed.source_of[joint]
+                .filter(|source| is_limb && !self.source_of.contains(&Some(*source)));
+            self.source_of[joint] = self.source_of[joint].or(free);
+        }
+        self
+    }
+
+    /// Names of required body joints that were not found.
+    fn missing(&self) -> Vec<&'static str> {
+        let has = |joint: Joint| self.source_of[joint.index()].is_some();
+        let mut missing: Vec<&str> = REQUIRED
+            .into_iter()
+            .filter(|&joint| !has(joint))
+            .map(Joint::name)
+            .collect();
+        if !has(Joint::Neck) && !has(Joint::Head) {
+            missing.push("neck or head");
+        }
+        missing
+    }
+
+    /// Names of body joints that were not found.
+    pub fn absent(&self) -> Vec<&'static str> {
+        Joint::ALL
+            .into_iter()
+            .filter(|joint| self.source_of[joint.index()].is_none())
+            .map(Joint::name)
+            .collect()
+    }
+}
+
+/// A name without its namespace, as in `mixamorig:Hips`.
+fn bare(name: &str) -> &str {
+    name.rsplit(':').next().unwrap_or(name)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Side {
+    Left,
+    Right,
+}
+
+/// A part of the body by itself, before its side is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Hip,
+    Knee,
+    Ankle,
+    Foot,
+    Collar,
+    /// The collar of rigs that call the next joint an arm, else the shoulder.
+    ShoulderOrCollar,
+    Shoulder,
+    Elbow,
+    Wrist,
+    Neck,
+    Head,
+}
+
+/// Words for each part. The longest word that ends a name decides: a forearm is no arm.
+const WORDS: [(&str, Part); 29] = [
+    ("upleg", Part::Hip),
+    ("upperleg", Part::Hip),
+    ("thigh", Part::Hip),
+    ("femur", Part::Hip),
+    ("hip", Part::Hip),
+    ("leg", Part::Knee),
+    ("lowerleg", Part::Knee),
+    ("calf", Part::Knee),
+    ("shin", Part::Knee),
+    ("tibia", Part::Knee),
+    ("knee", Part::Knee),
+    ("foot", Part::Ankle),
+    ("ankle", Part::Ankle),
+    ("toe", Part::Foot),
+    ("toes", Part::Foot),
+    ("toebase", Part::Foot),
+    ("clavicle", Part::Collar),
+    ("collar", Part::Collar),
+    ("shoulder", Part::ShoulderOrCollar),
+    ("arm", Part::Shoulder),
+    ("uparm", Part::Shoulder),
+    ("upperarm", Part::Shoulder),
+    ("forearm", Part::Elbow),
+    ("lowerarm", Part::Elbow),
+    ("elbow", Part::Elbow),
+    ("hand", Part::Wrist),
+    ("wrist", Part::Wrist),
+    ("neck", Part::Neck),
+    ("head", Part::Head),
+];
+
+/// Splits a name into its side and the rest in lower case: `LeftUpLeg`, `upleg_l` and
+/// `Bip01 L UpLeg` have the same side.
+fn side_and_part(name: &str) -> (Option<Side>, Option<Part>) {
+    let mut words: Vec<String> = Vec::new();
+    let mut previous_lower = false;
+    let mut open = false;
+    for c in bare(name).chars() {
+        if !c.is_alphabetic() {
+            open = false;
+            continue;
+        }
+        if !open || (c.is_uppercase() && previous_lower) {
+            words.push(String::new());
+            open = true;
+        }
+        if let Some(word) = words.last_mut() {
+            word.extend(c.to_lowercase());
+        }
+        previous_lower = c.is_lowercase();
+    }
+    let side_of = |word: &str| match word {
+        "left" | "l" => Some(Side::Left),
+        "right" | "r" => Some(Side::Right),
+        _ => None,
+    };
+    let mut side = words.iter().find_map(|word| side_of(word));
+    words.retain(|word| side_of(word).is_none());
+    let mut rest = words.concat();
+    if side.is_none() {
+        for (prefix, prefix_side) in [("left", Side::Left), ("right", Side::Right)] {
+            if let Some(stripped) = rest.strip_prefix(prefix) {
+                (side, rest) = (Some(prefix_side), stripped.to_owned());
+                break;
+            }
+        }
+    }
+    let part = WORDS
+        .iter()
+        .filter(|(word, _)| rest.ends_with(word))
+        .max_by_key(|(word, _)| word.len())
+        .map(|&(_, part)| part);
+    (side, part)
+}
+
+fn guess(joints: &[BvhJoint]) -> Mapping {
+    let mut first: BTreeMap<(Option<Side>, Part), usize> = BTreeMap::new();
+    for (index, joint) in joints.iter().enumerate() {
+        if let (side, Some(part)) = side_and_part(&joint.name) {
+            first.entry((side, part)).or_insert(index);
+        }
+    }
+    let mut source_of = [None; NUM_BODY_JOINTS];
+    for (side, joints) in [
+        (Side::Left, [1, 4, 7, 10, 13, 16, 18, 20]),
+        (Side::Right, [2, 5, 8, 11, 14, 17, 19, 21]),
+    ] {
+        let get = |part: Part| first.get(&(Some(side), part)).copied();
+        let arm = get(Part::Shoulder);
+        let shoulder = get(Part::ShoulderOrCollar);
+        let found = [
+            get(Part::Hip),
+            get(Part::Knee),
+            get(Part::Ankle),
+            get(Part::Foot),
+            get(Part::Collar).or(arm.and(shoulder)),
+            arm.or(shoulder),
+            get(Part::Elbow),
+            get(Part::Wrist),
+        ];
+        for (joint, index) in joints.into_iter().zip(found) {
+            source_of[joint] = index;
+        }
+    }
+    source_of[12] = first.get(&(None, Part::Neck)).copied();
+    source_of[15] = first.get(&(None, Part::Head)).copied();
+    if let (Some(left), Some(right)) = (source_of[1], source_of[2]) {
+        source_of[0] = common_ancestor(joints, left, right);
+    }
+    if let (Some(pelvis), Some(top)) = (source_of[0], source_of[12].or(source_of[15])) {
+        let mut spine: Vec<usize> = ancestors(joints, top)
+            .take_while(|&index| index != pelvis)
+            .collect();
+        spine.reverse();
+        match spine[..] {
+            [] => {}
+            [chest] => source_of[9] = Some(chest),
+            [lower, chest] => {
+                source_of[3] = Some(lower);
+                source_of[9] = Some(chest);
+            }
+            [lower, .., chest] => {
+                source_of[3] = Some(lower);
+                source_of[6] = Some(spine[spine.len() / 2]);
+                source_of[9] = Some(chest);
+            }
+        }
+    }
+    let num_found = source_of.iter().flatten().count();
+    Mapping {
+        name: format!("guessed by words in names, {num_found} of {NUM_BODY_JOINTS} joints found"),
+        source_of,
+    }
+}
+
+fn ancestors(joints: &[BvhJoint], index: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(joints[index].parent, |&parent| joints[parent].parent)
+}
+
+fn common_ancestor(joints: &[BvhJoint], a: usize, b: usize) -> Option<usize> {
+    ancestors(joints, a).find(|&candidate| ancestors(joints, b).any(|other| other == candidate))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    fn skeleton(names_and_parents: &[(&str, usize)]) -> Vec<BvhJoint> {
+        names_and_parents
+            .iter()
+            .enumerate()
+            .map(|(index, &(name, parent))| BvhJoint {
+                name: name.to_owned(),
+                parent: (index > 0).then_some(parent),
+                offset: DVec3::Y,
+                channels: Vec::new(),
+                first_channel: 0,
+                end_site: None,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn dialects_are_told_apart_by_their_names() {
+        for map in &JOINT_MAPS {
+            let joints: Vec<(String, usize)> = map
+                .source_names
+                .iter()
+                .filter(|name| !name.is_empty())
+                .map(|name| (format!("rig:{name}"), 0))
+                .collect();
+            let joints: Vec<(&str, usize)> = joints
+                .iter()
+                .map(|(name, parent)| (name.as_str(), *parent))
+                .collect();
+            let mapping = Mapping::find(&skeleton(&joints)).expect(map.name);
+            assert_eq!(mapping.name, map.name);
+            assert_eq!(mapping.absent().len(), 22 - joints.len());
+        }
+    }
+
+    #[test]
+    fn unknown_rigs_are_read_by_their_words() {
+        let joints = skeleton(&[
+            ("Bip01", 0),
+            ("Bip01 Pelvis", 0),
+            ("Bip01 L Thigh", 1),
+            ("Bip01 L Calf", 2),
+            ("Bip01 L Foot", 3),
+            ("Bip01 R Thigh", 1),
+            ("Bip01 R Calf", 5),
+            ("Bip01 R Foot", 6),
+            ("Bip01 Spine", 1),
+            ("Bip01 Spine1", 8),
+            ("Bip01 Neck", 9),
+            ("Bip01 Head", 10),
+            ("Bip01 L Clavicle", 9),
+            ("Bip01 L UpperArm", 12),
+            ("Bip01 L Forearm", 13),
+            ("Bip01 L Hand", 14),
+        ]);
+        let mapping = Mapping::find(&joints).expect("a body");
+        let at = |joint: Joint| mapping.source_of[joint.index()];
+        assert_eq!(at(Joint::Pelvis), Some(1), "where the legs meet");
+        assert_eq!(at(Joint::LeftElbow), Some(14));
+        assert_eq!(at(Joint::LeftCollar), Some(12));
+        assert_eq!((at(Joint::Spine1), at(Joint::Spine3)), (Some(8), Some(9)));
+        assert_eq!(at(Joint::RightShoulder), None);
+        assert!(mapping.name.contains("15 of 22"), "{}", mapping.name);
+    }
+
+    #[test]
+    fn a_foot_of_another_name_is_still_found() {
+        let lafan1 = JOINT_MAPS
+            .iter()
+            .find(|map| map.name == "lafan1")
+            .expect("known");
+        let joints: Vec<(&str, usize)> = lafan1
+            .source_names
+            .iter()
+            .map(|&name| (if name == "LeftToe" { "LeftToes" } else { name }, 0))
+            .collect();
+        let mapping = Mapping::find(&skeleton(&joints)).expect("a body");
+        assert_eq!(mapping.source_of[Joint::LeftFoot.index()], Some(10));
+    }
+
+    #[test]
+    fn what_is_no_body_is_named() {
+        let rejected = Mapping::find(&skeleton(&[("Base", 0), ("End", 0)])).expect_err("two bones");
+        assert_eq!(rejected.code, "E-BVH-SKELETON");
+        assert!(rejected.reason.contains("left_knee"), "{}", rejected.reason);
+        let mut twice: Vec<(&str, usize)> = JOINT_MAPS[3]
+            .source_names
+            .iter()
+            .map(|name| (*name, 0))
+            .collect();
+        twice.push(("Extra", 0));
+        twice.push(("Extra", 0));
+        assert!(
+            Mapping::find(&skeleton(&twice)).is_ok(),
+            "an unused name may repeat"
+        );
+        twice.push(("LeftLeg", 0));
+        let rejected = Mapping::find(&skeleton(&twice)).expect_err("two left legs");
+        assert!(rejected.reason.contains("LeftLeg"), "{}", rejected.reason);
+    }
+}

@@ -1,0 +1,557 @@
+//! Arrays of NumPy's npy format, within bounds: the header is read by a grammar of its own and
+//! never evaluated, pickled objects are refused, and a shape is held against the bytes that are
+//! there before anything is allocated.
+
+use super::Rejected;
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+/// Longest header read, in bytes. NumPy's own limit is 10,000 for files it does not trust.
+const MAX_HEADER_LEN: usize = 10_000;
+/// NumPy allows arrays of up to 64 dimensions.
+const MAX_DIMENSIONS: usize = 64;
+
+/// What kind of numbers or text an array holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Float,
+    Signed,
+    Unsigned,
+    Bytes,
+    Unicode,
+}
+
+/// The parsed header of an array.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Header {
+    kind: Kind,
+    big_endian: bool,
+    item_len: usize,
+    fortran_order: bool,
+    shape: Vec<usize>,
+    data_start: usize,
+}
+
+/// An array of numbers in row-major order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Extent of each dimension; empty for a scalar.
+    pub shape: Vec<usize>,
+    /// The numbers, the last index running fastest.
+    pub values: Vec<f64>,
+}
+
+impl Header {
+    /// Parses the header of an array and checks it against the length of `bytes`. `name` names the
+    /// array in messages.
+    ///
+    /// # Errors
+    /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes,
+    /// `E-NPY-DTYPE` for types without a use here, `E-NPY-HEADER` for anything unreadable.
+    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Rejected> {
+        let bad = |reason: String, at: usize| {
+            Rejected::read("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
+        };
+        let version_at = MAGIC.len();
+        if !bytes.starts_with(MAGIC) || bytes.len() < version_at + 4 {
+            return Err(bad(
+                "found no npy magic number, expected \\x93NUMPY".to_owned(),
+                0,
+            ));
+        }
+        let (header_start, header_len) = match bytes[version_at] {
+            1 => (
+                version_at + 4,
+                usize::from(u16::from_le_bytes([
+                    bytes[version_at + 2],
+                    bytes[version_at + 3],
+                ])),
+            ),
+            2 | 3 => {
+                let field = bytes
+                    .get(version_at + 2..)
+                    .and_then(|rest| rest.first_chunk::<4>())
+                    .ok_or_else(|| bad("the header is cut off".to_owned(), bytes.len()))?;
+                (version_at + 6, u32::from_le_bytes(*field) as usize)
+            }
+            version => {
+                return Err(bad(
+                    format!("found npy version {version}, expected 1 to 3"),
+                    version_at,
+                ));
+            }
+        };
+        if header_len > MAX_HEADER_LEN {
+            return Err(bad(
+                format!("found a header of {header_len} bytes, expected at most {MAX_HEADER_LEN}"),
+                version_at + 2,
+            ));
+        }
+        let data_start = header_start + header_len;
+        let text = bytes
+            .get(header_start..data_start)
+            .ok_or_else(|| bad("the header is cut off".to_owned(), bytes.len()))?;
+        let literal = Literal::parse(text)
+            .map_err(|(reason, at)| bad(reason.to_owned(), header_start + at))?;
+        let (kind, big_endian, item_len) = parse_descr(name, &literal.descr)?;
+        let header = Self {
+            kind,
+            big_endian,
+            item_len,
+            fortran_order: literal.fortran_order,
+            shape: literal.shape,
+            data_start,
+        };
+        let found = bytes.len() - data_start;
+        let needed = header
+            .shape
+            .iter()
+            .try_fold(item_len, |product, &extent| product.checked_mul(extent));
+        if needed != Some(found) {
+            return Err(Rejected::read(
+                "E-NPY-SHAPE",
+                format!(
+                    "{name}: found {found} bytes of data, expected {} for shape {:?} of {}",
+                    needed.map_or("more than 2^64".to_owned(), |needed| needed.to_string()),
+                    header.shape,
+                    literal.descr,
+                ),
+            )
+            .at(data_start));
+        }
+        Ok(header)
+    }
+
+    fn num_items(&self) -> usize {
+        self.shape.iter().product()
+    }
+}
+
+/// Reads an array of numbers.
+///
+/// # Errors
+/// As [`Header::parse`]; `E-NPY-DTYPE` also for text.
+pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Rejected> {
+    let header = Header::parse(name, bytes)?;
+    let decode: fn([u8; 8]) -> f64 = match (header.kind, header.item_len) {
+        (Kind::Float, 8) => f64::from_le_bytes,
+        (Kind::Float, 4) => |b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+        (Kind::Signed, 8) => |b| i64::from_le_bytes(b) as f64,
+        (Kind::Signed, 4) => |b| f64::from(i32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+        (Kind::Signed, 2) => |b| f64::from(i16::from_le_bytes([b[0], b[1]])),
+        (Kind::Signed, 1) => |b| f64::from(i8::from_le_bytes([b[0]])),
+        (Kind::Unsigned, 8) => |b| u64::from_le_bytes(b) as f64,
+        (Kind::Unsigned, 4 | 2 | 1) => |b| u64::from_le_bytes(b) as f64,
+        (kind, len) => {
+            return Err(Rejected::read(
+                "E-NPY-DTYPE",
+                format!("{name}: found {kind:?} of {len} bytes, expected f4, f8 or an integer"),
+            ));
+        }
+    };
+    let read: Vec<f64> = bytes[header.data_start..]
+        .chunks_exact(header.item_len)
+        .map(|item| {
+            let mut little_endian = [0; 8];
+            little_endian[..item.len()].copy_from_slice(item);
+            if header.big_endian {
+                little_endian[..item.len()].reverse();
+            }
+            decode(little_endian)
+        })
+        .collect();
+    let values = if header.fortran_order && header.shape.len() > 1 {
+        row_major(&read, &header.shape)
+    } else {
+        read
+    };
+    Ok(Array {
+        shape: header.shape,
+        values,
+    })
+}
+
+/// Reads the first item of an array of text, whatever its dimensions.
+///
+/// # Errors
+/// As [`Header::parse`]; `E-NPY-DTYPE` for numbers.
+pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Rejected> {
+    let header = Header::parse(name, bytes)?;
+    let first = if header.num_items() == 0 {
+        0
+    } else {
+        header.item_len
+    };
+    let item = &bytes[header.data_start..][..first];
+    let text: String = match header.kind {
+        Kind::Bytes => String::from_utf8_lossy(item).into_owned(),
+        Kind::Unicode => item
+            .chunks_exact(4)
+            .filter_map(|code| {
+                let code = [code[0], code[1], code[2], code[3]];
+                char::from_u32(if header.big_endian {
+                    u32::from_be_bytes(code)
+                } else {
+                    u32::from_le_bytes(code)
+                })
+            })
+            .collect(),
+        kind => {
+            return Err(Rejected::read(
+                "E-NPY-DTYPE",
+                format!("{name}: found {kind:?}, expected text"),
+            ));
+        }
+    };
+    Ok(text.trim_end_matches('\0').to_owned())
+}
+
+/// Reorders column-major values.
+fn row_major(values: &[f64], shape: &[usize]) -> Vec<f64> {
+    let mut strides = vec![1usize; shape.len()];
+    for dimension in 1..shape.len() {
+        strides[dimension] = strides[dimension - 1] * shape[dimension - 1];
+    }
+    let mut index = vec![0usize; shape.len()];
+    let mut out = Vec::with_capacity(values.len());
+    for _ in 0..values.len() {
+        out.push(
+            values[index
+                .iter()
+                .zip(&strides)
+                .map(|(i, stride)| i * stride)
+                .sum::<usize>()],
+        );
+        for dimension in (0..shape.len()).rev() {
+            index[dimension] += 1;
+            if index[dimension] < shape[dimension] {
+                break;
+            }
+            index[dimension] = 0;
+        }
+    }
+    out
+}
+
+/// Splits a type such as `<f8` into kind, byte order and item length.
+fn parse_descr(name: &str, descr: &str) -> Result<(Kind, bool, usize), Rejected> {
+    let unknown = || {
+        Rejected::read(
+            "E-NPY-DTYPE",
+            format!("{name}: found type \"{descr}\", expected one such as <f4, <f8, <i8 or <U6"),
+        )
+    };
+    let mut chars = descr.chars();
+    let mut first = chars.next().ok_or_else(unknown)?;
+    let big_endian = first == '>';
+    if matches!(first, '<' | '>' | '|' | '=') {
+        first = chars.next().ok_or_else(unknown)?;
+    }
+    if first == 'O' {
+        return Err(Rejected::read(
+            "E-PICKLE-REFUSED",
+            format!(
+                "{name}: holds pickled objects, which are code and are never executed; save it as \
+                 plain numbers"
+            ),
+        ));
+    }
+    let len: usize = chars.as_str().parse().map_err(|_| unknown())?;
+    let (kind, item_len) = match first {
+        'f' => (Kind::Float, Some(len)),
+        'i' => (Kind::Signed, Some(len)),
+        'u' => (Kind::Unsigned, Some(len)),
+        'b' => (Kind::Unsigned, Some(len)),
+        'S' | 'a' => (Kind::Bytes, Some(len)),
+        'U' => (Kind::Unicode, len.checked_mul(4)),
+        _ => return Err(unknown()),
+    };
+    let numeric = matches!(kind, Kind::Float | Kind::Signed | Kind::Unsigned);
+    match item_len {
+        Some(item_len) if !numeric || matches!(item_len, 1 | 2 | 4 | 8) => {
+            Ok((kind, big_endian, item_len))
+        }
+        _ => Err(unknown()),
+    }
+}
+
+/// The dictionary of a header.
+struct Literal {
+    descr: String,
+    fortran_order: bool,
+    shape: Vec<usize>,
+}
+
+impl Literal {
+    /// Parses `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }` in any key order.
+    fn parse(text: &[u8]) -> Result<Self, (&'static str, usize)> {
+        let mut scanner = Scanner { text, at: 0 };
+        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
+        scanner.symbol(b'{')?;
+        while !scanner.peek(b'}') {
+            let key_at = scanner.at;
+            let key = scanner.string()?;
+            scanner.symbol(b':')?;
+            match key {
+                b"descr" if scanner.peek(b'[') => {
+                    return Err((
+                        "the array has named fields, expected plain numbers",
+                        scanner.at,
+                    ));
+                }
+                b"descr" => descr = Some(String::from_utf8_lossy(scanner.string()?).into_owned()),
+                b"fortran_order" => fortran_order = Some(scanner.boolean()?),
+                b"shape" => shape = Some(scanner.tuple()?),
+                _ => {
+                    return Err((
+                        "unknown key, expected descr, fortran_order or shape",
+                        key_at,
+                    ));
+                }
+            }
+            if !scanner.peek(b'}') {
+                scanner.symbol(b',')?;
+            }
+        }
+        match (descr, fortran_order, shape) {
+            (Some(descr), Some(fortran_order), Some(shape)) => Ok(Self {
+                descr,
+                fortran_order,
+                shape,
+            }),
+            _ => Err((
+                "a key is missing, expected descr, fortran_order and shape",
+                scanner.at,
+            )),
+        }
+    }
+}
+
+struct Scanner<'a> {
+    text: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Scanner<'a> {
+    fn skip_space(&mut self) {
+        while self.text.get(self.at).is_some_and(u8::is_ascii_whitespace) {
+            self.at += 1;
+        }
+    }
+
+    fn peek(&mut self, symbol: u8) -> bool {
+        self.skip_space();
+        self.text.get(self.at) == Some(&symbol)
+    }
+
+    fn symbol(&mut self, symbol: u8) -> Result<(), (&'static str, usize)> {
+        if !self.peek(symbol) {
+            return Err(("the header is no dictionary of the npy format", self.at));
+        }
+        self.at += 1;
+        Ok(())
+    }
+
+    fn string(&mut self) -> Result<&'a [u8], (&'static str, usize)> {
+        self.skip_space();
+        let quote = match self.text.get(self.at) {
+            Some(&quote @ (b'\'' | b'"')) => quote,
+            _ => return Err(("found no string where one was expected", self.at)),
+        };
+        let start = self.at + 1;
+        let rest = &self.text[start..];
+        let len = rest
+            .iter()
+            .position(|&byte| byte == quote)
+            .ok_or(("a string has no end", self.at))?;
+        self.at = start + len + 1;
+        Ok(&rest[..len])
+    }
+
+    fn boolean(&mut self) -> Result<bool, (&'static str, usize)> {
+        self.skip_space();
+        for (word, value) in [(&b"True"[..], true), (b"False", false)] {
+            if self.text[self.at..].starts_with(word) {
+                self.at += word.len();
+                return Ok(value);
+            }
+        }
+        Err(("found neither True nor False", self.at))
+    }
+
+    fn tuple(&mut self) -> Result<Vec<usize>, (&'static str, usize)> {
+        self.symbol(b'(')?;
+        let mut items = Vec::new();
+        while !self.peek(b')') {
+            let digits = self.text[self.at..]
+                .iter()
+                .take_while(|b| b.is_ascii_digit())
+                .count();
+            let item = std::str::from_utf8(&self.text[self.at..self.at + digits])
+                .ok()
+                .and_then(|text| text.parse().ok())
+                .ok_or(("found no extent of a dimension", self.at))?;
+            if items.len() == MAX_DIMENSIONS {
+                return Err(("too many dimensions, expected at most 64", self.at));
+            }
+            items.push(item);
+            self.at += digits;
+            // Python 2 wrote long extents with a suffix.
+            if self.text.get(self.at) == Some(&b'L') {
+                self.at += 1;
+            }
+            if !self.peek(b')') {
+                self.symbol(b',')?;
+            }
+        }
+        self.symbol(b')')?;
+        Ok(items)
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// An npy file with this dictionary and data.
+    pub(crate) fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([1, 0]);
+        bytes.extend((dictionary.len() as u16).to_le_bytes());
+        bytes.extend(dictionary.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    /// A row-major array of f8.
+    pub(crate) fn npy_f8(shape: &[usize], values: &[f64]) -> Vec<u8> {
+        let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
+        let dictionary =
+            format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({extents}), }}\n");
+        let data: Vec<u8> = values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect();
+        npy(&dictionary, &data)
+    }
+
+    #[test]
+    fn every_type_and_order_gives_the_same_matrix() {
+        let expected = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        let columns = [1.0, 4.0, 2.0, 5.0, 3.0, 6.0];
+        let dictionary = |descr: &str, fortran: &str| {
+            format!("{{\"shape\": (2, 3), 'fortran_order': {fortran}, 'descr': '{descr}'}}")
+        };
+        let bytes = |values: [f64; 6], to_bytes: fn(f64) -> Vec<u8>| -> Vec<u8> {
+            values.into_iter().flat_map(to_bytes).collect()
+        };
+        let cases: [(&str, &str, Vec<u8>); 7] = [
+            (
+                "<f8",
+                "False",
+                bytes(expected, |v| v.to_le_bytes().to_vec()),
+            ),
+            (
+                ">f8",
+                "False",
+                bytes(expected, |v| v.to_be_bytes().to_vec()),
+            ),
+            (
+                "<f4",
+                "True",
+                bytes(columns, |v| (v as f32).to_le_bytes().to_vec()),
+            ),
+            (
+                ">f4",
+                "True",
+                bytes(columns, |v| (v as f32).to_be_bytes().to_vec()),
+            ),
+            (
+                "<i8",
+                "False",
+                bytes(expected, |v| (v as i64).to_le_bytes().to_vec()),
+            ),
+            (
+                ">i4",
+                "False",
+                bytes(expected, |v| (v as i32).to_be_bytes().to_vec()),
+            ),
+            ("|u1", "True", bytes(columns, |v| vec![v as u8])),
+        ];
+        for (descr, fortran, data) in cases {
+            let array = read_numbers("m", &npy(&dictionary(descr, fortran), &data)).expect(descr);
+            assert_eq!(array.shape, [2, 3], "{descr}");
+            assert_eq!(array.values, expected, "{descr}");
+        }
+    }
+
+    #[test]
+    fn text_comes_in_bytes_and_in_unicode() {
+        let bytes = npy(
+            "{'descr': '|S6', 'fortran_order': False, 'shape': (), }",
+            b"male\0\0",
+        );
+        assert_eq!(read_text("gender", &bytes).expect("text"), "male");
+        let unicode: Vec<u8> = "female"
+            .chars()
+            .flat_map(|c| (c as u32).to_le_bytes())
+            .collect();
+        let bytes = npy(
+            "{'descr': '<U6', 'fortran_order': False, 'shape': (1,), }",
+            &unicode,
+        );
+        assert_eq!(read_text("gender", &bytes).expect("text"), "female");
+    }
+
+    #[test]
+    fn lies_and_pickles_are_refused_by_code() {
+        let code = |dictionary: &str, data: &[u8]| {
+            read_numbers("m", &npy(dictionary, data))
+                .expect_err(dictionary)
+                .code
+        };
+        let shape =
+            |shape: &str| format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}");
+        assert_eq!(
+            code(&shape("(1099511627776, 156)"), &[0; 116]),
+            "E-NPY-SHAPE"
+        );
+        assert_eq!(
+            code(&shape("(18446744073709551615, 2)"), &[]),
+            "E-NPY-SHAPE"
+        );
+        assert_eq!(code(&shape("(3,)"), &[0; 16]), "E-NPY-SHAPE");
+        assert_eq!(code(&shape("(-3,)"), &[]), "E-NPY-HEADER");
+        assert_eq!(code(&shape("__import__('os')"), &[]), "E-NPY-HEADER");
+        let objects = "{'descr': '|O', 'fortran_order': False, 'shape': ()}";
+        assert_eq!(code(objects, b"cos\nsystem\n."), "E-PICKLE-REFUSED");
+        let fields = "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,)}";
+        assert_eq!(code(fields, &[0; 8]), "E-NPY-HEADER");
+        let complex = "{'descr': '<c16', 'fortran_order': False, 'shape': (1,)}";
+        assert_eq!(code(complex, &[0; 16]), "E-NPY-DTYPE");
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_it_panic(
+            bytes in prop::collection::vec(any::<u8>(), 0..200),
+            at in 0usize..120,
+        ) {
+            let mut mutated = npy_f8(&[2, 2], &[1.0, 2.0, 3.0, 4.0]);
+            for (offset, byte) in bytes.iter().enumerate().take(4) {
+                if let Some(slot) = mutated.get_mut(at + offset) {
+                    *slot = *byte;
+                }
+            }
+            for candidate in [&bytes, &mutated] {
+                if let Ok(array) = read_numbers("m", candidate) {
+                    prop_assert_eq!(array.values.len(), array.shape.iter().product::<usize>());
+                }
+                if let Ok(text) = read_text("t", candidate) {
+                    prop_assert!(text.len() <= 4 * candidate.len());
+                }
+            }
+        }
+    }
+}

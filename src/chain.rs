@@ -1,0 +1,471 @@
+//! The stages as the verbs, `stance run` and `stance demo` call them: open what the stage before
+//! wrote, hand it to the library that does the work, commit what comes back.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::normalise::Normalizer;
+use datasets_spec::record::{EditRow, MaskRow, MotionRow, ScoreRow, TripletRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Split};
+use eval::EncoderError;
+use eval::protocol::Protocol;
+use eval::score::MotionEncoder;
+use pipeline::compose::{ComposeConfig, Library, Stream, edit_items};
+use pipeline::masks::{MaskConfig, automatic_masks};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use train::checkpoint::Slot;
+use train::config::{Preset, TrainConfig};
+use train::fit::{Corpus, TrainReport, train_motionrefit};
+use train::sample::{EditSettings, Editor};
+use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
+use train::{Session, edit};
+
+use crate::cli::Global;
+use crate::device::device;
+
+/// Name of the editor in the `edits` table and the result table.
+const EDITOR_SYSTEM: &str = "MotionReFit";
+
+/// The skeleton a dataset's motions drive.
+pub(crate) fn skeleton_of(dataset: &Dataset) -> anyhow::Result<Skeleton> {
+    let built_in = Skeleton::smplx_neutral();
+    let name = &dataset.manifest().skeleton;
+    if *name != built_in.name() {
+        bail!(
+            "{} is posed on skeleton {name:?}; this program has {:?} built in",
+            dataset.root().display(),
+            built_in.name()
+        );
+    }
+    Ok(built_in)
+}
+
+/// A hash of whatever a stage depends on, as the plan of its table.
+fn plan<T: Serialize>(stage: &str, inputs: &T) -> anyhow::Result<String> {
+    let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))?;
+    Ok(blake3::hash(text.as_bytes()).to_hex().to_string())
+}
+
+/// Hash of the plan that made a table, so that what depends on the table alone is not redone when
+/// another table of the same dataset changes.
+fn plan_of<'a>(dataset: &'a Dataset, table: &str) -> &'a str {
+    dataset
+        .manifest()
+        .plans
+        .get(table)
+        .map_or("", String::as_str)
+}
+
+/// Derives the automatic masks of a dataset and commits them beside its motions.
+///
+/// Masks judged by people are never overwritten unless `replace` says so.
+pub(crate) fn masks(
+    root: &Path,
+    config: &MaskConfig,
+    replace: bool,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open(root)?;
+    let plan_hash = plan("masks", &(plan_of(&dataset, MotionRow::TABLE), config))?;
+    if plan_of(&dataset, MaskRow::TABLE) == plan_hash {
+        return Ok(dataset);
+    }
+    let present: Vec<MaskRow> = dataset.read(None)?;
+    let judged = present
+        .iter()
+        .filter(|mask| mask.text_origin == "human")
+        .count();
+    if judged > 0 && !replace {
+        bail!(
+            "{} holds {judged} masks judged by people, which automatic masks would replace; \
+             pass --replace to discard them",
+            root.display()
+        );
+    }
+    let motions: Vec<MotionRow> = dataset.read(None)?;
+    progress.begin("masks", Some(motions.len() as u64));
+    let skeleton = skeleton_of(&dataset)?;
+    let rows = automatic_masks(&motions, &skeleton, config)?;
+    progress.finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
+    let split_of = |row: &MaskRow| row.split;
+    Ok(commit_rows(
+        root,
+        &rows,
+        Some(split_of),
+        skeleton.name(),
+        &plan_hash,
+        &global.holder(),
+    )?)
+}
+
+/// The motions and masks of one split.
+pub(crate) fn library(dataset: &Dataset, split: Split) -> anyhow::Result<Arc<Library>> {
+    let masks: Vec<MaskRow> = dataset.read(Some(split))?;
+    if masks.is_empty() {
+        bail!(
+            "{} has no masks in split {split}; run: stance masks {}",
+            dataset.root().display(),
+            dataset.root().display()
+        );
+    }
+    let motions: Vec<MotionRow> = dataset.read(Some(split))?;
+    let skeleton = skeleton_of(dataset)?;
+    Ok(Arc::new(Library::new(split, &motions, &masks, &skeleton)?))
+}
+
+/// The composer's stream over the training split, and the range fitted to its windows.
+pub(crate) fn train_stream(
+    dataset: &Dataset,
+    config: &ComposeConfig,
+    seed: Seed,
+) -> anyhow::Result<(Stream, Normalizer)> {
+    let library = library(dataset, Split::Train)?;
+    let normalizer = library.fit_normalizer(config)?;
+    let stream = Stream::new(library, config.clone(), seed, &normalizer)?;
+    Ok((stream, normalizer))
+}
+
+/// Records whole-clip triplets of the training stream as a dataset of their own.
+pub(crate) fn triplets(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open(root)?;
+    let (stream, _) = train_stream(&dataset, config, global.seed())?;
+    let inputs = (&dataset.manifest().root_hash, config, global.seed(), count);
+    let plan_hash = plan("triplets", &inputs)?;
+    progress.begin("triplets", Some(count));
+    let rows: Vec<TripletRow> = (0..count)
+        .into_par_iter()
+        .map(|number| {
+            let (epoch, item) = (number / stream.epoch_len(), number % stream.epoch_len());
+            let row = stream.triplet(epoch, item).to_row();
+            progress.advance(1);
+            row
+        })
+        .collect();
+    progress.finish(&format!("{count} triplets composed"));
+    let split_of = |row: &TripletRow| row.split;
+    Ok(commit_rows(
+        out,
+        &rows,
+        Some(split_of),
+        &dataset.manifest().skeleton,
+        &plan_hash,
+        &global.holder(),
+    )?)
+}
+
+fn with_session<T>(
+    progress: &dyn Progress,
+    act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
+) -> Result<T, train::Error> {
+    let begun = Instant::now();
+    let device = device();
+    act(&Session {
+        device: &device,
+        progress,
+        stop: &AtomicBool::new(false),
+        clock: &|| begun.elapsed(),
+    })
+}
+
+/// Trains the editor on the composer's stream, or continues its run.
+pub(crate) fn train_editor(
+    root: &Path,
+    run: &Path,
+    config: &TrainConfig,
+    compose: &ComposeConfig,
+    seed: Seed,
+    progress: &dyn Progress,
+) -> anyhow::Result<TrainReport> {
+    let dataset = Dataset::open(root)?;
+    let (train, normalizer) = train_stream(&dataset, compose, seed)?;
+    let val = Stream::new(
+        library(&dataset, Split::Val)?,
+        compose.clone(),
+        seed,
+        &normalizer,
+    )
+    .context("the validation split cannot be composed; ingest more clips")?;
+    let masks: Vec<MaskRow> = dataset.read(Some(Split::Train))?;
+    let instructions: Vec<String> = masks.into_iter().map(|mask| mask.text).collect();
+    let corpus = Corpus {
+        train: &train,
+        val: &val,
+        instructions: &instructions,
+        normalizer,
+        skeleton: &dataset.manifest().skeleton,
+        dataset_hash: &dataset.manifest().root_hash,
+    };
+    let report = with_session(progress, |session| {
+        train_motionrefit(run, config, corpus, session)
+    })?;
+    Ok(report)
+}
+
+/// Trains the encoder that evaluation measures with, or continues its run.
+pub(crate) fn train_encoder(
+    root: &Path,
+    run: &Path,
+    config: &TmrConfig,
+    progress: &dyn Progress,
+) -> anyhow::Result<TrainReport> {
+    let dataset = Dataset::open(root)?;
+    let clips = |split| -> anyhow::Result<Vec<(String, Motion, Vec<String>)>> {
+        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+        let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
+        clips
+            .map(|row| {
+                let motion = row.motion().with_context(|| row.id.to_string())?;
+                let captions = row.captions.into_iter().map(|caption| caption.text);
+                Ok((row.id.to_string(), motion, captions.collect()))
+            })
+            .collect()
+    };
+    let (train, val) = (clips(Split::Train)?, clips(Split::Val)?);
+    fn views(clips: &[(String, Motion, Vec<String>)]) -> Vec<CaptionedMotion<'_>> {
+        clips
+            .iter()
+            .map(|(id, motion, captions)| CaptionedMotion {
+                id,
+                motion,
+                captions,
+            })
+            .collect()
+    }
+    let corpus = TmrCorpus {
+        train: &views(&train),
+        val: &views(&val),
+        skeleton: &dataset.manifest().skeleton,
+        dataset_hash: &dataset.manifest().root_hash,
+    };
+    let report = with_session(progress, |session| train_tmr(run, config, corpus, session))?;
+    Ok(report)
+}
+
+/// What a batch of edits is made of.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct EditConfig {
+    /// Items to edit; each mask of the split is edited at least once if there are enough.
+    pub(crate) count: usize,
+    /// Guidance weight; none is the one the editor was trained for.
+    pub(crate) guidance: Option<f64>,
+    /// Windows generated at a time.
+    pub(crate) max_batch: usize,
+}
+
+impl Default for EditConfig {
+    fn default() -> Self {
+        Self {
+            count: 128,
+            guidance: None,
+            max_batch: 64,
+        }
+    }
+}
+
+/// The settings the editor samples with.
+pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) -> EditSettings {
+    let trained_for = editor.record().config.train.diffusion.guidance;
+    EditSettings {
+        seed,
+        guidance: config.guidance.unwrap_or(trained_for),
+        max_batch: config.max_batch,
+    }
+}
+
+/// Edits a split's items and commits originals, targets and edits as a dataset of their own.
+pub(crate) fn edits(
+    root: &Path,
+    run: &Path,
+    out: &Path,
+    split: Split,
+    config: &EditConfig,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open(root)?;
+    let editor = Editor::load(run, Slot::Best, &device())?;
+    let inputs = (
+        &dataset.manifest().root_hash,
+        editor.hash(),
+        split,
+        config,
+        global.seed(),
+    );
+    let plan_hash = plan("edits", &inputs)?;
+    if let Ok(done) = Dataset::open_unverified(out)
+        && plan_of(&done, EditRow::TABLE) == plan_hash
+    {
+        return Ok(Dataset::open(out)?);
+    }
+    let skeleton = skeleton_of(&dataset)?;
+    let library = library(&dataset, split)?;
+    // Evaluation items are composed by the published rule whatever an ablation trains with.
+    let items = edit_items(
+        &library,
+        &ComposeConfig::default(),
+        global.seed(),
+        config.count,
+    )?;
+    let settings = edit_settings(&editor, config, global.seed());
+    let rows = edit::edit_items(
+        &editor,
+        EDITOR_SYSTEM,
+        &items,
+        &skeleton,
+        &settings,
+        progress,
+    )?;
+    let split_of = |row: &EditRow| row.split;
+    Ok(commit_rows(
+        out,
+        &rows,
+        Some(split_of),
+        skeleton.name(),
+        &plan_hash,
+        &global.holder(),
+    )?)
+}
+
+/// The trained encoder as evaluation asks for it.
+struct Encoder(TmrEncoder);
+
+impl MotionEncoder for Encoder {
+    fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+        let latents = self.0.encode(motions)?;
+        Ok(latents
+            .into_iter()
+            .map(|latent| latent.into_iter().map(f64::from).collect())
+            .collect())
+    }
+
+    fn hash(&self) -> String {
+        self.0.hash().to_owned()
+    }
+
+    fn recipe(&self) -> String {
+        let record = self.0.record();
+        format!(
+            "{}, trained on dataset {:.12}",
+            train::features::RECIPE,
+            record.dataset_hash
+        )
+    }
+}
+
+/// Scores and the recipes of the encoders behind them.
+pub(crate) struct Scores {
+    pub(crate) rows: Vec<ScoreRow>,
+    pub(crate) recipes: BTreeMap<String, String>,
+}
+
+/// Scores every system of one or more tables of edits.
+pub(crate) fn scores(
+    edits: &[PathBuf],
+    encoder_run: &Path,
+    protocol: &Protocol,
+    progress: &dyn Progress,
+) -> anyhow::Result<Scores> {
+    let encoder = Encoder(TmrEncoder::load(encoder_run, Slot::Best, &device())?);
+    let mut items: Vec<EditRow> = Vec::new();
+    let mut skeleton = None;
+    for path in edits {
+        let table = Dataset::open(path)?;
+        skeleton = Some(skeleton_of(&table)?);
+        for row in table.read::<EditRow>(None)? {
+            // Originals and targets of the same items come with every table; one copy is enough.
+            let side = [EditRow::SOURCE, EditRow::TARGET].contains(&row.system.as_str());
+            if !side
+                || !items
+                    .iter()
+                    .any(|seen| seen.system == row.system && seen.id == row.id)
+            {
+                items.push(row);
+            }
+        }
+    }
+    let Some(skeleton) = skeleton else {
+        bail!("no table of edits was given");
+    };
+    let rows = eval::score::score(&items, &encoder, &skeleton, protocol, progress)?;
+    Ok(Scores {
+        rows,
+        recipes: BTreeMap::from([(encoder.hash(), encoder.recipe())]),
+    })
+}
+
+/// Commits scores as a dataset of their own.
+pub(crate) fn commit_scores(
+    out: &Path,
+    scores: &Scores,
+    skeleton: &str,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let values: Vec<_> = scores
+        .rows
+        .iter()
+        .map(|row| (&row.system, &row.task, &row.metric, row.mean.to_bits()))
+        .collect();
+    let plan_hash = plan("scores", &values)?;
+    let holder = global.holder();
+    Ok(commit_rows(
+        out,
+        &scores.rows,
+        None,
+        skeleton,
+        &plan_hash,
+        &holder,
+    )?)
+}
+
+/// A preset with the user's own values in place of some of its own. Unknown keys are errors.
+pub(crate) fn overlay<T: Serialize + for<'de> Deserialize<'de>>(
+    preset: &T,
+    own: Option<&toml::Table>,
+) -> anyhow::Result<T> {
+    let mut value = toml::Value::try_from(preset)?;
+    if let Some(own) = own {
+        merge(&mut value, &toml::Value::Table(own.clone()));
+    }
+    Ok(value.try_into()?)
+}
+
+fn merge(base: &mut toml::Value, own: &toml::Value) {
+    match (base, own) {
+        (toml::Value::Table(base), toml::Value::Table(own)) => {
+            for (key, value) in own {
+                match base.get_mut(key) {
+                    Some(inner) => merge(inner, value),
+                    None => {
+                        base.insert(key.clone(), value.clone());
+                    }
+                }
+            }
+        }
+        (base, own) => *base = own.clone(),
+    }
+}
+
+/// The presets by name.
+pub(crate) fn preset(name: &str) -> anyhow::Result<Preset> {
+    match name {
+        "tiny" => Ok(Preset::Tiny),
+        "official" => Ok(Preset::Official),
+        other => bail!("unknown preset {other:?}; known: tiny, official"),
+    }
+}

@@ -1,0 +1,85 @@
+//! The command line: what can be asked, and the options every verb shares.
+
+use clap::{Parser, Subcommand};
+use datasets_spec::Seed;
+
+use crate::cmd;
+use crate::progress::Bars;
+
+/// Human-motion data from raw files to a published result table, for text-guided motion editing.
+#[derive(Debug, Parser)]
+#[command(name = "stance", version, arg_required_else_help = true)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Options every verb takes.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Global options")]
+pub(crate) struct Global {
+    /// Worker threads; results do not depend on it [default: all cores]
+    #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Seed of every draw
+    #[arg(long, global = true, default_value_t = 0)]
+    seed: u64,
+    /// Print results as one JSON document
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Print nothing but results and errors
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Draw no progress bars
+    #[arg(long, global = true)]
+    no_progress: bool,
+}
+
+impl Global {
+    /// Applies the options that concern the whole process.
+    pub(crate) fn start(&self) -> anyhow::Result<()> {
+        if let Some(threads) = self.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads.into())
+                .build_global()?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn seed(&self) -> Seed {
+        Seed(self.seed)
+    }
+
+    pub(crate) fn bars(&self) -> Bars {
+        Bars::new(self.no_progress, self.quiet)
+    }
+
+    /// What a locked-out run is told about this one.
+    pub(crate) fn holder(&self) -> String {
+        let started = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .map_or(0, |since| since.as_secs());
+        format!(
+            "process {} since second {started} of the epoch",
+            std::process::id()
+        )
+    }
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Demo(cmd::demo::Args),
+    Run(cmd::run::Args),
+    Corpus(cmd::corpus::Args),
+    Ingest(cmd::ingest::Args),
+    Inspect(cmd::inspect::Args),
+    Masks(cmd::masks::Args),
+    Triplets(cmd::triplets::Args),
+    Train(cmd::train::Args),
+    Edit(cmd::edit::Args),
+    Eval(cmd::eval::Args),
+    Render(cmd::render::Args),
+}

@@ -1,0 +1,74 @@
+//! `stance demo`
+
+use std::path::PathBuf;
+
+use datasets_spec::Seed;
+use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
+use train::config::{Preset, TrainConfig};
+use train::tmr::TmrConfig;
+
+use crate::cli::Global;
+use crate::cmd::run::{Plan, RunConfig, finish};
+use crate::exit::Exit;
+
+/// Run the whole chain on the built-in corpus: from motion files to a result table.
+///
+/// It needs no download and no licence. Interrupted and run again, it continues.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Folder for everything the demo makes
+    #[arg(long, default_value = "stance-demo")]
+    out: PathBuf,
+    /// Fewer clips and far fewer training steps: shows that the chain works, not how well
+    #[arg(long)]
+    quick: bool,
+}
+
+/// Steps of the two models in the quick form.
+const QUICK_STEPS: u64 = 40;
+/// Items edited in the quick form.
+const QUICK_ITEMS: usize = 24;
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let seed = global.seed();
+    let corpus = CorpusOptions {
+        seed,
+        clips: if args.quick {
+            CLIPS_PER_TAKE
+        } else {
+            CorpusOptions::default().clips
+        },
+    };
+    let folder = args.out.join("corpus");
+    write_corpus(&folder, &corpus, &global.bars())?;
+
+    let mut config = RunConfig::new(vec![folder], args.out.clone());
+    if args.quick {
+        config.edit.count = QUICK_ITEMS;
+    }
+    let mut plan = Plan::new(config, global)?;
+    if args.quick {
+        shorten(&mut plan.train, &mut plan.encoder);
+    }
+    let mut command = "stance demo".to_owned();
+    if args.quick {
+        command += " --quick";
+    }
+    if seed != Seed(0) {
+        command += &format!(" --seed {}", seed.0);
+    }
+    plan.title = "stance demo".to_owned();
+    plan.commands = vec![command];
+    finish(plan, global)
+}
+
+fn shorten(train: &mut TrainConfig, encoder: &mut TmrConfig) {
+    debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
+    train.num_steps = QUICK_STEPS;
+    train.val_every = QUICK_STEPS / 2;
+    train.val_windows = 64;
+    train.log_every = QUICK_STEPS / 8;
+    encoder.num_steps = QUICK_STEPS;
+    encoder.val_every = QUICK_STEPS / 2;
+    encoder.log_every = QUICK_STEPS / 8;
+}

@@ -1,0 +1,205 @@
+//! `stance ingest`
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use datasets_spec::{Fps, Resample};
+use pipeline::ingest::{IngestOptions, IngestReport, ingest};
+use pipeline::source::Format;
+use serde::Serialize;
+
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Turn motion files into one checked dataset.
+///
+/// BVH and AMASS-layout npz files are found by their content; a file that cannot be used is listed
+/// in the `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run
+/// again, it continues; run again after success, it changes nothing.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Files and folders to read
+    #[arg(required = true)]
+    sources: Vec<PathBuf>,
+    /// Dataset folder to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Read files of this format only
+    #[arg(long, value_enum)]
+    format: Option<FormatArg>,
+    /// Frame rate to store, or `native` for each clip's own
+    #[arg(long, default_value = "20", value_parser = parse_fps)]
+    fps: FpsArg,
+    /// How clips are brought to that rate
+    #[arg(long, value_enum, default_value_t = ResampleArg::Exact)]
+    resample: ResampleArg,
+    /// Licence tag for clips whose source states none
+    #[arg(long)]
+    license: Option<String>,
+    /// Exit with 0 although up to N files, or P%, were quarantined
+    #[arg(long, value_name = "N|P%", value_parser = parse_allowance)]
+    allow_quarantine: Option<Allowance>,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum FormatArg {
+    Bvh,
+    Amass,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ResampleArg {
+    /// Interpolate at exact times
+    Exact,
+    /// Drop frames by the published HumanML3D rule
+    Humanml3d,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct FpsArg(Option<Fps>);
+
+fn parse_fps(text: &str) -> Result<FpsArg, String> {
+    if text == "native" {
+        return Ok(FpsArg(None));
+    }
+    let number: f64 = text
+        .parse()
+        .map_err(|_| "expected a number of frames per second, or native".to_owned())?;
+    Fps::new(number)
+        .map(|fps| FpsArg(Some(fps)))
+        .map_err(|error| error.to_string())
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Allowance {
+    Files(u64),
+    Percent(f64),
+}
+
+fn parse_allowance(text: &str) -> Result<Allowance, String> {
+    let bad = || format!("expected a number of files or a percentage such as 5%, got {text:?}");
+    match text.strip_suffix('%') {
+        Some(percent) => match percent.parse() {
+            Ok(percent) if (0.0..=100.0).contains(&percent) => Ok(Allowance::Percent(percent)),
+            _ => Err(bad()),
+        },
+        None => text.parse().map(Allowance::Files).map_err(|_| bad()),
+    }
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let options = IngestOptions {
+        fps: args.fps.0,
+        resample: match args.resample {
+            ResampleArg::Exact => Resample::Exact,
+            ResampleArg::Humanml3d => Resample::HumanMl3d,
+        },
+        format: args.format.map(|format| match format {
+            FormatArg::Bvh => Format::Bvh,
+            FormatArg::Amass => Format::Amass,
+        }),
+        seed: global.seed(),
+        license: args.license.clone(),
+        ..IngestOptions::default()
+    };
+    let done = ingest(
+        &args.sources,
+        &args.out,
+        &options,
+        &global.holder(),
+        &global.bars(),
+    )
+    .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
+    if global.json {
+        report::json(&Document::of(&done))?;
+    } else {
+        report::text(&summary(&done));
+    }
+    Ok(exit(&done, args.allow_quarantine))
+}
+
+fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
+    let quarantined = done.accounting.quarantined;
+    let sources = done.accounting.sources;
+    let allowed = match allowance {
+        None => quarantined == 0,
+        Some(Allowance::Files(files)) => quarantined <= files,
+        Some(Allowance::Percent(percent)) => quarantined as f64 <= percent / 100.0 * sources as f64,
+    };
+    if allowed {
+        Exit::Done
+    } else {
+        Exit::Quarantined
+    }
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document<'a> {
+    dataset: String,
+    sources: u64,
+    ingested: u64,
+    quarantined: u64,
+    skipped: u64,
+    codes: &'a BTreeMap<String, u64>,
+    skipped_reasons: &'a BTreeMap<String, u64>,
+    already_complete: bool,
+    resumed_shards: usize,
+    root_hash: &'a str,
+}
+
+impl<'a> Document<'a> {
+    fn of(done: &'a IngestReport) -> Self {
+        Self {
+            dataset: done.dataset.root().display().to_string(),
+            sources: done.accounting.sources,
+            ingested: done.accounting.ingested,
+            quarantined: done.accounting.quarantined,
+            skipped: done.accounting.skipped,
+            codes: &done.accounting.codes,
+            skipped_reasons: &done.skipped,
+            already_complete: done.already_complete,
+            resumed_shards: done.resumed_shards,
+            root_hash: &done.dataset.manifest().root_hash,
+        }
+    }
+}
+
+/// What became of the sources, on one screen.
+pub(crate) fn summary(done: &IngestReport) -> String {
+    const SHOWN_PER_CODE: usize = 3;
+    let accounting = &done.accounting;
+    let mut text = format!(
+        "{} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        accounting.sources,
+        accounting.ingested,
+        accounting.quarantined,
+        accounting.skipped,
+        if done.already_complete {
+            " (already complete)"
+        } else {
+            ""
+        },
+    );
+    for (reason, count) in &done.skipped {
+        text += &format!("  skipped {count:>6}  {reason}\n");
+    }
+    for (code, count) in &accounting.codes {
+        text += &format!("  {code:<20} {count:>6}\n");
+        let rows = done.quarantine.iter().filter(|row| row.code == *code);
+        for row in rows.clone().take(SHOWN_PER_CODE) {
+            let place = row
+                .byte_offset
+                .map_or(String::new(), |offset| format!(" at byte {offset}"));
+            text += &format!("    {}: {}{place}\n", row.path, row.reason);
+        }
+        let more = rows.count().saturating_sub(SHOWN_PER_CODE);
+        if more > 0 {
+            text += &format!("    and {more} more; see the quarantine table\n");
+        }
+    }
+    text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
+    text
+}

@@ -1,0 +1,148 @@
+//! `stance masks`
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, MotionId, Split};
+use pipeline::masks::MaskConfig;
+use serde::Serialize;
+
+use crate::chain;
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Mark which body parts each clip is about, and let people correct it.
+///
+/// Without further options, masks are derived from the motions: a part is active when its joints
+/// move fast compared with the training split. With --drafts the masks are written as one JSON
+/// object a line for people to edit; with --accept the edited lines are checked and taken back.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Write the masks as lines to judge
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "replace"])]
+    drafts: Option<PathBuf>,
+    /// Take judged lines as the dataset's masks
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "author",
+        conflicts_with = "replace"
+    )]
+    accept: Option<PathBuf>,
+    /// Who judged
+    #[arg(long)]
+    author: Option<String>,
+    /// Derive the masks again although people have judged some
+    #[arg(long)]
+    replace: bool,
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document {
+    masks: u64,
+    origins: BTreeMap<String, u64>,
+    parts: BTreeMap<String, u64>,
+    root_hash: String,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    if let Some(file) = &args.drafts {
+        let dataset = Dataset::open(&args.dataset)?;
+        let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?);
+        std::fs::write(file, annotate::to_json_lines(&lines)?)
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        report::note(&format!(
+            "{} drafts; set `verdict` to accept or reject, then: stance masks {} --accept {} --author NAME",
+            lines.len(),
+            args.dataset.display(),
+            file.display()
+        ));
+        return Ok(Exit::Done);
+    }
+    let dataset = match &args.accept {
+        Some(file) => accept(args, file, global)?,
+        None => {
+            let config = MaskConfig::default();
+            chain::masks(&args.dataset, &config, args.replace, global, &global.bars())?
+        }
+    };
+    print(&dataset, global)?;
+    Ok(Exit::Done)
+}
+
+fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Dataset> {
+    const SHOWN: usize = 20;
+    let author = args.author.as_deref().unwrap_or_default().trim();
+    if author.is_empty() {
+        bail!("--author must name who judged");
+    }
+    let lines =
+        std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let dataset = Dataset::open(&args.dataset)?;
+    let motions: BTreeMap<MotionId, Split> = dataset
+        .read::<MotionRow>(None)?
+        .into_iter()
+        .map(|row| (row.id, row.split))
+        .collect();
+    let masks: Vec<MaskRow> = dataset.read(None)?;
+    let rows = match annotate::accept(&lines, author, &masks, &motions) {
+        Ok(rows) => rows,
+        Err(findings) => {
+            for finding in findings.iter().take(SHOWN) {
+                report::note(&format!(
+                    "{}:{}: {}",
+                    file.display(),
+                    finding.line,
+                    finding.problem
+                ));
+            }
+            bail!(
+                "{} lines cannot be taken; nothing was changed",
+                findings.len()
+            );
+        }
+    };
+    let plan = blake3::hash(format!("{author}\n{lines}").as_bytes());
+    let split_of = |row: &MaskRow| row.split;
+    Ok(commit_rows(
+        &args.dataset,
+        &rows,
+        Some(split_of),
+        &dataset.manifest().skeleton,
+        plan.to_hex().as_str(),
+        &global.holder(),
+    )?)
+}
+
+fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<()> {
+    let rows: Vec<MaskRow> = dataset.read(None)?;
+    let mut document = Document {
+        masks: dataset.manifest().rows(MaskRow::TABLE, None),
+        origins: BTreeMap::new(),
+        parts: BTreeMap::new(),
+        root_hash: dataset.manifest().root_hash.clone(),
+    };
+    for row in rows {
+        *document.origins.entry(row.text_origin).or_default() += 1;
+        *document.parts.entry(row.parts.join("+")).or_default() += 1;
+    }
+    if global.json {
+        return report::json(&document);
+    }
+    let mut text = format!("{} masks\n", document.masks);
+    for (title, counts) in [("text", &document.origins), ("part", &document.parts)] {
+        for (label, count) in counts {
+            text += &format!("  {title} {label:<20} {count:>6}\n");
+        }
+    }
+    report::text(&text);
+    Ok(())
+}

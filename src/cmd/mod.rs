@@ -1,0 +1,13 @@
+//! One module per verb: its arguments and what it calls.
+
+pub(crate) mod corpus;
+pub(crate) mod demo;
+pub(crate) mod edit;
+pub(crate) mod eval;
+pub(crate) mod ingest;
+pub(crate) mod inspect;
+pub(crate) mod masks;
+pub(crate) mod render;
+pub(crate) mod run;
+pub(crate) mod train;
+pub(crate) mod triplets;

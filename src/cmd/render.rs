@@ -1,0 +1,80 @@
+//! `stance render`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use datasets_spec::{JointSet, Skeleton};
+use eval::draw::strip::{Row, Style, View, strip};
+
+use crate::cli::Global;
+use crate::cmd::edit::{foreign_clip, stored_clip};
+use crate::exit::Exit;
+use crate::report;
+
+/// Draw clips as strips of figures, coloured from start (orange) to end (blue).
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// BVH or npz files, or ids of clips of --dataset; one row each
+    #[arg(required = true)]
+    clips: Vec<String>,
+    /// Dataset the ids belong to
+    #[arg(long)]
+    dataset: Option<PathBuf>,
+    /// SVG file to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Figures in a row
+    #[arg(long, default_value_t = Style::default().num_figures)]
+    figures: usize,
+    /// Width in pixels
+    #[arg(long, default_value_t = Style::default().width)]
+    width: f64,
+    /// From where to look
+    #[arg(long, value_enum, default_value_t = ViewArg::ThreeQuarter)]
+    view: ViewArg,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ViewArg {
+    ThreeQuarter,
+    Side,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let skeleton = Skeleton::smplx_neutral();
+    let rows: Vec<Row> = args
+        .clips
+        .iter()
+        .map(|clip| {
+            let motion = match &args.dataset {
+                Some(dataset) => stored_clip(dataset, clip)?,
+                None => foreign_clip(Path::new(clip), &skeleton)?,
+            };
+            Ok(Row {
+                label: clip.clone(),
+                keypoints: skeleton.motion_keypoints(&motion),
+                highlighted: JointSet::EMPTY,
+            })
+        })
+        .collect::<anyhow::Result<_>>()?;
+    let style = Style {
+        width: args.width,
+        num_figures: args.figures,
+        view: match args.view {
+            ViewArg::ThreeQuarter => View::ThreeQuarter,
+            ViewArg::Side => View::Side,
+        },
+    };
+    std::fs::write(&args.out, strip(&rows, &style))
+        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    if global.json {
+        report::json(&serde_json::json!({ "out": args.out, "clips": rows.len() }))?;
+    } else {
+        report::text(&format!(
+            "{} clips drawn in {}",
+            rows.len(),
+            args.out.display()
+        ));
+    }
+    Ok(Exit::Done)
+}

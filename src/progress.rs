@@ -1,0 +1,86 @@
+//! Progress bars on a terminal, single lines elsewhere.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use datasets_spec::Progress;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::report;
+
+/// Draws the progress of one stage after another on stderr.
+pub(crate) struct Bars {
+    visible: bool,
+    quiet: bool,
+    current: Mutex<Option<(String, ProgressBar, Instant)>>,
+}
+
+impl Bars {
+    /// Bars if stderr is a terminal and they were not switched off; else a line when a stage ends,
+    /// or nothing when asked to be quiet.
+    pub(crate) fn new(no_progress: bool, quiet: bool) -> Self {
+        Self {
+            visible: !no_progress && !quiet && std::io::stderr().is_terminal(),
+            quiet,
+            current: Mutex::new(None),
+        }
+    }
+
+    fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
+        // A panic in another thread while it advanced a bar does not matter to the next line.
+        let current = match self.current.lock() {
+            Ok(current) => current,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        if let Some((_, bar, _)) = current.as_ref() {
+            act(bar);
+        }
+    }
+}
+
+impl Progress for Bars {
+    fn begin(&self, stage: &str, total: Option<u64>) {
+        let bar = match total {
+            Some(total) => ProgressBar::new(total),
+            None => ProgressBar::new_spinner(),
+        };
+        let template = match total {
+            Some(_) => "{prefix:>10} [{bar:30}] {pos}/{len} {eta} {msg}",
+            None => "{prefix:>10} {spinner} {elapsed} {msg}",
+        };
+        if self.visible {
+            let style = ProgressStyle::with_template(template)
+                .unwrap_or_else(|_| ProgressStyle::default_bar());
+            bar.set_style(style.progress_chars("=> "));
+            bar.enable_steady_tick(Duration::from_millis(200));
+        } else {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        bar.set_prefix(stage.to_owned());
+        if let Ok(mut current) = self.current.lock() {
+            *current = Some((stage.to_owned(), bar, Instant::now()));
+        }
+    }
+
+    fn advance(&self, count: u64) {
+        self.with_bar(|bar| bar.inc(count));
+    }
+
+    fn message(&self, text: &str) {
+        self.with_bar(|bar| bar.set_message(text.to_owned()));
+    }
+
+    fn finish(&self, summary: &str) {
+        let Ok(mut current) = self.current.lock() else {
+            return;
+        };
+        if let Some((stage, bar, begun)) = current.take() {
+            bar.finish_and_clear();
+            if !self.quiet {
+                let secs = begun.elapsed().as_secs_f64();
+                report::note(&format!("{stage:>10}  {summary} ({secs:.1} s)"));
+            }
+        }
+    }
+}

@@ -1,0 +1,33 @@
+//! The one place that prints: results to stdout, everything else to stderr.
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "printing is this module's job; every other module hands it values"
+)]
+
+use std::io::Write;
+
+use serde::Serialize;
+
+/// Prints a result for people.
+pub(crate) fn text(text: &str) {
+    let mut stdout = std::io::stdout().lock();
+    // A reader that went away, such as `head`, is no failure of ours.
+    let _written = writeln!(stdout, "{}", text.trim_end());
+}
+
+/// Prints a result for programs: one JSON document.
+pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
+    text(&serde_json::to_string_pretty(value)?);
+    Ok(())
+}
+
+/// Says something that is not the result.
+pub(crate) fn note(text: &str) {
+    eprintln!("{text}");
+}
+
+/// Says why the command failed, with all causes in one line.
+pub(crate) fn error(error: &anyhow::Error) {
+    eprintln!("error: {error:#}");
+}

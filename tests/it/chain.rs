@@ -1,0 +1,222 @@
+//! The whole chain through the command, on a small corpus and a few training steps.
+
+use std::collections::BTreeSet;
+use std::fs;
+
+use serde::Deserialize;
+
+use crate::util::{arg, corpus, stance};
+
+#[derive(Deserialize)]
+struct Score {
+    system: String,
+    metric: String,
+    mean: f64,
+    repeats: u32,
+}
+
+#[derive(Deserialize)]
+struct Run {
+    root_hash: String,
+    scores: Vec<Score>,
+    editor: Trained,
+}
+
+#[derive(Deserialize)]
+struct Trained {
+    steps: u64,
+    is_complete: bool,
+}
+
+impl Run {
+    fn score(&self, system: &str, metric: &str) -> f64 {
+        self.scores
+            .iter()
+            .find(|score| score.system == system && score.metric == metric)
+            .unwrap_or_else(|| panic!("no {metric} of {system}"))
+            .mean
+    }
+}
+
+#[test]
+fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
+    let dir = corpus(120);
+    let config = dir.path().join("run.toml");
+    fs::write(
+        &config,
+        r#"
+            sources = ["corpus"]
+            out = "run"
+            triplets = 8
+            [train]
+            num_steps = 12
+            val_every = 6
+            val_windows = 16
+            log_every = 3
+            [encoder]
+            num_steps = 12
+            val_every = 6
+            log_every = 3
+            [edit]
+            count = 12
+        "#,
+    )
+    .expect("writes");
+    let first: Run = stance(&["--json", "run", "--config", arg(&config)])
+        .expect_code(0)
+        .json();
+    let systems: BTreeSet<&str> = first
+        .scores
+        .iter()
+        .map(|score| score.system.as_str())
+        .collect();
+    assert_eq!(
+        systems,
+        BTreeSet::from(["Identity", "MotionReFit", "Real Data"])
+    );
+    assert!(
+        first
+            .scores
+            .iter()
+            .all(|score| score.repeats == 10 && score.mean.is_finite())
+    );
+    // A target always finds itself first; an original returned unchanged is its own source.
+    assert_eq!(first.score("Real Data", "E2T R@1"), 100.0);
+    assert_eq!(first.score("Identity", "E2S R@1"), 100.0);
+    assert!(first.editor.is_complete && first.editor.steps == 12);
+
+    let run = dir.path().join("run");
+    let report = fs::read_to_string(run.join("report.html")).expect("a report");
+    assert!(report.contains("<svg") && report.contains("MotionReFit"));
+    assert!(!report.contains("http://") || report.contains("http://www.w3.org/2000/svg"));
+
+    // Nothing is left to do, so the models are not trained again and the numbers are the same.
+    let before = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
+    let again: Run = stance(&["--json", "run", "--config", arg(&config)])
+        .expect_code(0)
+        .json();
+    let after = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
+    assert_eq!(before, after);
+    assert_eq!(again.root_hash, first.root_hash);
+    for (a, b) in first.scores.iter().zip(&again.scores) {
+        assert_eq!(
+            (&a.system, &a.metric, a.mean),
+            (&b.system, &b.metric, b.mean)
+        );
+    }
+
+    // Each stage is also a verb of its own.
+    let dataset = run.join("dataset");
+    let explained = stance(&[
+        "--json",
+        "triplets",
+        arg(&dataset),
+        "--explain",
+        "train-semantic-0-3",
+    ])
+    .expect_code(0);
+    assert!(explained.stdout.contains("recipe_hash"));
+    let table = stance(&[
+        "eval",
+        "--edits",
+        arg(&run.join("edits")),
+        "--encoder",
+        arg(&run.join("runs/tmr")),
+    ])
+    .expect_code(0);
+    assert!(table.stdout.contains("Real Data") && table.stdout.contains("E2T"));
+    let strip = dir.path().join("strip.svg");
+    let clip = first_clip(&dataset);
+    stance(&[
+        "render",
+        &clip,
+        "--dataset",
+        arg(&dataset),
+        "--out",
+        arg(&strip),
+    ])
+    .expect_code(0);
+    assert!(
+        fs::read_to_string(&strip)
+            .expect("a strip")
+            .starts_with("<svg")
+    );
+    let edited = dir.path().join("edited.npz");
+    stance(&[
+        "edit",
+        arg(&run.join("runs/motionrefit")),
+        "--dataset",
+        arg(&dataset),
+        "--motion",
+        &clip,
+        "--text",
+        "The person is waving with their left arm.",
+        "--out",
+        arg(&edited),
+    ])
+    .expect_code(0);
+    stance(&["render", arg(&edited), "--out", arg(&strip)]).expect_code(0);
+}
+
+fn first_clip(dataset: &std::path::Path) -> String {
+    let rows: Vec<datasets_spec::record::MotionRow> = datasets_spec::Dataset::open(dataset)
+        .expect("opens")
+        .read(None)
+        .expect("rows");
+    rows[0].id.to_string()
+}
+
+#[test]
+fn a_misspelt_setting_is_refused_by_name() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let config = dir.path().join("run.toml");
+    fs::write(
+        &config,
+        "sources = [\"x\"]\nout = \"y\"\n[train]\nnum_stps = 3\n",
+    )
+    .expect("writes");
+    let ran = stance(&["run", "--config", arg(&config)]).expect_code(1);
+    assert!(ran.stderr.contains("num_stps"), "{}", ran.stderr);
+}
+
+#[test]
+fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
+    let dir = corpus(10);
+    let dataset = dir.path().join("dataset");
+    stance(&[
+        "ingest",
+        arg(&dir.path().join("corpus")),
+        "--out",
+        arg(&dataset),
+    ])
+    .expect_code(0);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let file = dir.path().join("masks.jsonl");
+    stance(&["masks", arg(&dataset), "--drafts", arg(&file)]).expect_code(0);
+    let lines = fs::read_to_string(&file).expect("drafts");
+    let judged = lines
+        .replacen("\"todo\"", "\"accept\"", 2)
+        .replacen("\"todo\"", "\"reject\"", 1);
+    fs::write(&file, judged).expect("writes");
+    let accept = [
+        "--json",
+        "masks",
+        arg(&dataset),
+        "--accept",
+        arg(&file),
+        "--author",
+        "ann",
+    ];
+    let done: serde_json::Value = stance(&accept).expect_code(0).json();
+    assert_eq!(done["masks"], lines.lines().count() - 1);
+    assert_eq!(done["origins"]["human"], 2);
+    let ran = stance(&["masks", arg(&dataset)]).expect_code(1);
+    assert!(
+        ran.stderr.contains("2 masks judged by people"),
+        "{}",
+        ran.stderr
+    );
+    fs::write(&file, "{}\n").expect("writes");
+    let ran = stance(&accept).expect_code(1);
+    assert!(ran.stderr.contains("masks.jsonl:1"), "{}", ran.stderr);
+}

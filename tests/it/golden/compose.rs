@@ -1,0 +1,110 @@
+//! Blending and fitting against scipy and the released code.
+
+use datasets_spec::fit::{FitOptions, fit_motion};
+use datasets_spec::rotation::from_axis_angle;
+use datasets_spec::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS, NUM_KEYPOINTS};
+use datasets_spec::{BlendMask, Fps, Joint, JointSet, Pose, Skeleton};
+use glam::{DMat3, DVec3};
+use pipeline::compose::blend_pose;
+
+use super::{Golden, row_major};
+
+fn poses(golden: &Golden, pose: &str, transl: &str) -> Vec<Pose> {
+    golden
+        .get(pose)
+        .rows(3 * NUM_BODY_JOINTS)
+        .zip(golden.get(transl).points())
+        .map(|(frame, transl)| Pose {
+            transl,
+            rotations: std::array::from_fn(|joint| {
+                from_axis_angle(DVec3::from_slice(&frame[3 * joint..]))
+            }),
+        })
+        .collect()
+}
+
+#[test]
+fn golden_blend() {
+    let golden = Golden::load("blend");
+    let source = poses(&golden, "in.src_pose", "in.src_transl");
+    let target = poses(&golden, "in.tgt_pose", "in.tgt_transl");
+    let codes = golden.get("in.mask").integers();
+    let mut matrices = Vec::new();
+    let mut transl = Vec::new();
+    for (codes, alpha) in codes
+        .chunks_exact(NUM_BODY_JOINTS)
+        .zip(golden.get("in.alpha").rows(NUM_BODY_JOINTS))
+    {
+        // 0 keeps the source, 1 blends, 2 takes the target.
+        let joints = |code: i64| -> JointSet {
+            Joint::ALL
+                .into_iter()
+                .filter(|joint| codes[joint.index()] == code)
+                .collect()
+        };
+        let mask = BlendMask::new(joints(2), joints(1)).expect("one code per joint");
+        let alpha: &[f64; NUM_BODY_JOINTS] = alpha.try_into().expect("one alpha per joint");
+        for (source, target) in source.iter().zip(&target) {
+            let blended = blend_pose(source, target, mask, alpha);
+            transl.extend(blended.transl.to_array());
+            for rotation in blended.rotations {
+                matrices.extend(row_major(DMat3::from_quat(rotation)));
+            }
+        }
+    }
+    golden.check("out.matrices", &matrices, 1e-10);
+    golden.check("out.transl", &transl, 0.0);
+}
+
+#[test]
+fn golden_fit_is_no_worse_than_the_reference() {
+    let golden = Golden::load("j2s_adam_fit");
+    let rest: [DVec3; NUM_JOINTS] = golden
+        .get("in.rest_joints")
+        .points()
+        .try_into()
+        .expect("55 rest joints");
+    let skeleton = Skeleton::new("recorded", rest);
+    let shift = golden.get("in.pelvis_shift").points()[0];
+    for case in ["official24", "paper28"] {
+        let indices = golden.get(&format!("in.{case}.indices")).integers();
+        let joints = golden.get(&format!("in.{case}.joints")).points();
+        let slots: Vec<usize> = indices
+            .iter()
+            .map(|&joint| {
+                let is_it = |&known: &usize| known as i64 == joint;
+                KEYPOINT_JOINTS.iter().position(is_it).expect("a keypoint")
+            })
+            .collect();
+        let mut options = FitOptions::default();
+        options.weights.fill(0.0);
+        for &slot in &slots {
+            options.weights[slot] = 1.0;
+        }
+        let frames: Vec<[DVec3; NUM_KEYPOINTS]> = joints
+            .chunks_exact(slots.len())
+            .map(|points| {
+                let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
+                for (&slot, &point) in slots.iter().zip(points) {
+                    frame[slot] = point + shift;
+                }
+                frame
+            })
+            .collect();
+        let fitted = fit_motion(&skeleton, &frames, Fps::STORE, &options).expect("finite");
+        let mut squares = Vec::new();
+        for (pose, frame) in fitted.motion.poses().zip(&frames) {
+            let points = skeleton.keypoints(&pose);
+            for &slot in &slots {
+                squares.extend((points[slot] - frame[slot]).to_array().map(|d| d * d));
+            }
+        }
+        let mse = squares.iter().sum::<f64>() / squares.len() as f64;
+        let recorded = golden.get(&format!("out.{case}.final_mse")).values[0];
+        // The reference stops after 120 steps of Adam; a least-squares solver has to do better.
+        assert!(
+            mse <= recorded,
+            "{case}: {mse} m^2, recorded {recorded} m^2"
+        );
+    }
+}

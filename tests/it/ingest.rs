@@ -1,0 +1,332 @@
+//! Ingestion through the command: accounting, bad input, repeatability.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::dataset::Transaction;
+use datasets_spec::record::{MotionRow, QuarantineRow};
+use datasets_spec::{Dataset, Skeleton};
+use eval::metric::foot_score::{FOOT_JOINTS, Floor, foot_score};
+use serde::Deserialize;
+
+use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
+
+/// The document of `ingest --json`, as a script relies on it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ingested {
+    #[expect(dead_code, reason = "part of the contract")]
+    dataset: String,
+    sources: u64,
+    ingested: u64,
+    quarantined: u64,
+    skipped: u64,
+    codes: BTreeMap<String, u64>,
+    skipped_reasons: BTreeMap<String, u64>,
+    already_complete: bool,
+    resumed_shards: usize,
+    root_hash: String,
+}
+
+impl Ingested {
+    fn balances(&self) -> bool {
+        self.sources == self.ingested + self.quarantined + self.skipped
+            && self.quarantined == self.codes.values().sum::<u64>()
+            && self.skipped == self.skipped_reasons.values().sum::<u64>()
+    }
+}
+
+fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Ingested {
+    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
+    args.extend(more);
+    stance(&args).expect_code(code).json()
+}
+
+#[test]
+fn the_corpus_is_ingested_whole_and_the_same_on_any_number_of_threads() {
+    let dir = corpus(24);
+    let source = dir.path().join("corpus");
+    let mut hashes = Vec::new();
+    for threads in ["1", "2", "7"] {
+        let out = dir.path().join(format!("dataset{threads}"));
+        let done = ingest(&source, &out, &["--threads", threads], 0);
+        assert_eq!((done.ingested, done.quarantined), (24, 0));
+        assert!(done.balances() && !done.already_complete, "{done:?}");
+        hashes.push(done.root_hash);
+    }
+    assert_eq!(hashes[0], hashes[1]);
+    assert_eq!(hashes[0], hashes[2]);
+    let seeded = ingest(&source, &dir.path().join("seeded"), &["--seed", "5"], 0);
+    assert_ne!(seeded.root_hash, hashes[0], "the seed decides the splits");
+}
+
+#[test]
+fn a_finished_run_repeated_changes_nothing_and_another_plan_is_refused() {
+    let dir = corpus(4);
+    let (source, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
+    let first = ingest(&source, &out, &[], 0);
+    let again = ingest(&source, &out, &[], 0);
+    assert!(again.already_complete);
+    assert_eq!(again.root_hash, first.root_hash);
+    let other = stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", "30"]).expect_code(1);
+    assert!(other.stderr.contains("different plan"), "{}", other.stderr);
+}
+
+/// Bytes of one good AMASS archive and one good BVH of the corpus.
+fn good_files(dir: &Path) -> (Vec<u8>, String) {
+    let npz = files_with_extension(dir, "npz").remove(0);
+    let bvh = files_with_extension(dir, "bvh").remove(0);
+    (
+        fs::read(npz).expect("an archive"),
+        fs::read_to_string(bvh).expect("a BVH file"),
+    )
+}
+
+/// The archive with one number of its poses replaced by NaN, written anew.
+fn with_nan(npz: &[u8]) -> Vec<u8> {
+    use std::io::{Cursor, Read, Write};
+    let mut archive = zip::ZipArchive::new(Cursor::new(npz)).expect("an archive");
+    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for index in 0..archive.len() {
+        let mut member = archive.by_index(index).expect("a member");
+        let name = member.name().to_owned();
+        let mut bytes = Vec::new();
+        member.read_to_end(&mut bytes).expect("readable");
+        if name == "poses.npy" {
+            // Frame 10, first number: the header ends at the first line feed.
+            let start = bytes.iter().position(|&b| b == b'\n').expect("a header") + 1;
+            let at = start + 10 * 156 * 8;
+            bytes[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());
+        }
+        out.start_file(name, zip::write::SimpleFileOptions::default())
+            .expect("writes");
+        out.write_all(&bytes).expect("writes");
+    }
+    out.finish().expect("writes").into_inner()
+}
+
+#[test]
+fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
+    let dir = corpus(8);
+    let source = dir.path().join("corpus");
+    let (npz, bvh) = good_files(&source);
+    fs::write(source.join("truncated.npz"), &npz[..npz.len() / 2]).expect("writes");
+    fs::write(source.join("nan.npz"), with_nan(&npz)).expect("writes");
+    let extra_row = bvh.trim_end().lines().last().expect("a row").to_owned();
+    fs::write(
+        source.join("extra_row.bvh"),
+        format!("{}\n{extra_row}\n", bvh.trim_end()),
+    )
+    .expect("writes");
+    fs::write(source.join("notes.md"), "not a motion").expect("writes");
+
+    let out = dir.path().join("dataset");
+    let done = ingest(&source, &out, &[], 3);
+    assert_eq!((done.ingested, done.quarantined), (8, 3), "{done:?}");
+    assert!(done.balances() && done.resumed_shards == 0, "{done:?}");
+    let dataset = Dataset::open(&out).expect("a dataset");
+    let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    let found: Vec<(&str, &str)> = rows
+        .iter()
+        .map(|r| (r.path.as_str(), r.code.as_str()))
+        .collect();
+    assert_eq!(
+        found,
+        [
+            ("extra_row.bvh", "E-BVH-FRAMES"),
+            ("nan.npz", "E-NOT-FINITE"),
+            ("truncated.npz", "E-NPZ-TRUNCATED"),
+        ]
+    );
+    assert!(rows[0].byte_offset.is_some());
+    assert!(
+        rows[1].reason.contains("10"),
+        "the frame is named: {}",
+        rows[1].reason
+    );
+    assert!(
+        rows.iter()
+            .all(|row| row.source_hash.len() == 64 && !row.reason.is_empty())
+    );
+
+    let allowed = dir.path().join("allowed");
+    ingest(&source, &allowed, &["--allow-quarantine", "3"], 0);
+    let strict = dir.path().join("strict");
+    ingest(&source, &strict, &["--allow-quarantine", "1%"], 3);
+}
+
+#[test]
+fn nothing_to_read_is_an_error_that_says_so() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (empty, missing) = (dir.path().join("empty"), dir.path().join("missing"));
+    fs::create_dir(&empty).expect("a folder");
+    let out = dir.path().join("dataset");
+    let ran = stance(&["ingest", arg(&empty), "--out", arg(&out)]).expect_code(1);
+    assert!(ran.stderr.contains("no files under"), "{}", ran.stderr);
+    let ran = stance(&["ingest", arg(&missing), "--out", arg(&out)]).expect_code(1);
+    assert!(
+        ran.stderr.contains("no such file or folder"),
+        "{}",
+        ran.stderr
+    );
+    assert!(!out.exists(), "a refused run leaves nothing");
+}
+
+/// A write that fails half-way, as on a full disk: the process may write no file larger than 64 KB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
+    let dir = corpus(12);
+    let source = dir.path().join("corpus");
+    let clean = ingest(&source, &dir.path().join("clean"), &[], 0);
+
+    let out = dir.path().join("dataset");
+    let binary = env!("CARGO_BIN_EXE_stance");
+    // The ignored signal is inherited, so the write fails with an error instead of a kill.
+    let script = r#"trap '' XFSZ; ulimit -f 64; exec "$0" ingest "$1" --out "$2""#;
+    let ran: crate::util::Ran = std::process::Command::new("bash")
+        .args(["-c", script, binary, arg(&source), arg(&out)])
+        .output()
+        .expect("bash starts")
+        .into();
+    let ran = ran.expect_code(1);
+    assert!(ran.stderr.contains("cannot write"), "{}", ran.stderr);
+    assert!(Dataset::open(&out).is_err(), "nothing was committed");
+
+    let done = ingest(&source, &out, &[], 0);
+    assert_eq!(done.root_hash, clean.root_hash);
+    let leftovers = files_with_extension(&out, "tmp");
+    assert!(leftovers.is_empty(), "{leftovers:?}");
+}
+
+#[test]
+fn a_locked_dataset_is_left_alone() {
+    let dir = corpus(2);
+    let out = dir.path().join("dataset");
+    let lock = Transaction::begin(&out, "the other run").expect("locks");
+    let source = dir.path().join("corpus");
+    let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(75);
+    assert!(ran.stderr.contains("the other run"), "{}", ran.stderr);
+    drop(lock);
+    ingest(&source, &out, &[], 0);
+}
+
+#[test]
+fn a_killed_run_continues_to_the_same_dataset() {
+    let dir = corpus(48);
+    let source = dir.path().join("corpus");
+    let clean = ingest(&source, &dir.path().join("clean"), &[], 0);
+    let out = dir.path().join("dataset");
+    let staged = out.join("meta/staged");
+    let mut run = command(&["--threads", "1", "ingest", arg(&source), "--out", arg(&out)])
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .expect("stance starts");
+    // Whether the kill comes before, in or after a shard, the next run must end in the same place.
+    while !staged.exists() && run.try_wait().expect("a child").is_none() {
+        std::thread::yield_now();
+    }
+    run.kill().expect("a child");
+    run.wait().expect("a child");
+    let done = ingest(&source, &out, &[], 0);
+    assert_eq!(done.root_hash, clean.root_hash);
+}
+
+#[test]
+fn inspect_counts_what_ingest_wrote() {
+    #[derive(Deserialize)]
+    struct Inspected {
+        root_hash: String,
+        schema_version: String,
+        tables: BTreeMap<String, u64>,
+    }
+    let dir = corpus(6);
+    let out = dir.path().join("dataset");
+    let done = ingest(&dir.path().join("corpus"), &out, &[], 0);
+    let inspected: Inspected = stance(&["--json", "inspect", arg(&out)])
+        .expect_code(0)
+        .json();
+    assert_eq!(inspected.root_hash, done.root_hash);
+    assert_eq!(
+        inspected.schema_version,
+        datasets_spec::table::SCHEMA_VERSION
+    );
+    assert_eq!(inspected.tables["motions"], 6);
+
+    let shard = &files_with_extension(&out, "parquet")[0];
+    let mut bytes = fs::read(shard).expect("a shard");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(shard, bytes).expect("writes");
+    let ran = stance(&["inspect", arg(&out)]).expect_code(1);
+    assert!(
+        ran.stderr.contains("does not match its manifest"),
+        "{}",
+        ran.stderr
+    );
+}
+
+#[test]
+fn the_ingested_corpus_keeps_its_feet_on_the_ground() {
+    let dir = corpus(pipeline::corpus::CLIPS_PER_TAKE);
+    let out = dir.path().join("dataset");
+    ingest(&dir.path().join("corpus"), &out, &[], 0);
+    let rows: Vec<MotionRow> = Dataset::open(&out)
+        .expect("opens")
+        .read(None)
+        .expect("rows");
+    let skeleton = Skeleton::smplx_neutral();
+    let mut actions: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for row in &rows {
+        let keypoints = skeleton.motion_keypoints(&row.motion().expect("valid"));
+        let feet: Vec<_> = keypoints
+            .points
+            .iter()
+            .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()]))
+            .collect();
+        let score = foot_score(&feet, keypoints.fps, Floor::Lowest).expect("long enough");
+        actions
+            .entry(row.action.clone().unwrap_or_default())
+            .or_default()
+            .push(score);
+    }
+    assert!(actions.len() >= 12, "{} activities", actions.len());
+    let all: Vec<f64> = actions.values().flatten().copied().collect();
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    assert!(mean >= 0.9, "foot score {mean}: {actions:?}");
+}
+
+#[test]
+fn real_motion_is_ingested_or_quarantined_with_a_reason() {
+    let Some(data) = real_data("real_motion_is_ingested_or_quarantined_with_a_reason") else {
+        return;
+    };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let out = dir.path().join("dataset");
+    let sources = [data.join("bvh"), data.join("amass_layout")];
+    let ran = stance(&[
+        "--json",
+        "ingest",
+        arg(&sources[0]),
+        arg(&sources[1]),
+        "--out",
+        arg(&out),
+    ]);
+    assert!([0, 3].contains(&ran.code), "{}", ran.stderr);
+    let done: Ingested = ran.json();
+    assert!(done.balances(), "{done:?}");
+    let motions = files_with_extension(&sources[0], "bvh").len()
+        + files_with_extension(&sources[1], "npz").len();
+    assert_eq!(done.ingested + done.quarantined, motions as u64, "{done:?}");
+    // Every Bandai-Namco take is a motion of a person.
+    let rows: Vec<QuarantineRow> = Dataset::open(&out)
+        .expect("opens")
+        .read(None)
+        .expect("rows");
+    assert!(
+        rows.iter().all(|row| !row.path.contains("bandai_namco")),
+        "{rows:?}"
+    );
+}

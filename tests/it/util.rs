@@ -1,0 +1,98 @@
+//! A temporary folder and the `stance` command.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde::de::DeserializeOwned;
+
+/// What a command printed and how it ended.
+pub(crate) struct Ran {
+    pub(crate) code: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Ran {
+    /// Panics with everything the command said unless it ended with `code`.
+    pub(crate) fn expect_code(self, code: i32) -> Self {
+        assert_eq!(
+            self.code, code,
+            "expected exit code {code}\n-- stdout\n{}\n-- stderr\n{}",
+            self.stdout, self.stderr
+        );
+        self
+    }
+
+    /// Reads stdout as one JSON document.
+    pub(crate) fn json<T: DeserializeOwned>(&self) -> T {
+        serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("{error}\n-- stdout\n{}", self.stdout))
+    }
+}
+
+impl From<Output> for Ran {
+    fn from(output: Output) -> Self {
+        Self {
+            code: output.status.code().unwrap_or(-1),
+            stdout: String::from_utf8(output.stdout).expect("stdout is text"),
+            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+        }
+    }
+}
+
+/// The command, ready for further settings.
+pub(crate) fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stance"));
+    command.args(args);
+    command
+}
+
+/// Runs the command to its end.
+pub(crate) fn stance(args: &[&str]) -> Ran {
+    command(args).output().expect("stance starts").into()
+}
+
+/// A path as an argument.
+pub(crate) fn arg(path: &Path) -> &str {
+    path.to_str().expect("temporary paths are text")
+}
+
+/// A small built-in corpus in a temporary folder.
+pub(crate) fn corpus(clips: usize) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let out = dir.path().join("corpus");
+    stance(&["corpus", "--clips", &clips.to_string(), "--out", arg(&out)]).expect_code(0);
+    dir
+}
+
+/// The folder of real motion files, or none with a word about what is skipped.
+pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
+    if folder.is_none() {
+        use std::io::Write;
+        let mut stderr = std::io::stderr().lock();
+        let _said = writeln!(
+            stderr,
+            "SKIPPED {test}: STANCE_TEST_DATA names no folder of real motion"
+        );
+    }
+    folder
+}
+
+/// All files with an extension under a folder, sorted.
+pub(crate) fn files_with_extension(folder: &Path, extension: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|found| found == extension) {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}

@@ -1,0 +1,329 @@
+//! Training windows on their way to the network: drawn, paired with noise, prefetched.
+
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::Scope;
+
+use datasets_spec::Seed;
+use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::normalise::FRAME_WIDTH;
+use pipeline::compose::Stream;
+pub use pipeline::compose::WindowBatch;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::vocabulary::{TokenBatch, Vocabulary};
+
+/// Numbers of a window: 16 frames of 84.
+pub const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
+
+/// Batches prepared ahead of the trainer: one being taken and one ready.
+const PREFETCHED_BATCHES: usize = 2;
+
+/// A stream of training windows that can be entered anywhere: item `i` of an epoch is the same
+/// whoever asks for it and whatever was asked before.
+pub trait WindowSource: Sync {
+    /// Items of an epoch.
+    fn epoch_len(&self) -> u64;
+
+    /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
+    ///
+    /// # Errors
+    /// The items cannot be composed.
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error>;
+}
+
+impl WindowSource for Stream {
+    fn epoch_len(&self) -> u64 {
+        Stream::epoch_len(self)
+    }
+
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        Stream::fill(self, epoch, first_item, num_items, batch);
+        Ok(())
+    }
+}
+
+/// `B` windows with everything a training step draws.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NoisyBatch {
+    /// Normalised original windows, `[B, 16, 84]`.
+    pub original: Vec<f32>,
+    /// Normalised edited windows, `[B, 16, 84]`.
+    pub edited: Vec<f32>,
+    /// Standard normal noise, zero on the fixed frames, `[B, 16, 84]`.
+    pub noise: Vec<f32>,
+    /// Diffusion step of each window, `[B]`.
+    pub timesteps: Vec<usize>,
+    /// Position of each window in its edited motion, `[B]`.
+    pub progress: Vec<f32>,
+    /// Instructions as tokens.
+    pub tokens: TokenBatch,
+    /// 1 where the instruction is shown to the network, 0 where it is dropped, `[B]`.
+    pub text_kept: Vec<f32>,
+}
+
+impl NoisyBatch {
+    /// Number of windows.
+    #[expect(clippy::len_without_is_empty, reason = "a batch is never empty")]
+    pub fn len(&self) -> usize {
+        self.timesteps.len()
+    }
+}
+
+/// How the diffusion steps of a batch are chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Timesteps {
+    /// Uniformly, each window for itself.
+    Random,
+    /// Spread evenly over the schedule, which makes a validation comparable between runs.
+    Spread,
+}
+
+/// Turns items of a source into batches. Everything drawn for an item depends on the seed and the
+/// item's place in the run alone.
+pub(crate) struct Drawer<'a> {
+    pub(crate) source: &'a dyn WindowSource,
+    pub(crate) vocabulary: &'a Vocabulary,
+    pub(crate) seed: Seed,
+    pub(crate) num_timesteps: usize,
+    pub(crate) timesteps: Timesteps,
+    pub(crate) text_dropout: f64,
+}
+
+impl Drawer<'_> {
+    /// The windows `first..first + num_windows` of the run, epochs following one another.
+    pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
+        let windows = self.windows(first, num_windows)?;
+        let mut noise = vec![0.0f32; num_windows * WINDOW_NUMBERS];
+        let drawn: Vec<(usize, f32)> = noise
+            .par_chunks_mut(WINDOW_NUMBERS)
+            .enumerate()
+            .map(|(index, noise)| {
+                let mut rng = self
+                    .seed
+                    .rng(&["window", &(first + index as u64).to_string()]);
+                let timestep = match self.timesteps {
+                    Timesteps::Random => rng.random_range(0..self.num_timesteps),
+                    Timesteps::Spread => {
+                        (2 * index + 1) * self.num_timesteps / (2 * num_windows).max(1)
+                    }
+                };
+                let text_kept = if rng.random_bool(self.text_dropout) {
+                    0.0
+                } else {
+                    1.0
+                };
+                for value in &mut noise[FIXED_FRAMES * FRAME_WIDTH..] {
+                    *value = rng.sample(StandardNormal);
+                }
+                (timestep, text_kept)
+            })
+            .collect();
+        let (timesteps, text_kept) = drawn.into_iter().unzip();
+        Ok(NoisyBatch {
+            tokens: self
+                .vocabulary
+                .encode_batch(windows.instructions.iter().map(String::as_str)),
+            original: windows.original,
+            edited: windows.edited,
+            noise,
+            timesteps,
+            progress: windows.progress,
+            text_kept,
+        })
+    }
+
+    /// Reads windows across the boundaries of epochs.
+    fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
+        let epoch_len = self.source.epoch_len();
+        if epoch_len == 0 {
+            return Err(Error::Empty {
+                what: "source of training windows",
+            });
+        }
+        let mut whole = WindowBatch::default();
+        let mut part = WindowBatch::default();
+        while whole.progress.len() < num_windows {
+            let at = first + whole.progress.len() as u64;
+            let (epoch, first_item) = (at / epoch_len, at % epoch_len);
+            let missing = (num_windows - whole.progress.len()) as u64;
+            let num_items = missing.min(epoch_len - first_item) as usize;
+            self.source.fill(epoch, first_item, num_items, &mut part)?;
+            check_shape(&part, epoch, first_item, num_items)?;
+            whole.original.append(&mut part.original);
+            whole.edited.append(&mut part.edited);
+            whole.progress.append(&mut part.progress);
+            whole.instructions.append(&mut part.instructions);
+        }
+        Ok(whole)
+    }
+}
+
+fn check_shape(
+    batch: &WindowBatch,
+    epoch: u64,
+    first_item: u64,
+    num_items: usize,
+) -> Result<(), Error> {
+    for (field, got, expected) in [
+        ("original", batch.original.len(), num_items * WINDOW_NUMBERS),
+        ("edited", batch.edited.len(), num_items * WINDOW_NUMBERS),
+        ("progress", batch.progress.len(), num_items),
+        ("instructions", batch.instructions.len(), num_items),
+    ] {
+        if got != expected {
+            return Err(Error::BatchShape {
+                epoch,
+                first_item,
+                field,
+                got,
+                expected,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Prepares values on a thread of its own, a few ahead of whoever takes them. The thread ends when
+/// the last value is made, when making one fails, or when the receiver is dropped.
+pub(crate) fn prefetch<'scope, T: Send + 'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    steps: std::ops::Range<u64>,
+    mut make: impl FnMut(u64) -> Result<T, Error> + Send + 'scope,
+) -> Receiver<Result<T, Error>> {
+    let (sender, receiver) = sync_channel(PREFETCHED_BATCHES);
+    scope.spawn(move || {
+        for step in steps {
+            let made = make(step);
+            let failed = made.is_err();
+            if sender.send(made).is_err() || failed {
+                break;
+            }
+        }
+    });
+    receiver
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Windows that hold their own epoch and item number.
+    struct Counting(u64);
+
+    impl WindowSource for Counting {
+        fn epoch_len(&self) -> u64 {
+            self.0
+        }
+
+        fn fill(
+            &self,
+            epoch: u64,
+            first_item: u64,
+            num_items: usize,
+            batch: &mut WindowBatch,
+        ) -> Result<(), Error> {
+            *batch = WindowBatch::default();
+            for item in first_item..first_item + num_items as u64 {
+                assert!(item < self.0, "item beyond the epoch");
+                let value = (100 * epoch + item) as f32;
+                batch.original.extend([value; WINDOW_NUMBERS]);
+                batch.edited.extend([-value; WINDOW_NUMBERS]);
+                batch.progress.push(0.5);
+                batch.instructions.push("wave".to_owned());
+            }
+            Ok(())
+        }
+    }
+
+    fn check(first: u64, num_windows: usize, expected: &[f32]) {
+        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
+        let drawer = Drawer {
+            source: &Counting(3),
+            vocabulary: &vocabulary,
+            seed: Seed(1),
+            num_timesteps: 10,
+            timesteps: Timesteps::Random,
+            text_dropout: 0.5,
+        };
+        let batch = drawer.draw(first, num_windows).expect("drawn");
+        let firsts: Vec<f32> = batch
+            .original
+            .chunks_exact(WINDOW_NUMBERS)
+            .map(|window| window[0])
+            .collect();
+        assert_eq!(firsts, expected);
+        let whole = drawer.draw(0, first as usize + num_windows).expect("drawn");
+        let skipped = first as usize;
+        assert_eq!(batch.noise, whole.noise[skipped * WINDOW_NUMBERS..]);
+        assert_eq!(batch.timesteps, whole.timesteps[skipped..]);
+        assert_eq!(batch.text_kept, whole.text_kept[skipped..]);
+    }
+
+    #[test]
+    fn batches_run_across_epochs_and_can_start_anywhere() {
+        check(0, 2, &[0.0, 1.0]);
+        check(2, 5, &[2.0, 100.0, 101.0, 102.0, 200.0]);
+    }
+
+    #[test]
+    fn noise_is_zero_on_the_fixed_frames_and_standard_elsewhere() {
+        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
+        let drawer = Drawer {
+            source: &Counting(64),
+            vocabulary: &vocabulary,
+            seed: Seed(2),
+            num_timesteps: 10,
+            timesteps: Timesteps::Spread,
+            text_dropout: 0.0,
+        };
+        let batch = drawer.draw(0, 64).expect("drawn");
+        let mut square = 0.0f64;
+        for window in batch.noise.chunks_exact(WINDOW_NUMBERS) {
+            let (fixed, free) = window.split_at(FIXED_FRAMES * FRAME_WIDTH);
+            assert!(fixed.iter().all(|&value| value == 0.0));
+            square += free
+                .iter()
+                .map(|&v| f64::from(v) * f64::from(v))
+                .sum::<f64>();
+        }
+        let count = (64 * (WINDOW_FRAMES - FIXED_FRAMES) * FRAME_WIDTH) as f64;
+        // Four standard deviations of the mean square of that many normal numbers.
+        assert!((square / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
+        assert_eq!(batch.timesteps.first(), Some(&0));
+        assert_eq!(batch.timesteps.last(), Some(&9));
+        assert!(batch.text_kept.iter().all(|&kept| kept == 1.0));
+    }
+
+    #[test]
+    fn prefetching_keeps_the_order_and_passes_errors_on() {
+        std::thread::scope(|scope| {
+            let received: Vec<u64> = prefetch(scope, 3..9, Ok)
+                .into_iter()
+                .map(|value| value.expect("made"))
+                .collect();
+            assert_eq!(received, [3, 4, 5, 6, 7, 8]);
+            let failing = prefetch(scope, 0..9, |step| {
+                if step == 1 {
+                    return Err(Error::Diverged { step });
+                }
+                Ok(step)
+            });
+            assert_eq!(failing.into_iter().filter(Result::is_err).count(), 1);
+        });
+    }
+}

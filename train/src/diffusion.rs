@@ -1,0 +1,382 @@
+//! Noise schedule, forward noising, reverse step, guidance and loss.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::normalise::FRAME_WIDTH;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::config::DiffusionConfig;
+use crate::data::NoisyBatch;
+use crate::model::denoiser::Denoiser;
+
+/// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
+const LINEAR_BETAS: (f64, f64) = (1e-4, 0.02);
+
+/// Steps the linear schedule was made for.
+const REFERENCE_STEPS: f64 = 1_000.0;
+
+/// A named noise schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScheduleName {
+    /// The released one: the variances of 1000 steps spread over however many there are. With 100
+    /// steps the noisiest training sample keeps 60 % of its signal, while sampling starts from pure
+    /// noise (`algorithms` section 5).
+    Official,
+    /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
+    Rescaled,
+}
+
+/// Loss on the prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Loss {
+    /// Smooth L1 with a threshold of 1 (released code).
+    SmoothL1,
+    /// Squared error (paper, Eq. 2).
+    Mse,
+}
+
+/// What the network sees in place of the fixed frames while training. The editor always shows them
+/// clean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FixedFrames {
+    /// Scaled like the signal of a noisy frame, without noise (released code).
+    Scaled,
+    /// Clean, as while editing.
+    Clean,
+}
+
+/// What the network is asked for.
+///
+/// # Source
+/// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
+/// predicts the noise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Prediction {
+    /// The noise. Its 84 numbers a frame are all surprise and must fit through the network.
+    Noise,
+    /// The clean window.
+    Clean,
+    /// The clean window minus the original one. Both are canonical, so an edit that leaves most of
+    /// the body alone is mostly zero; a narrow network learns it far sooner (our addition).
+    Change,
+}
+
+/// The coefficients of a diffusion of `T` steps, all in `f64`.
+///
+/// # Source
+/// Ho et al. 2020, Eq. 4 to 7.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Schedule {
+    /// Variance added in a step, `[T]`.
+    pub betas: Vec<f64>,
+    /// Product of `1 - beta` up to a step, `[T]`.
+    pub alphas_cumprod: Vec<f64>,
+    /// The same up to the step before, `[T]`.
+    pub alphas_cumprod_prev: Vec<f64>,
+    /// Variance of the posterior, `[T]`.
+    pub posterior_variance: Vec<f64>,
+    /// Weight of the clean window in the mean of the posterior, `[T]`.
+    pub posterior_mean_coef1: Vec<f64>,
+    /// Weight of the noisy window in the mean of the posterior, `[T]`.
+    pub posterior_mean_coef2: Vec<f64>,
+}
+
+impl Schedule {
+    /// Computes the coefficients.
+    ///
+    /// # Errors
+    /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
+    pub fn new(name: ScheduleName, num_steps: usize) -> Result<Self, Error> {
+        let (first, last) = LINEAR_BETAS;
+        let scale = match name {
+            ScheduleName::Official => 1.0,
+            ScheduleName::Rescaled => REFERENCE_STEPS / num_steps as f64,
+        };
+        if num_steps < 2 || scale * last >= 1.0 {
+            return Err(Error::Config {
+                field: "diffusion.num_steps",
+                problem: format!("{num_steps} steps are too few for the schedule"),
+            });
+        }
+        let stride = scale * (last - first) / (num_steps - 1) as f64;
+        let betas: Vec<f64> = (0..num_steps)
+            .map(|step| scale * first + step as f64 * stride)
+            .collect();
+        let alphas_cumprod: Vec<f64> = betas
+            .iter()
+            .scan(1.0, |product, beta| {
+                *product *= 1.0 - beta;
+                Some(*product)
+            })
+            .collect();
+        let alphas_cumprod_prev: Vec<f64> = std::iter::once(1.0)
+            .chain(alphas_cumprod[..num_steps - 1].iter().copied())
+            .collect();
+        let coefficient = |f: &dyn Fn(f64, f64, f64) -> f64| -> Vec<f64> {
+            (0..num_steps)
+                .map(|t| f(betas[t], alphas_cumprod[t], alphas_cumprod_prev[t]))
+                .collect()
+        };
+        Ok(Self {
+            posterior_variance: coefficient(&|beta, now, before| {
+                beta * (1.0 - before) / (1.0 - now)
+            }),
+            posterior_mean_coef1: coefficient(&|beta, now, before| {
+                beta * before.sqrt() / (1.0 - now)
+            }),
+            posterior_mean_coef2: coefficient(&|beta, now, before| {
+                (1.0 - before) * (1.0 - beta).sqrt() / (1.0 - now)
+            }),
+            betas,
+            alphas_cumprod,
+            alphas_cumprod_prev,
+        })
+    }
+
+    /// Number of steps.
+    #[expect(clippy::len_without_is_empty, reason = "a schedule is never empty")]
+    pub fn len(&self) -> usize {
+        self.betas.len()
+    }
+
+    /// Adds noise to clean windows (Eq. 4).
+    ///
+    /// # Shapes
+    /// `x0`, `noise` and the result `[B, W, D]`; `timesteps` `[B]`.
+    pub fn q_sample(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
+        let device = x0.device();
+        let signal = column(timesteps, |t| self.alphas_cumprod[t].sqrt(), &device);
+        let scale = column(
+            timesteps,
+            |t| (1.0 - self.alphas_cumprod[t]).sqrt(),
+            &device,
+        );
+        x0 * signal + noise * scale
+    }
+
+    /// The clean window that the predicted noise implies, not yet clipped.
+    ///
+    /// # Shapes
+    /// As [`Schedule::q_sample`].
+    pub fn predict_x0(&self, x_t: Tensor<3>, timesteps: &[usize], eps: Tensor<3>) -> Tensor<3> {
+        let device = x_t.device();
+        let of_x = column(
+            timesteps,
+            |t| self.alphas_cumprod[t].sqrt().recip(),
+            &device,
+        );
+        let of_eps = column(
+            timesteps,
+            |t| (self.alphas_cumprod[t].recip() - 1.0).sqrt(),
+            &device,
+        );
+        x_t * of_x - eps * of_eps
+    }
+
+    /// The mean of the window one step cleaner, given the clean one (Eq. 7).
+    ///
+    /// # Shapes
+    /// As [`Schedule::q_sample`].
+    pub fn posterior_mean(&self, x0: Tensor<3>, x_t: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
+        let device = x_t.device();
+        let of_x0 = column(timesteps, |t| self.posterior_mean_coef1[t], &device);
+        let of_x = column(timesteps, |t| self.posterior_mean_coef2[t], &device);
+        x0 * of_x0 + x_t * of_x
+    }
+
+    /// One reverse step, given the estimate of the clean window: noise of the posterior variance is
+    /// added to the mean, except at the last step, `timestep` 0.
+    ///
+    /// # Shapes
+    /// All `[B, W, D]`.
+    pub fn reverse_step(
+        &self,
+        x_t: Tensor<3>,
+        x0: Tensor<3>,
+        timestep: usize,
+        noise: Tensor<3>,
+    ) -> Tensor<3> {
+        let timesteps = vec![timestep; x_t.dims()[0]];
+        let mean = self.posterior_mean(x0, x_t, &timesteps);
+        if timestep == 0 {
+            return mean;
+        }
+        mean + noise.mul_scalar(self.posterior_variance[timestep].sqrt())
+    }
+}
+
+/// A coefficient per window, ready to be multiplied with a batch.
+fn column(timesteps: &[usize], coefficient: impl Fn(usize) -> f64, device: &Device) -> Tensor<3> {
+    let values: Vec<f32> = timesteps.iter().map(|&t| coefficient(t) as f32).collect();
+    Tensor::from_data(TensorData::new(values, [timesteps.len(), 1, 1]), device)
+}
+
+/// Classifier-free guidance: the prediction without text, moved towards and beyond the one with
+/// text. Weight 1 is the prediction with text.
+///
+/// # Shapes
+/// All `[B, W, D]`.
+///
+/// # Source
+/// Released code; the paper's `(1 + w) eps - w eps'` is this with `weight = 1 + w`.
+pub fn guide(with_text: Tensor<3>, without_text: Tensor<3>, weight: f64) -> Tensor<3> {
+    without_text.clone() + (with_text - without_text).mul_scalar(weight)
+}
+
+/// Replaces the first frames of windows by the fixed ones.
+///
+/// # Shapes
+/// `x` and the result `[B, W, D]`; `fixed` `[B, F, D]`.
+pub fn put_fixed(x: Tensor<3>, fixed: Tensor<3>) -> Tensor<3> {
+    let [_, window, _] = x.dims();
+    let [_, num_fixed, _] = fixed.dims();
+    Tensor::cat(vec![fixed, x.narrow(1, num_fixed, window - num_fixed)], 1)
+}
+
+impl Loss {
+    /// The mean loss over all numbers.
+    ///
+    /// # Shapes
+    /// Both `[B, W, D]`; the result is one number.
+    pub fn mean(self, predicted: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
+        let difference = predicted - target;
+        match self {
+            // With c = min(|d|, 1), c (|d| - c / 2) is d^2 / 2 below 1 and |d| - 1/2 above.
+            Self::SmoothL1 => {
+                let size = difference.abs();
+                let clipped = size.clone().clamp_max(1.0);
+                (clipped.clone() * (size - clipped.mul_scalar(0.5))).mean()
+            }
+            Self::Mse => difference.square().mean(),
+        }
+    }
+}
+
+/// The training loss of a batch: the error of the prediction on the frames that are not fixed.
+///
+/// # Shapes
+/// `text` `[B, d]`; the result is one number.
+///
+/// # Source
+/// Paper Eq. 2; released `train_losses` for [`Prediction::Noise`], [`FixedFrames::Scaled`] and
+/// [`Loss::SmoothL1`].
+pub fn training_loss(
+    denoiser: &Denoiser,
+    schedule: &Schedule,
+    batch: &NoisyBatch,
+    text: Tensor<2>,
+    config: &DiffusionConfig,
+) -> Tensor<1> {
+    let device = text.device();
+    let windows = |values: &[f32]| -> Tensor<3> {
+        Tensor::from_data(
+            TensorData::new(values.to_vec(), [batch.len(), WINDOW_FRAMES, FRAME_WIDTH]),
+            &device,
+        )
+    };
+    let x0 = windows(&batch.edited);
+    let noise = windows(&batch.noise);
+    let mut x_t = schedule.q_sample(x0.clone(), &batch.timesteps, noise.clone());
+    if config.fixed_frames == FixedFrames::Clean {
+        x_t = put_fixed(x_t, x0.clone().narrow(1, 0, FIXED_FRAMES));
+    }
+    let original = windows(&batch.original);
+    let target = match config.prediction {
+        Prediction::Noise => noise,
+        Prediction::Clean => x0,
+        Prediction::Change => x0 - original.clone(),
+    };
+    let predicted = denoiser.forward(x_t, &batch.timesteps, text, &batch.progress, original);
+    let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, WINDOW_FRAMES - FIXED_FRAMES);
+    config.loss.mean(free(predicted), free(target))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn tensor(values: &[f32]) -> Tensor<3> {
+        Tensor::from_data(
+            TensorData::new(values.to_vec(), [1, 1, values.len()]),
+            &Device::flex(),
+        )
+    }
+
+    fn values(tensor: Tensor<3>) -> Vec<f32> {
+        tensor.into_data().try_into_vec_as().expect("floats")
+    }
+
+    #[test]
+    fn the_rescaled_schedule_ends_in_noise_and_the_official_one_does_not() {
+        let end = |name, steps| {
+            let schedule = Schedule::new(name, steps).expect("enough steps");
+            schedule.alphas_cumprod[steps - 1]
+        };
+        assert!((end(ScheduleName::Official, 100) - 0.3636).abs() < 1e-4);
+        assert!(end(ScheduleName::Rescaled, 100) < 3e-5);
+        assert!(end(ScheduleName::Rescaled, 50) < 3e-5);
+        assert!(Schedule::new(ScheduleName::Rescaled, 20).is_err());
+    }
+
+    #[test]
+    fn smooth_l1_is_quadratic_below_one_and_linear_above() {
+        for (difference, expected) in [(0.5, 0.125), (-1.0, 0.5), (3.0, 2.5), (-2.0, 1.5)] {
+            let loss = Loss::SmoothL1.mean(tensor(&[difference]), tensor(&[0.0]));
+            assert_eq!(loss.into_scalar::<f32>(), expected);
+        }
+        let loss = Loss::Mse.mean(tensor(&[3.0, 1.0]), tensor(&[0.0, 0.0]));
+        assert_eq!(loss.into_scalar::<f32>(), 5.0);
+    }
+
+    #[test]
+    fn guidance_of_one_is_the_prediction_with_text_and_of_zero_without() {
+        let (with, without) = (tensor(&[2.0, -1.0]), tensor(&[0.5, 1.0]));
+        assert_eq!(
+            values(guide(with.clone(), without.clone(), 1.0)),
+            [2.0, -1.0]
+        );
+        assert_eq!(
+            values(guide(with.clone(), without.clone(), 0.0)),
+            [0.5, 1.0]
+        );
+        assert_eq!(values(guide(with, without, 3.0)), [5.0, -5.0]);
+    }
+
+    proptest! {
+        #[test]
+        fn the_true_noise_gives_the_clean_window_back(
+            x0 in prop::collection::vec(-1.0f32..1.0, 4),
+            noise in prop::collection::vec(-3.0f32..3.0, 4),
+            t in 0usize..50,
+        ) {
+            let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+            let x_t = schedule.q_sample(tensor(&x0), &[t], tensor(&noise));
+            let back = values(schedule.predict_x0(x_t, &[t], tensor(&noise)));
+            // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
+            let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
+            for (a, b) in x0.iter().zip(back) {
+                prop_assert!(f64::from((a - b).abs()) < slack, "{a} {b} {slack}");
+            }
+        }
+
+        #[test]
+        fn the_last_reverse_step_returns_the_clean_window(
+            x0 in prop::collection::vec(-0.9f32..0.9, 4),
+            x_t in prop::collection::vec(-3.0f32..3.0, 4),
+        ) {
+            let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+            let noise = tensor(&[7.0; 4]);
+            let last = values(schedule.reverse_step(tensor(&x_t), tensor(&x0), 0, noise));
+            for (x0, last) in x0.iter().zip(last) {
+                prop_assert!((x0 - last).abs() < 1e-6);
+            }
+        }
+    }
+}

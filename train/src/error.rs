@@ -1,0 +1,149 @@
+//! What can go wrong in training and editing.
+
+use std::path::{Path, PathBuf};
+
+/// An error that names the item it happened to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A setting is outside the range the model is defined for.
+    #[error("setting {field} is not usable: {problem}")]
+    Config {
+        /// Name of the setting.
+        field: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A run folder holds a run with other settings.
+    #[error(
+        "{} holds a run whose {field} differs; continue it with its own config.json or choose another folder",
+        path.display()
+    )]
+    OtherRun {
+        /// The run folder.
+        path: PathBuf,
+        /// First part of the recorded configuration that differs.
+        field: String,
+    },
+    /// A folder is not a run of the expected kind.
+    #[error("{} is not a {kind} run: {reason}", path.display())]
+    NotARun {
+        /// The folder.
+        path: PathBuf,
+        /// Kind of run looked for.
+        kind: &'static str,
+        /// What was missing.
+        reason: String,
+    },
+    /// A checkpoint file differs from what its manifest records.
+    #[error("checkpoint {} is corrupt ({detail}); restore it or train again", path.display())]
+    Corrupt {
+        /// The file or folder.
+        path: PathBuf,
+        /// Expected and found.
+        detail: String,
+    },
+    /// Weights do not fit the network.
+    #[error("weights {} do not fit the network: {detail}", path.display())]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// What the loader says.
+        detail: String,
+    },
+    /// There is nothing to train on.
+    #[error("the {what} is empty; give at least one item")]
+    Empty {
+        /// What holds no item.
+        what: &'static str,
+    },
+    /// The source of training windows failed.
+    #[error("cannot compose training windows {first_item}.. of epoch {epoch}")]
+    Source {
+        /// Epoch asked for.
+        epoch: u64,
+        /// First item asked for.
+        first_item: u64,
+        /// The cause.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The source of training windows returned arrays of the wrong length.
+    #[error(
+        "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"
+    )]
+    BatchShape {
+        /// Epoch asked for.
+        epoch: u64,
+        /// First item asked for.
+        first_item: u64,
+        /// Array that is wrong.
+        field: &'static str,
+        /// Values found.
+        got: usize,
+        /// Values expected.
+        expected: usize,
+    },
+    /// The loss became NaN or infinite.
+    #[error(
+        "loss is not finite at step {step}; lower the learning rate and continue from the last checkpoint"
+    )]
+    Diverged {
+        /// Step whose loss is not finite.
+        step: u64,
+    },
+    /// An item to edit is malformed.
+    #[error("edit item {id:?} {problem}")]
+    Item {
+        /// Id of the item.
+        id: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A motion breaks a rule of the contract.
+    #[error("motion {id:?} cannot be used")]
+    Motion {
+        /// Id of the motion.
+        id: String,
+        /// The cause.
+        source: datasets_spec::Error,
+    },
+    /// Reading or writing a file failed.
+    #[error("cannot {action} {}", path.display())]
+    Io {
+        /// What was tried, as a verb.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A JSON document of a run folder is malformed.
+    #[error("cannot read {} as JSON", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: serde_json::Error,
+    },
+}
+
+impl Error {
+    pub(crate) fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io {
+            action,
+            path,
+            source,
+        }
+    }
+
+    pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
+        Self::Weights {
+            path: path.to_owned(),
+            detail: detail.to_string(),
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Reading back what a run wrote of its losses.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::Error;
+use crate::checkpoint::METRICS;
+
+/// The loss curves of a run: step and loss of each point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curves {
+    /// Mean training loss since the point before.
+    pub loss: Vec<(f64, f64)>,
+    /// Validation loss.
+    pub val_loss: Vec<(f64, f64)>,
+}
+
+/// A line of the metrics file; other fields than these are of no interest here.
+#[derive(Deserialize)]
+struct Line {
+    step: u64,
+    loss: Option<f64>,
+    val_loss: Option<f64>,
+}
+
+/// Reads the metrics file of a run folder.
+///
+/// # Errors
+/// The file cannot be read or holds a line that is no JSON object of a step.
+pub fn read(run_dir: &Path) -> Result<Curves, Error> {
+    let path = run_dir.join(METRICS);
+    let text = std::fs::read_to_string(&path).map_err(|source| Error::Io {
+        action: "read",
+        path: path.clone(),
+        source,
+    })?;
+    let mut curves = Curves::default();
+    for line in text.lines() {
+        let line: Line = serde_json::from_str(line).map_err(|source| Error::Json {
+            path: path.clone(),
+            source,
+        })?;
+        let step = line.step as f64;
+        curves.loss.extend(line.loss.map(|loss| (step, loss)));
+        curves
+            .val_loss
+            .extend(line.val_loss.map(|loss| (step, loss)));
+    }
+    Ok(curves)
+}

@@ -1,0 +1,9 @@
+//! Networks.
+
+pub mod denoiser;
+pub mod motionrefit;
+pub mod position;
+pub mod text;
+pub mod tmr;
+pub mod transformer;
+pub mod weights;

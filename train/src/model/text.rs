@@ -1,0 +1,105 @@
+//! The text encoder that is trained with the model.
+
+use burn::module::Module;
+use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::{Device, Int, Tensor, TensorData};
+
+use super::denoiser::TEXT_DIVISOR;
+use super::position::positions;
+use crate::vocabulary::{PADDING, TokenBatch};
+
+/// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
+/// are averaged.
+///
+/// It needs no download and no pretraining, and an average keeps a short instruction as loud as a
+/// long one. The vector is scaled by what the denoiser divides text by, so that text starts as
+/// loud as the diffusion step.
+#[derive(Module, Debug)]
+pub struct LearnedText {
+    embedding: Embedding,
+    value: Linear,
+    gate: Linear,
+    norm: LayerNorm,
+    output: Linear,
+}
+
+impl LearnedText {
+    /// Builds the encoder.
+    pub fn new(num_tokens: usize, width: usize, device: &Device) -> Self {
+        Self {
+            embedding: EmbeddingConfig::new(num_tokens, width).init(device),
+            value: LinearConfig::new(width, width).init(device),
+            gate: LinearConfig::new(width, width).init(device),
+            norm: LayerNormConfig::new(width).init(device),
+            output: LinearConfig::new(width, width).init(device),
+        }
+    }
+
+    /// Encodes texts.
+    ///
+    /// # Shapes
+    /// `B` rows of tokens give `[B, d]`.
+    pub fn forward(&self, tokens: &TokenBatch) -> Tensor<2> {
+        let device = self.embedding.weight.val().device();
+        let ids = token_tensor(tokens, &device);
+        let kept = ids.clone().not_equal_scalar(PADDING).float();
+        // A row of padding alone still averages over one (empty) place.
+        let count = kept.clone().sum_dim(1).clamp_min(1.0);
+
+        let words = self.embedding.forward(ids);
+        let [_, width, d] = words.dims();
+        let words = words + positions(width, d, &device);
+        let weighed = gelu(self.value.forward(words.clone())) * sigmoid(self.gate.forward(words));
+        let sum = (weighed * kept.unsqueeze_dim::<3>(2))
+            .sum_dim(1)
+            .squeeze_dim::<2>(1);
+        let text = self.norm.forward(sum / count);
+        self.output.forward(text).mul_scalar(TEXT_DIVISOR)
+    }
+}
+
+/// Token numbers on a device.
+///
+/// # Shapes
+/// `[B, T]`
+pub(crate) fn token_tensor(tokens: &TokenBatch, device: &Device) -> Tensor<2, Int> {
+    let rows = tokens.ids.len() / tokens.width;
+    Tensor::from_data(
+        TensorData::new(tokens.ids.clone(), [rows, tokens.width]),
+        device,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+
+    use super::*;
+    use crate::model::weights::draw;
+    use crate::vocabulary::Vocabulary;
+
+    #[test]
+    fn a_text_does_not_feel_its_neighbours_padding() {
+        let device = Device::flex();
+        let vocabulary = Vocabulary::build(["raise the left arm slowly"], 2, 8).expect("valid");
+        let encoder = draw(
+            LearnedText::new(vocabulary.num_tokens(), 8, &device),
+            Seed(3),
+        );
+        let encode = |texts: &[&str]| {
+            encoder
+                .forward(&vocabulary.encode_batch(texts.iter().copied()))
+                .into_data()
+                .try_into_vec_as::<f32>()
+                .expect("floats")
+        };
+        let alone = encode(&["left arm"]);
+        let beside = encode(&["left arm", "raise the left arm slowly"]);
+        for (a, b) in alone.iter().zip(&beside) {
+            // Sums of five products of f32 in another order.
+            assert!((a - b).abs() < 1e-5, "{a} {b}");
+        }
+        assert_ne!(encode(&["left arm"]), encode(&["arm left"]));
+    }
+}

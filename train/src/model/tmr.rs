@@ -1,0 +1,308 @@
+//! The TMR networks: two encoders into one space, and a decoder out of it.
+
+use burn::module::{Initializer, Module, Param};
+use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
+use burn::tensor::activation::log_softmax;
+use burn::tensor::{Bool, Device, Tensor, TensorData};
+
+use super::position::positions;
+use super::text::token_tensor;
+use super::transformer::{Decoder, Encoder, padding_of};
+use crate::config::NetworkConfig;
+use crate::vocabulary::{PADDING, TokenBatch};
+
+/// Learned tokens put before a sequence: one becomes the mean, one the log variance.
+const NUM_TOKENS: usize = 2;
+
+/// A normal distribution over the latent space.
+#[derive(Clone, Debug)]
+pub struct Distribution {
+    /// Mean, `[B, d]`.
+    pub mu: Tensor<2>,
+    /// Logarithm of the variance, `[B, d]`.
+    pub logvar: Tensor<2>,
+}
+
+impl Distribution {
+    /// A sample, given standard normal noise.
+    ///
+    /// # Shapes
+    /// `[B, d]`
+    pub fn sample(&self, noise: Tensor<2>) -> Tensor<2> {
+        self.mu.clone() + noise * self.logvar.clone().mul_scalar(0.5).exp()
+    }
+
+    /// The standard normal distribution of the same shape.
+    pub fn standard(&self) -> Self {
+        Self {
+            mu: self.mu.zeros_like(),
+            logvar: self.logvar.zeros_like(),
+        }
+    }
+
+    /// The Kullback-Leibler divergence from `self` to `other`, averaged over batch and axes.
+    ///
+    /// # Shapes
+    /// One number.
+    pub fn kl(&self, other: &Self) -> Tensor<1> {
+        let log_ratio = self.logvar.clone() - other.logvar.clone();
+        let shift =
+            (self.mu.clone() - other.mu.clone()).square() * other.logvar.clone().neg().exp();
+        (log_ratio.clone().exp() + shift - log_ratio)
+            .sub_scalar(1.0)
+            .mul_scalar(0.5)
+            .mean()
+    }
+}
+
+/// A sequence encoder in the manner of ACTOR.
+///
+/// # Source
+/// Petrovich et al. 2021 and 2023 (`algorithms` section 15).
+#[derive(Module, Debug)]
+pub struct SequenceEncoder {
+    projection: Linear,
+    tokens: Param<Tensor<2>>,
+    sequence_encoder: Encoder,
+    dropout: Dropout,
+}
+
+impl SequenceEncoder {
+    /// Builds the encoder for sequences of `num_features` numbers a step.
+    pub fn new(num_features: usize, config: &NetworkConfig, device: &Device) -> Self {
+        Self {
+            projection: LinearConfig::new(num_features, config.width).init(device),
+            tokens: Initializer::Zeros.init([NUM_TOKENS, config.width], device),
+            sequence_encoder: Encoder::new(config, device),
+            dropout: DropoutConfig::new(config.dropout).init(),
+        }
+    }
+
+    /// Encodes sequences.
+    ///
+    /// # Shapes
+    /// `x` `[B, T, F]`; `lengths` `[B]`, the steps of each row that are not padding.
+    pub fn forward(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
+        let [batch, steps, _] = x.dims();
+        let device = x.device();
+        let x = self.projection.forward(x);
+        let [_, _, width] = x.dims();
+        let tokens = self
+            .tokens
+            .val()
+            .unsqueeze_dim::<3>(0)
+            .expand([batch, NUM_TOKENS, width]);
+        let x = Tensor::cat(vec![tokens, x], 1);
+        let x = x + positions(NUM_TOKENS + steps, width, &device);
+        let with_tokens: Vec<usize> = lengths.iter().map(|length| NUM_TOKENS + length).collect();
+        let padding = padding_mask(&with_tokens, NUM_TOKENS + steps, &device);
+        let x = self
+            .sequence_encoder
+            .forward(self.dropout.forward(x), padding.as_ref());
+        let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
+        Distribution {
+            mu: token(0),
+            logvar: token(1),
+        }
+    }
+}
+
+/// A sequence decoder: queries that know their place alone ask one latent vector.
+#[derive(Module, Debug)]
+pub struct SequenceDecoder {
+    sequence_decoder: Decoder,
+    final_layer: Linear,
+    dropout: Dropout,
+}
+
+impl SequenceDecoder {
+    /// Builds the decoder for sequences of `num_features` numbers a step.
+    pub fn new(num_features: usize, config: &NetworkConfig, device: &Device) -> Self {
+        Self {
+            sequence_decoder: Decoder::new(config, device),
+            final_layer: LinearConfig::new(config.width, num_features).init(device),
+            dropout: DropoutConfig::new(config.dropout).init(),
+        }
+    }
+
+    /// Decodes latent vectors to sequences of `steps`; steps past a row's length are zero.
+    ///
+    /// # Shapes
+    /// `latent` `[B, d]`; the result `[B, steps, F]`.
+    pub fn forward(&self, latent: Tensor<2>, lengths: &[usize], steps: usize) -> Tensor<3> {
+        let [batch, width] = latent.dims();
+        let device = latent.device();
+        let queries = positions(steps, width, &device).expand([batch, steps, width]);
+        let padding = padding_mask(lengths, steps, &device);
+        let x = self.sequence_decoder.forward(
+            self.dropout.forward(queries),
+            latent.unsqueeze_dim(1),
+            padding.as_ref(),
+        );
+        let x = self.final_layer.forward(x);
+        match padding {
+            None => x,
+            Some(padding) => {
+                let [_, _, num_features] = x.dims();
+                let padding =
+                    padding
+                        .reshape([batch, steps, 1])
+                        .expand([batch, steps, num_features]);
+                x.mask_fill(padding, 0.0)
+            }
+        }
+    }
+}
+
+/// The mask attention takes, or nothing if no row is padded.
+fn padding_mask(lengths: &[usize], width: usize, device: &Device) -> Option<Tensor<4, Bool>> {
+    lengths
+        .iter()
+        .any(|&length| length < width)
+        .then(|| padding_of(lengths, width, device).unsqueeze_dims(&[1, 1]))
+}
+
+/// Sizes of the TMR networks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TmrSizes {
+    /// Numbers of a motion frame.
+    pub motion_features: usize,
+    /// Tokens of the vocabulary.
+    pub num_tokens: usize,
+    /// Width of a word vector.
+    pub word_width: usize,
+    /// The transformers, whose width is that of the latent space.
+    pub network: NetworkConfig,
+}
+
+/// Motion and text encoders, the motion decoder, and the word vectors learned with them.
+#[derive(Module, Debug)]
+pub struct Tmr {
+    /// Encodes motions.
+    pub motion_encoder: SequenceEncoder,
+    /// Encodes word vectors.
+    pub text_encoder: SequenceEncoder,
+    /// Decodes motions.
+    pub motion_decoder: SequenceDecoder,
+    words: Embedding,
+}
+
+impl Tmr {
+    /// Builds the networks.
+    pub fn new(sizes: &TmrSizes, device: &Device) -> Self {
+        let TmrSizes {
+            motion_features,
+            num_tokens,
+            word_width,
+            network,
+        } = sizes;
+        Self {
+            motion_encoder: SequenceEncoder::new(*motion_features, network, device),
+            text_encoder: SequenceEncoder::new(*word_width, network, device),
+            motion_decoder: SequenceDecoder::new(*motion_features, network, device),
+            words: EmbeddingConfig::new(*num_tokens, *word_width).init(device),
+        }
+    }
+
+    /// Encodes texts.
+    ///
+    /// # Shapes
+    /// `B` rows of tokens give distributions over `[B, d]`.
+    pub fn encode_text(&self, tokens: &TokenBatch) -> Distribution {
+        let lengths: Vec<usize> = tokens
+            .ids
+            .chunks_exact(tokens.width)
+            .map(|row| row.iter().filter(|&&id| id != PADDING).count().max(1))
+            .collect();
+        let ids = token_tensor(tokens, &self.words.weight.val().device());
+        self.text_encoder.forward(self.words.forward(ids), &lengths)
+    }
+}
+
+/// The symmetric InfoNCE loss between texts and motions that belong together row by row.
+///
+/// `ignored` marks pairs that are neither: two texts that say the same make their motions false
+/// negatives of each other.
+///
+/// # Shapes
+/// `texts` and `motions` `[B, d]`; `ignored` `[B * B]` row-major; the result is one number.
+///
+/// # Source
+/// Petrovich et al. 2023, Sec. 3.2 (`algorithms` section 15).
+pub fn info_nce(
+    texts: Tensor<2>,
+    motions: Tensor<2>,
+    temperature: f64,
+    ignored: &[bool],
+) -> Tensor<1> {
+    let [batch, _] = texts.dims();
+    let device = texts.device();
+    let mut logits = cosine_similarity(texts, motions).div_scalar(temperature);
+    if ignored.iter().any(|&ignored| ignored) {
+        let mask = Tensor::<2, Bool>::from_data(
+            TensorData::new(ignored.to_vec(), [batch, batch]),
+            &device,
+        );
+        logits = logits.mask_fill(mask, f32::NEG_INFINITY);
+    }
+    // The pairs that belong together lie on the diagonal.
+    let diagonal = Tensor::<2>::eye(batch, &device).bool();
+    let matched = |logits: Tensor<2>, dim: usize| {
+        let chances = log_softmax(logits, dim);
+        chances
+            .zeros_like()
+            .mask_where(diagonal.clone(), chances)
+            .sum()
+    };
+    (matched(logits.clone(), 1) + matched(logits, 0)).div_scalar(-2.0 * batch as f64)
+}
+
+/// Cosines between all rows of two batches.
+///
+/// # Shapes
+/// `[A, d]` and `[B, d]` give `[A, B]`.
+pub fn cosine_similarity(a: Tensor<2>, b: Tensor<2>) -> Tensor<2> {
+    // PyTorch's floor for the length of a vector that is divided by it.
+    const MIN_LENGTH: f64 = 1e-12;
+    let unit = |x: Tensor<2>| {
+        let length = x.clone().square().sum_dim(1).sqrt().clamp_min(MIN_LENGTH);
+        x / length
+    };
+    unit(a).matmul(unit(b).transpose())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(values: &[f32], width: usize) -> Tensor<2> {
+        let rows = values.len() / width;
+        Tensor::from_data(
+            TensorData::new(values.to_vec(), [rows, width]),
+            &Device::flex(),
+        )
+    }
+
+    #[test]
+    fn the_divergence_of_shifted_normals_is_half_the_squared_shift() {
+        let q = Distribution {
+            mu: rows(&[2.0, 0.0], 1),
+            logvar: rows(&[0.0, 0.0], 1),
+        };
+        let kl: f32 = q.kl(&q.standard()).into_scalar();
+        assert!((kl - 1.0).abs() < 1e-6);
+        assert_eq!(q.kl(&q).into_scalar::<f32>(), 0.0);
+    }
+
+    #[test]
+    fn orthogonal_pairs_leave_the_softmax_of_one_against_zero() {
+        let x = rows(&[1.0, 0.0, 0.0, 1.0], 2);
+        let none = [false; 4];
+        let loss: f32 = info_nce(x.clone(), x.clone(), 1.0, &none).into_scalar();
+        // -ln(e / (e + 1))
+        assert!((loss - (1.0f32 + (-1.0f32).exp()).ln()).abs() < 1e-6);
+        let ignored = [false, true, true, false];
+        let alone: f32 = info_nce(x.clone(), x, 1.0, &ignored).into_scalar();
+        assert!(alone.abs() < 1e-6, "no negative is left");
+    }
+}

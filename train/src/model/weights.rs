@@ -1,0 +1,232 @@
+//! Weights in and out under PyTorch's names, and their first values.
+
+use std::path::Path;
+
+use burn::module::{Module, ModuleMapper, Param, ParamId};
+use burn::tensor::{Tensor, TensorData};
+use burn_store::{
+    BurnToPyTorchAdapter, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, SafetensorsStore,
+};
+use datasets_spec::Seed;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+use crate::Error;
+
+/// Where a name of ours differs from PyTorch's: (pattern in PyTorch's name, ours; pattern in our
+/// name, PyTorch's). Linear layouts and the names of norms are converted by the store.
+const RENAMES: [(&str, &str, &str, &str); 5] = [
+    (
+        r"in_proj_(weight|bias)$",
+        "in_proj.$1",
+        r"in_proj\.(weight|bias)$",
+        "in_proj_$1",
+    ),
+    (
+        r"time_embed\.0\.",
+        "hidden.",
+        r"(embed_timestep|embed_prog_ind)\.hidden\.",
+        "$1.time_embed.0.",
+    ),
+    (
+        r"time_embed\.2\.",
+        "output.",
+        r"(embed_timestep|embed_prog_ind)\.output\.",
+        "$1.time_embed.2.",
+    ),
+    (
+        r"seqTransEncoder\.",
+        "sequence_encoder.",
+        r"sequence_encoder\.",
+        "seqTransEncoder.",
+    ),
+    (
+        r"seqTransDecoder\.",
+        "sequence_decoder.",
+        r"sequence_decoder\.",
+        "seqTransDecoder.",
+    ),
+];
+
+/// The weights of a network as a safetensors file under PyTorch's names. Equal weights give equal
+/// bytes.
+///
+/// # Errors
+/// The store refuses a tensor.
+pub fn to_safetensors<M: Module + ModuleSnapshot>(
+    network: &M,
+    path: &Path,
+) -> Result<Vec<u8>, Error> {
+    let mut store = SafetensorsStore::from_bytes(None)
+        .clear_metadata()
+        .with_to_adapter(BurnToPyTorchAdapter);
+    for (_, _, ours, theirs) in RENAMES {
+        store = store.with_key_remapping(ours, theirs);
+    }
+    store
+        .collect_from(network)
+        .and_then(|()| store.get_bytes())
+        .map_err(|problem| Error::weights(path, problem))
+}
+
+/// Loads the tensors of a safetensors file whose names start with `prefix` into a network. The
+/// rest of the name is PyTorch's. Tensors the network does not know, such as stored position
+/// tables, are left alone; `path` names the file in errors.
+///
+/// # Errors
+/// The file is malformed, or a tensor is missing or of another shape.
+pub fn from_safetensors<M: Module + ModuleSnapshot>(
+    network: &mut M,
+    bytes: Vec<u8>,
+    prefix: &str,
+    path: &Path,
+) -> Result<(), Error> {
+    let mut store =
+        SafetensorsStore::from_bytes(Some(bytes)).with_from_adapter(PyTorchToBurnAdapter);
+    if !prefix.is_empty() {
+        store = store.with_key_remapping(format!("^{}", prefix.replace('.', r"\.")), "");
+    }
+    for (theirs, ours, _, _) in RENAMES {
+        store = store.with_key_remapping(theirs, ours);
+    }
+    store
+        .apply_to(network)
+        .map(|_| ())
+        .map_err(|problem| Error::weights(path, problem))
+}
+
+/// Draws every parameter of a network, and names it, by its place in the network.
+///
+/// A value depends on the seed and the name alone, so that networks can be built side by side on
+/// any number of threads; and the optimiser finds the state of a parameter again in another
+/// process, because its id follows from its name too.
+///
+/// # Source
+/// The distributions are PyTorch's: linear layers uniform within `1/sqrt(fan_in)`; the joint
+/// projection of attention Xavier-uniform and the biases of attention zero; norms one and zero;
+/// embeddings and learned tokens standard normal.
+pub fn draw<M: Module>(network: M, seed: Seed) -> M {
+    network.map(&mut Draw {
+        seed,
+        path: Vec::new(),
+        containers: Vec::new(),
+        fan_in: 1,
+    })
+}
+
+struct Draw {
+    seed: Seed,
+    path: Vec<String>,
+    containers: Vec<String>,
+    /// Inputs of the linear layer being visited: its weight comes before its bias.
+    fan_in: usize,
+}
+
+enum Values {
+    Constant(f32),
+    Uniform(f64),
+    Normal,
+}
+
+impl Draw {
+    fn values(&mut self, name: &str, shape: &[usize]) -> Values {
+        let layer = self
+            .containers
+            .iter()
+            .rev()
+            .find(|container| container.starts_with("Struct:"))
+            .map_or("", String::as_str);
+        let is_attention = name.contains("in_proj") || name.contains("out_proj");
+        match (layer, name.rsplit('.').next()) {
+            ("Struct:LayerNorm", Some("gamma")) => Values::Constant(1.0),
+            ("Struct:LayerNorm", _) => Values::Constant(0.0),
+            ("Struct:Linear", Some("weight")) => {
+                self.fan_in = shape[0];
+                if name.contains("in_proj") {
+                    // Xavier: sqrt(6 / (inputs + outputs)).
+                    Values::Uniform((6.0 / (shape[0] + shape[1]) as f64).sqrt())
+                } else {
+                    Values::Uniform((self.fan_in as f64).sqrt().recip())
+                }
+            }
+            ("Struct:Linear", _) if is_attention => Values::Constant(0.0),
+            ("Struct:Linear", _) => Values::Uniform((self.fan_in as f64).sqrt().recip()),
+            _ => Values::Normal,
+        }
+    }
+}
+
+impl ModuleMapper for Draw {
+    fn enter_module(&mut self, name: &str, container_type: &str) {
+        self.path.push(name.to_owned());
+        self.containers.push(container_type.to_owned());
+    }
+
+    fn exit_module(&mut self, _name: &str, _container_type: &str) {
+        self.path.pop();
+        self.containers.pop();
+    }
+
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let name = self.path.join(".");
+        let id = ParamId::from(Seed(0).draw_u64(&["parameter", &name]));
+        let shape = param.lazy_shape();
+        let count = shape.num_elements();
+        let mut rng = self.seed.rng(&["parameter", &name]);
+        let dims: Vec<usize> = (0..D).map(|axis| shape[axis]).collect();
+        let values: Vec<f32> = match self.values(&name, &dims) {
+            Values::Constant(value) => vec![value; count],
+            Values::Uniform(bound) => (0..count)
+                .map(|_| rng.random_range(-bound..bound) as f32)
+                .collect(),
+            Values::Normal => (0..count).map(|_| rng.sample(StandardNormal)).collect(),
+        };
+        let device = param.lazy_device();
+        let tensor = Tensor::from_data(TensorData::new(values, shape), &device);
+        param.transform_for_load(tensor, id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::nn::{Linear, LinearConfig};
+    use burn::tensor::Device;
+
+    use super::*;
+
+    fn linear(seed: u64) -> Linear {
+        draw(
+            LinearConfig::new(16, 4).init(&Device::flex().autodiff()),
+            Seed(seed),
+        )
+    }
+
+    #[test]
+    fn parameters_follow_from_seed_and_name() {
+        let bytes = |layer: &Linear| to_safetensors(layer, Path::new("memory")).expect("saved");
+        let layer = linear(1);
+        assert_eq!(bytes(&layer), bytes(&linear(1)));
+        assert_ne!(bytes(&layer), bytes(&linear(2)));
+        assert_eq!(layer.weight.id, linear(2).weight.id);
+        assert!(layer.weight.val().is_require_grad());
+        let values = layer.weight.val().into_data();
+        let values = values.try_into_vec_as::<f32>().expect("floats");
+        assert!(values.iter().all(|value| value.abs() <= 0.25));
+        assert!(values.iter().any(|value| value.abs() > 0.2));
+    }
+
+    #[test]
+    fn a_network_of_another_size_is_refused() {
+        let path = Path::new("memory");
+        let bytes = to_safetensors(&linear(1), path).expect("saved");
+        let mut other = LinearConfig::new(16, 5).init(&Device::flex());
+        assert!(matches!(
+            from_safetensors(&mut other, bytes.clone(), "", path),
+            Err(Error::Weights { .. })
+        ));
+        let mut other = LinearConfig::new(16, 4).init(&Device::flex());
+        assert!(from_safetensors(&mut other, bytes[..40].to_vec(), "", path).is_err());
+        from_safetensors(&mut other, bytes.clone(), "", path).expect("loaded");
+        assert_eq!(to_safetensors(&other, path).expect("saved"), bytes);
+    }
+}

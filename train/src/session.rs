@@ -1,0 +1,31 @@
+//! What a training run needs of the program around it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use burn::tensor::Device;
+use datasets_spec::Progress;
+
+/// The surroundings of a run: where it computes, whom it tells, who may stop it and what time it
+/// is.
+#[derive(Clone, Copy)]
+pub struct Session<'a> {
+    /// Device tensors live on, without automatic differentiation.
+    pub device: &'a Device,
+    /// Receives the progress.
+    pub progress: &'a dyn Progress,
+    /// Ends the run after the current step and a checkpoint, once set.
+    pub stop: &'a AtomicBool,
+    /// Time passed since any fixed moment. It is used for reported speeds alone.
+    pub clock: &'a (dyn Fn() -> Duration + Sync),
+}
+
+impl Session<'_> {
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn secs(&self) -> f64 {
+        (self.clock)().as_secs_f64()
+    }
+}

@@ -1,0 +1,769 @@
+//! The encoder motions are judged by: training and use.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::optim::{GradientsParams, ModuleOptimizer};
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::{Motion, Pose, Seed};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
+use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, TextConfig, positive};
+use crate::data::prefetch;
+use crate::diffusion::Loss;
+use crate::features::{FEATURE_WIDTH, FeatureStats, encoder_poses, face_forward, smpl135};
+use crate::fit::{
+    MetricsLine, Speed, TrainReport, TrainState, ValidationLine, adamw, load_progress, mean,
+    report, save_progress,
+};
+use crate::model::tmr::{Tmr, TmrSizes, info_nce};
+use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::vocabulary::{TokenBatch, Vocabulary};
+use crate::{Error, Session};
+
+const KIND: &str = "tmr";
+const WEIGHTS: &str = "tmr.safetensors";
+
+/// Motions or texts encoded at a time.
+const ENCODE_BATCH: usize = 32;
+
+/// Settings of the encoder's training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmrConfig {
+    /// Sizes of the transformers; the width is that of the latent space.
+    pub model: NetworkConfig,
+    /// Width of a word vector.
+    pub word_width: usize,
+    /// Vocabulary.
+    pub text: TextConfig,
+    /// Frames of the store from one frame of the encoder to the next.
+    pub frame_stride: usize,
+    /// Shortest crop shown in training, in frames of the encoder.
+    pub min_frames: usize,
+    /// Longest crop shown in training, in frames of the encoder. Frames of a longer motion past it
+    /// do not enter its code.
+    pub max_frames: usize,
+    /// Weights of the parts of the loss.
+    pub weights: LossWeights,
+    /// Temperature of the contrastive loss.
+    pub temperature: f64,
+    /// Optimiser.
+    pub optimizer: OptimizerConfig,
+    /// Clips in a step.
+    pub batch_size: usize,
+    /// Steps of the whole run.
+    pub num_steps: u64,
+    /// Steps between two lines of the metrics file.
+    pub log_every: u64,
+    /// Steps between two validations; each is followed by a checkpoint.
+    pub val_every: u64,
+    /// Seed of weights, crops and noise.
+    pub seed: u64,
+}
+
+/// Weights of the parts of the encoder's loss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LossWeights {
+    /// Motions decoded from either latent vector.
+    pub reconstruction: f64,
+    /// Divergences between the two distributions and from the standard normal one.
+    pub kl: f64,
+    /// Distance between the two latent vectors.
+    pub latent: f64,
+    /// Contrast with the other pairs of the batch.
+    pub contrastive: f64,
+}
+
+impl TmrConfig {
+    /// The named settings.
+    ///
+    /// # Source
+    /// `Official`: Petrovich et al. 2023 (`algorithms` section 15), its 500 epochs of HumanML3D at
+    /// batch 32 given as steps. `Tiny`: our choice, for a few hundred clips and a minute on two
+    /// processor cores: every second frame, a smaller network, and a contrast that counts for more,
+    /// because there is no time for the reconstruction to shape the space.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Official => Self {
+                model: NetworkConfig {
+                    width: 256,
+                    num_layers: 6,
+                    num_heads: 4,
+                    feed_forward: 1024,
+                    dropout: 0.1,
+                },
+                word_width: 256,
+                text: TextConfig {
+                    num_buckets: 64,
+                    max_words: 64,
+                },
+                frame_stride: 1,
+                min_frames: 40,
+                max_frames: 200,
+                weights: LossWeights {
+                    reconstruction: 1.0,
+                    kl: 1e-5,
+                    latent: 1e-5,
+                    contrastive: 0.1,
+                },
+                temperature: 0.1,
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-4,
+                    decay: Decay::Constant,
+                    warmup_steps: 0,
+                    weight_decay: 0.01,
+                },
+                batch_size: 32,
+                num_steps: 365_000,
+                log_every: 100,
+                val_every: 5_000,
+                seed: 0,
+            },
+            Preset::Tiny => Self {
+                model: NetworkConfig {
+                    width: 64,
+                    num_layers: 2,
+                    num_heads: 4,
+                    feed_forward: 128,
+                    dropout: 0.0,
+                },
+                word_width: 64,
+                text: TextConfig {
+                    num_buckets: 16,
+                    max_words: 24,
+                },
+                frame_stride: 2,
+                min_frames: 16,
+                max_frames: 100,
+                weights: LossWeights {
+                    reconstruction: 1.0,
+                    kl: 1e-5,
+                    latent: 1e-5,
+                    contrastive: 1.0,
+                },
+                temperature: 0.1,
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-3,
+                    decay: Decay::Linear,
+                    warmup_steps: 20,
+                    weight_decay: 0.01,
+                },
+                batch_size: 32,
+                num_steps: 300,
+                log_every: 10,
+                val_every: 50,
+                seed: 0,
+            },
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.model.check()?;
+        self.optimizer.check()?;
+        positive("word_width", self.word_width as u64)?;
+        positive("frame_stride", self.frame_stride as u64)?;
+        positive("min_frames", self.min_frames as u64)?;
+        positive("batch_size", self.batch_size as u64)?;
+        positive("num_steps", self.num_steps)?;
+        positive("log_every", self.log_every)?;
+        positive("val_every", self.val_every)?;
+        if self.max_frames < self.min_frames {
+            return Err(Error::Config {
+                field: "max_frames",
+                problem: format!(
+                    "it is {}, less than min_frames {}",
+                    self.max_frames, self.min_frames
+                ),
+            });
+        }
+        if !(self.temperature.is_finite() && self.temperature > 0.0) {
+            return Err(Error::Config {
+                field: "temperature",
+                problem: format!("it is {}, and must be positive", self.temperature),
+            });
+        }
+        Ok(())
+    }
+
+    fn sizes(&self, vocabulary: &Vocabulary) -> TmrSizes {
+        TmrSizes {
+            motion_features: FEATURE_WIDTH,
+            num_tokens: vocabulary.num_tokens(),
+            word_width: self.word_width,
+            network: self.model,
+        }
+    }
+}
+
+/// A motion and what it is said to show.
+#[derive(Clone, Copy, Debug)]
+pub struct CaptionedMotion<'a> {
+    /// Names the motion in errors.
+    pub id: &'a str,
+    /// The motion.
+    pub motion: &'a Motion,
+    /// Its captions, at least one.
+    pub captions: &'a [String],
+}
+
+/// What the encoder learns from.
+#[derive(Clone, Copy, Debug)]
+pub struct TmrCorpus<'a> {
+    /// Training clips.
+    pub train: &'a [CaptionedMotion<'a>],
+    /// Validation clips.
+    pub val: &'a [CaptionedMotion<'a>],
+    /// Name of the skeleton the motions drive.
+    pub skeleton: &'a str,
+    /// Root hash of the dataset.
+    pub dataset_hash: &'a str,
+}
+
+/// What is recorded of an encoder's run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmrRecord {
+    /// The resolved settings.
+    pub train: TmrConfig,
+    /// Mean and spread of the features over the training split.
+    pub features: FeatureStats,
+    /// Words the encoder knows.
+    pub vocabulary: Vocabulary,
+}
+
+/// A clip as the encoder sees it.
+struct Clip {
+    poses: Vec<Pose>,
+    captions: Vec<Vec<i32>>,
+}
+
+/// A batch of clips with everything a step draws.
+struct ClipBatch {
+    features: Vec<f32>,
+    lengths: Vec<usize>,
+    steps: usize,
+    tokens: TokenBatch,
+    /// Pairs whose texts say the same, `[B * B]`.
+    same_text: Vec<bool>,
+    /// Standard normal noise for the text and the motion latents, `[2, B, d]`.
+    noise: Vec<f32>,
+}
+
+/// Trains the encoder, or continues where the run folder left off, exactly as
+/// [`crate::fit::train_motionrefit`] does.
+///
+/// # Errors
+/// The settings are unusable, a split is empty or a clip without caption, the folder holds another
+/// run or a damaged checkpoint, the loss is not finite, or a file cannot be written.
+pub fn train_tmr(
+    run_dir: &Path,
+    config: &TmrConfig,
+    corpus: TmrCorpus<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    config.check()?;
+    let vocabulary = Vocabulary::build(
+        corpus
+            .train
+            .iter()
+            .flat_map(|clip| clip.captions.iter().map(String::as_str)),
+        config.text.num_buckets,
+        config.text.max_words,
+    )?;
+    let train = clips(
+        corpus.train,
+        "training split of the encoder",
+        &vocabulary,
+        config,
+    )?;
+    let val = clips(
+        corpus.val,
+        "validation split of the encoder",
+        &vocabulary,
+        config,
+    )?;
+    let record = TmrRecord {
+        train: config.clone(),
+        features: fit_features(&train)?,
+        vocabulary,
+    };
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, &record),
+    )?;
+
+    let seed = Seed(config.seed);
+    let device = session.device.clone().autodiff();
+    let sizes = config.sizes(&record.vocabulary);
+    let mut model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]));
+    let mut optimizer = adamw(&config.optimizer);
+    let mut state = TrainState::default();
+    if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
+        load(&mut model, &mut files, run_dir)?;
+        (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
+    }
+    run.rewind_log(state.step)?;
+
+    let drawer = ClipDrawer {
+        clips: &train,
+        features: &record.features,
+        config,
+        seed: seed.derive(&["train"]),
+    };
+    let val_batches: Vec<ClipBatch> = ClipDrawer {
+        clips: &val,
+        seed: seed.derive(&["val"]),
+        ..drawer
+    }
+    .whole();
+
+    let mut whole = Speed::default();
+    session.progress.begin("train tmr", Some(config.num_steps));
+    session.progress.advance(state.step);
+    let model = std::thread::scope(|scope| {
+        let batches = prefetch(scope, state.step..config.num_steps, |step| {
+            Ok(drawer.draw(step))
+        });
+        let mut recent = Speed::default();
+        while state.step < config.num_steps && !session.is_stopped() {
+            let begun = session.secs();
+            let batch = batches
+                .recv()
+                .expect("the producer sends a batch or an error for every step")?;
+            let received = session.secs();
+
+            if config.model.dropout > 0.0 {
+                // Dropout draws on the device; seeding every step lets a continued run repeat it.
+                device.seed(seed.draw_u64(&["dropout", &state.step.to_string()]));
+            }
+            let rate = config.optimizer.rate_at(state.step, config.num_steps);
+            let loss = batch_loss(&model, &batch, config, &device);
+            let loss_value: f32 = loss.clone().into_scalar();
+            if !loss_value.is_finite() {
+                return Err(Error::Diverged { step: state.step });
+            }
+            let gradients = GradientsParams::from_grads(loss.backward(), &model);
+            model = optimizer.step(rate, model, gradients);
+
+            state.step += 1;
+            state.pending.push(loss_value);
+            recent.add(session.secs() - begun, received - begun);
+            session.progress.advance(1);
+            let is_last = state.step == config.num_steps;
+            if state.step.is_multiple_of(config.log_every) || is_last {
+                let loss = mean(&state.pending);
+                run.log(&MetricsLine {
+                    step: state.step,
+                    loss,
+                    learning_rate: rate,
+                    samples_per_sec: recent.samples_per_sec(config.batch_size),
+                    data_wait_share: recent.wait_share(),
+                })?;
+                session.progress.message(&format!(
+                    "loss {loss:.4}, {:.0} clips/s",
+                    recent.samples_per_sec(config.batch_size)
+                ));
+                state.first_loss.get_or_insert(loss);
+                state.last_loss = Some(loss);
+                state.pending.clear();
+                whole.merge(&recent);
+                recent = Speed::default();
+            }
+            if state.step.is_multiple_of(config.val_every) || is_last {
+                let val_loss = validate(&model.valid(), &val_batches, config, session.device);
+                let is_best = state.best_val_loss.is_none_or(|best| val_loss < best);
+                run.log(&ValidationLine {
+                    step: state.step,
+                    val_loss,
+                    is_best,
+                })?;
+                if is_best {
+                    state.best_val_loss = Some(val_loss);
+                    state.best_step = state.step;
+                }
+                let files = save(&model, &optimizer, &state, run_dir)?;
+                run.write(Slot::Last, &files)?;
+                if is_best {
+                    run.write(Slot::Best, &files)?;
+                }
+            }
+        }
+        whole.merge(&recent);
+        Ok(model)
+    })?;
+
+    let is_complete = state.step == config.num_steps;
+    if !is_complete {
+        run.write(Slot::Last, &save(&model, &optimizer, &state, run_dir)?)?;
+    }
+    session.progress.finish(&format!("{} steps", state.step));
+    Ok(report(
+        &state,
+        is_complete,
+        model.num_params(),
+        &whole,
+        config.batch_size,
+    ))
+}
+
+/// The loss of a batch.
+///
+/// # Source
+/// Petrovich et al. 2023, Eq. 4 (`algorithms` section 15).
+fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Device) -> Tensor<1> {
+    let num_clips = batch.lengths.len();
+    let features = Tensor::<3>::from_data(
+        TensorData::new(
+            batch.features.clone(),
+            [num_clips, batch.steps, FEATURE_WIDTH],
+        ),
+        device,
+    );
+    let noise = Tensor::<3>::from_data(
+        TensorData::new(batch.noise.clone(), [2, num_clips, config.model.width]),
+        device,
+    );
+    let noise = |side: usize| noise.clone().narrow(0, side, 1).squeeze_dim::<2>(0);
+
+    let text = model.encode_text(&batch.tokens);
+    let motion = model
+        .motion_encoder
+        .forward(features.clone(), &batch.lengths);
+    let text_latent = text.sample(noise(0));
+    let motion_latent = motion.sample(noise(1));
+
+    // Both latents are decoded in one batch.
+    let latents = Tensor::cat(vec![text_latent.clone(), motion_latent.clone()], 0);
+    let decoded = model
+        .motion_decoder
+        .forward(latents, &batch.lengths.repeat(2), batch.steps);
+    let reconstruction = Loss::SmoothL1
+        .mean(decoded, Tensor::cat(vec![features.clone(), features], 0))
+        .mul_scalar(2.0);
+    let standard = text.standard();
+    let kl = text.kl(&motion) + motion.kl(&text) + motion.kl(&standard) + text.kl(&standard);
+    let latent = Loss::SmoothL1.mean(
+        text_latent.clone().unsqueeze_dim(0),
+        motion_latent.clone().unsqueeze_dim(0),
+    );
+    let contrastive = info_nce(
+        text_latent,
+        motion_latent,
+        config.temperature,
+        &batch.same_text,
+    );
+    let weights = &config.weights;
+    reconstruction.mul_scalar(weights.reconstruction)
+        + kl.mul_scalar(weights.kl)
+        + latent.mul_scalar(weights.latent)
+        + contrastive.mul_scalar(weights.contrastive)
+}
+
+fn validate(model: &Tmr, batches: &[ClipBatch], config: &TmrConfig, device: &Device) -> f32 {
+    let num_clips: usize = batches.iter().map(|batch| batch.lengths.len()).sum();
+    let sum: f64 = batches
+        .iter()
+        .map(|batch| {
+            let loss: f32 = batch_loss(model, batch, config, device).into_scalar();
+            f64::from(loss) * batch.lengths.len() as f64
+        })
+        .sum();
+    (sum / num_clips as f64) as f32
+}
+
+fn clips(
+    motions: &[CaptionedMotion<'_>],
+    what: &'static str,
+    vocabulary: &Vocabulary,
+    config: &TmrConfig,
+) -> Result<Vec<Clip>, Error> {
+    if motions.is_empty() {
+        return Err(Error::Empty { what });
+    }
+    motions
+        .par_iter()
+        .map(|clip| {
+            if clip.captions.is_empty() {
+                return Err(Error::Item {
+                    id: clip.id.to_owned(),
+                    problem: "has no caption".to_owned(),
+                });
+            }
+            let poses = encoder_poses(clip.motion, config.frame_stride).map_err(|source| {
+                Error::Motion {
+                    id: clip.id.to_owned(),
+                    source,
+                }
+            })?;
+            Ok(Clip {
+                poses,
+                captions: clip
+                    .captions
+                    .iter()
+                    .map(|caption| vocabulary.encode(caption))
+                    .collect(),
+            })
+        })
+        .collect()
+}
+
+fn fit_features(clips: &[Clip]) -> Result<FeatureStats, Error> {
+    let frames: Vec<_> = clips
+        .par_iter()
+        .flat_map_iter(|clip| {
+            let mut poses = clip.poses.clone();
+            face_forward(&mut poses);
+            smpl135(&poses)
+        })
+        .collect();
+    FeatureStats::fit(&frames)
+}
+
+/// Draws batches of clips; what is drawn depends on the seed and the step alone.
+#[derive(Clone, Copy)]
+struct ClipDrawer<'a> {
+    clips: &'a [Clip],
+    features: &'a FeatureStats,
+    config: &'a TmrConfig,
+    seed: Seed,
+}
+
+impl ClipDrawer<'_> {
+    /// The batch of a step: the next clips of the epoch's order, a caption and a crop of each. All
+    /// crops of a step share one drawn length, so that little of the batch is padding.
+    fn draw(&self, step: u64) -> ClipBatch {
+        let batch_size = self.config.batch_size.min(self.clips.len());
+        let num_batches = (self.clips.len() / batch_size) as u64;
+        let (epoch, batch) = (step / num_batches, step % num_batches);
+        let mut order: Vec<usize> = (0..self.clips.len()).collect();
+        order.shuffle(&mut self.seed.rng(&["epoch", &epoch.to_string()]));
+        let first = batch as usize * batch_size;
+
+        let mut rng = self.seed.rng(&["step", &step.to_string()]);
+        let longest = rng.random_range(self.config.min_frames..=self.config.max_frames);
+        let crops: Vec<Crop> = order[first..first + batch_size]
+            .iter()
+            .map(|&clip| {
+                let num_frames = self.clips[clip].poses.len();
+                let frames = longest.min(num_frames);
+                Crop {
+                    clip,
+                    caption: rng.random_range(0..self.clips[clip].captions.len()),
+                    start: rng.random_range(0..=num_frames - frames),
+                    frames,
+                }
+            })
+            .collect();
+        let noise = (0..2 * crops.len() * self.config.model.width)
+            .map(|_| rng.sample(StandardNormal))
+            .collect();
+        self.batch(&crops, noise)
+    }
+
+    /// All clips from their first frame with their first caption and the mean latents: what a
+    /// validation sees.
+    fn whole(&self) -> Vec<ClipBatch> {
+        let crops: Vec<Crop> = (0..self.clips.len())
+            .map(|clip| Crop {
+                clip,
+                caption: 0,
+                start: 0,
+                frames: self.clips[clip].poses.len().min(self.config.max_frames),
+            })
+            .collect();
+        crops
+            .chunks(self.config.batch_size)
+            .map(|crops| {
+                let noise = vec![0.0; 2 * crops.len() * self.config.model.width];
+                self.batch(crops, noise)
+            })
+            .collect()
+    }
+
+    fn batch(&self, crops: &[Crop], noise: Vec<f32>) -> ClipBatch {
+        let texts: Vec<&[i32]> = crops
+            .iter()
+            .map(|crop| self.clips[crop.clip].captions[crop.caption].as_slice())
+            .collect();
+        let width = texts.iter().map(|text| text.len()).max().unwrap_or(1);
+        let mut ids = Vec::with_capacity(texts.len() * width);
+        for text in &texts {
+            let filled = ids.len() + width;
+            ids.extend_from_slice(text);
+            ids.resize(filled, crate::vocabulary::PADDING);
+        }
+        let same_text = (0..texts.len())
+            .flat_map(|i| {
+                let texts = &texts;
+                (0..texts.len()).map(move |j| i != j && texts[i] == texts[j])
+            })
+            .collect();
+        let segments: Vec<Vec<Pose>> = crops
+            .iter()
+            .map(|crop| self.clips[crop.clip].poses[crop.start..crop.start + crop.frames].to_vec())
+            .collect();
+        let (features, lengths, steps) = feature_rows(segments, self.features);
+        ClipBatch {
+            features,
+            lengths,
+            steps,
+            tokens: TokenBatch { ids, width },
+            same_text,
+            noise,
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Crop {
+    clip: usize,
+    caption: usize,
+    start: usize,
+    frames: usize,
+}
+
+/// Normalised features of segments that have been turned to face +z, padded with zeros to the
+/// longest: values `[B, T, 135]`, lengths and `T`.
+fn feature_rows(
+    mut segments: Vec<Vec<Pose>>,
+    stats: &FeatureStats,
+) -> (Vec<f32>, Vec<usize>, usize) {
+    let lengths: Vec<usize> = segments.iter().map(Vec::len).collect();
+    let steps = lengths.iter().copied().max().unwrap_or(0);
+    let mut values = Vec::with_capacity(segments.len() * steps * FEATURE_WIDTH);
+    for (row, segment) in segments.iter_mut().enumerate() {
+        face_forward(segment);
+        for frame in smpl135(segment) {
+            stats.push_normalized(&frame, &mut values);
+        }
+        values.resize((row + 1) * steps * FEATURE_WIDTH, 0.0);
+    }
+    (values, lengths, steps)
+}
+
+fn save(
+    model: &Tmr,
+    optimizer: &ModuleOptimizer,
+    state: &TrainState,
+    run_dir: &Path,
+) -> Result<Files, Error> {
+    let mut files = save_progress(optimizer, state, run_dir)?;
+    files.insert(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?);
+    Ok(files)
+}
+
+fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+    let bytes = take(files, WEIGHTS, run_dir)?;
+    from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
+}
+
+/// A trained encoder.
+#[derive(Debug)]
+pub struct TmrEncoder {
+    model: Tmr,
+    record: RunRecord<TmrRecord>,
+    hash: String,
+    device: Device,
+}
+
+impl TmrEncoder {
+    /// Loads an encoder from its run folder.
+    ///
+    /// # Errors
+    /// The folder is not a run of the encoder, or its checkpoint is missing or damaged.
+    pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
+        let record: RunRecord<TmrRecord> = checkpoint::read_record(run_dir, KIND)?;
+        record.config.train.check()?;
+        let mut files = read_for_use(run_dir, slot, KIND)?;
+        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
+        let hash = weights_hash(&record.config, &[weights]);
+        let sizes = record.config.train.sizes(&record.config.vocabulary);
+        let mut model = Tmr::new(&sizes, device);
+        load(&mut model, &mut files, run_dir)?;
+        Ok(Self {
+            model,
+            record,
+            hash,
+            device: device.clone(),
+        })
+    }
+
+    /// The settings the encoder was trained with and what was fitted to its training split.
+    pub fn record(&self) -> &RunRecord<TmrRecord> {
+        &self.record
+    }
+
+    /// What identifies the weights: BLAKE3, hexadecimal.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// The mean latent vector of each motion, `[d]`.
+    ///
+    /// # Errors
+    /// A motion cannot be brought to the encoder's rate.
+    pub fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f32>>, Error> {
+        let config = &self.record.config.train;
+        let mut codes = Vec::with_capacity(motions.len());
+        for (chunk_index, chunk) in motions.chunks(ENCODE_BATCH).enumerate() {
+            let segments = chunk
+                .iter()
+                .enumerate()
+                .map(|(index, motion)| {
+                    let mut poses =
+                        encoder_poses(motion, config.frame_stride).map_err(|source| {
+                            Error::Motion {
+                                id: format!("#{}", chunk_index * ENCODE_BATCH + index),
+                                source,
+                            }
+                        })?;
+                    poses.truncate(config.max_frames);
+                    Ok(poses)
+                })
+                .collect::<Result<Vec<_>, Error>>()?;
+            let (features, lengths, steps) = feature_rows(segments, &self.record.config.features);
+            let features = Tensor::<3>::from_data(
+                TensorData::new(features, [chunk.len(), steps, FEATURE_WIDTH]),
+                &self.device,
+            );
+            let code = self.model.motion_encoder.forward(features, &lengths).mu;
+            codes.extend(rows(code));
+        }
+        Ok(codes)
+    }
+
+    /// The mean latent vector of each text, `[d]`.
+    pub fn encode_texts(&self, texts: &[&str]) -> Vec<Vec<f32>> {
+        texts
+            .chunks(ENCODE_BATCH)
+            .flat_map(|chunk| {
+                let tokens = self
+                    .record
+                    .config
+                    .vocabulary
+                    .encode_batch(chunk.iter().copied());
+                rows(self.model.encode_text(&tokens).mu)
+            })
+            .collect()
+    }
+}
+
+fn rows(tensor: Tensor<2>) -> Vec<Vec<f32>> {
+    let [_, width] = tensor.dims();
+    let values: Vec<f32> = tensor
+        .into_data()
+        .try_into_vec_as()
+        .expect("a float tensor gives floats");
+    values.chunks_exact(width).map(<[f32]>::to_vec).collect()
+}

@@ -1,0 +1,164 @@
+//! Words and their numbers.
+
+use std::collections::BTreeSet;
+
+use datasets_spec::Seed;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Number of the token that fills a row up to the length of the longest one.
+pub const PADDING: i32 = 0;
+
+/// The words of the training instructions. A word outside it falls into one of a few buckets by a
+/// hash of its letters, so that an unknown word is at least the same unknown word each time.
+///
+/// Token numbers: 0 padding, then the words in alphabetical order, then the buckets.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Vocabulary {
+    words: Vec<String>,
+    num_buckets: usize,
+    max_words: usize,
+}
+
+/// Token numbers of several texts, `[B, T]` row-major, padded with [`PADDING`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TokenBatch {
+    /// Token numbers.
+    pub ids: Vec<i32>,
+    /// Tokens a row holds, at least one.
+    pub width: usize,
+}
+
+impl Vocabulary {
+    /// Collects the words of `texts`. Texts are later cut after `max_words` words.
+    ///
+    /// # Errors
+    /// There is no bucket for unknown words, or no room for a word.
+    pub fn build<'a>(
+        texts: impl IntoIterator<Item = &'a str>,
+        num_buckets: usize,
+        max_words: usize,
+    ) -> Result<Self, Error> {
+        for (field, value) in [
+            ("text.num_buckets", num_buckets),
+            ("text.max_words", max_words),
+        ] {
+            if value == 0 {
+                return Err(Error::Config {
+                    field,
+                    problem: "it must be at least 1".to_owned(),
+                });
+            }
+        }
+        let words: BTreeSet<String> = texts.into_iter().flat_map(words_of).collect();
+        Ok(Self {
+            words: words.into_iter().collect(),
+            num_buckets,
+            max_words,
+        })
+    }
+
+    /// Number of tokens: padding, words and buckets.
+    pub fn num_tokens(&self) -> usize {
+        1 + self.words.len() + self.num_buckets
+    }
+
+    /// The token numbers of a text. A text without a word gives one padding token.
+    pub fn encode(&self, text: &str) -> Vec<i32> {
+        let mut ids: Vec<i32> = words_of(text)
+            .take(self.max_words)
+            .map(|word| self.token(&word) as i32)
+            .collect();
+        if ids.is_empty() {
+            ids.push(PADDING);
+        }
+        ids
+    }
+
+    /// The token numbers of several texts, padded to the longest.
+    pub fn encode_batch<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> TokenBatch {
+        let rows: Vec<Vec<i32>> = texts.into_iter().map(|text| self.encode(text)).collect();
+        let width = rows.iter().map(Vec::len).max().unwrap_or(1);
+        let mut ids = Vec::with_capacity(rows.len() * width);
+        for row in rows {
+            let filled = ids.len() + width;
+            ids.extend(row);
+            ids.resize(filled, PADDING);
+        }
+        TokenBatch { ids, width }
+    }
+
+    fn token(&self, word: &str) -> usize {
+        match self
+            .words
+            .binary_search_by(|known| known.as_str().cmp(word))
+        {
+            Ok(index) => 1 + index,
+            Err(_) => {
+                let bucket = Seed(0).draw_u64(&["unknown word", word]) % self.num_buckets as u64;
+                1 + self.words.len() + bucket as usize
+            }
+        }
+    }
+}
+
+/// The words of a text in lower case. Everything that is neither letter, digit nor apostrophe
+/// separates words.
+pub fn words_of(text: &str) -> impl Iterator<Item = String> + '_ {
+    text.split(|c: char| !(c.is_alphanumeric() || c == '\''))
+        .map(|word| word.trim_matches('\'').to_lowercase())
+        .filter(|word| !word.is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn small() -> Vocabulary {
+        Vocabulary::build(["Raise the LEFT arm.", "walk, slowly"], 4, 6).expect("valid")
+    }
+
+    #[test]
+    fn case_and_punctuation_do_not_matter_and_order_does() {
+        let vocabulary = small();
+        assert_eq!(
+            vocabulary.encode("raise the left arm"),
+            vocabulary.encode("  Raise -- THE left, arm!")
+        );
+        assert_ne!(
+            vocabulary.encode("left the arm raise"),
+            vocabulary.encode("raise the left arm")
+        );
+        // Alphabetical: arm 1, left 2, raise 3, slowly 4, the 5, walk 6.
+        assert_eq!(vocabulary.encode("walk the arm"), [6, 5, 1]);
+    }
+
+    #[test]
+    fn unknown_words_share_the_buckets_after_the_words() {
+        let vocabulary = small();
+        let ids = vocabulary.encode("jump jump");
+        assert_eq!(ids[0], ids[1]);
+        assert!(ids[0] as usize >= 7 && (ids[0] as usize) < vocabulary.num_tokens());
+    }
+
+    #[test]
+    fn rows_are_padded_to_the_longest() {
+        let batch = small().encode_batch(["walk", "raise the arm", ""]);
+        assert_eq!(batch.width, 3);
+        assert_eq!(batch.ids, [6, 0, 0, 3, 5, 1, 0, 0, 0]);
+    }
+
+    proptest! {
+        #[test]
+        fn every_text_gives_valid_tokens(text in "\\PC{0,80}") {
+            let vocabulary = small();
+            let ids = vocabulary.encode(&text);
+            prop_assert!(!ids.is_empty() && ids.len() <= 6);
+            prop_assert!(ids.iter().all(|&id| (id as usize) < vocabulary.num_tokens()));
+        }
+    }
+}
