@@ -600,7 +600,7 @@ mod tests {
             source: "bvh".to_owned(),
             source_path: format!("clip{index}.bvh"),
             source_hash: "00".to_owned(),
-            license: (index % 2 == 0).then(|| "CC0-1.0".to_owned()),
+            license: index.is_multiple_of(2).then(|| "CC0-1.0".to_owned()),
             mirrored_of: None,
             skeleton: "smplx-neutral".to_owned(),
             fps: 20.0,
@@ -612,7 +612,7 @@ mod tests {
             global_orient: motion.global_orient().to_vec(),
             body_pose: motion.body_pose().to_vec(),
             rotation_source: "native".to_owned(),
-            fit_error_m: (index % 3 == 0).then_some(0.01),
+            fit_error_m: index.is_multiple_of(3).then_some(0.01),
             captions: vec![
                 Caption {
                     text: "a person walks, \"proudly\"".to_owned(),

@@ -199,8 +199,8 @@ mod tests {
         }
         // Four standard deviations of a binomial count of 20,000.
         for (count, share) in counts.into_iter().zip([0.80, 0.05, 0.15]) {
-            let sigma = (20_000.0 * share * (1.0 - share)) as f64;
-            assert!((count as f64 - 20_000.0 * share).abs() < 4.0 * sigma.sqrt());
+            let variance: f64 = 20_000.0 * share * (1.0 - share);
+            assert!((count as f64 - 20_000.0 * share).abs() < 4.0 * variance.sqrt());
         }
     }
 

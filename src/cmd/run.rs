@@ -385,7 +385,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
     let charts = vec![
         Chart::Lines(curves(
             &places.editor,
-            "Editor: noise prediction",
+            "Editor: denoising loss",
             Scale::Log,
         )?),
         Chart::Lines(curves(

@@ -80,9 +80,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             .iter()
             .all(|score| score.repeats == 10 && score.mean.is_finite())
     );
-    // A target always finds itself first; an original returned unchanged is its own source.
+    // A target always finds itself first; an original returned unchanged is its own source, and only
+    // items that share an original can tie with it.
     assert_eq!(first.score("Real Data", "E2T R@1"), 100.0);
-    assert_eq!(first.score("Identity", "E2S R@1"), 100.0);
+    assert!(first.score("Identity", "E2S AvgR") < 3.0);
     assert!(first.editor.is_complete && first.editor.steps == 12);
 
     let run = dir.path().join("run");

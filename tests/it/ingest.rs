@@ -90,7 +90,7 @@ fn with_nan(npz: &[u8]) -> Vec<u8> {
     let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for index in 0..archive.len() {
         let mut member = archive.by_index(index).expect("a member");
-        let name = member.name().to_owned();
+        let name = member.name().expect("a name").into_owned();
         let mut bytes = Vec::new();
         member.read_to_end(&mut bytes).expect("readable");
         if name == "poses.npy" {

@@ -39,7 +39,7 @@ impl Golden {
             .map(|(key, view)| {
                 let data = view.data();
                 let values = match view.dtype() {
-                    Dtype::F64 => widen(data, |b| f64::from_le_bytes(b)),
+                    Dtype::F64 => widen(data, f64::from_le_bytes),
                     Dtype::F32 => widen(data, |b| f32::from_le_bytes(b).into()),
                     Dtype::I64 => widen(data, |b| i64::from_le_bytes(b) as f64),
                     Dtype::U8 => widen(data, |b: [u8; 1]| b[0].into()),
