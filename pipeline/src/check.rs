@@ -67,8 +67,9 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
         return Err(Rejected::check(
             "E-TOO-SHORT",
             format!(
-                "found {} frame, expected at least {MIN_FRAMES}",
-                motion.len()
+                "found {} frame at {}, expected at least {MIN_FRAMES}",
+                motion.len(),
+                motion.fps()
             ),
         ));
     }

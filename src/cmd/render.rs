@@ -46,12 +46,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         .clips
         .iter()
         .map(|clip| {
-            let motion = match &args.dataset {
-                Some(dataset) => stored_clip(dataset, clip)?,
-                None => foreign_clip(Path::new(clip), &skeleton)?,
+            let (label, motion) = match &args.dataset {
+                Some(dataset) => (clip.clone(), stored_clip(dataset, clip)?),
+                None => {
+                    let path = Path::new(clip);
+                    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+                    (name.into_owned(), foreign_clip(path, &skeleton)?)
+                }
             };
             Ok(Row {
-                label: clip.clone(),
+                label,
                 keypoints: skeleton.motion_keypoints(&motion),
                 highlighted: JointSet::EMPTY,
             })

@@ -9,16 +9,22 @@ use crate::Error;
 /// Numbers of a frame: 3 of translation, 21 joints and the root with 6 each.
 pub const FEATURE_WIDTH: usize = 135;
 
+/// Numbers of a frame that are translation; the others are rotations.
+const TRANSLATION_WIDTH: usize = 3;
+
 /// Name of the recipe of [`smpl135`], recorded with everything normalised by it.
 pub const RECIPE: &str = "smpl135";
 
 /// Features of one frame.
 pub type FeatureFrame = [f32; FEATURE_WIDTH];
 
-/// Smallest standard deviation a feature is divided by: a centimetre, or a hundredth of a unit
-/// vector. The published 1e-12 would turn the rounding of a joint that never moves in training into
-/// the loudest feature of a clip in which it does.
-const MIN_STD: f64 = 0.01;
+/// Smallest spread a translation feature is divided by, in metres a frame.
+const MIN_TRANSLATION_STD: f64 = 0.01;
+/// Smallest spread a rotation feature is divided by; 0.1 is a turn of about 6 degrees. Joints that
+/// hardly turn in the training split (ankles' toes, collars) would otherwise turn a small difference
+/// into tens of standard deviations, and twists that no keypoint shows, which a fitted body has by
+/// convention and a captured one by nature, would decide every distance.
+const MIN_ROTATION_STD: f64 = 0.1;
 
 /// The features of consecutive frames: `[translation since the frame before, in the root frame of
 /// that frame | 21 body rotations | root rotation]`, rotations as the first two rows of their
@@ -111,7 +117,15 @@ impl FeatureStats {
             mean: mean.iter().map(|&mean| mean as f32).collect(),
             std: squares
                 .iter()
-                .map(|squares| (squares / count as f64).sqrt().max(MIN_STD) as f32)
+                .enumerate()
+                .map(|(column, squares)| {
+                    let least = if column < TRANSLATION_WIDTH {
+                        MIN_TRANSLATION_STD
+                    } else {
+                        MIN_ROTATION_STD
+                    };
+                    (squares / count as f64).sqrt().max(least) as f32
+                })
                 .collect(),
         })
     }
@@ -186,7 +200,9 @@ mod tests {
         frames[1][5] = 4.0;
         let stats = FeatureStats::fit(&frames).expect("frames");
         assert_eq!((stats.mean[5], stats.std[5]), (2.5, 1.5));
-        assert_eq!((stats.mean[6], stats.std[6]), (1.0, 0.01));
+        // Columns that never change get the least spread of their kind.
+        assert_eq!((stats.mean[6], stats.std[6]), (1.0, 0.1));
+        assert_eq!((stats.mean[2], stats.std[2]), (1.0, 0.01));
         let mut out = Vec::new();
         stats.push_normalized(&frames[1], &mut out);
         assert_eq!(out[5], 1.0);
