@@ -191,7 +191,7 @@ impl TrainConfig {
                     weight_decay: 0.01,
                 },
                 batch_size: 64,
-                num_steps: 1_200,
+                num_steps: 1_000,
                 log_every: 20,
                 val_every: 100,
                 val_windows: 256,
