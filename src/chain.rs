@@ -30,8 +30,15 @@ use train::{Session, edit};
 use crate::cli::Global;
 use crate::device::device;
 
-/// Name of the editor in the `edits` table and the result table.
-const EDITOR_SYSTEM: &str = "MotionReFit";
+/// Name of an editor in the `edits` table and the result table. One of the size of the `tiny` preset
+/// is called so, lest its row be taken for the method's.
+fn system_name(config: &TrainConfig) -> &'static str {
+    if config.model == TrainConfig::preset(Preset::Tiny).model {
+        "MotionReFit tiny"
+    } else {
+        "MotionReFit"
+    }
+}
 
 /// The skeleton a dataset's motions drive.
 pub(crate) fn skeleton_of(dataset: &Dataset) -> anyhow::Result<Skeleton> {
@@ -63,13 +70,22 @@ fn plan_of<'a>(dataset: &'a Dataset, table: &str) -> &'a str {
         .map_or("", String::as_str)
 }
 
+/// What becomes of masks that people have judged when automatic ones are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Judged {
+    /// They stay, and the stage does nothing.
+    Keep,
+    /// The stage fails and says so.
+    Refuse,
+    /// They are discarded.
+    Replace,
+}
+
 /// Derives the automatic masks of a dataset and commits them beside its motions.
-///
-/// Masks judged by people are never overwritten unless `replace` says so.
 pub(crate) fn masks(
     root: &Path,
     config: &MaskConfig,
-    replace: bool,
+    judged: Judged,
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<Dataset> {
@@ -79,16 +95,18 @@ pub(crate) fn masks(
         return Ok(dataset);
     }
     let present: Vec<MaskRow> = dataset.read(None)?;
-    let judged = present
+    let by_people = present
         .iter()
         .filter(|mask| mask.text_origin == "human")
         .count();
-    if judged > 0 && !replace {
-        bail!(
-            "{} holds {judged} masks judged by people, which automatic masks would replace; \
+    match judged {
+        Judged::Keep if by_people > 0 => return Ok(dataset),
+        Judged::Refuse if by_people > 0 => bail!(
+            "{} holds {by_people} masks judged by people, which automatic masks would replace; \
              pass --replace to discard them",
             root.display()
-        );
+        ),
+        Judged::Keep | Judged::Refuse | Judged::Replace => {}
     }
     let motions: Vec<MotionRow> = dataset.read(None)?;
     progress.begin("masks", Some(motions.len() as u64));
@@ -193,13 +211,14 @@ pub(crate) fn train_editor(
 ) -> anyhow::Result<TrainReport> {
     let dataset = Dataset::open(root)?;
     let (train, normalizer) = train_stream(&dataset, compose, seed)?;
-    let val = Stream::new(
-        library(&dataset, Split::Val)?,
-        compose.clone(),
-        seed,
-        &normalizer,
-    )
-    .context("the validation split cannot be composed; ingest more clips")?;
+    // An ablation thins out what is trained on; what it is validated on stays the same.
+    let whole = ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        ..compose.clone()
+    };
+    let val = Stream::new(library(&dataset, Split::Val)?, whole, seed, &normalizer)
+        .context("the validation split cannot be composed; ingest more clips")?;
     let masks: Vec<MaskRow> = dataset.read(Some(Split::Train))?;
     let instructions: Vec<String> = masks.into_iter().map(|mask| mask.text).collect();
     let corpus = Corpus {
@@ -325,7 +344,7 @@ pub(crate) fn edits(
     let settings = edit_settings(&editor, config, global.seed());
     let rows = edit::edit_items(
         &editor,
-        EDITOR_SYSTEM,
+        system_name(&editor.record().config.train),
         &items,
         &skeleton,
         &settings,

@@ -11,7 +11,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::masks::MaskConfig;
 use serde::Serialize;
 
-use crate::chain;
+use crate::chain::{self, Judged};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -71,7 +71,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(file) => accept(args, file, global)?,
         None => {
             let config = MaskConfig::default();
-            chain::masks(&args.dataset, &config, args.replace, global, &global.bars())?
+            let judged = if args.replace {
+                Judged::Replace
+            } else {
+                Judged::Refuse
+            };
+            chain::masks(&args.dataset, &config, judged, global, &global.bars())?
         }
     };
     print(&dataset, global)?;

@@ -20,7 +20,7 @@ use train::config::TrainConfig;
 use train::fit::TrainReport;
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, Scores};
+use crate::chain::{self, EditConfig, Judged, Scores};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
 use crate::cmd::ingest as ingest_cmd;
@@ -215,7 +215,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     if ingested.accounting.quarantined > 0 && !global.json {
         report::note(&ingest_cmd::summary(&ingested));
     }
-    let dataset = chain::masks(&places.dataset, &config.masks, false, global, &bars)
+    let dataset = chain::masks(&places.dataset, &config.masks, Judged::Keep, global, &bars)
         .context("stage masks")?;
     chain::triplets(
         &places.dataset,

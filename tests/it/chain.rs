@@ -72,7 +72,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         .collect();
     assert_eq!(
         systems,
-        BTreeSet::from(["Identity", "MotionReFit", "Real Data"])
+        BTreeSet::from(["Identity", "MotionReFit tiny", "Real Data"])
     );
     assert!(
         first
