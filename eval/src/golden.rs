@@ -1,70 +1,33 @@
 //! Recorded numbers of the reference implementations, for tests.
 
-use std::path::PathBuf;
+#[path = "../../tests/data/golden.rs"]
+mod recorded;
 
-use safetensors::{Dtype, SafeTensors};
+use std::path::Path;
 
 use crate::linalg::Matrix;
-
-/// Overrides the folder of the recorded numbers.
-const FOLDER_VARIABLE: &str = "STANCE_GOLDEN";
-/// The copies the project carries.
-const CARRIED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/golden");
+use recorded::Recorded;
 
 /// One recorded case.
 pub(crate) struct Golden {
     case: &'static str,
-    bytes: Vec<u8>,
+    recorded: Recorded,
 }
 
 impl Golden {
-    /// Reads a case; a missing file fails the test, since a golden test without numbers would pass
-    /// for the wrong reason.
+    /// Reads a case.
     pub(crate) fn read(case: &'static str) -> Self {
-        let folder =
-            std::env::var_os(FOLDER_VARIABLE).map_or_else(|| CARRIED.into(), PathBuf::from);
-        let path = folder.join(format!("{case}.safetensors"));
-        let bytes = std::fs::read(&path).unwrap_or_else(|error| {
-            panic!(
-                "cannot read {} ({error}); set {FOLDER_VARIABLE}",
-                path.display()
-            )
-        });
-        Self { case, bytes }
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        Self {
+            case,
+            recorded: Recorded::read(&root, case),
+        }
     }
 
     /// Shape and numbers of a tensor, whatever its type.
     pub(crate) fn tensor(&self, name: &str) -> (Vec<usize>, Vec<f64>) {
-        let tensors = SafeTensors::deserialize(&self.bytes).expect("a safetensors file");
-        let tensor = tensors
-            .tensor(name)
-            .unwrap_or_else(|error| panic!("{}: {name}: {error}", self.case));
-        let data = tensor.data();
-        let numbers = match tensor.dtype() {
-            Dtype::F64 => {
-                let (values, _) = data.as_chunks();
-                values
-                    .iter()
-                    .map(|bytes| f64::from_le_bytes(*bytes))
-                    .collect()
-            }
-            Dtype::F32 => {
-                let (values, _) = data.as_chunks();
-                values
-                    .iter()
-                    .map(|bytes| f32::from_le_bytes(*bytes).into())
-                    .collect()
-            }
-            Dtype::I64 => {
-                let (values, _) = data.as_chunks();
-                values
-                    .iter()
-                    .map(|bytes| i64::from_le_bytes(*bytes) as f64)
-                    .collect()
-            }
-            other => panic!("{}: {name} has type {other:?}", self.case),
-        };
-        (tensor.shape().to_vec(), numbers)
+        let tensor = self.recorded.get(name);
+        (tensor.shape.clone(), tensor.values.clone())
     }
 
     /// The numbers of a tensor in row-major order.

@@ -1,9 +1,10 @@
-//! Parity with the reference implementations on recorded numbers. The folder of the recordings is
-//! taken from `STANCE_GOLDEN`, or else from the copies the project carries. Sizes come from the
-//! files.
+//! Parity of the networks and the diffusion with the reference implementations.
+
+#[path = "../../tests/data/golden.rs"]
+mod recorded;
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -11,7 +12,7 @@ use burn_store::ModuleSnapshot;
 use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::{Pose, rotation};
 use glam::DVec3;
-use safetensors::{Dtype, SafeTensors};
+use safetensors::SafeTensors;
 use train::config::{NetworkConfig, Preset, TrainConfig};
 use train::data::NoisyBatch;
 use train::diffusion::{Prediction, Schedule, ScheduleName, guide, training_loss};
@@ -25,26 +26,24 @@ use train::model::weights::{from_safetensors, to_safetensors};
 use train::sample::{Condition, Sampler};
 use train::vocabulary::TokenBatch;
 
+use recorded::Recorded;
+
 /// A recorded case.
-struct Golden {
-    path: PathBuf,
-    bytes: Vec<u8>,
-}
+struct Golden(Recorded);
 
 impl Golden {
     fn read(name: &str) -> Self {
-        let folder = std::env::var_os("STANCE_GOLDEN").map_or_else(
-            || Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/golden"),
-            PathBuf::from,
-        );
-        let path = folder.join(format!("{name}.safetensors"));
-        let bytes = std::fs::read(&path)
-            .unwrap_or_else(|problem| panic!("cannot read {}: {problem}", path.display()));
-        Self { path, bytes }
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        Self(Recorded::read(&root, name))
+    }
+
+    /// The file itself, for readers of weights and sizes.
+    fn bytes(&self) -> Vec<u8> {
+        std::fs::read(&self.0.path).expect("the file was read before")
     }
 
     fn metadata(&self) -> HashMap<String, String> {
-        let (_, metadata) = SafeTensors::read_metadata(&self.bytes).expect("a header");
+        let (_, metadata) = SafeTensors::read_metadata(&self.bytes()).expect("a header");
         metadata.metadata().clone().expect("metadata")
     }
 
@@ -54,28 +53,8 @@ impl Golden {
 
     /// Values as `f64`, with the shape.
     fn values(&self, name: &str) -> (Vec<f64>, Vec<usize>) {
-        let file = SafeTensors::deserialize(&self.bytes).expect("a safetensors file");
-        let view = file
-            .tensor(name)
-            .unwrap_or_else(|problem| panic!("{name}: {problem}"));
-        let data = view.data();
-        let values = match view.dtype() {
-            Dtype::F32 => data
-                .chunks_exact(4)
-                .map(|b| f64::from(f32::from_le_bytes(b.try_into().expect("4 bytes"))))
-                .collect(),
-            Dtype::F64 => data
-                .chunks_exact(8)
-                .map(|b| f64::from_le_bytes(b.try_into().expect("8 bytes")))
-                .collect(),
-            Dtype::I64 => data
-                .chunks_exact(8)
-                .map(|b| i64::from_le_bytes(b.try_into().expect("8 bytes")) as f64)
-                .collect(),
-            Dtype::U8 | Dtype::BOOL => data.iter().map(|&b| f64::from(b)).collect(),
-            other => panic!("{name} has type {other:?}"),
-        };
-        (values, view.shape().to_vec())
+        let tensor = self.0.get(name);
+        (tensor.values.clone(), tensor.shape.clone())
     }
 
     fn f32s(&self, name: &str) -> Vec<f32> {
@@ -92,7 +71,7 @@ impl Golden {
     }
 
     fn load<M: Module + ModuleSnapshot>(&self, network: &mut M, prefix: &str) {
-        from_safetensors(network, self.bytes.clone(), prefix, &self.path).expect("loads by name");
+        from_safetensors(network, self.bytes(), prefix, &self.0.path).expect("loads by name");
     }
 
     fn network(&self, width: &str, feed_forward: &str) -> NetworkConfig {
@@ -188,7 +167,8 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
     let golden = Golden::read("motionrefit_denoiser");
     let bytes = to_safetensors(&denoiser(), Path::new("memory")).expect("saved");
     let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let reference = SafeTensors::deserialize(&golden.bytes).expect("a safetensors file");
+    let recorded = golden.bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
     let mut expected: Vec<&str> = reference
         .names()
         .into_iter()

@@ -1,64 +1,28 @@
 //! Parity with the reference implementations, on numbers recorded by running them.
 //!
-//! Files come from the folder `STANCE_GOLDEN` names, else from the copies the project carries.
-//! Sizes come from the files, never from the tests.
+//! Run them alone, those of the other crates too, with `cargo test --release golden`.
 
 mod compose;
 mod contract;
 
-use std::collections::BTreeMap;
-use std::path::PathBuf;
+#[path = "../../data/golden.rs"]
+mod recorded;
+
+use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
-use safetensors::{Dtype, SafeTensors};
+use recorded::{Recorded, Tensor};
 
 /// One recorded case.
-struct Golden {
-    name: String,
-    tensors: BTreeMap<String, Tensor>,
-}
-
-/// A tensor of any recorded type, widened.
-struct Tensor {
-    shape: Vec<usize>,
-    values: Vec<f64>,
-}
+struct Golden(Recorded);
 
 impl Golden {
     fn load(name: &str) -> Self {
-        let folder = std::env::var_os("STANCE_GOLDEN").map_or_else(
-            || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/golden"),
-            PathBuf::from,
-        );
-        let path = folder.join(format!("{name}.safetensors"));
-        let bytes = std::fs::read(&path)
-            .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
-        let file = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-        let tensors = file
-            .iter()
-            .map(|(key, view)| {
-                let data = view.data();
-                let values = match view.dtype() {
-                    Dtype::F64 => widen(data, f64::from_le_bytes),
-                    Dtype::F32 => widen(data, |b| f32::from_le_bytes(b).into()),
-                    Dtype::I64 => widen(data, |b| i64::from_le_bytes(b) as f64),
-                    Dtype::U8 => widen(data, |b: [u8; 1]| b[0].into()),
-                    other => panic!("{name}: {key} has type {other:?}"),
-                };
-                let shape = view.shape().to_vec();
-                (key.to_owned(), Tensor { shape, values })
-            })
-            .collect();
-        Self {
-            name: name.to_owned(),
-            tensors,
-        }
+        Self(Recorded::read(Path::new(env!("CARGO_MANIFEST_DIR")), name))
     }
 
     fn get(&self, key: &str) -> &Tensor {
-        self.tensors
-            .get(key)
-            .unwrap_or_else(|| panic!("{} has no tensor {key}", self.name))
+        self.0.get(key)
     }
 
     /// Panics unless every value is within `tolerance` of the recorded one.
@@ -68,7 +32,7 @@ impl Golden {
             got.len(),
             expected.len(),
             "{}: {key} has another size",
-            self.name
+            self.0.path.display()
         );
         let worst = got
             .iter()
@@ -85,19 +49,13 @@ impl Golden {
         assert!(
             worst.1 <= tolerance,
             "{}: {key}[{}] is {} off (got {}, recorded {}), tolerance {tolerance}",
-            self.name,
+            self.0.path.display(),
             worst.0,
             worst.1,
             got[worst.0],
             expected[worst.0],
         );
     }
-}
-
-fn widen<const N: usize>(data: &[u8], read: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-    let (items, rest) = data.as_chunks::<N>();
-    assert!(rest.is_empty());
-    items.iter().map(|item| read(*item)).collect()
 }
 
 impl Tensor {

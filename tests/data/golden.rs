@@ -1,0 +1,65 @@
+//! The one loader of golden numbers. Every crate with parity tests includes this file.
+//!
+//! Files come from the folder `STANCE_GOLDEN` names, else from the copies the project carries.
+//! Sizes come from the files, never from the tests. A missing file fails the test: a parity test
+//! without numbers would pass for the wrong reason.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use safetensors::{Dtype, SafeTensors};
+
+/// One recorded case.
+pub(crate) struct Recorded {
+    /// Its file.
+    pub(crate) path: PathBuf,
+    tensors: BTreeMap<String, Tensor>,
+}
+
+/// A tensor of any recorded type, widened, in row-major order.
+pub(crate) struct Tensor {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) values: Vec<f64>,
+}
+
+impl Recorded {
+    /// Reads a case; `root` is the root of the workspace.
+    pub(crate) fn read(root: &Path, case: &str) -> Self {
+        let folder = std::env::var_os("STANCE_GOLDEN")
+            .map_or_else(|| root.join("tests/data/golden"), PathBuf::from);
+        let path = folder.join(format!("{case}.safetensors"));
+        let bytes = std::fs::read(&path).unwrap_or_else(|error| {
+            panic!("cannot read {}: {error}; set STANCE_GOLDEN", path.display())
+        });
+        let file = SafeTensors::deserialize(&bytes).expect("a safetensors file");
+        let tensors = file
+            .iter()
+            .map(|(key, view)| {
+                let data = view.data();
+                let values = match view.dtype() {
+                    Dtype::F64 => widen(data, f64::from_le_bytes),
+                    Dtype::F32 => widen(data, |b| f32::from_le_bytes(b).into()),
+                    Dtype::I64 => widen(data, |b| i64::from_le_bytes(b) as f64),
+                    Dtype::U8 | Dtype::BOOL => widen(data, |b: [u8; 1]| b[0].into()),
+                    other => panic!("{case}: {key} has type {other:?}"),
+                };
+                let shape = view.shape().to_vec();
+                (key.to_owned(), Tensor { shape, values })
+            })
+            .collect();
+        Self { path, tensors }
+    }
+
+    /// A tensor by name.
+    pub(crate) fn get(&self, key: &str) -> &Tensor {
+        self.tensors
+            .get(key)
+            .unwrap_or_else(|| panic!("{} has no tensor {key}", self.path.display()))
+    }
+}
+
+fn widen<const N: usize>(data: &[u8], read: impl Fn([u8; N]) -> f64) -> Vec<f64> {
+    let (items, rest) = data.as_chunks::<N>();
+    assert!(rest.is_empty());
+    items.iter().map(|item| read(*item)).collect()
+}
