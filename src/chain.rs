@@ -1,7 +1,7 @@
 //! The stages as the verbs, `stance run` and `stance demo` call them: open what the stage before
 //! wrote, hand it to the library that does the work, commit what comes back.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -12,7 +12,7 @@ use datasets_spec::dataset::commit_rows;
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{EditRow, MaskRow, MotionRow, ScoreRow, TripletRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Motion, MotionId, Progress, Seed, Skeleton, Split};
 use eval::EncoderError;
 use eval::protocol::Protocol;
 use eval::score::MotionEncoder;
@@ -42,16 +42,7 @@ fn system_name(config: &TrainConfig) -> &'static str {
 
 /// The skeleton a dataset's motions drive.
 pub(crate) fn skeleton_of(dataset: &Dataset) -> anyhow::Result<Skeleton> {
-    let built_in = Skeleton::smplx_neutral();
-    let name = &dataset.manifest().skeleton;
-    if *name != built_in.name() {
-        bail!(
-            "{} is posed on skeleton {name:?}; this program has {:?} built in",
-            dataset.root().display(),
-            built_in.name()
-        );
-    }
-    Ok(built_in)
+    Ok(dataset.skeleton()?)
 }
 
 /// A hash of whatever a stage depends on, as the plan of its table.
@@ -111,14 +102,25 @@ pub(crate) fn masks(
     let motions: Vec<MotionRow> = dataset.read(None)?;
     progress.begin("masks", Some(motions.len() as u64));
     let skeleton = skeleton_of(&dataset)?;
-    let rows = automatic_masks(&motions, &skeleton, config)?;
+    let mut rows: Vec<MaskRow> = present
+        .into_iter()
+        .filter(|mask| mask.text_origin == "imported")
+        .collect();
+    // Where the source came with masks, nothing is guessed beside them.
+    let imported: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
+    let automatic = automatic_masks(&motions, &skeleton, config)?;
+    rows.extend(
+        automatic
+            .into_iter()
+            .filter(|mask| !imported.contains(&mask.motion_id)),
+    );
     progress.finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
     let split_of = |row: &MaskRow| row.split;
     Ok(commit_rows(
         root,
         &rows,
         Some(split_of),
-        skeleton.name(),
+        &skeleton,
         &plan_hash,
         &global.holder(),
     )?)
@@ -180,7 +182,7 @@ pub(crate) fn triplets(
         out,
         &rows,
         Some(split_of),
-        &dataset.manifest().skeleton,
+        &dataset.skeleton()?,
         &plan_hash,
         &global.holder(),
     )?)
@@ -355,7 +357,7 @@ pub(crate) fn edits(
         out,
         &rows,
         Some(split_of),
-        skeleton.name(),
+        &skeleton,
         &plan_hash,
         &global.holder(),
     )?)
@@ -432,7 +434,7 @@ pub(crate) fn scores(
 pub(crate) fn commit_scores(
     out: &Path,
     scores: &Scores,
-    skeleton: &str,
+    skeleton: &Skeleton,
     global: &Global,
 ) -> anyhow::Result<Dataset> {
     let values: Vec<_> = scores

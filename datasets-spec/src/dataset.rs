@@ -9,19 +9,24 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
 
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
+use crate::store::{Disk, Store, write_atomically};
 use crate::table::{self, Row, SCHEMA_VERSION};
-use crate::{Error, Split};
+use crate::{Error, Skeleton, Split, card, croissant};
 
 const META: &str = "meta";
 const DATA: &str = "data";
 const LOCK: &str = "LOCK";
 const STAGED: &str = "staged";
+/// The fact that holds a skeleton that is not built in.
+const SKELETON_FACT: &str = "skeleton_rest";
 
 /// A dataset opened for reading; every file has been checked against its hash.
 #[derive(Clone, Debug)]
@@ -57,7 +62,7 @@ impl Dataset {
     /// # Errors
     /// The folder is no dataset or is of a newer format.
     pub fn open_unverified(root: &Path) -> Result<Self, Error> {
-        let manifest = newest_manifest(root)?.ok_or_else(|| Error::NotADataset {
+        let manifest = newest_manifest(&Disk, root)?.ok_or_else(|| Error::NotADataset {
             path: root.to_owned(),
             reason: if root.is_dir() {
                 "it has no meta/manifest-<n>.json; was the run that made it interrupted?".to_owned()
@@ -79,6 +84,30 @@ impl Dataset {
     /// The manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// The skeleton its motions are posed on.
+    ///
+    /// # Errors
+    /// The manifest names a skeleton that is not built in and does not say where its joints are.
+    pub fn skeleton(&self) -> Result<Skeleton, Error> {
+        let built_in = Skeleton::smplx_neutral();
+        let name = &self.manifest.skeleton;
+        let facts = &self.manifest.facts;
+        let stored = facts
+            .get(SKELETON_FACT)
+            .and_then(|text| serde_json::from_str::<Skeleton>(text).ok())
+            .filter(|skeleton| skeleton.name() == name);
+        match stored {
+            Some(skeleton) => Ok(skeleton),
+            None if name == built_in.name() => Ok(built_in),
+            None => Err(Error::NotADataset {
+                path: self.root.clone(),
+                reason: format!(
+                    "its manifest names skeleton {name:?} without saying where its joints are"
+                ),
+            }),
+        }
     }
 
     /// Files of a table, with their paths.
@@ -112,34 +141,32 @@ impl Dataset {
 /// # Errors
 /// The file cannot be read.
 pub fn hash_file(path: &Path) -> Result<String, Error> {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update_mmap(path).map_err(Error::io("read", path))?;
-    Ok(hasher.finalize().to_hex().to_string())
+    Disk.hash(path).map_err(Error::io("read", path))
 }
 
 fn manifest_path(root: &Path, version: u64) -> PathBuf {
     root.join(META).join(format!("manifest-{version}.json"))
 }
 
-fn newest_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
-    let Some(version) = manifest_versions(root)?.pop() else {
+fn newest_manifest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
+    let Some(version) = manifest_versions(store, root)?.pop() else {
         return Ok(None);
     };
-    read_manifest(root, version).map(Some)
+    read_manifest(store, root, version).map(Some)
 }
 
-fn manifest_versions(root: &Path) -> Result<Vec<u64>, Error> {
+fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u64>, Error> {
     let meta = root.join(META);
-    let entries = match fs::read_dir(&meta) {
+    let entries = match store.list(&meta) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(Error::io("list", meta)(error)),
     };
     let mut versions = Vec::new();
-    for entry in entries {
-        let name = entry.map_err(Error::io("list", &meta))?.file_name();
-        let version: Option<u64> = name.to_str().and_then(|name| {
-            name.strip_prefix("manifest-")?
+    for (path, _) in entries {
+        let version: Option<u64> = path.file_name().and_then(|name| {
+            name.to_str()?
+                .strip_prefix("manifest-")?
                 .strip_suffix(".json")?
                 .parse()
                 .ok()
@@ -150,9 +177,9 @@ fn manifest_versions(root: &Path) -> Result<Vec<u64>, Error> {
     Ok(versions)
 }
 
-fn read_manifest(root: &Path, version: u64) -> Result<Manifest, Error> {
+fn read_manifest(store: &dyn Store, root: &Path, version: u64) -> Result<Manifest, Error> {
     let path = manifest_path(root, version);
-    let text = fs::read(&path).map_err(Error::io("read", &path))?;
+    let text = store.read(&path).map_err(Error::io("read", &path))?;
     let manifest: Manifest = serde_json::from_slice(&text).map_err(|source| Error::Json {
         path: path.clone(),
         source,
@@ -205,6 +232,7 @@ impl ShardName {
 #[derive(Debug)]
 pub struct Transaction {
     root: PathBuf,
+    store: Arc<dyn Store>,
     base: Option<Manifest>,
     _lock: File,
 }
@@ -221,7 +249,7 @@ pub fn commit_rows<R: Row>(
     root: &Path,
     rows: &[R],
     split_of: Option<fn(&R) -> Split>,
-    skeleton: &str,
+    skeleton: &Skeleton,
     plan_hash: &str,
     holder: &str,
 ) -> Result<Dataset, Error> {
@@ -242,7 +270,7 @@ pub fn commit_rows<R: Row>(
             .collect(),
     };
     let facts = [
-        ("skeleton", skeleton.to_owned()),
+        ("skeleton", skeleton.name().to_owned()),
         ("plan_hash", plan_hash.to_owned()),
     ];
     let mut entries = Vec::new();
@@ -262,7 +290,7 @@ pub fn commit_rows<R: Row>(
     transaction.commit(Commit {
         tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
         plan_hash: plan_hash.to_owned(),
-        skeleton: skeleton.to_owned(),
+        skeleton: skeleton.clone(),
         ..Commit::default()
     })
 }
@@ -274,12 +302,14 @@ pub struct Commit {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Hash of the plan that made them.
     pub plan_hash: String,
-    /// Name of the skeleton.
-    pub skeleton: String,
+    /// The skeleton motions are posed on.
+    pub skeleton: Skeleton,
     /// What became of the sources, for a run that read any.
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
+    /// Keep no table of the version before: they followed from motions that are replaced.
+    pub fresh: bool,
 }
 
 impl Transaction {
@@ -289,8 +319,19 @@ impl Transaction {
     /// # Errors
     /// Another run holds the lock, or the folder cannot be written.
     pub fn begin(root: &Path, holder: &str) -> Result<Self, Error> {
+        Self::begin_on(Disk::store(), root, holder)
+    }
+
+    /// [`Transaction::begin`], writing through the given store. The lock itself is always the
+    /// operating system's.
+    ///
+    /// # Errors
+    /// As [`Transaction::begin`].
+    pub fn begin_on(store: Arc<dyn Store>, root: &Path, holder: &str) -> Result<Self, Error> {
         for folder in [root.to_owned(), root.join(META), root.join(DATA)] {
-            fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+            store
+                .create_dir_all(&folder)
+                .map_err(Error::io("create folder", &folder))?;
         }
         let path = root.join(META).join(LOCK);
         let mut lock = File::options()
@@ -318,12 +359,37 @@ impl Transaction {
             .and_then(|()| writeln!(lock, "{holder}"))
             .map_err(Error::io("write", &path))?;
         let transaction = Self {
-            base: newest_manifest(root)?,
+            base: newest_manifest(store.as_ref(), root)?,
             root: root.to_owned(),
+            store,
             _lock: lock,
         };
         transaction.remove_files(|name, _| name.starts_with('.') && name.ends_with(".tmp"))?;
+        transaction.remove_half_written_cards()?;
         Ok(transaction)
+    }
+
+    /// The card and the metadata lie in the dataset's own folder, among files that may be anybody's.
+    fn remove_half_written_cards(&self) -> Result<(), Error> {
+        let entries = self
+            .store
+            .list(&self.root)
+            .map_err(Error::io("list", &self.root))?;
+        for (path, _) in entries {
+            let name = path
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned())
+                .unwrap_or_default();
+            let ours = [card::FILE, croissant::FILE]
+                .iter()
+                .any(|file| name.starts_with(&format!(".{file}.")));
+            if ours && name.ends_with(".tmp") {
+                self.store
+                    .remove_file(&path)
+                    .map_err(Error::io("remove", &path))?;
+            }
+        }
+        Ok(())
     }
 
     /// The version this run starts from.
@@ -363,16 +429,23 @@ impl Transaction {
         let relative = self.shard_path(name);
         let path = self.root.join(&relative);
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+            self.store
+                .create_dir_all(folder)
+                .map_err(Error::io("create folder", folder))?;
         }
-        table::write_atomically(&path, |file| table::write_rows(file, &path, rows, facts))?;
-        let bytes = fs::metadata(&path).map_err(Error::io("read", &path))?.len();
+        write_atomically(self.store.as_ref(), &path, |file| {
+            table::write_rows(file, &path, rows, facts)
+        })?;
+        // Read back, so that the hashes are of what is on the disk.
+        let written = self.store.read(&path).map_err(Error::io("read", &path))?;
+        let sha256 = Sha256::digest(&written);
         Ok(FileEntry {
             path: relative,
             split: name.split,
             rows: rows.len() as u64,
-            bytes,
-            blake3: hash_file(&path)?,
+            bytes: written.len() as u64,
+            blake3: blake3::hash(&written).to_hex().to_string(),
+            sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
         })
     }
 
@@ -398,9 +471,15 @@ impl Transaction {
     ) -> Result<(), Error> {
         let path = self.staged_path(plan_hash, name);
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+            self.store
+                .create_dir_all(folder)
+                .map_err(Error::io("create folder", folder))?;
         }
-        write_json(&path, &(entry, notes))
+        write_json(self.store.as_ref(), &path, &(entry, notes))
+    }
+
+    fn hash(&self, path: &Path) -> Result<String, Error> {
+        self.store.hash(path).map_err(Error::io("read", path))
     }
 
     /// The shard a run of the same plan has staged before, if its file is still whole.
@@ -412,18 +491,39 @@ impl Transaction {
         plan_hash: &str,
         name: &ShardName,
     ) -> Result<Option<(FileEntry, T)>, Error> {
-        let Ok(text) = fs::read(self.staged_path(plan_hash, name)) else {
+        let Ok(text) = self.store.read(&self.staged_path(plan_hash, name)) else {
             return Ok(None);
         };
         // A note that cannot be read, or whose file changed, only means doing the shard again.
         let Ok((entry, notes)) = serde_json::from_slice::<(FileEntry, T)>(&text) else {
             return Ok(None);
         };
-        let path = self.root.join(&entry.path);
-        if !path.is_file() || hash_file(&path)? != entry.blake3 {
-            return Ok(None);
+        let whole = self.holds(std::iter::once(&entry))?;
+        Ok(whole.then_some((entry, notes)))
+    }
+
+    /// What the run writes through.
+    pub fn store(&self) -> Arc<dyn Store> {
+        Arc::clone(&self.store)
+    }
+
+    /// The dataset's folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Whether files this run or an interrupted one wrote are still whole.
+    ///
+    /// # Errors
+    /// A file exists but cannot be read.
+    pub fn holds<'a>(&self, files: impl Iterator<Item = &'a FileEntry>) -> Result<bool, Error> {
+        for file in files {
+            let path = self.root.join(&file.path);
+            if !path.is_file() || self.hash(&path)? != file.blake3 {
+                return Ok(false);
+            }
         }
-        Ok(Some((entry, notes)))
+        Ok(true)
     }
 
     /// Makes the run's tables part of the dataset and releases the lock.
@@ -439,13 +539,26 @@ impl Transaction {
             schema_version: SCHEMA_VERSION.to_owned(),
             version: 0,
             tool_version: String::new(),
-            skeleton: commit.skeleton.clone(),
+            skeleton: String::new(),
             tables: BTreeMap::new(),
             plans: BTreeMap::new(),
             accounting: Accounting::default(),
             facts: BTreeMap::new(),
             root_hash: String::new(),
         });
+        if commit.fresh {
+            manifest.tables.clear();
+            manifest.plans.clear();
+            manifest.facts.clear();
+        }
+        manifest.skeleton = commit.skeleton.name().to_owned();
+        if commit.skeleton != Skeleton::smplx_neutral() {
+            let rest = serde_json::to_string(&commit.skeleton).map_err(|source| Error::Json {
+                path: self.root.clone(),
+                source,
+            })?;
+            manifest.facts.insert(SKELETON_FACT.to_owned(), rest);
+        }
         manifest.version = self.version();
         manifest.tool_version = concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned();
         for table in commit.tables.keys() {
@@ -465,30 +578,57 @@ impl Transaction {
         manifest.root_hash = Manifest::compute_root_hash(&manifest.tables);
 
         let path = manifest_path(&self.root, manifest.version);
-        write_json(&path, &manifest)?;
-        let card = self.root.join("README.md");
-        let text = card_text(&manifest);
-        table::write_atomically(&card, |mut file| {
-            file.write_all(text.as_bytes())
-                .map_err(Error::io("write", &card))?;
-            Ok(file)
-        })?;
-        self.collect_garbage()?;
+        write_json(self.store.as_ref(), &path, &manifest)?;
+        self.settle(&manifest)?;
         Ok(Dataset {
             root: self.root,
             manifest,
         })
     }
 
+    /// Finishes what a run that was killed right after its commit left undone: the files that
+    /// follow from the manifest, and the removal of those that no manifest names.
+    ///
+    /// # Errors
+    /// A file cannot be written or removed; the dataset itself is whole.
+    pub fn finish(self) -> Result<(), Error> {
+        match &self.base {
+            Some(manifest) => self.settle(manifest),
+            None => Ok(()),
+        }
+    }
+
+    fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
+        for (name, text) in [
+            (card::FILE, card::text(manifest)),
+            (croissant::FILE, croissant::text(manifest)),
+        ] {
+            let path = self.root.join(name);
+            // A file that cannot be read is written anew like one that differs.
+            if self.store.read(&path).ok().as_deref() == Some(text.as_bytes()) {
+                continue;
+            }
+            write_atomically(self.store.as_ref(), &path, |mut file| {
+                file.write_all(text.as_bytes())
+                    .map_err(Error::io("write", &path))?;
+                Ok(file)
+            })?;
+        }
+        self.collect_garbage()
+    }
+
     /// Removes notes of finished plans and data files that no manifest names.
     fn collect_garbage(&self) -> Result<(), Error> {
         let staged = self.root.join(META).join(STAGED);
         if staged.exists() {
-            fs::remove_dir_all(&staged).map_err(Error::io("remove", &staged))?;
+            self.store
+                .remove_dir_all(&staged)
+                .map_err(Error::io("remove", &staged))?;
         }
         let mut named = BTreeSet::new();
-        for version in manifest_versions(&self.root)? {
-            let manifest = read_manifest(&self.root, version)?;
+        let store = self.store.as_ref();
+        for version in manifest_versions(store, &self.root)? {
+            let manifest = read_manifest(store, &self.root, version)?;
             named.extend(
                 manifest
                     .tables
@@ -505,15 +645,19 @@ impl Transaction {
         let mut folders = vec![DATA.to_owned(), META.to_owned()];
         while let Some(folder) = folders.pop() {
             let path = self.root.join(&folder);
-            for entry in fs::read_dir(&path).map_err(Error::io("list", &path))? {
-                let entry = entry.map_err(Error::io("list", &path))?;
-                let name = entry.file_name().to_string_lossy().into_owned();
+            let entries = self.store.list(&path).map_err(Error::io("list", &path))?;
+            for (path, is_dir) in entries {
+                let name = path
+                    .file_name()
+                    .map(|name| name.to_string_lossy().into_owned())
+                    .unwrap_or_default();
                 let relative = format!("{folder}/{name}");
-                if entry.path().is_dir() {
+                if is_dir {
                     folders.push(relative);
                 } else if unwanted(&name, &relative) {
-                    let path = entry.path();
-                    fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+                    self.store
+                        .remove_file(&path)
+                        .map_err(Error::io("remove", &path))?;
                 }
             }
         }
@@ -521,60 +665,16 @@ impl Transaction {
     }
 }
 
-fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), Error> {
+fn write_json<T: Serialize>(store: &dyn Store, path: &Path, value: &T) -> Result<(), Error> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|source| Error::Json {
         path: path.to_owned(),
         source,
     })?;
     text.push(b'\n');
-    table::write_atomically(path, |mut file| {
+    write_atomically(store, path, |mut file| {
         file.write_all(&text).map_err(Error::io("write", path))?;
         Ok(file)
     })
-}
-
-/// The card: YAML that tells the `datasets` library which files are which split of which table,
-/// and a page for people.
-fn card_text(manifest: &Manifest) -> String {
-    let mut text = String::from("---\nconfigs:\n");
-    for (table, files) in &manifest.tables {
-        let mut splits: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-        for file in files.iter().filter(|file| file.rows > 0) {
-            let split = file.split.map_or("all", Split::as_str);
-            splits.entry(split).or_default().push(&file.path);
-        }
-        if splits.is_empty() {
-            continue;
-        }
-        text += &format!("- config_name: {table}\n  data_files:\n");
-        for (split, paths) in splits {
-            text += &format!("  - split: {split}\n    path:\n");
-            for path in paths {
-                text += &format!("    - {path}\n");
-            }
-        }
-    }
-    text += "---\n\n# Motion dataset\n\n";
-    text += &format!(
-        "Written by {}; format `{}` version {}; skeleton `{}`; y up, metres, radians.\n\n",
-        manifest.tool_version, manifest.format, manifest.schema_version, manifest.skeleton
-    );
-    text += "| table | train | val | test | rows |\n|---|---:|---:|---:|---:|\n";
-    for table in manifest.tables.keys() {
-        let [train, val, test] = Split::ALL.map(|split| manifest.rows(table, Some(split)));
-        let rows = manifest.rows(table, None);
-        text += &format!("| {table} | {train} | {val} | {test} | {rows} |\n");
-    }
-    let accounting = &manifest.accounting;
-    text += &format!(
-        "\nOf {} source files {} were ingested, {} quarantined and {} skipped.\n\nRoot hash: `{}`\n",
-        accounting.sources,
-        accounting.ingested,
-        accounting.quarantined,
-        accounting.skipped,
-        manifest.root_hash
-    );
-    text
 }
 
 #[cfg(test)]
@@ -623,6 +723,7 @@ mod tests {
             part_captions: vec![PartCaption::default(); index % 2],
             action: None,
             style: Some("proud".to_owned()),
+            notes: vec!["frame 0 was dropped".to_owned()],
             content_hash: motion.content_hash(),
             quality: Quality {
                 flags: 3,
@@ -650,7 +751,7 @@ mod tests {
             .commit(Commit {
                 tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), vec![entry])]),
                 plan_hash: "p".to_owned(),
-                skeleton: "smplx-neutral".to_owned(),
+                skeleton: Skeleton::smplx_neutral(),
                 ..Commit::default()
             })
             .expect("commits")

@@ -138,7 +138,7 @@ pub enum Error {
         holder: String,
     },
     /// The folder already holds the result of a different plan.
-    #[error("{} already holds a dataset made by a different plan (recorded {recorded}, now {now}); choose another folder or remove it", path.display())]
+    #[error("{} already holds a dataset made by a different plan (recorded {recorded}, now {now}); choose another folder, or ask for a new version of this one", path.display())]
     OtherPlan {
         /// The folder.
         path: PathBuf,

@@ -10,7 +10,8 @@ use crate::Error;
 pub type Rng = rand_pcg::Pcg64;
 
 /// The stable name of a motion: the path of its source relative to the ingested root, without
-/// extension, followed by `@start-end` (source frames) for a crop and `~m` for a mirrored copy;
+/// extension, followed by `#key` for one of several motions of a file, `@start-end` (source frames)
+/// for a crop and `~m` for a mirrored copy;
 /// or a HumanML3D id (`012314`, mirrored `M012314`).
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -47,10 +48,10 @@ impl MotionId {
         &self.0
     }
 
-    /// The id of the clip this one was mirrored or cropped from: what decides its split, so that
-    /// a mirrored or cropped copy never crosses from one split to another.
+    /// The id of the clip this one was mirrored or cropped from, or of the file it shares with
+    /// others: what decides its split, so that no copy crosses from one split to another.
     pub fn source_clip(&self) -> &str {
-        let whole = self.0.split('@').next().unwrap_or(&self.0);
+        let whole = self.0.split(['@', '#']).next().unwrap_or(&self.0);
         let whole = whole.strip_suffix("~m").unwrap_or(whole);
         match whole.strip_prefix('M') {
             Some(digits) if digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_digit()) => {

@@ -7,6 +7,8 @@
 //! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
 
 pub mod canonical;
+mod card;
+mod croissant;
 pub mod dataset;
 mod error;
 pub mod fit;
@@ -22,6 +24,7 @@ pub mod record;
 pub mod resample;
 pub mod rotation;
 pub mod skeleton;
+pub mod store;
 pub mod table;
 mod units;
 

@@ -48,6 +48,10 @@ pub struct FileEntry {
     pub bytes: u64,
     /// BLAKE3 of the file, hexadecimal.
     pub blake3: String,
+    /// SHA-256 of the file, hexadecimal, for catalogues that know no BLAKE3; empty in datasets of
+    /// format 1.0.0.
+    #[serde(default)]
+    pub sha256: String,
 }
 
 /// What became of the source files: `sources = ingested + quarantined + skipped`, always.

@@ -5,6 +5,9 @@ use crate::motion::BODY_POSE_WIDTH;
 use crate::table::{Caption, PartCaption, Quality, Row, table};
 use crate::{Error, Fps, Motion, MotionId, Split};
 
+/// Features of a frame by the HumanML3D recipe.
+pub const HUMANML3D_WIDTH: usize = 263;
+
 /// Frames of `D` numbers each: a `list<fixed_size_list<f32, D>>` column.
 pub type Frames<const D: usize> = Vec<[f32; D]>;
 
@@ -55,6 +58,8 @@ table! {
         pub action: Option<String> [""],
         /// Style label of the source
         pub style: Option<String> [""],
+        /// Decisions taken while reading that a reader may want to check
+        pub notes: Vec<String> ["", newer],
         /// BLAKE3 of rate and motion columns, hexadecimal
         pub content_hash: String [""],
         /// Findings of the quality checks
@@ -85,6 +90,76 @@ table! {
         pub text_origin: String [""],
         /// Who or what made the mask
         pub author: String [""],
+    }
+}
+
+table! {
+    /// A captured or generated pair: a motion and its edit.
+    pub struct PairRow = "pairs" {
+        /// Id of the pair
+        pub id: String [""],
+        /// Split of both motions
+        pub split: Split [""],
+        /// Kind of source the pair came from, such as stance or motionfix
+        pub source: String [""],
+        /// semantic, style or fine-grained
+        pub kind: String [""],
+        /// Motion before the edit
+        pub source_id: MotionId [""],
+        /// Motion after it
+        pub target_id: MotionId [""],
+        /// Style of the edit, if that is what it changes
+        pub style: Option<String> [""],
+        /// Body parts the edit is said to change; empty where the source does not say
+        pub parts: Vec<String> [""],
+        /// What turns the one into the other; empty where the source gives no words
+        pub instruction: String [""],
+    }
+}
+
+table! {
+    /// Markers of an optical capture.
+    pub struct MarkerRow = "markers" {
+        /// Id of the capture; the motion solved from it, if there is one, has the same
+        pub id: MotionId [""],
+        /// Split of the capture
+        pub split: Split [""],
+        /// Path of the source file relative to the ingested root
+        pub source_path: String [""],
+        /// BLAKE3 of the source file, hexadecimal
+        pub source_hash: String [""],
+        /// Frame rate of the capture
+        pub fps: f32 ["1/s"],
+        /// Frames
+        pub n_frames: i32 ["frame"],
+        /// Names of the M markers
+        pub labels: Vec<String> [""],
+        /// Positions, frame by frame, M of them each; zero where the residual is negative
+        pub positions: Frames<3> ["m"],
+        /// Reconstruction residuals, frame by frame, M of them each; negative where a marker was not seen
+        pub residuals: Frames<1> ["m"],
+        /// Known marker set the labels belong to
+        pub marker_set: Option<String> [""],
+        /// Root-mean-square distance between the markers seen in a frame and those of the solved body; empty if none was solved
+        pub fit_residuals: Frames<1> ["m"],
+    }
+}
+
+table! {
+    /// Features of a motion by the HumanML3D recipe.
+    pub struct HumanMl3dRow = "humanml3d" {
+        /// Motion the features are of
+        pub id: MotionId [""],
+        /// Split of the motion
+        pub split: Split [""],
+        /// Name and version of the recipe
+        pub recipe: String [""],
+        /// Frame rate
+        pub fps: f32 ["1/s"],
+        /// Frames, one fewer than the motion has
+        pub n_frames: i32 ["frame"],
+        /// The 263 features in the published order and units
+        pub features: Frames<HUMANML3D_WIDTH> [""],
     }
 }
 
@@ -290,6 +365,9 @@ pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
     vec![
         (MotionRow::TABLE, MotionRow::columns()),
         (MaskRow::TABLE, MaskRow::columns()),
+        (PairRow::TABLE, PairRow::columns()),
+        (MarkerRow::TABLE, MarkerRow::columns()),
+        (HumanMl3dRow::TABLE, HumanMl3dRow::columns()),
         (TripletRow::TABLE, TripletRow::columns()),
         (EditRow::TABLE, EditRow::columns()),
         (ScoreRow::TABLE, ScoreRow::columns()),

@@ -272,6 +272,12 @@ pub struct Skeleton {
     rest_joints: Vec<DVec3>,
 }
 
+impl Default for Skeleton {
+    fn default() -> Self {
+        Self::smplx_neutral()
+    }
+}
+
 impl Skeleton {
     /// The built-in neutral SMPL-X body, betas zero.
     pub fn smplx_neutral() -> Self {

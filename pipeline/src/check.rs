@@ -1,5 +1,7 @@
 //! Checks on a finished motion: what must be rejected, and what is worth a flag.
 
+use std::ops::Range;
+
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::table::Quality;
 use datasets_spec::{Motion, Skeleton};
@@ -20,16 +22,47 @@ pub const FLAG_NO_CONTACT: u32 = 1 << 4;
 /// A joint moves faster than 12 m/s: possible for the hand of a boxer, more often a jump of the
 /// capture.
 pub const FLAG_FAST: u32 = 1 << 5;
+/// A caption speaks of a time outside the clip.
+pub const FLAG_CAPTION_OUTSIDE: u32 = 1 << 6;
+/// Nothing is said about the clip.
+pub const FLAG_NO_CAPTION: u32 = 1 << 7;
+/// Joints of the source and of the stored motion lie more than 5 cm apart on average.
+pub const FLAG_POOR_FIT: u32 = 1 << 8;
+/// A joint or marker was missing in the source and was filled in.
+pub const FLAG_GAPS_FILLED: u32 = 1 << 9;
+/// The source's frame rate is contradicted by what is known of its subset.
+pub const FLAG_FPS_DOUBTFUL: u32 = 1 << 10;
+/// A joint moves faster than any person can; the clip was kept, or trimmed, because the run asked
+/// for it.
+pub const FLAG_TELEPORT: u32 = 1 << 11;
 
 /// The names of all flags, in the order of their bits.
-pub const FLAG_NAMES: [(u32, &str); 6] = [
+pub const FLAG_NAMES: [(u32, &str); 12] = [
     (FLAG_FLOOR_PENETRATION, "floor-penetration"),
     (FLAG_FOOT_SKATE, "foot-skate"),
     (FLAG_CONSTANT_POSE, "constant-pose"),
     (FLAG_VERY_SHORT, "very-short"),
     (FLAG_NO_CONTACT, "no-contact"),
     (FLAG_FAST, "fast"),
+    (FLAG_CAPTION_OUTSIDE, "caption-outside"),
+    (FLAG_NO_CAPTION, "no-caption"),
+    (FLAG_POOR_FIT, "poor-fit"),
+    (FLAG_GAPS_FILLED, "gaps-filled"),
+    (FLAG_FPS_DOUBTFUL, "fps-doubtful"),
+    (FLAG_TELEPORT, "teleport"),
 ];
+
+/// What becomes of a motion with a jump that no person can make.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Teleports {
+    /// It is put into quarantine.
+    #[default]
+    Quarantine,
+    /// The longest stretch without a jump is kept, and flagged.
+    Trim,
+    /// It is kept, and flagged.
+    Keep,
+}
 
 /// Fewest frames of a motion: one frame does not move.
 const MIN_FRAMES: usize = 2;
@@ -63,6 +96,93 @@ const FEET: [usize; 2] = [10, 11];
 /// The weight of foot skate is that of Zhang et al., "Mode-Adaptive Neural Networks for Quadruped
 /// Motion Control" (2018).
 pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> {
+    let (quality, jump) = judge(motion, skeleton)?;
+    match jump {
+        None => Ok(quality),
+        Some(jump) => Err(jump.rejected()),
+    }
+}
+
+/// Judges a motion as [`check`] does, with another fate for jumps. Returns what is left of the
+/// motion, and its frames if they are not all.
+///
+/// # Errors
+/// As [`check`]; `E-TELEPORT` also if nothing is left of a trimmed motion.
+pub fn check_with(
+    motion: Motion,
+    skeleton: &Skeleton,
+    teleports: Teleports,
+) -> Result<(Motion, Quality, Option<Range<usize>>), Rejected> {
+    let (mut quality, jump) = judge(&motion, skeleton)?;
+    let Some(jump) = jump else {
+        return Ok((motion, quality, None));
+    };
+    match teleports {
+        Teleports::Quarantine => Err(jump.rejected()),
+        Teleports::Keep => {
+            quality.flags |= FLAG_TELEPORT;
+            Ok((motion, quality, None))
+        }
+        Teleports::Trim => {
+            let kept = longest_calm_stretch(&motion, skeleton);
+            let trimmed = motion.crop(kept.clone()).map_err(|_| jump.rejected())?;
+            if trimmed.len() < MIN_FRAMES {
+                return Err(jump.rejected());
+            }
+            let (mut quality, _) = judge(&trimmed, skeleton)?;
+            quality.flags |= FLAG_TELEPORT;
+            Ok((trimmed, quality, Some(kept)))
+        }
+    }
+}
+
+/// The longest run of frames into which no joint teleports; the first of several.
+fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
+    let fps = motion.fps().get();
+    let mut longest = 0..0;
+    let mut start = 0;
+    let mut before = skeleton.keypoints(&motion.pose(0));
+    for frame in 1..=motion.len() {
+        let jumps = frame < motion.len() && {
+            let joints = skeleton.keypoints(&motion.pose(frame));
+            let speed = (0..NUM_BODY_JOINTS)
+                .map(|joint| (joints[joint] - before[joint]).length() * fps)
+                .fold(0.0, f64::max);
+            before = joints;
+            speed > TELEPORT_SPEED
+        };
+        if jumps || frame == motion.len() {
+            if frame - start > longest.len() {
+                longest = start..frame;
+            }
+            start = frame;
+        }
+    }
+    longest
+}
+
+/// The fastest movement of a motion that is too fast.
+struct Jump {
+    joint: usize,
+    frame: usize,
+    speed: f64,
+}
+
+impl Jump {
+    fn rejected(&self) -> Rejected {
+        Rejected::check(
+            "E-TELEPORT",
+            format!(
+                "found {} moving at {:.1} m/s into frame {}, expected at most {TELEPORT_SPEED} m/s",
+                datasets_spec::skeleton::JOINT_NAMES[self.joint],
+                self.speed,
+                self.frame
+            ),
+        )
+    }
+}
+
+fn judge(motion: &Motion, skeleton: &Skeleton) -> Result<(Quality, Option<Jump>), Rejected> {
     if motion.len() < MIN_FRAMES {
         return Err(Rejected::check(
             "E-TOO-SHORT",
@@ -107,17 +227,11 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
         }
         before = joints;
     }
-    if max_speed > TELEPORT_SPEED {
-        return Err(Rejected::check(
-            "E-TELEPORT",
-            format!(
-                "found {} moving at {max_speed:.1} m/s into frame {}, expected at most \
-                 {TELEPORT_SPEED} m/s",
-                datasets_spec::skeleton::JOINT_NAMES[fastest.1],
-                fastest.0
-            ),
-        ));
-    }
+    let jump = (max_speed > TELEPORT_SPEED).then_some(Jump {
+        joint: fastest.1,
+        frame: fastest.0,
+        speed: max_speed,
+    });
     let foot_skate = if weight_sum > 0.0 {
         skate_sum / weight_sum
     } else {
@@ -131,14 +245,15 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
         (FLAG_NO_CONTACT, !touches),
         (FLAG_FAST, max_speed > FAST_SPEED),
     ];
-    Ok(Quality {
+    let quality = Quality {
         flags: findings
             .iter()
             .filter(|(_, found)| *found)
             .fold(0, |flags, (flag, _)| flags | flag),
         max_speed: max_speed as f32,
         foot_skate: foot_skate as f32,
-    })
+    };
+    Ok((quality, jump))
 }
 
 #[cfg(test)]
@@ -203,6 +318,30 @@ mod tests {
         let rejected = check(&sliding(Fps::STORE, 25.0, 3), &skeleton).expect_err("25 m/s");
         assert_eq!(rejected.code, "E-TELEPORT");
         assert!(rejected.reason.contains("25.0 m/s"), "{}", rejected.reason);
+    }
+
+    #[test]
+    fn what_jumps_is_kept_or_trimmed_where_that_is_asked_for() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut motion = sliding(Fps::STORE, 0.1, 50);
+        for frame in 20..50 {
+            let [x, y, z] = motion.transl()[frame];
+            motion.set_transl(frame, [x + 5.0, y, z]);
+        }
+        let judge = |teleports| check_with(motion.clone(), &skeleton, teleports);
+        assert_eq!(
+            judge(Teleports::Quarantine)
+                .map(|_| ())
+                .expect_err("100 m/s"),
+            check(&motion, &skeleton).expect_err("100 m/s")
+        );
+        let (kept, quality, range) = judge(Teleports::Keep).expect("kept");
+        assert_eq!((kept.len(), range), (50, None));
+        assert!(quality.flags & FLAG_TELEPORT != 0 && quality.max_speed > 99.0);
+        let (trimmed, quality, range) = judge(Teleports::Trim).expect("30 frames are left");
+        assert_eq!((trimmed.len(), range), (30, Some(20..50)));
+        assert!(quality.flags & FLAG_TELEPORT != 0 && quality.max_speed < 0.2);
+        assert_eq!(trimmed, motion.crop(20..50).expect("inside"));
     }
 
     #[test]

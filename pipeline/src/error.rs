@@ -19,6 +19,30 @@ pub enum Error {
         /// The paths given.
         paths: String,
     },
+    /// The place of an export is taken.
+    #[error("{} exists and is not empty; name a new folder", path.display())]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file is no body model that can be used.
+    #[error("{} cannot serve as body model ({code}): {reason}", path.display())]
+    BodyModel {
+        /// The file.
+        path: PathBuf,
+        /// Code that scripts may rely on, such as `E-BODY-SHAPE`.
+        code: &'static str,
+        /// What is wrong, with what was found and expected.
+        reason: String,
+    },
+    /// A list of crops cannot be used.
+    #[error("{} is no HumanML3D index: {reason}", path.display())]
+    Index {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, with what was found and expected.
+        reason: String,
+    },
     /// A path cannot be listed or read.
     #[error("cannot {action} {}", path.display())]
     Io {
@@ -28,6 +52,24 @@ pub enum Error {
         path: PathBuf,
         /// The cause.
         source: std::io::Error,
+    },
+    /// The layout has one frame rate and the clips have several.
+    #[error("clip {motion} is at {other} fps and others at {first}; ingest with one --fps")]
+    MixedRates {
+        /// Rate of the first clip.
+        first: f32,
+        /// Rate of another one.
+        other: f32,
+        /// That one.
+        motion: datasets_spec::MotionId,
+    },
+    /// A table of an export could not be made.
+    #[error("cannot make the table of {what}")]
+    Table {
+        /// What it is of.
+        what: &'static str,
+        /// The cause.
+        source: polars::error::PolarsError,
     },
     /// The dataset could not be read or written.
     #[error(transparent)]
@@ -51,6 +93,11 @@ pub enum Error {
 }
 
 impl Error {
+    /// Wraps a failure to make a table of an export.
+    pub(crate) fn table(what: &'static str) -> impl FnOnce(polars::error::PolarsError) -> Self {
+        move |source| Self::Table { what, source }
+    }
+
     /// Wraps an I/O error with what was tried on which path.
     pub(crate) fn io(
         action: &'static str,

@@ -11,12 +11,21 @@ pub mod catalogue;
 pub mod check;
 pub mod compose;
 pub mod corpus;
+pub mod doctor;
 mod error;
+pub mod export;
+pub mod feature;
+#[cfg(test)]
+mod golden;
 pub mod ingest;
+pub mod markers;
 pub mod masks;
+pub mod reference;
 pub mod retarget;
 pub mod sidecar;
 pub mod source;
+pub mod stats;
+pub mod verify;
 pub mod write;
 
 pub use error::Error;

@@ -7,7 +7,7 @@ use datasets_spec::record::{EditRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, Motion, Skeleton, Split};
 use eval::draw::strip::{self, Style};
-use pipeline::source::{Outcome, Recognised, read_clip, recognise};
+use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
 use train::checkpoint::Slot;
 use train::edit::edit_motion;
 use train::sample::Editor;
@@ -121,17 +121,51 @@ fn one(
 
 /// A clip of a dataset by its id.
 pub(crate) fn stored_clip(dataset: &Path, id: &str) -> anyhow::Result<Motion> {
-    let dataset = Dataset::open(dataset)?;
-    let rows: Vec<MotionRow> = dataset.read(None)?;
-    let row = rows
-        .into_iter()
-        .find(|row| row.id.as_str() == id)
-        .with_context(|| format!("no clip {id:?} in {}", dataset.root().display()))?;
-    Ok(row.motion()?)
+    Ok(stored_row(dataset, id)?.motion()?)
 }
 
-/// A clip from a source file, posed on the given skeleton.
+/// The row of a clip of a dataset by its id.
+pub(crate) fn stored_row(dataset: &Path, id: &str) -> anyhow::Result<MotionRow> {
+    let dataset = Dataset::open(dataset)?;
+    let rows: Vec<MotionRow> = dataset.read(None)?;
+    rows.into_iter()
+        .find(|row| row.id.as_str() == id)
+        .with_context(|| format!("no clip {id:?} in {}", dataset.root().display()))
+}
+
+/// The first motion of a source file, posed on the given skeleton.
 pub(crate) fn foreign_clip(path: &Path, skeleton: &Skeleton) -> anyhow::Result<Motion> {
+    let options = ReadOptions {
+        skeleton: skeleton.clone(),
+        ..ReadOptions::default()
+    };
+    let (_, outcomes) = read_foreign(path, &options)?;
+    let first = outcomes.into_iter().next().map(|(_, outcome)| outcome);
+    match first {
+        None => bail!("{} holds no motion", path.display()),
+        Some(Outcome::Clip(clip)) => Ok(clip.motion),
+        Some(Outcome::Markers { reason, .. } | Outcome::Skipped { reason }) => {
+            bail!("{}: {reason}", path.display())
+        }
+        Some(Outcome::Rejected(rejected)) => {
+            let place = rejected
+                .byte_offset
+                .map_or(String::new(), |offset| format!(" at byte {offset}"));
+            bail!(
+                "{}: {} {}{place}",
+                path.display(),
+                rejected.code,
+                rejected.reason
+            )
+        }
+    }
+}
+
+/// What reading each motion of a source file gives, by its name within the file.
+pub(crate) fn read_foreign(
+    path: &Path,
+    options: &ReadOptions,
+) -> anyhow::Result<(Format, Vec<(String, Outcome)>)> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let format = match recognise(path, &bytes) {
         Recognised::Motion(format) => format,
@@ -144,21 +178,18 @@ pub(crate) fn foreign_clip(path: &Path, skeleton: &Skeleton) -> anyhow::Result<M
     };
     let folder = path.parent().unwrap_or(Path::new("."));
     let companions = |name: &str| std::fs::read(folder.join(name)).ok();
-    match read_clip(format, path, &bytes, &companions, skeleton) {
-        Outcome::Clip(clip) => Ok(clip.motion),
-        Outcome::Skipped { reason } => bail!("{}: {reason}", path.display()),
-        Outcome::Rejected(rejected) => {
-            let place = rejected
-                .byte_offset
-                .map_or(String::new(), |offset| format!(" at byte {offset}"));
-            bail!(
-                "{}: {} {}{place}",
-                path.display(),
-                rejected.code,
-                rejected.reason
-            )
-        }
+    let mut keys = keys_in(format, &bytes);
+    if keys.is_empty() {
+        keys.push(String::new());
     }
+    let outcomes = keys
+        .into_iter()
+        .map(|key| {
+            let outcome = read_clip(format, path, &key, &bytes, &companions, options);
+            (key, outcome)
+        })
+        .collect();
+    Ok((format, outcomes))
 }
 
 fn write(

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let scores = chain::scores(&args.edits, &args.encoder, &protocol, &global.bars())?;
     if let Some(out) = &args.out {
-        chain::commit_scores(out, &scores, Skeleton::smplx_neutral().name(), global)?;
+        chain::commit_scores(out, &scores, &Skeleton::smplx_neutral(), global)?;
     }
     let text = if global.json || args.format == FormatArg::Json {
         format::json::render(&scores.rows)?

@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use datasets_spec::{Fps, Resample};
+use datasets_spec::{Fps, Resample, Skeleton};
+use pipeline::check::Teleports;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
-use pipeline::source::Format;
+use pipeline::retarget::UserMap;
+use pipeline::source::body_model::read_skeleton;
+use pipeline::source::{Format, ReadOptions};
 use serde::Serialize;
 
 use crate::cli::Global;
@@ -15,9 +18,10 @@ use crate::report;
 
 /// Turn motion files into one checked dataset.
 ///
-/// BVH and AMASS-layout npz files are found by their content; a file that cannot be used is listed
-/// in the `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run
-/// again, it continues; run again after success, it changes nothing.
+/// BVH, C3D, glTF and AMASS files are found by their content, and the folders of the HumanML3D,
+/// STANCE and MotionFix releases by their layout. A file that cannot be used is listed in the
+/// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
+/// continues; run again after success, it changes nothing.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to read
@@ -35,6 +39,24 @@ pub(crate) struct Args {
     /// How clips are brought to that rate
     #[arg(long, value_enum, default_value_t = ResampleArg::Exact)]
     resample: ResampleArg,
+    /// Cut the clips of HumanML3D from the AMASS files among the sources, by its index.csv
+    #[arg(long, value_name = "CSV")]
+    humanml3d_index: Option<PathBuf>,
+    /// Pose motions on the skeleton of this body model: a SMPL-X or SMPL-H npz, or J_*.npy
+    #[arg(long, value_name = "FILE")]
+    body_model: Option<PathBuf>,
+    /// Names of a skeleton that is not known, as a joint map in JSON
+    #[arg(long, value_name = "JSON")]
+    joint_map: Option<PathBuf>,
+    /// Store the features of this recipe beside the motions
+    #[arg(long, value_enum)]
+    features: Option<FeaturesArg>,
+    /// What becomes of motions with a jump faster than 20 m/s
+    #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
+    teleports: TeleportsArg,
+    /// Replace what the folder holds, as a new version of the dataset
+    #[arg(long)]
+    new_version: bool,
     /// Licence tag for clips whose source states none
     #[arg(long)]
     license: Option<String>,
@@ -47,6 +69,43 @@ pub(crate) struct Args {
 enum FormatArg {
     Bvh,
     Amass,
+    C3d,
+    Gltf,
+    Humanml3d,
+    Humanml3dAmass,
+    Stance,
+    Motionfix,
+}
+
+impl From<FormatArg> for Format {
+    fn from(format: FormatArg) -> Self {
+        match format {
+            FormatArg::Bvh => Self::Bvh,
+            FormatArg::Amass => Self::Amass,
+            FormatArg::C3d => Self::C3d,
+            FormatArg::Gltf => Self::Gltf,
+            FormatArg::Humanml3d => Self::HumanMl3d,
+            FormatArg::Humanml3dAmass => Self::HumanMl3dAmass,
+            FormatArg::Stance => Self::Stance,
+            FormatArg::Motionfix => Self::MotionFix,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum TeleportsArg {
+    /// They are put into quarantine
+    Quarantine,
+    /// Their longest stretch without a jump is kept
+    Trim,
+    /// They are kept as they are
+    Keep,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum FeaturesArg {
+    /// The 263 numbers a frame of HumanML3D
+    Humanml3d,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -96,13 +155,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ResampleArg::Exact => Resample::Exact,
             ResampleArg::Humanml3d => Resample::HumanMl3d,
         },
-        format: args.format.map(|format| match format {
-            FormatArg::Bvh => Format::Bvh,
-            FormatArg::Amass => Format::Amass,
-        }),
+        format: args.format.map(Format::from),
+        humanml3d_index: args.humanml3d_index.clone(),
+        new_version: args.new_version,
+        teleports: match args.teleports {
+            TeleportsArg::Quarantine => Teleports::Quarantine,
+            TeleportsArg::Trim => Teleports::Trim,
+            TeleportsArg::Keep => Teleports::Keep,
+        },
+        read: read_options(args)?,
+        humanml3d_features: args.features.is_some(),
         seed: global.seed(),
         license: args.license.clone(),
-        ..IngestOptions::default()
     };
     let done = ingest(
         &args.sources,
@@ -118,6 +182,25 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::text(&summary(&done));
     }
     Ok(exit(&done, args.allow_quarantine))
+}
+
+fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
+    let skeleton = match &args.body_model {
+        Some(path) => read_skeleton(path)
+            .with_context(|| format!("cannot use {} as body model", path.display()))?,
+        None => Skeleton::smplx_neutral(),
+    };
+    let user_map = match &args.joint_map {
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            let map = UserMap::parse(&text)
+                .with_context(|| format!("{} is no joint map", path.display()))?;
+            Some(map)
+        }
+        None => None,
+    };
+    Ok(ReadOptions { skeleton, user_map })
 }
 
 fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
@@ -139,6 +222,7 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
 #[derive(Serialize)]
 struct Document<'a> {
     dataset: String,
+    files: u64,
     sources: u64,
     ingested: u64,
     quarantined: u64,
@@ -147,6 +231,8 @@ struct Document<'a> {
     skipped_reasons: &'a BTreeMap<String, u64>,
     already_complete: bool,
     resumed_shards: usize,
+    tables: BTreeMap<&'a str, u64>,
+    dropped_pairs: u64,
     root_hash: &'a str,
 }
 
@@ -154,6 +240,7 @@ impl<'a> Document<'a> {
     fn of(done: &'a IngestReport) -> Self {
         Self {
             dataset: done.dataset.root().display().to_string(),
+            files: done.files,
             sources: done.accounting.sources,
             ingested: done.accounting.ingested,
             quarantined: done.accounting.quarantined,
@@ -162,9 +249,19 @@ impl<'a> Document<'a> {
             skipped_reasons: &done.skipped,
             already_complete: done.already_complete,
             resumed_shards: done.resumed_shards,
+            tables: table_rows(done),
+            dropped_pairs: done.dropped_pairs,
             root_hash: &done.dataset.manifest().root_hash,
         }
     }
+}
+
+fn table_rows(done: &IngestReport) -> BTreeMap<&str, u64> {
+    let manifest = done.dataset.manifest();
+    let tables = manifest.tables.keys();
+    tables
+        .map(|table| (table.as_str(), manifest.rows(table, None)))
+        .collect()
 }
 
 /// What became of the sources, on one screen.
@@ -172,7 +269,8 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     const SHOWN_PER_CODE: usize = 3;
     let accounting = &done.accounting;
     let mut text = format!(
-        "{} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        "{} files, {} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        done.files,
         accounting.sources,
         accounting.ingested,
         accounting.quarantined,
@@ -199,6 +297,15 @@ pub(crate) fn summary(done: &IngestReport) -> String {
         if more > 0 {
             text += &format!("    and {more} more; see the quarantine table\n");
         }
+    }
+    for (table, rows) in table_rows(done) {
+        text += &format!("{table:<12} {rows:>8} rows\n");
+    }
+    if done.dropped_pairs > 0 {
+        text += &format!(
+            "{} pairs were dropped, because one of their motions is not in the dataset\n",
+            done.dropped_pairs
+        );
     }
     text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
     text

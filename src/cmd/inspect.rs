@@ -1,25 +1,71 @@
 //! `stance inspect`
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
-use datasets_spec::manifest::Accounting;
+use anyhow::{Context, bail};
+use datasets_spec::manifest::{Accounting, Manifest};
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::{ShardDescription, describe};
+use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
+use pipeline::check::FLAG_NAMES;
+use pipeline::source::{Outcome, ReadOptions, SourceClip};
 use serde::Serialize;
 
 use crate::cli::Global;
+use crate::cmd::edit::{read_foreign, stored_row};
 use crate::exit::Exit;
 use crate::report;
 
-/// Say what a dataset holds, after checking every file against its hash.
+/// Say what a dataset, a clip of it, a shard, a manifest or a motion file holds.
+///
+/// A dataset's files are checked against their hashes first.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Dataset folder
-    dataset: PathBuf,
+    /// Dataset folder, Parquet shard, manifest, or motion file
+    path: PathBuf,
+    /// Id of a clip of the dataset
+    #[arg(long)]
+    clip: Option<String>,
 }
 
-/// The `--json` document.
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let path = &args.path;
+    if let Some(id) = &args.clip {
+        return show(&Clip::of(&stored_row(path, id)?), Clip::text, global);
+    }
+    if path.is_dir() {
+        let dataset = Dataset::open(path)?;
+        return show(&Document::of(&dataset)?, Document::text, global);
+    }
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("parquet") => show(&describe(path)?, shard_text, global),
+        Some("json") => {
+            let text =
+                std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            let manifest: Manifest = serde_json::from_slice(&text)
+                .with_context(|| format!("{} is no manifest", path.display()))?;
+            show(&manifest, manifest_text, global)
+        }
+        _ => show(&foreign(path)?, Foreign::text, global),
+    }
+}
+
+fn show<T: Serialize>(
+    document: &T,
+    text: impl Fn(&T) -> String,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    if global.json {
+        report::json(document)?;
+    } else {
+        report::text(&text(document));
+    }
+    Ok(Exit::Done)
+}
+
+/// A dataset.
 #[derive(Serialize)]
 struct Document<'a> {
     root_hash: &'a str,
@@ -32,59 +78,321 @@ struct Document<'a> {
     catalogue: Catalogue,
 }
 
-pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let dataset = Dataset::open(&args.dataset)?;
-    let manifest = dataset.manifest();
-    let document = Document {
-        root_hash: &manifest.root_hash,
-        schema_version: &manifest.schema_version,
-        version: manifest.version,
-        skeleton: &manifest.skeleton,
-        tables: manifest
-            .tables
-            .keys()
-            .map(|table| (table.as_str(), manifest.rows(table, None)))
-            .collect(),
-        accounting: &manifest.accounting,
-        facts: &manifest.facts,
-        catalogue: catalogue(&dataset)?,
-    };
-    if global.json {
-        report::json(&document)?;
-    } else {
-        report::text(&text(&document));
+impl<'a> Document<'a> {
+    fn of(dataset: &'a Dataset) -> anyhow::Result<Self> {
+        let manifest = dataset.manifest();
+        Ok(Self {
+            root_hash: &manifest.root_hash,
+            schema_version: &manifest.schema_version,
+            version: manifest.version,
+            skeleton: &manifest.skeleton,
+            tables: table_rows(manifest),
+            accounting: &manifest.accounting,
+            facts: &manifest.facts,
+            catalogue: catalogue(dataset)?,
+        })
     }
-    Ok(Exit::Done)
+
+    fn text(&self) -> String {
+        let mut text = format!(
+            "format {} manifest {} skeleton {}\nroot hash {} (every file verified)\n\n",
+            self.schema_version, self.version, self.skeleton, self.root_hash
+        );
+        for (table, rows) in &self.tables {
+            text += &format!("{table:<12} {rows:>8} rows\n");
+        }
+        let groups = [
+            ("split", &self.catalogue.splits),
+            ("source", &self.catalogue.sources),
+            ("action", &self.catalogue.actions),
+            ("style", &self.catalogue.styles),
+        ];
+        for (title, groups) in groups {
+            if groups.is_empty() {
+                continue;
+            }
+            text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
+            for Group {
+                label,
+                clips,
+                minutes,
+            } in groups
+            {
+                let label = if label.is_empty() { "(none)" } else { label };
+                text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
+            }
+        }
+        text
+    }
 }
 
-fn text(document: &Document) -> String {
+fn table_rows(manifest: &Manifest) -> BTreeMap<&str, u64> {
+    manifest
+        .tables
+        .keys()
+        .map(|table| (table.as_str(), manifest.rows(table, None)))
+        .collect()
+}
+
+fn manifest_text(manifest: &Manifest) -> String {
     let mut text = format!(
-        "format {} manifest {} skeleton {}\nroot hash {} (every file verified)\n\n",
-        document.schema_version, document.version, document.skeleton, document.root_hash
+        "format {} manifest {} skeleton {}\nwritten by {}\nroot hash {}\n\n",
+        manifest.schema_version,
+        manifest.version,
+        manifest.skeleton,
+        manifest.tool_version,
+        manifest.root_hash
     );
-    for (table, rows) in &document.tables {
-        text += &format!("{table:<12} {rows:>8} rows\n");
+    for file in manifest.tables.values().flatten() {
+        text += &format!(
+            "{:<52} {:>7} rows {:>12} bytes  {}\n",
+            file.path, file.rows, file.bytes, file.blake3
+        );
     }
-    let groups = [
-        ("split", &document.catalogue.splits),
-        ("source", &document.catalogue.sources),
-        ("action", &document.catalogue.actions),
-        ("style", &document.catalogue.styles),
-    ];
-    for (title, groups) in groups {
-        if groups.is_empty() {
-            continue;
-        }
-        text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
-        for Group {
-            label,
-            clips,
-            minutes,
-        } in groups
-        {
-            let label = if label.is_empty() { "(none)" } else { label };
-            text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
-        }
+    let accounting = &manifest.accounting;
+    text += &format!(
+        "\n{} sources = {} ingested + {} quarantined + {} skipped\n",
+        accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+    );
+    for (code, count) in &accounting.codes {
+        text += &format!("  {code:<20} {count:>6}\n");
+    }
+    text += &listing(&manifest.facts);
+    text
+}
+
+fn listing(facts: &BTreeMap<String, String>) -> String {
+    let lines: Vec<String> = facts
+        .iter()
+        .map(|(key, value)| format!("{key:<14} {value}\n"))
+        .collect();
+    lines.concat()
+}
+
+fn shard_text(shard: &ShardDescription) -> String {
+    let mut text = format!(
+        "{} rows in {} row groups\n",
+        shard.rows,
+        shard.row_groups.len()
+    );
+    for (key, value) in &shard.facts {
+        text += &format!("{key:<16} {value}\n");
+    }
+    text += &format!(
+        "\n{:<42} {:>11} {:>11} {:>6}  encodings\n",
+        "column", "bytes", "decoded", "ratio"
+    );
+    for column in &shard.columns {
+        let ratio = column.compressed as f64 / column.uncompressed.max(1) as f64;
+        text += &format!(
+            "{:<42} {:>11} {:>11} {ratio:>6.2}  {}\n",
+            column.path,
+            column.compressed,
+            column.uncompressed,
+            column.encodings.join(" ")
+        );
     }
     text
+}
+
+/// A clip of a dataset.
+#[derive(Serialize)]
+struct Clip {
+    facts: BTreeMap<String, String>,
+    captions: Vec<String>,
+    parts: Vec<String>,
+    flags: Vec<&'static str>,
+    notes: Vec<String>,
+}
+
+impl Clip {
+    fn of(row: &MotionRow) -> Self {
+        let mut facts = BTreeMap::new();
+        let mut fact = |key: &str, value: String| {
+            facts.insert(key.to_owned(), value);
+        };
+        fact("id", row.id.to_string());
+        fact("split", row.split.to_string());
+        fact("source", format!("{} {}", row.source, row.source_path));
+        fact(
+            "length",
+            format!(
+                "{} frames at {} fps, {:.2} s",
+                row.n_frames,
+                row.fps,
+                row.n_frames as f32 / row.fps
+            ),
+        );
+        fact(
+            "source frames",
+            format!(
+                "{}..{} at {} fps",
+                row.start_frame, row.end_frame, row.fps_source
+            ),
+        );
+        fact("rotations", row.rotation_source.clone());
+        if let Some(error) = row.fit_error_m {
+            fact("fit error", format!("{:.1} cm", 100.0 * error));
+        }
+        fact("max speed", format!("{:.2} m/s", row.quality.max_speed));
+        fact("foot skate", format!("{:.2} m/s", row.quality.foot_skate));
+        for (key, value) in [
+            ("action", &row.action),
+            ("style", &row.style),
+            ("licence", &row.license),
+            ("mirrors", &row.mirrored_of),
+        ] {
+            if let Some(value) = value {
+                fact(key, value.clone());
+            }
+        }
+        Self {
+            facts,
+            captions: row.captions.iter().map(|said| said.text.clone()).collect(),
+            parts: row
+                .part_captions
+                .iter()
+                .map(|said| format!("{}: {}", said.part, said.text))
+                .collect(),
+            flags: flag_names(row.quality.flags),
+            notes: row.notes.clone(),
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = listing(&self.facts);
+        text += &format!("{:<14} {}\n", "flags", self.flags.join(", "));
+        for (title, lines) in [
+            ("captions", &self.captions),
+            ("parts", &self.parts),
+            ("notes", &self.notes),
+        ] {
+            if !lines.is_empty() {
+                text += &format!("{title}\n  {}\n", lines.join("\n  "));
+            }
+        }
+        text
+    }
+}
+
+fn flag_names(flags: u32) -> Vec<&'static str> {
+    FLAG_NAMES
+        .iter()
+        .filter(|(flag, _)| flags & flag != 0)
+        .map(|(_, name)| *name)
+        .collect()
+}
+
+/// What reading a motion file gives, motion by motion.
+#[derive(Serialize)]
+struct Foreign {
+    format: &'static str,
+    motions: Vec<ForeignMotion>,
+}
+
+#[derive(Serialize)]
+struct ForeignMotion {
+    name: String,
+    facts: BTreeMap<String, String>,
+    captions: Vec<String>,
+    notes: Vec<String>,
+}
+
+fn foreign(path: &Path) -> anyhow::Result<Foreign> {
+    let options = ReadOptions::default();
+    let (format, outcomes) = read_foreign(path, &options)?;
+    let motions: Vec<ForeignMotion> = outcomes
+        .into_iter()
+        .map(|(name, outcome)| ForeignMotion::of(name, outcome, &options.skeleton))
+        .collect();
+    if motions.is_empty() {
+        bail!("{} holds no motion", path.display());
+    }
+    Ok(Foreign {
+        format: format.as_str(),
+        motions,
+    })
+}
+
+impl ForeignMotion {
+    fn of(name: String, outcome: Outcome, skeleton: &Skeleton) -> Self {
+        let mut motion = Self {
+            name,
+            facts: BTreeMap::new(),
+            captions: Vec::new(),
+            notes: Vec::new(),
+        };
+        let mut fact = |key: &str, value: String| {
+            motion.facts.insert(key.to_owned(), value);
+        };
+        match outcome {
+            Outcome::Clip(clip) => {
+                let SourceClip {
+                    motion: read,
+                    rotation_source,
+                    fit_error_m,
+                    ..
+                } = &*clip;
+                fact(
+                    "length",
+                    format!(
+                        "{} frames at {}, {:.2} s",
+                        read.len(),
+                        read.fps(),
+                        read.duration_secs()
+                    ),
+                );
+                fact("rotations", rotation_source.as_str().to_owned());
+                if let Some(error) = fit_error_m {
+                    fact("fit error", format!("{:.1} cm", 100.0 * error));
+                }
+                match pipeline::check::check(read, skeleton) {
+                    Ok(quality) => {
+                        fact("max speed", format!("{:.2} m/s", quality.max_speed));
+                        fact("foot skate", format!("{:.2} m/s", quality.foot_skate));
+                        let flags = flag_names(quality.flags | clip.flags);
+                        fact("flags", flags.join(", "));
+                    }
+                    Err(rejected) => {
+                        fact("rejected", format!("{} {}", rejected.code, rejected.reason))
+                    }
+                }
+                motion.captions = clip.captions.iter().map(|said| said.text.clone()).collect();
+                motion.notes = clip.notes;
+            }
+            Outcome::Markers { markers, reason } => {
+                fact("markers", markers.labels.join(" "));
+                fact("no motion", reason);
+            }
+            Outcome::Skipped { reason } => fact("skipped", reason),
+            Outcome::Rejected(rejected) => {
+                let place = rejected
+                    .byte_offset
+                    .map_or(String::new(), |offset| format!(" at byte {offset}"));
+                fact(
+                    "rejected",
+                    format!("{} {}{place}", rejected.code, rejected.reason),
+                );
+            }
+        }
+        motion
+    }
+}
+
+impl Foreign {
+    fn text(&self) -> String {
+        let mut text = format!("{} file\n", self.format);
+        for motion in &self.motions {
+            if !motion.name.is_empty() {
+                text += &format!("\n{}\n", motion.name);
+            }
+            text += &listing(&motion.facts);
+            for (title, lines) in [("captions", &motion.captions), ("notes", &motion.notes)] {
+                if !lines.is_empty() {
+                    text += &format!("{title}\n  {}\n", lines.join("\n  "));
+                }
+            }
+        }
+        text
+    }
 }

@@ -121,7 +121,7 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
         &args.dataset,
         &rows,
         Some(split_of),
-        &dataset.manifest().skeleton,
+        &dataset.skeleton()?,
         plan.to_hex().as_str(),
         &global.holder(),
     )?)

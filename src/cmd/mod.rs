@@ -2,12 +2,16 @@
 
 pub(crate) mod corpus;
 pub(crate) mod demo;
+pub(crate) mod doctor;
 pub(crate) mod edit;
 pub(crate) mod eval;
+pub(crate) mod export;
 pub(crate) mod ingest;
 pub(crate) mod inspect;
 pub(crate) mod masks;
 pub(crate) mod render;
 pub(crate) mod run;
+pub(crate) mod stats;
 pub(crate) mod train;
 pub(crate) mod triplets;
+pub(crate) mod verify;

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use datasets_spec::{JointSet, Skeleton};
+use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, strip};
 
 use crate::cli::Global;
@@ -12,15 +13,18 @@ use crate::exit::Exit;
 use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
+///
+/// The ending of --out says what is made: svg or png for strips below each other, gif for figures
+/// that move beside each other.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// BVH or npz files, or ids of clips of --dataset; one row each
+    /// Motion files, or ids of clips of --dataset; one row each
     #[arg(required = true)]
     clips: Vec<String>,
     /// Dataset the ids belong to
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// SVG file to write
+    /// File to write: .svg, .png or .gif
     #[arg(long)]
     out: PathBuf,
     /// Figures in a row
@@ -29,6 +33,9 @@ pub(crate) struct Args {
     /// Width in pixels
     #[arg(long, default_value_t = Style::default().width)]
     width: f64,
+    /// Pixels of a png or gif to each of the drawing
+    #[arg(long, default_value_t = 2.0, value_parser = parse_zoom)]
+    zoom: f32,
     /// From where to look
     #[arg(long, value_enum, default_value_t = ViewArg::ThreeQuarter)]
     view: ViewArg,
@@ -38,6 +45,13 @@ pub(crate) struct Args {
 enum ViewArg {
     ThreeQuarter,
     Side,
+}
+
+fn parse_zoom(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(zoom) if (0.1..=10.0).contains(&zoom) => Ok(zoom),
+        _ => Err("expected a number from 0.1 to 10".to_owned()),
+    }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -69,7 +83,17 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ViewArg::Side => View::Side,
         },
     };
-    std::fs::write(&args.out, strip(&rows, &style))
+    let bytes = match args
+        .out
+        .extension()
+        .and_then(|extension| extension.to_str())
+    {
+        Some("svg") => strip(&rows, &style).into_bytes(),
+        Some("png") => raster::png(&strip(&rows, &style), args.zoom)?,
+        Some("gif") => raster::gif(&rows, &style, args.zoom / 2.0)?,
+        _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
+    };
+    std::fs::write(&args.out, bytes)
         .with_context(|| format!("cannot write {}", args.out.display()))?;
     if global.json {
         report::json(&serde_json::json!({ "out": args.out, "clips": rows.len() }))?;

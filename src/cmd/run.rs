@@ -258,7 +258,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &bars,
     )
     .context("stage eval")?;
-    let skeleton = &dataset.manifest().skeleton;
+    let skeleton = &dataset.skeleton()?;
     chain::commit_scores(&places.scores, &scores, skeleton, global).context("stage eval")?;
 
     let done = Done {

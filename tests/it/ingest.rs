@@ -18,6 +18,7 @@ use crate::util::{arg, command, corpus, files_with_extension, real_data, stance}
 struct Ingested {
     #[expect(dead_code, reason = "part of the contract")]
     dataset: String,
+    files: u64,
     sources: u64,
     ingested: u64,
     quarantined: u64,
@@ -26,12 +27,16 @@ struct Ingested {
     skipped_reasons: BTreeMap<String, u64>,
     already_complete: bool,
     resumed_shards: usize,
+    tables: BTreeMap<String, u64>,
+    dropped_pairs: u64,
     root_hash: String,
 }
 
 impl Ingested {
     fn balances(&self) -> bool {
         self.sources == self.ingested + self.quarantined + self.skipped
+            && self.sources >= self.files
+            && self.tables["quarantine"] == self.quarantined
             && self.quarantined == self.codes.values().sum::<u64>()
             && self.skipped == self.skipped_reasons.values().sum::<u64>()
     }
@@ -125,6 +130,7 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
     let done = ingest(&source, &out, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (8, 3), "{done:?}");
     assert!(done.balances() && done.resumed_shards == 0, "{done:?}");
+    assert_eq!((done.files, done.dropped_pairs), (8 + 8 + 4, 0));
     let dataset = Dataset::open(&out).expect("a dataset");
     let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
     let found: Vec<(&str, &str)> = rows

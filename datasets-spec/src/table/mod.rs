@@ -12,12 +12,13 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 
 pub use cell::Cell;
-pub(crate) use shard::write_atomically;
-pub use shard::{read_rows, read_rows_at, write_rows};
+pub use shard::{
+    ColumnDescription, ShardDescription, describe, read_rows, read_rows_at, write_rows,
+};
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
-pub const SCHEMA_VERSION: &str = "1.0.0";
+pub const SCHEMA_VERSION: &str = "1.1.0";
 
 /// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
 /// of the whole clip (HumanML3D's convention).
@@ -145,12 +146,22 @@ pub(crate) fn column<'a>(
         })
 }
 
-/// Declares a row struct and derives its table from it.
+/// Declares a row struct and derives its table from it. A column marked `newer` was added after
+/// version 1.0.0: where a file lacks it, its value is the default one.
 macro_rules! table {
+    (@decode $ty:ty, $table:literal, $name:expr, $batch:ident) => {
+        $crate::table::decode_column::<$ty>($table, $name, $batch)
+    };
+    (@decode $ty:ty, $table:literal, $name:expr, $batch:ident, newer) => {
+        match $batch.column_by_name($name) {
+            Some(_) => $crate::table::decode_column::<$ty>($table, $name, $batch),
+            None => Ok(vec![<$ty>::default(); $batch.num_rows()]),
+        }
+    };
     (
         $(#[doc = $struct_doc:literal])*
         pub struct $name:ident = $table:literal {
-            $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal], )*
+            $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal $(, $since:ident)?], )*
         }
     ) => {
         $(#[doc = $struct_doc])*
@@ -181,10 +192,8 @@ macro_rules! table {
             }
 
             fn decode(batch: &arrow_array::RecordBatch) -> Result<Vec<Self>, $crate::Error> {
-                $( let mut $field = $crate::table::decode_column::<$ty>(
-                    $table,
-                    stringify!($field),
-                    batch,
+                $( let mut $field = $crate::table::table!(
+                    @decode $ty, $table, stringify!($field), batch $(, $since)?
                 )?.into_iter(); )*
                 let mut rows = Vec::with_capacity(batch.num_rows());
                 while let ($( Some($field), )*) = ($( $field.next(), )*) {

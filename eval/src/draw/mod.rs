@@ -3,6 +3,7 @@
 //! (`currentColor`), so that a drawing suits a light and a dark page.
 
 pub mod plot;
+pub mod raster;
 pub mod strip;
 
 use glam::DVec2;

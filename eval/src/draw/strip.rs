@@ -18,6 +18,12 @@ pub struct Row {
 }
 
 impl Row {
+    /// Seconds from the first to the last frame.
+    pub fn secs(&self) -> f64 {
+        let last = self.keypoints.points.len().saturating_sub(1);
+        self.keypoints.fps.secs_at(last)
+    }
+
     /// A row of a motion without highlighted joints.
     pub fn new(label: impl Into<String>, motion: &Motion, skeleton: &Skeleton) -> Self {
         Self {
@@ -209,6 +215,66 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
             );
         }
         top += height;
+    }
+    svg.push_str("</svg>");
+    svg
+}
+
+/// Size of one panel of [`moment`] in pixels.
+const PANEL: DVec2 = DVec2::new(240.0, 250.0);
+/// Pixels to a metre in a panel: raised arms of a standing figure fit.
+const PANEL_PIXELS_PER_M: f64 = 92.0;
+
+/// Draws clips beside each other as they are at one time, as one frame of a moving picture. The
+/// colour is that of the time within the longest clip; a clip that has ended stands as it ended.
+pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
+    let camera = Camera::facing(rows, style.view);
+    let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
+    let share = if longest > 0.0 { secs / longest } else { 0.0 };
+    let mut svg = String::new();
+    let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
+    let width = PANEL.x * rows.len() as f64;
+    let title = format!("{} at {secs:.2} s", labels.join(", "));
+    open(&mut svg, width, PANEL.y, &title);
+    for (place, row) in rows.iter().enumerate() {
+        let Some(last) = row.keypoints.points.len().checked_sub(1) else {
+            continue;
+        };
+        let frame = ((secs * row.keypoints.fps.get()).round() as usize).min(last);
+        let floor = row
+            .keypoints
+            .points
+            .iter()
+            .flatten()
+            .fold(f64::INFINITY, |low, point| low.min(point.y));
+        let figure = Figure::new(&row.keypoints.points[frame], floor, secs, &camera);
+        let left = PANEL.x * place as f64;
+        let ground = PANEL.y - TIME_HEIGHT;
+        line(
+            &mut svg,
+            DVec2::new(left + MARGIN, ground),
+            DVec2::new(left + PANEL.x - MARGIN, ground),
+        );
+        figure.draw(
+            &mut svg,
+            &Pen {
+                origin: DVec2::new(left + PANEL.x / 2.0, ground),
+                scale: PANEL_PIXELS_PER_M,
+                colour: colour_at(share).hex(),
+                elevation: style.view.angles().1,
+            },
+            row.highlighted,
+        );
+        let at = DVec2::new(left + PANEL.x / 2.0, ground + TIME_HEIGHT / 2.0 + 4.0);
+        let label: String = row.label.chars().take(2 * LABEL_CHARS).collect();
+        text(
+            &mut svg,
+            at,
+            "middle",
+            11.0,
+            FAINT,
+            &format!("{label}  {secs:.1} s"),
+        );
     }
     svg.push_str("</svg>");
     svg

@@ -64,6 +64,7 @@ pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
         part_captions: Vec::new(),
         action: None,
         style: None,
+        notes: Vec::new(),
         content_hash: motion.content_hash(),
         quality: Quality::default(),
     }

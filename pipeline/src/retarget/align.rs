@@ -1,7 +1,7 @@
 //! The constant rotation between a joint's frame in the source and in the body.
 //!
 //! For each mapped joint there is one rotation `A` with `body = source * A`, both global. A source
-//! whose zero pose is a person standing tells it by geometry ([`by_rest_pose`]). Other sources
+//! whose rest pose is a person standing tells it by geometry ([`by_rest_pose`]). Other sources
 //! choose their joint frames freely, often with every bone along x, and their zero pose means
 //! nothing; there it is estimated from the motion ([`by_motion`]).
 
@@ -12,7 +12,7 @@ use datasets_spec::rotation::{arc, slerp};
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 
-use super::track::Track;
+use super::track::{Track, TrackRest};
 use crate::source::floor::percentile;
 
 /// The constant rotation of each body joint; the identity where the source has no such joint.
@@ -33,20 +33,24 @@ const LIMBS: [(usize, usize); 8] = [
 const LEGS: [[usize; 4]; 2] = [[1, 4, 7, 10], [2, 5, 8, 11]];
 /// Shoulder, elbow and wrist of each arm.
 const ARMS: [[usize; 3]; 2] = [[16, 18, 20], [17, 19, 21]];
+/// Most frames that constant rotations are estimated from. Longer motions are sampled evenly: their
+/// neighbouring frames say the same.
+const MAX_SAMPLES: usize = 256;
 /// The joints between pelvis and neck, lowest first.
 pub(super) const SPINE: [usize; 3] = [3, 6, 9];
 
-/// Aligns the frames of a source whose zero pose is a standing person with arms out or down; none
-/// if it is not. `zero` holds the positions in the zero pose, in any unit and orientation.
+/// Aligns the frames of a source by a pose that shows a standing person with arms out or down; none
+/// if it does not. The pose may be in any unit and orientation.
 ///
 /// Both bodies then strike the same pose: torsos upright and facing the same way, limbs with bones
 /// in the same directions, soles level. Spine, neck, collar and head joints sit at different
 /// places in every skeleton, so there the torso's orientation counts, not the directions of bones.
 pub(super) fn by_rest_pose(
-    zero: &[DVec3; NUM_BODY_JOINTS],
+    rest: &TrackRest,
     track: &Track,
     skeleton: &Skeleton,
 ) -> Option<Alignment> {
+    let zero = &rest.points;
     let torso = standing_torso(zero, track)?;
     let mut alignment = [torso; NUM_BODY_JOINTS];
     for (joint, child) in LIMBS {
@@ -82,6 +86,10 @@ pub(super) fn by_rest_pose(
             level
         };
         alignment[foot] = alignment[ankle];
+    }
+    // So far these are the body's rotations in the pose; the source's own come off.
+    for (rotation, source) in alignment.iter_mut().zip(&rest.rotations) {
+        *rotation = source.inverse() * *rotation;
     }
     Some(alignment)
 }
@@ -160,7 +168,8 @@ fn nearest_axis(direction: DVec3) -> DVec3 {
 /// constant part is estimated.
 pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
     let mut alignment = [DQuat::IDENTITY; NUM_BODY_JOINTS];
-    let frames = 0..track.num_frames();
+    let stride = track.num_frames().div_ceil(MAX_SAMPLES);
+    let frames = (0..track.num_frames()).step_by(stride);
     let rotation = |frame: usize, joint: usize| track.rotations(frame)[joint];
     let point = |frame: usize, joint: usize| track.points(frame)[joint];
     let hips_middle = |frame: usize| point(frame, 1).midpoint(point(frame, 2));
@@ -186,7 +195,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
             .clone()
             .map(|frame| a(frame).distance(b(frame)))
             .sum::<f64>()
-            > apart * track.num_frames() as f64
+            > apart * frames.len() as f64
     };
 
     let hips_line = |frame: usize| point(frame, 1) - point(frame, 2);
@@ -440,6 +449,19 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
     (mean, total)
 }
 
+/// The rotation that carries an axis that is up to y.
+pub(super) fn y_up_from_axis(up: DVec3) -> DQuat {
+    if up.z != 0.0 {
+        DQuat::from_rotation_x(-FRAC_PI_2 * up.z.signum())
+    } else if up.x != 0.0 {
+        DQuat::from_rotation_z(FRAC_PI_2 * up.x.signum())
+    } else if up.y < 0.0 {
+        DQuat::from_rotation_x(2.0 * FRAC_PI_2)
+    } else {
+        DQuat::IDENTITY
+    }
+}
+
 /// The rotation that brings a source to y up, and the name of the axis that was up.
 ///
 /// The body's own direction from hips to head, averaged over the frames, says where up is. It says
@@ -447,25 +469,29 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
 pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
     /// Share of the mean direction that must lie along another axis than y.
     const CLEAR: f64 = 0.7;
-    let (x, y, z) = (mean_up.x, mean_up.y, mean_up.z);
-    if z.abs() > CLEAR && z.abs() > 2.0 * y.abs() {
-        return if z > 0.0 {
-            (DQuat::from_rotation_x(-FRAC_PI_2), "z")
-        } else {
-            (DQuat::from_rotation_x(FRAC_PI_2), "-z")
-        };
+    let size = mean_up.abs();
+    let axis = if size.z > CLEAR && size.z > 2.0 * size.y {
+        DVec3::Z * mean_up.z.signum()
+    } else if size.x > CLEAR && size.x > 2.0 * size.y {
+        DVec3::X * mean_up.x.signum()
+    } else if mean_up.y < -CLEAR {
+        DVec3::NEG_Y
+    } else {
+        DVec3::Y
+    };
+    (y_up_from_axis(axis), axis_name(axis))
+}
+
+/// What an axis of the coordinates is called.
+pub(super) fn axis_name(axis: DVec3) -> &'static str {
+    match (axis.x, axis.y, axis.z) {
+        (x, _, _) if x > 0.0 => "x",
+        (x, _, _) if x < 0.0 => "-x",
+        (_, _, z) if z > 0.0 => "z",
+        (_, _, z) if z < 0.0 => "-z",
+        (_, y, _) if y < 0.0 => "-y",
+        _ => "y",
     }
-    if x.abs() > CLEAR && x.abs() > 2.0 * y.abs() {
-        return if x > 0.0 {
-            (DQuat::from_rotation_z(FRAC_PI_2), "x")
-        } else {
-            (DQuat::from_rotation_z(-FRAC_PI_2), "-x")
-        };
-    }
-    if y < -CLEAR {
-        return (DQuat::from_rotation_x(2.0 * FRAC_PI_2), "-y");
-    }
-    (DQuat::IDENTITY, "y")
 }
 
 #[cfg(test)]

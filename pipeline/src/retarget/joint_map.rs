@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use datasets_spec::Joint;
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
 
-use crate::source::Rejected;
-use crate::source::bvh::BvhJoint;
+use super::rig::{Bone, Rest};
+use super::topology;
+use super::user_map::UserMap;
 
 /// The source names of the 22 body joints in SMPL-X order; empty where the dialect has no such
 /// joint.
@@ -281,31 +282,99 @@ const REQUIRED: [Joint; 7] = [
     Joint::RightAnkle,
 ];
 
+/// How the joints of a skeleton were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// By the map of the user.
+    User,
+    /// By the names of a known dialect.
+    Dialect,
+    /// By words in names.
+    Words,
+    /// By how the bones hang together.
+    Topology,
+}
+
 /// The joints of a file that were found to be joints of the body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mapping {
-    /// Name of the dialect, or how the joints were guessed.
+    /// Name of the map or dialect, or how the joints were guessed.
     pub name: String,
+    /// How the joints were found.
+    pub origin: Origin,
     /// Index in the file of each body joint, `[22]`.
     pub source_of: [Option<usize>; NUM_BODY_JOINTS],
 }
 
 impl Mapping {
-    /// Finds the body in a skeleton: by a known dialect, otherwise by the words in its names.
+    /// Finds the body in a skeleton: by the user's map, a known dialect, the words in its names, or
+    /// how its bones hang together, whichever is first to find pelvis, legs and head.
     ///
     /// # Errors
-    /// `E-BVH-SKELETON` if pelvis, legs or head are not found, or a name that is needed occurs
-    /// twice.
-    pub fn find(joints: &[BvhJoint]) -> Result<Self, Rejected> {
+    /// What is missing, if none does, or which name that is needed occurs twice.
+    pub fn find(
+        bones: &[Bone<'_>],
+        rests: &[Rest],
+        user_map: Option<&UserMap>,
+    ) -> Result<Self, String> {
         let mut by_name: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-        for (index, joint) in joints.iter().enumerate() {
-            by_name.entry(bare(&joint.name)).or_default().push(index);
+        for (index, bone) in bones.iter().enumerate() {
+            by_name.entry(bare(bone.name)).or_default().push(index);
         }
+        if let Some(mapping) = user_map.map(|map| Self::by_user(bones, map))
+            && mapping.missing().is_empty()
+        {
+            return Ok(mapping);
+        }
+        let (dialect, named) = Self::by_dialect(&by_name);
+        if named.missing().is_empty() {
+            for name in dialect.source_names {
+                if let Some(indices) = by_name.get(name).filter(|indices| indices.len() > 1) {
+                    return Err(format!(
+                        "found {} joints named \"{name}\", expected one",
+                        indices.len()
+                    ));
+                }
+            }
+            return Ok(named.completed(&guess_by_words(bones)));
+        }
+        let guessed = guess_by_words(bones);
+        if guessed.missing().is_empty() {
+            return Ok(guessed);
+        }
+        if let Some(mapping) = Self::by_topology(bones, rests) {
+            return Ok(mapping);
+        }
+        let (missing, kind) = if guessed.missing().len() < named.missing().len() {
+            (guessed.missing(), "by words in names".to_owned())
+        } else {
+            (named.missing(), format!("by the {} names", named.name))
+        };
+        Err(format!(
+            "found no {} among {} joints ({kind}); expected a body with hips, legs and a head, \
+             or a joint map that names them",
+            missing.join(", "),
+            bones.len()
+        ))
+    }
+
+    fn by_user(bones: &[Bone<'_>], map: &UserMap) -> Self {
+        let find = |name: &str| {
+            let whole = bones.iter().position(|bone| bone.name == name);
+            whole.or_else(|| bones.iter().position(|bone| bare(bone.name) == name))
+        };
+        Self {
+            name: format!("{} of the user", map.name()),
+            origin: Origin::User,
+            source_of: Joint::ALL.map(|joint| map.source_name(joint).and_then(find)),
+        }
+    }
+
+    /// The dialect with most names in the file, and what it finds.
+    fn by_dialect(by_name: &BTreeMap<&str, Vec<usize>>) -> (&'static JointMap, Self) {
         let num_matches = |map: &JointMap| {
-            map.source_names
-                .iter()
-                .filter(|name| by_name.contains_key(*name))
-                .count()
+            let names = map.source_names.iter();
+            names.filter(|name| by_name.contains_key(*name)).count()
         };
         let mut best = &JOINT_MAPS[0];
         for map in &JOINT_MAPS[1..] {
@@ -313,45 +382,29 @@ impl Mapping {
                 best = map;
             }
         }
-        let named = Self {
+        let mapping = Self {
             name: best.name.to_owned(),
+            origin: Origin::Dialect,
             source_of: best.source_names.map(|name| {
-                by_name
-                    .get(name)
-                    .and_then(|indices| indices.first().copied())
+                let indices = by_name.get(name).filter(|_| !name.is_empty());
+                indices.and_then(|indices| indices.first().copied())
             }),
         };
-        if named.missing().is_empty() {
-            for name in best.source_names {
-                if let Some(indices) = by_name.get(name).filter(|indices| indices.len() > 1) {
-                    return Err(Rejected::retarget(
-                        "E-BVH-SKELETON",
-                        format!(
-                            "found {} joints named \"{name}\", expected one",
-                            indices.len()
-                        ),
-                    ));
-                }
-            }
-            return Ok(named.completed(&guess(joints)));
-        }
-        let guessed = guess(joints);
-        if guessed.missing().is_empty() {
-            return Ok(guessed);
-        }
-        let (missing, kind) = if guessed.missing().len() < named.missing().len() {
-            (guessed.missing(), "by words in names".to_owned())
-        } else {
-            (named.missing(), format!("by the {} names", named.name))
-        };
-        Err(Rejected::retarget(
-            "E-BVH-SKELETON",
-            format!(
-                "found no {} among {} joints ({kind}); expected a body with hips, legs and a head",
-                missing.join(", "),
-                joints.len()
+        (best, mapping)
+    }
+
+    fn by_topology(bones: &[Bone<'_>], rests: &[Rest]) -> Option<Self> {
+        let source_of = rests
+            .iter()
+            .find_map(|rest| topology::guess(bones, &rest.bones))?;
+        let num_found = source_of.iter().flatten().count();
+        Some(Self {
+            name: format!(
+                "by how the bones hang together, {num_found} of {NUM_BODY_JOINTS} joints found"
             ),
-        ))
+            origin: Origin::Topology,
+            source_of,
+        })
     }
 
     /// Takes limb joints that the dialect's names did not find, such as a foot of another name,
@@ -364,6 +417,11 @@ impl Mapping {
             self.source_of[joint] = self.source_of[joint].or(free);
         }
         self
+    }
+
+    /// Whether the joints were guessed rather than known by name.
+    pub fn is_guess(&self) -> bool {
+        matches!(self.origin, Origin::Words | Origin::Topology)
     }
 
     /// Names of required body joints that were not found.
@@ -404,6 +462,8 @@ enum Side {
 /// A part of the body by itself, before its side is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Part {
+    /// The pelvis, which some rigs have twice: as root of the legs and of the spine.
+    Pelvis,
     Hip,
     Knee,
     Ankle,
@@ -419,7 +479,12 @@ enum Part {
 }
 
 /// Words for each part. The longest word that ends a name decides: a forearm is no arm.
-const WORDS: [(&str, Part); 29] = [
+const WORDS: [(&str, Part); 38] = [
+    ("pelvis", Part::Pelvis),
+    ("hips", Part::Pelvis),
+    ("waist", Part::Pelvis),
+    ("root", Part::Pelvis),
+    ("body", Part::Pelvis),
     ("upleg", Part::Hip),
     ("upperleg", Part::Hip),
     ("thigh", Part::Hip),
@@ -433,11 +498,14 @@ const WORDS: [(&str, Part); 29] = [
     ("knee", Part::Knee),
     ("foot", Part::Ankle),
     ("ankle", Part::Ankle),
+    ("forefoot", Part::Foot),
+    ("ball", Part::Foot),
     ("toe", Part::Foot),
     ("toes", Part::Foot),
     ("toebase", Part::Foot),
     ("clavicle", Part::Collar),
     ("collar", Part::Collar),
+    ("collarbone", Part::Collar),
     ("shoulder", Part::ShoulderOrCollar),
     ("arm", Part::Shoulder),
     ("uparm", Part::Shoulder),
@@ -446,9 +514,15 @@ const WORDS: [(&str, Part); 29] = [
     ("lowerarm", Part::Elbow),
     ("elbow", Part::Elbow),
     ("hand", Part::Wrist),
+    ("palm", Part::Wrist),
     ("wrist", Part::Wrist),
     ("neck", Part::Neck),
     ("head", Part::Head),
+];
+
+/// Words of bones that steer or twist others and are no joints.
+const STEERING: [&str; 8] = [
+    "ik", "fk", "pole", "target", "ctrl", "control", "twist", "nub",
 ];
 
 /// Splits a name into its side and the rest in lower case: `LeftUpLeg`, `upleg_l` and
@@ -470,6 +544,9 @@ fn side_and_part(name: &str) -> (Option<Side>, Option<Part>) {
             word.extend(c.to_lowercase());
         }
         previous_lower = c.is_lowercase();
+    }
+    if words.iter().any(|word| STEERING.contains(&word.as_str())) {
+        return (None, None);
     }
     let side_of = |word: &str| match word {
         "left" | "l" => Some(Side::Left),
@@ -495,10 +572,10 @@ fn side_and_part(name: &str) -> (Option<Side>, Option<Part>) {
     (side, part)
 }
 
-fn guess(joints: &[BvhJoint]) -> Mapping {
+fn guess_by_words(bones: &[Bone<'_>]) -> Mapping {
     let mut first: BTreeMap<(Option<Side>, Part), usize> = BTreeMap::new();
-    for (index, joint) in joints.iter().enumerate() {
-        if let (side, Some(part)) = side_and_part(&joint.name) {
+    for (index, bone) in bones.iter().enumerate() {
+        if let (side, Some(part)) = side_and_part(bone.name) {
             first.entry((side, part)).or_insert(index);
         }
     }
@@ -527,61 +604,69 @@ fn guess(joints: &[BvhJoint]) -> Mapping {
     source_of[12] = first.get(&(None, Part::Neck)).copied();
     source_of[15] = first.get(&(None, Part::Head)).copied();
     if let (Some(left), Some(right)) = (source_of[1], source_of[2]) {
-        source_of[0] = common_ancestor(joints, left, right);
+        source_of[0] = common_ancestor(bones, left, right);
     }
     if let (Some(pelvis), Some(top)) = (source_of[0], source_of[12].or(source_of[15])) {
-        let mut spine: Vec<usize> = ancestors(joints, top)
+        let mut spine: Vec<usize> = ancestors(bones, top)
             .take_while(|&index| index != pelvis)
+            .filter(|&index| side_and_part(bones[index].name).1 != Some(Part::Pelvis))
             .collect();
         spine.reverse();
-        match spine[..] {
-            [] => {}
-            [chest] => source_of[9] = Some(chest),
-            [lower, chest] => {
-                source_of[3] = Some(lower);
-                source_of[9] = Some(chest);
-            }
-            [lower, .., chest] => {
-                source_of[3] = Some(lower);
-                source_of[6] = Some(spine[spine.len() / 2]);
-                source_of[9] = Some(chest);
-            }
+        for (joint, bone) in spine_joints(&spine) {
+            source_of[joint] = Some(bone);
         }
     }
     let num_found = source_of.iter().flatten().count();
     Mapping {
-        name: format!("guessed by words in names, {num_found} of {NUM_BODY_JOINTS} joints found"),
+        name: format!("by words in names, {num_found} of {NUM_BODY_JOINTS} joints found"),
+        origin: Origin::Words,
         source_of,
     }
 }
 
-fn ancestors(joints: &[BvhJoint], index: usize) -> impl Iterator<Item = usize> {
-    std::iter::successors(joints[index].parent, |&parent| joints[parent].parent)
+/// Which bones of a spine, lowest first, are which joints: the highest is the chest.
+pub(super) fn spine_joints(spine: &[usize]) -> Vec<(usize, usize)> {
+    match *spine {
+        [] => Vec::new(),
+        [chest] => vec![(9, chest)],
+        [lower, chest] => vec![(3, lower), (9, chest)],
+        [lower, .., chest] => vec![(3, lower), (6, spine[spine.len() / 2]), (9, chest)],
+    }
 }
 
-fn common_ancestor(joints: &[BvhJoint], a: usize, b: usize) -> Option<usize> {
-    ancestors(joints, a).find(|&candidate| ancestors(joints, b).any(|other| other == candidate))
+fn ancestors(bones: &[Bone<'_>], index: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(bones[index].parent, |&parent| bones[parent].parent)
+}
+
+/// The lowest bone above two others.
+fn common_ancestor(bones: &[Bone<'_>], a: usize, b: usize) -> Option<usize> {
+    let above: Vec<usize> = ancestors(bones, a).collect();
+    ancestors(bones, b).find(|candidate| above.contains(candidate))
+}
+
+/// Whether a bone hangs from another one, directly or not.
+pub(super) fn hangs_from(bones: &[Bone<'_>], bone: usize, from: usize) -> bool {
+    ancestors(bones, bone).any(|ancestor| ancestor == from)
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
 
-    fn skeleton(names_and_parents: &[(&str, usize)]) -> Vec<BvhJoint> {
+    fn skeleton<'a>(names_and_parents: &[(&'a str, usize)]) -> Vec<Bone<'a>> {
         names_and_parents
             .iter()
             .enumerate()
-            .map(|(index, &(name, parent))| BvhJoint {
-                name: name.to_owned(),
+            .map(|(index, &(name, parent))| Bone {
+                name,
                 parent: (index > 0).then_some(parent),
-                offset: DVec3::Y,
-                channels: Vec::new(),
-                first_channel: 0,
-                end_site: None,
+                tip: None,
             })
             .collect()
+    }
+
+    fn find(bones: &[Bone<'_>]) -> Result<Mapping, String> {
+        Mapping::find(bones, &[], None)
     }
 
     #[test]
@@ -597,7 +682,7 @@ mod tests {
                 .iter()
                 .map(|(name, parent)| (name.as_str(), *parent))
                 .collect();
-            let mapping = Mapping::find(&skeleton(&joints)).expect(map.name);
+            let mapping = find(&skeleton(&joints)).expect(map.name);
             assert_eq!(mapping.name, map.name);
             assert_eq!(mapping.absent().len(), 22 - joints.len());
         }
@@ -623,7 +708,7 @@ mod tests {
             ("Bip01 L Forearm", 13),
             ("Bip01 L Hand", 14),
         ]);
-        let mapping = Mapping::find(&joints).expect("a body");
+        let mapping = find(&joints).expect("a body");
         let at = |joint: Joint| mapping.source_of[joint.index()];
         assert_eq!(at(Joint::Pelvis), Some(1), "where the legs meet");
         assert_eq!(at(Joint::LeftElbow), Some(14));
@@ -644,15 +729,14 @@ mod tests {
             .iter()
             .map(|&name| (if name == "LeftToe" { "LeftToes" } else { name }, 0))
             .collect();
-        let mapping = Mapping::find(&skeleton(&joints)).expect("a body");
+        let mapping = find(&skeleton(&joints)).expect("a body");
         assert_eq!(mapping.source_of[Joint::LeftFoot.index()], Some(10));
     }
 
     #[test]
     fn what_is_no_body_is_named() {
-        let rejected = Mapping::find(&skeleton(&[("Base", 0), ("End", 0)])).expect_err("two bones");
-        assert_eq!(rejected.code, "E-BVH-SKELETON");
-        assert!(rejected.reason.contains("left_knee"), "{}", rejected.reason);
+        let rejected = find(&skeleton(&[("Base", 0), ("End", 0)])).expect_err("two bones");
+        assert!(rejected.contains("left_knee"), "{rejected}");
         let mut twice: Vec<(&str, usize)> = JOINT_MAPS[3]
             .source_names
             .iter()
@@ -660,12 +744,9 @@ mod tests {
             .collect();
         twice.push(("Extra", 0));
         twice.push(("Extra", 0));
-        assert!(
-            Mapping::find(&skeleton(&twice)).is_ok(),
-            "an unused name may repeat"
-        );
+        assert!(find(&skeleton(&twice)).is_ok(), "an unused name may repeat");
         twice.push(("LeftLeg", 0));
-        let rejected = Mapping::find(&skeleton(&twice)).expect_err("two left legs");
-        assert!(rejected.reason.contains("LeftLeg"), "{}", rejected.reason);
+        let rejected = find(&skeleton(&twice)).expect_err("two left legs");
+        assert!(rejected.contains("LeftLeg"), "{rejected}");
     }
 }

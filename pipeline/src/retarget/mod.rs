@@ -5,22 +5,30 @@
 //! stood still keep standing. Bone lengths of the source other than the legs' do not matter.
 
 mod align;
+mod confidence;
 mod joint_map;
+mod rig;
+mod topology;
 mod track;
+mod user_map;
 
-pub use joint_map::{JOINT_MAPS, JointMap, Mapping};
+pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
+pub use rig::{Bone, Placed, Rest, Rig};
+pub use user_map::{UserMap, UserMapError};
 
-use datasets_spec::rotation::slerp;
+use datasets_spec::motion::BODY_POSE_WIDTH;
+use datasets_spec::rotation::{slerp, to_axis_angle};
 use datasets_spec::skeleton::{NUM_BODY_JOINTS, PARENTS};
-use datasets_spec::{Motion, Pose, Skeleton};
+use datasets_spec::{Motion, Skeleton};
 use glam::{DQuat, DVec3};
 
 use self::align::{Alignment, SPINE};
-use self::track::{Track, leg_length};
-use crate::source::bvh::{Bvh, Channel};
-use crate::source::{Rejected, RotationSource, SourceClip, floor};
+use self::confidence::Evidence;
+use self::track::{Track, TrackRest, leg_length};
+use self::user_map::{RestPose, Up};
+use crate::source::{ReadOptions, Rejected, RotationSource, SourceClip, floor};
 
-/// Units that BVH files are written in, in metres. The CMU unit is 1/0.45 inch, the scale of the
+/// Units that motion files are written in, in metres. The CMU unit is 1/0.45 inch, the scale of the
 /// original ASF files, which their conversions kept.
 const UNITS: [(&str, f64); 5] = [
     ("metres", 1.0),
@@ -33,36 +41,46 @@ const UNITS: [(&str, f64); 5] = [
 /// Retargets a parsed file to the body.
 ///
 /// # Errors
-/// `E-BVH-SKELETON` if the file's skeleton is no body, `E-NOT-FINITE` if its joints leave the
+/// The rig's code for skeletons if its skeleton is no body, `E-NOT-FINITE` if its joints leave the
 /// numbers.
-pub fn clip(bvh: &Bvh, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
-    let mapping = Mapping::find(bvh.joints())?;
-    let mut notes = vec![format!("skeleton map {}", mapping.name)];
+pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+    let skeleton = &options.skeleton;
+    let bones = rig.bones();
+    let rests = rig.rests();
+    let reject = |reason: String| Rejected::retarget(rig.skeleton_code(), reason);
+    let mapping = Mapping::find(&bones, &rests, options.user_map.as_ref()).map_err(reject)?;
+    // What the user says of unit, axes and rest belongs to the files the map fits.
+    let user_map = options
+        .user_map
+        .as_ref()
+        .filter(|_| mapping.origin == Origin::User);
+    let mut track = Track::follow(rig, &bones, &rests, &mapping)?;
+    let from_rest = by_rest(&track, user_map.and_then(UserMap::rest), skeleton);
+    let mut notes = vec![if mapping.is_guess() {
+        let evidence = Evidence::gather(&mapping, &bones, &track, from_rest.is_some());
+        trust(&evidence, &mapping).map_err(reject)?
+    } else {
+        format!("skeleton map {}", mapping.name)
+    }];
     let absent = mapping.absent();
     if !absent.is_empty() {
         notes.push(format!("not in the source: {}", absent.join(", ")));
     }
-
-    let first_frame = usize::from(starts_with_zero_pose(bvh));
-    if first_frame > 0 {
+    if let Some(map) = options.user_map.as_ref().filter(|_| user_map.is_none()) {
+        notes.push(format!(
+            "the joint map {} does not fit the file",
+            map.name()
+        ));
+    }
+    if rig.frames().start > 0 {
         notes.push("frame 0 is the zero pose and was dropped".to_owned());
     }
-    let mut track = Track::follow(bvh, &mapping, first_frame)?;
-    let (turn, up_axis) = align::y_up_from_source(mean_up(&track));
-    track.turn(turn);
-    if up_axis != "y" {
-        notes.push(format!("{up_axis} is up in the file"));
-    }
-    if feet_point_backwards(&track) {
-        notes.push(
-            "feet point away from where left and right put the front; the names were believed"
-                .to_owned(),
-        );
-    }
-
-    let alignment = match align::by_rest_pose(track.zero_points(), &track, skeleton) {
-        Some(alignment) => {
-            notes.push("joint frames from the zero pose".to_owned());
+    let stated_up = user_map.and_then(UserMap::up).map(Up::direction);
+    notes.extend(set_upright(&mut track, stated_up.or_else(|| rig.up())));
+    notes.extend(facing_note(&track, mapping.origin));
+    let alignment = match from_rest {
+        Some((alignment, name)) => {
+            notes.push(format!("joint frames from the {name}"));
             alignment
         }
         None => {
@@ -73,55 +91,84 @@ pub fn clip(bvh: &Bvh, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
         }
     };
     let body_leg = leg_length(|joint| skeleton.rest(joint));
-    let scale = body_leg / track.leg_length();
-    notes.push(unit_note(&track, body_leg));
+    notes.push(match user_map.and_then(UserMap::unit) {
+        Some(metres) => stated_unit_note(&track, metres),
+        None => unit_note(&track, body_leg),
+    });
 
-    let mut poses: Vec<Pose> = (0..track.num_frames())
-        .map(|frame| body_pose(&track, frame, &alignment, scale, skeleton))
-        .collect();
-    let fit_error_m = direction_error(&track, &poses, skeleton);
-    floor::put_on_floor(&mut poses, bvh.fps(), skeleton);
-    let motion = Motion::from_poses(bvh.fps(), &poses)
-        .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
-    Ok(SourceClip {
-        motion,
-        rotation_source: RotationSource::Retargeted,
-        fit_error_m: Some(fit_error_m as f32),
-        num_source_frames: bvh.num_frames(),
-        first_frame,
-        captions: Vec::new(),
-        part_captions: Vec::new(),
-        action: None,
-        style: None,
-        license: None,
-        notes,
-    })
+    let carrier = Carrier {
+        track: &track,
+        alignment,
+        scale: body_leg / track.leg_length(),
+        skeleton,
+    };
+    let carried = carrier.carry(rig)?;
+    let mut clip = SourceClip::new(carried.motion, RotationSource::Retargeted);
+    clip.fit_error_m = Some(carried.error_m as f32);
+    clip.source_frames = rig.frames();
+    clip.notes = notes;
+    Ok(clip)
 }
 
-/// Whether the first frame is the skeleton's zero pose put before the motion, as in the
-/// conversions of the CMU data: nearly all of its rotations are exactly zero, and many of them are
-/// not in the next frame.
-fn starts_with_zero_pose(bvh: &Bvh) -> bool {
-    const NEARLY_ALL: f64 = 0.8;
-    const MANY: f64 = 0.25;
-    if bvh.num_frames() < 3 {
-        return false;
-    }
-    let share_of_zeros = |frame: usize| {
-        let values = bvh.frame(frame);
-        let (mut zeros, mut rotations) = (0usize, 0usize);
-        for joint in bvh.joints() {
-            for (channel, value) in joint.channels.iter().zip(&values[joint.first_channel..]) {
-                if matches!(channel, Channel::Rotation(_)) {
-                    rotations += 1;
-                    zeros += usize::from(*value == 0.0);
-                }
-            }
-        }
-        zeros as f64 / rotations.max(1) as f64
+/// The alignment by the first pose that shows a person standing, and what the pose is called; none
+/// if there is no such pose.
+fn by_rest(
+    track: &Track,
+    stated: Option<RestPose>,
+    skeleton: &Skeleton,
+) -> Option<(Alignment, &'static str)> {
+    let align = |rest: &TrackRest| {
+        align::by_rest_pose(rest, track, skeleton).map(|alignment| (alignment, rest.name))
     };
-    let zeros = share_of_zeros(0);
-    zeros >= NEARLY_ALL && zeros - share_of_zeros(1) >= MANY
+    match stated {
+        Some(RestPose::FirstFrame) => align(&track.first_frame()),
+        Some(RestPose::ZeroPose) | None => track.rests().iter().find_map(align),
+    }
+}
+
+/// The note on a guessed map, or why it is not believed.
+fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
+    let confidence = evidence.confidence();
+    if confidence < confidence::LEAST {
+        return Err(format!(
+            "guessed the skeleton {} with confidence {confidence:.2}, expected at least {:.2}: {}; \
+             a joint map says which joint is which",
+            mapping.name,
+            confidence::LEAST,
+            evidence.doubts(mapping)
+        ));
+    }
+    Ok(format!(
+        "skeleton map guessed with confidence {confidence:.2}: {}",
+        mapping.name
+    ))
+}
+
+/// Turns a track so that y is up, and notes the axis that was up if it was another.
+fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
+    let (turn, axis) = match stated_up {
+        Some(up) => (align::y_up_from_axis(up), align::axis_name(up)),
+        None => align::y_up_from_source(mean_up(track)),
+    };
+    if axis == "y" {
+        return None;
+    }
+    track.turn(turn);
+    Some(format!("{axis} is up in the file"))
+}
+
+/// A note if feet point to where, by what is called left and right, the back is.
+fn facing_note(track: &Track, origin: Origin) -> Option<String> {
+    let believed = match origin {
+        Origin::Topology => "build",
+        Origin::User | Origin::Dialect | Origin::Words => "names",
+    };
+    feet_point_backwards(track).then(|| {
+        format!(
+            "feet point away from where left and right put the front; the {believed} of the \
+             skeleton decided"
+        )
+    })
 }
 
 /// The direction from the hips to the head or neck, averaged over the frames.
@@ -177,64 +224,177 @@ fn unit_note(track: &Track, body_leg: f64) -> String {
     )
 }
 
-/// The body's pose in a frame, at the height the scaled source has.
-fn body_pose(
-    track: &Track,
-    frame: usize,
-    alignment: &Alignment,
-    scale: f64,
-    skeleton: &Skeleton,
-) -> Pose {
-    let source = track.rotations(frame);
-    let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
-    for joint in 0..NUM_BODY_JOINTS {
-        global[joint] = if track.is_mapped(joint) {
-            source[joint] * alignment[joint]
-        } else {
-            unmapped(track, &global, source, alignment, joint, skeleton)
-        };
-    }
-    let mut rotations = global;
-    for joint in 1..NUM_BODY_JOINTS {
-        rotations[joint] = (global[parent(joint)].inverse() * global[joint]).normalize();
-    }
-    // The hips are followed, not the pelvis joint, whose place in the pelvis every skeleton
-    // chooses differently: with it, feet would slide whenever the pelvis tilts.
-    let points = track.points(frame);
-    let hips_middle = points[1].midpoint(points[2]) * scale;
-    let body_hips_middle = skeleton.offset(1).midpoint(skeleton.offset(2));
-    let pelvis = hips_middle - global[0] * body_hips_middle;
-    Pose {
-        transl: pelvis - skeleton.rest(0),
-        rotations,
-    }
+fn stated_unit_note(track: &Track, metres: f64) -> String {
+    let leg = track.leg_length();
+    format!(
+        "unit {metres} m by the joint map (a leg measures {leg:.3}, that is {:.2} m)",
+        leg * metres
+    )
 }
 
-/// The global rotation of a joint the source lacks: between its neighbours in spine and neck,
-/// otherwise that of its parent.
-fn unmapped(
-    track: &Track,
-    global: &[DQuat; NUM_BODY_JOINTS],
-    source: &[DQuat; NUM_BODY_JOINTS],
-    alignment: &Alignment,
+/// Carries the frames of a track over to the body.
+struct Carrier<'a> {
+    track: &'a Track,
+    alignment: Alignment,
+    scale: f64,
+    skeleton: &'a Skeleton,
+}
+
+/// A motion carried over to the body.
+struct Carried {
+    motion: Motion,
+    /// Mean distance in metres between the body's joints and the source's, the latter with every
+    /// bone in its own direction but of the body's length. Both start from the same hips, which are
+    /// rigid parts of the pelvis.
+    error_m: f64,
+}
+
+/// A bone of the source whose direction the body's is compared with.
+struct Compared {
     joint: usize,
-    skeleton: &Skeleton,
-) -> DQuat {
-    let below = parent(joint);
-    let above = match joint {
-        12 => Some(15),
-        _ => SPINE
-            .into_iter()
-            .filter(|_| SPINE.contains(&joint))
-            .find(|&other| other > joint && track.is_mapped(other)),
-    };
-    match above.filter(|&above| track.is_mapped(above)) {
-        Some(above) => {
-            let height = |joint: usize| skeleton.rest(joint).y;
-            let share = (height(joint) - height(below)) / (height(above) - height(below));
-            slerp(global[below], source[above] * alignment[above], share)
+    /// The nearest joint above that the source tells the place of.
+    from: usize,
+    /// The bone's length in the body in metres.
+    length: f64,
+}
+
+impl Carrier<'_> {
+    fn carry(&self, rig: &impl Rig) -> Result<Carried, Rejected> {
+        let num_frames = self.track.num_frames();
+        let offsets: [DVec3; NUM_BODY_JOINTS] =
+            std::array::from_fn(|joint| self.skeleton.offset(joint));
+        let compared = self.compared();
+        let mut transl = Vec::with_capacity(num_frames);
+        let mut global_orient = Vec::with_capacity(num_frames);
+        let mut body_pose = Vec::with_capacity(num_frames);
+        let mut feet = Vec::with_capacity(num_frames);
+        let mut error = 0.0;
+        for frame in 0..num_frames {
+            let global = self.global_rotations(frame);
+            let body = self.joints(frame, &global, &offsets);
+            error += self.direction_error(frame, &body, &compared);
+            feet.push(floor::FOOT_JOINTS.map(|joint| body[joint]));
+            transl.push(body[0] - self.skeleton.rest(0));
+            global_orient.push(to_axis_angle(global[0]).as_vec3().to_array());
+            let mut pose = [0.0; BODY_POSE_WIDTH];
+            for (slot, joint) in pose.chunks_exact_mut(3).zip(1..) {
+                let local = global[parent(joint)].conjugate() * global[joint];
+                slot.copy_from_slice(&to_axis_angle(local).as_vec3().to_array());
+            }
+            body_pose.push(pose);
         }
-        None => global[below],
+        let shift = floor::shift(&feet, rig.fps());
+        let transl = transl
+            .into_iter()
+            .map(|transl: DVec3| (transl + DVec3::Y * shift).as_vec3().to_array())
+            .collect();
+        let motion = Motion::new(rig.fps(), transl, global_orient, body_pose)
+            .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
+        let count = (num_frames * compared.len()).max(1);
+        Ok(Carried {
+            motion,
+            error_m: error / count as f64,
+        })
+    }
+
+    /// Global rotations of the body in a frame.
+    fn global_rotations(&self, frame: usize) -> [DQuat; NUM_BODY_JOINTS] {
+        let source = self.track.rotations(frame);
+        let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
+        for joint in 0..NUM_BODY_JOINTS {
+            global[joint] = if self.track.is_mapped(joint) {
+                source[joint] * self.alignment[joint]
+            } else {
+                self.unmapped(&global, source, joint)
+            };
+        }
+        global
+    }
+
+    /// The global rotation of a joint the source lacks: between its neighbours in spine and neck,
+    /// otherwise that of its parent.
+    fn unmapped(
+        &self,
+        global: &[DQuat; NUM_BODY_JOINTS],
+        source: &[DQuat; NUM_BODY_JOINTS],
+        joint: usize,
+    ) -> DQuat {
+        let below = parent(joint);
+        let above = match joint {
+            12 => Some(15),
+            _ => SPINE
+                .into_iter()
+                .filter(|_| SPINE.contains(&joint))
+                .find(|&other| other > joint && self.track.is_mapped(other)),
+        };
+        match above.filter(|&above| self.track.is_mapped(above)) {
+            Some(above) => {
+                let height = |joint: usize| self.skeleton.rest(joint).y;
+                let share = (height(joint) - height(below)) / (height(above) - height(below));
+                slerp(global[below], source[above] * self.alignment[above], share)
+            }
+            None => global[below],
+        }
+    }
+
+    /// Positions of the body's joints in a frame in metres, at the height the scaled source has.
+    ///
+    /// The hips are followed, not the pelvis joint, whose place in the pelvis every skeleton
+    /// chooses differently: with it, feet would slide whenever the pelvis tilts.
+    fn joints(
+        &self,
+        frame: usize,
+        global: &[DQuat; NUM_BODY_JOINTS],
+        offsets: &[DVec3; NUM_BODY_JOINTS],
+    ) -> [DVec3; NUM_BODY_JOINTS] {
+        let points = self.track.points(frame);
+        let hips_middle = points[1].midpoint(points[2]) * self.scale;
+        let pelvis = hips_middle - global[0] * offsets[1].midpoint(offsets[2]);
+        let mut body = [pelvis; NUM_BODY_JOINTS];
+        for joint in 1..NUM_BODY_JOINTS {
+            let above = parent(joint);
+            body[joint] = body[above] + global[above] * offsets[joint];
+        }
+        body
+    }
+
+    fn compared(&self) -> Vec<Compared> {
+        let is_placed = |joint: usize| joint < 3 || self.track.is_located(joint);
+        (3..NUM_BODY_JOINTS)
+            .filter(|&joint| self.track.is_located(joint))
+            .map(|joint| {
+                let mut from = parent(joint);
+                while !is_placed(from) {
+                    from = parent(from);
+                }
+                let length = self.skeleton.rest(joint).distance(self.skeleton.rest(from));
+                Compared {
+                    joint,
+                    from,
+                    length,
+                }
+            })
+            .collect()
+    }
+
+    /// Sum of the distances that [`Carried::error_m`] is the mean of, for one frame. Bones without
+    /// a direction in the source are taken to be where the body's are.
+    fn direction_error(
+        &self,
+        frame: usize,
+        body: &[DVec3; NUM_BODY_JOINTS],
+        compared: &[Compared],
+    ) -> f64 {
+        let points = self.track.points(frame);
+        let mut placed = *body;
+        let mut sum = 0.0;
+        for bone in compared {
+            if let Some(direction) = (points[bone.joint] - points[bone.from]).try_normalize() {
+                placed[bone.joint] = placed[bone.from] + direction * bone.length;
+            }
+            sum += placed[bone.joint].distance(body[bone.joint]);
+        }
+        sum
     }
 }
 
@@ -242,50 +402,16 @@ fn parent(joint: usize) -> usize {
     usize::try_from(PARENTS[joint]).unwrap_or(0)
 }
 
-/// Mean distance in metres between the body's joints and the source's, the latter with every bone
-/// in its own direction but of the body's length. Both start from the same hips, which are rigid
-/// parts of the pelvis.
-fn direction_error(track: &Track, poses: &[Pose], skeleton: &Skeleton) -> f64 {
-    let mut sum = 0.0;
-    let mut count = 0usize;
-    for (frame, pose) in poses.iter().enumerate() {
-        let points = track.points(frame);
-        let body = skeleton.keypoints(pose);
-        let mut placed: [Option<DVec3>; NUM_BODY_JOINTS] = [None; NUM_BODY_JOINTS];
-        placed[..3].copy_from_slice(&[Some(body[0]), Some(body[1]), Some(body[2])]);
-        for joint in 3..NUM_BODY_JOINTS {
-            if !track.is_located(joint) {
-                continue;
-            }
-            let mut ancestor = parent(joint);
-            let start = loop {
-                match placed[ancestor] {
-                    Some(point) => break point,
-                    None => ancestor = parent(ancestor),
-                }
-            };
-            let Some(direction) = (points[joint] - points[ancestor]).try_normalize() else {
-                continue;
-            };
-            let length = skeleton.rest(joint).distance(skeleton.rest(ancestor));
-            let point = start + direction * length;
-            placed[joint] = Some(point);
-            sum += point.distance(body[joint]);
-            count += 1;
-        }
-    }
-    if count == 0 { 0.0 } else { sum / count as f64 }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
-    use datasets_spec::Fps;
     use datasets_spec::rotation::{angle_between, from_axis_angle};
+    use datasets_spec::{Fps, Pose};
     use glam::EulerRot;
     use proptest::prelude::*;
 
     use super::*;
     use crate::check::check;
+    use crate::source::bvh::Bvh;
 
     /// How a test file says what the body does.
     pub(crate) struct Dialect {
@@ -420,7 +546,7 @@ pub(crate) mod tests {
 
     fn retarget(text: &str) -> SourceClip {
         let bvh = Bvh::parse(text.as_bytes()).expect("the test writes valid files");
-        clip(&bvh, &Skeleton::smplx_neutral()).expect("the test writes bodies")
+        clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
     }
 
     fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
@@ -505,6 +631,212 @@ pub(crate) mod tests {
         }
     }
 
+    /// A file with other names for its joints.
+    fn renamed(text: &str, name: impl Fn(usize) -> String) -> String {
+        let mut text = text.to_owned();
+        for (joint, old) in JOINT_MAPS[0].source_names.iter().enumerate() {
+            text = text.replace(&format!(" {old}\n"), &format!(" {}\n", name(joint)));
+        }
+        text
+    }
+
+    /// Names of a rig that no dialect knows, but whose words say what is what.
+    fn wordy(joint: usize) -> String {
+        [
+            "rig_pelvis",
+            "thigh.L",
+            "thigh.R",
+            "low",
+            "shin.L",
+            "shin.R",
+            "mid",
+            "foot.L",
+            "foot.R",
+            "top",
+            "toe.L",
+            "toe.R",
+            "neck",
+            "clavicle.L",
+            "clavicle.R",
+            "head",
+            "upper_arm.L",
+            "upper_arm.R",
+            "forearm.L",
+            "forearm.R",
+            "hand.L",
+            "hand.R",
+        ][joint]
+            .to_owned()
+    }
+
+    fn rejected(text: &str) -> Rejected {
+        let bvh = Bvh::parse(text.as_bytes()).expect("a valid file");
+        clip(&bvh, &ReadOptions::default()).expect_err("no body")
+    }
+
+    #[test]
+    fn guessed_names_give_the_same_motion_and_say_how_sure_they_are() {
+        let poses = walk(40);
+        let text = Dialect::default().write(&poses, &Skeleton::smplx_neutral());
+        let clip = retarget(&renamed(&text, wordy));
+        assert_same_motion(&clip, &poses);
+        assert_eq!(
+            clip.notes[0],
+            "skeleton map guessed with confidence 1.00: by words in names, 22 of 22 joints found"
+        );
+        let nameless = retarget(&renamed(&text, |joint| format!("b{joint}")));
+        assert_same_motion(&nameless, &poses);
+        assert!(
+            nameless.notes[0].contains("confidence 0.80"),
+            "{:?}",
+            nameless.notes
+        );
+    }
+
+    #[test]
+    fn a_beast_with_human_names_is_refused() {
+        // Hips that never open: the trunk stays level over the legs, in a zero pose of no meaning.
+        let poses: Vec<Pose> = walk(40)
+            .into_iter()
+            .map(|mut pose| {
+                pose.rotations[0] = DQuat::from_rotation_x(1.6);
+                for hip in [1, 2] {
+                    pose.rotations[hip] = DQuat::from_rotation_x(-1.6);
+                }
+                for joint in [3, 4, 5, 6, 9] {
+                    pose.rotations[joint] = DQuat::IDENTITY;
+                }
+                pose
+            })
+            .collect();
+        let text = Dialect::scrambled().write(&poses, &Skeleton::smplx_neutral());
+        let rejected = rejected(&renamed(&text, wordy));
+        assert_eq!(
+            (rejected.code, rejected.stage),
+            ("E-BVH-SKELETON", "retarget")
+        );
+        assert!(
+            rejected.reason.contains("not upright"),
+            "{}",
+            rejected.reason
+        );
+    }
+
+    #[test]
+    fn the_users_map_comes_first() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses = walk(40);
+        let dialect = Dialect {
+            source_from_y_up: DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+            ..Dialect::default()
+        };
+        let text = renamed(&dialect.write(&poses, &skeleton), |joint| {
+            format!("b{joint}")
+        });
+        let joints: Vec<String> = datasets_spec::Joint::ALL
+            .iter()
+            .map(|joint| format!("\"{}\": \"b{}\"", joint.name(), joint.index()))
+            .collect();
+        let map = format!(
+            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"unit\": 1.0, \"up\": \"z\"}}",
+            joints.join(", ")
+        );
+        let options = ReadOptions {
+            user_map: Some(UserMap::parse(&map).expect("a map")),
+            ..ReadOptions::default()
+        };
+        let read = |text: &str| {
+            let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+            clip(&bvh, &options).expect("a body")
+        };
+        let found = read(&text);
+        assert_same_motion(&found, &poses);
+        assert_eq!(found.notes[0], "skeleton map mine of the user");
+        assert!(found.notes.iter().any(|note| note == "z is up in the file"));
+        assert!(
+            found
+                .notes
+                .iter()
+                .any(|note| note.starts_with("unit 1 m by the joint map"))
+        );
+        // Where its joints are not there, the file speaks for itself.
+        let other = read(&Dialect::default().write(&poses, &skeleton));
+        assert_eq!(other.notes[0], "skeleton map smplx");
+        assert!(
+            other
+                .notes
+                .iter()
+                .any(|note| note == "the joint map mine does not fit the file")
+        );
+    }
+
+    #[test]
+    fn a_first_frame_that_stands_can_be_the_rest() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut poses = walk(40);
+        poses[0].rotations = Pose::REST.rotations;
+        let text = Dialect::scrambled().write(&poses, &skeleton);
+        let joints: Vec<String> = datasets_spec::Joint::ALL
+            .iter()
+            .map(|joint| format!("\"{0}\": \"{0}\"", joint.name()))
+            .collect();
+        let map = format!(
+            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"rest\": \"first-frame\"}}",
+            joints.join(", ")
+        );
+        let options = ReadOptions {
+            user_map: Some(UserMap::parse(&map).expect("a map")),
+            ..ReadOptions::default()
+        };
+        let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+        let clip = clip(&bvh, &options).expect("a body");
+        assert!(
+            clip.notes
+                .iter()
+                .any(|note| note == "joint frames from the first frame")
+        );
+        // Without a rest, the twist of scrambled frames is an estimate; with one it is exact.
+        assert_same_motion(&clip, &poses);
+    }
+
+    #[test]
+    fn skeletons_that_are_no_body_are_refused_by_what_is_missing() {
+        let text = Dialect::default().write(&walk(3), &Skeleton::smplx_neutral());
+        let twice = rejected(&text.replace("JOINT spine2\n", "JOINT left_knee\n"));
+        assert_eq!(twice.code, "E-BVH-SKELETON");
+        let words = "found 2 joints named \"left_knee\"";
+        assert!(twice.reason.contains(words), "{}", twice.reason);
+        let toy = "HIERARCHY ROOT Base { OFFSET 0 0 0 CHANNELS 3 Zrotation Xrotation Yrotation \
+                   JOINT End { OFFSET 0 0 15 CHANNELS 3 Zrotation Xrotation Yrotation } } \
+                   MOTION Frames: 2 Frame Time: 0.1\n0 0 0 0 0 0\n1 1 1 1 1 1\n";
+        let rejected = rejected(toy);
+        assert_eq!(rejected.code, "E-BVH-SKELETON");
+        assert!(rejected.reason.contains("left_knee"), "{}", rejected.reason);
+    }
+
+    #[test]
+    fn bodies_without_size_or_of_absurd_size_are_refused() {
+        let skeleton = Skeleton::smplx_neutral();
+        for (metres, code) in [(1e12, "E-BVH-SKELETON"), (1e-12, "E-NOT-FINITE")] {
+            let dialect = Dialect {
+                metres,
+                ..Dialect::default()
+            };
+            assert_eq!(
+                rejected(&dialect.write(&walk(3), &skeleton)).code,
+                code,
+                "{metres}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_single_pose_is_no_motion() {
+        let clip = retarget(&Dialect::default().write(&walk(1), &Skeleton::smplx_neutral()));
+        let rejected = check(&clip.motion, &Skeleton::smplx_neutral()).expect_err("one frame");
+        assert_eq!(rejected.code, "E-TOO-SHORT");
+    }
+
     #[test]
     fn a_leading_zero_pose_is_dropped() {
         let skeleton = Skeleton::smplx_neutral();
@@ -512,7 +844,11 @@ pub(crate) mod tests {
         poses[0].rotations = Pose::REST.rotations;
         let clip = retarget(&Dialect::default().write(&poses, &skeleton));
         assert_eq!(
-            (clip.first_frame, clip.motion.len(), clip.num_source_frames),
+            (
+                clip.source_frames.start,
+                clip.motion.len(),
+                clip.source_frames.end
+            ),
             (1, 19, 20)
         );
     }
@@ -568,7 +904,7 @@ pub(crate) mod tests {
                     bytes[at] = b'e';
                 }
             }
-            if let Ok(clip) = Bvh::parse(&bytes).and_then(|bvh| clip(&bvh, &skeleton)) {
+            if let Ok(clip) = Bvh::parse(&bytes).and_then(|bvh| clip(&bvh, &ReadOptions::default())) {
                 prop_assert!(clip.motion.fps() <= Fps::new(1e4).expect("valid"));
                 prop_assert!(clip.fit_error_m.is_some());
             }

@@ -4,8 +4,8 @@ use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DQuat, DVec3};
 
 use super::joint_map::Mapping;
+use super::rig::{Bone, Placed, Rest, Rig};
 use crate::source::Rejected;
-use crate::source::bvh::{Bvh, Channel};
 
 /// Global rotations and positions of the mapped joints of a source, in its own unit.
 pub(super) struct Track {
@@ -13,8 +13,18 @@ pub(super) struct Track {
     located: [bool; NUM_BODY_JOINTS],
     rotations: Vec<[DQuat; NUM_BODY_JOINTS]>,
     points: Vec<[DVec3; NUM_BODY_JOINTS]>,
-    zero_points: [DVec3; NUM_BODY_JOINTS],
+    rests: Vec<TrackRest>,
     leg_length: f64,
+}
+
+/// The mapped joints in a pose that may show a person standing, in axes of its own.
+pub(super) struct TrackRest {
+    /// What the pose is called.
+    pub(super) name: &'static str,
+    /// Global rotations, `[22]`; the identity for joints that are not mapped.
+    pub(super) rotations: [DQuat; NUM_BODY_JOINTS],
+    /// Positions, `[22]`; zero for joints that are not located.
+    pub(super) points: [DVec3; NUM_BODY_JOINTS],
 }
 
 /// Largest coordinate followed, in the file's unit: anything beyond is not a motion and would
@@ -24,108 +34,75 @@ const MAX_COORDINATE: f64 = 1e9;
 /// Joints of each foot, and the ankle whose end site stands in where a skeleton has no foot joint.
 const FOOT_OF_ANKLE: [(usize, usize); 2] = [(7, 10), (8, 11)];
 
+/// The point of a bone that is a body joint: its origin, or its tip.
+type Anchor = Option<(usize, DVec3)>;
+
 impl Track {
-    /// Follows the mapped joints of a file from a frame on.
+    /// Follows the mapped joints of a source.
     ///
     /// # Errors
-    /// `E-NOT-FINITE` if a joint leaves the numbers, `E-BVH-SKELETON` if the legs have no length.
+    /// `E-NOT-FINITE` if a joint leaves the numbers, the rig's code for skeletons if the legs have
+    /// no length.
     pub(super) fn follow(
-        bvh: &Bvh,
+        rig: &impl Rig,
+        bones: &[Bone<'_>],
+        rests: &[Rest],
         mapping: &Mapping,
-        first_frame: usize,
     ) -> Result<Self, Rejected> {
-        let joints = bvh.joints();
-        let num_frames = bvh.num_frames() - first_frame;
-        // Each body joint is a point of a source joint: its origin, or its end site.
-        let mut anchors = mapping
-            .source_of
-            .map(|source| source.map(|source| (source, DVec3::ZERO)));
-        for (ankle, foot) in FOOT_OF_ANKLE {
-            let end_site = mapping.source_of[ankle]
-                .and_then(|source| Some((source, joints[source].end_site?)))
-                .filter(|(_, offset)| *offset != DVec3::ZERO);
-            anchors[foot] = anchors[foot].or(end_site);
+        let anchors = anchors(bones, mapping);
+        let num_frames = rig.frames().len();
+        let mut rotations = Vec::with_capacity(num_frames);
+        let mut points = Vec::with_capacity(num_frames);
+        let mut lost = None;
+        rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
+            let frame_points = points_of(&anchors, placed);
+            // One number that is not finite, or a sum that overflows, makes the sum so.
+            let reach = frame_points
+                .iter()
+                .fold(0.0, |sum, point| sum + point.abs().element_sum());
+            if lost.is_none() && (reach.is_nan() || reach >= MAX_COORDINATE) {
+                lost = Some(frame);
+            }
+            rotations.push(rotations_of(mapping, placed));
+            points.push(frame_points);
+        });
+        let lost = lost.or_else(|| {
+            let finite = |frame: &[DQuat; NUM_BODY_JOINTS]| frame.iter().all(|q| q.is_finite());
+            rotations.iter().position(|frame| !finite(frame))
+        });
+        if let Some(frame) = lost {
+            return Err(Rejected::retarget(
+                "E-NOT-FINITE",
+                format!(
+                    "found a joint beyond {MAX_COORDINATE:e} units in frame {frame}, expected a body"
+                ),
+            ));
         }
-        let mut track = Self {
+        let rests = rests
+            .iter()
+            .map(|rest| TrackRest {
+                name: rest.name,
+                rotations: rotations_of(mapping, &rest.bones),
+                points: points_of(&anchors, &rest.bones),
+            })
+            .collect();
+        let legs: f64 = points
+            .iter()
+            .map(|points: &[DVec3; NUM_BODY_JOINTS]| leg_length(|joint| points[joint]))
+            .sum();
+        let track = Self {
             source_of: mapping.source_of,
             located: anchors.map(|anchor| anchor.is_some()),
-            rotations: Vec::with_capacity(num_frames),
-            points: Vec::with_capacity(num_frames),
-            zero_points: [DVec3::ZERO; NUM_BODY_JOINTS],
-            leg_length: 0.0,
+            leg_length: legs / num_frames.max(1) as f64,
+            rotations,
+            points,
+            rests,
         };
-
-        let mut global = vec![(DVec3::ZERO, DQuat::IDENTITY); joints.len()];
-        let mut local_sums = vec![DVec3::ZERO; joints.len()];
-        for frame_index in first_frame..bvh.num_frames() {
-            let frame = bvh.frame(frame_index);
-            for (index, joint) in joints.iter().enumerate() {
-                let (position, rotation) = joint.local(frame);
-                local_sums[index] += position;
-                global[index] = match joint.parent {
-                    Some(parent) => {
-                        let (parent_position, parent_rotation) = global[parent];
-                        (
-                            parent_position + parent_rotation * position,
-                            (parent_rotation * rotation).normalize(),
-                        )
-                    }
-                    None => (position, rotation),
-                };
-            }
-            let rotations = mapping
-                .source_of
-                .map(|source| source.map_or(DQuat::IDENTITY, |source| global[source].1));
-            let points = anchors.map(|anchor| {
-                anchor.map_or(DVec3::ZERO, |(source, offset)| {
-                    global[source].0 + global[source].1 * offset
-                })
-            });
-            let usable = |point: &DVec3| point.abs().max_element() < MAX_COORDINATE;
-            if !points.iter().all(|p| p.is_finite() && usable(p))
-                || !rotations.iter().all(|q| q.is_finite())
-            {
-                return Err(Rejected::retarget(
-                    "E-NOT-FINITE",
-                    format!(
-                        "found a joint beyond {MAX_COORDINATE:e} units in frame {frame_index}, \
-                         expected a body"
-                    ),
-                ));
-            }
-            track.rotations.push(rotations);
-            track.points.push(points);
-        }
-
-        // In the zero pose every rotation is zero; where the file moves a joint against its parent,
-        // the mean of what it does stands for the offset.
-        let mut zero = vec![DVec3::ZERO; joints.len()];
-        for (index, joint) in joints.iter().enumerate() {
-            if let Some(parent) = joint.parent {
-                let moves = joint
-                    .channels
-                    .iter()
-                    .any(|channel| matches!(channel, Channel::Position(_)));
-                zero[index] = zero[parent]
-                    + if moves {
-                        local_sums[index] / num_frames as f64
-                    } else {
-                        joint.offset
-                    };
-            }
-        }
-        track.zero_points = anchors
-            .map(|anchor| anchor.map_or(DVec3::ZERO, |(source, offset)| zero[source] + offset));
-
-        track.leg_length = track
-            .points
-            .iter()
-            .map(|points| leg_length(|joint| points[joint]))
-            .sum::<f64>()
-            / num_frames as f64;
-        if track.leg_length < 1e-6 {
+        // Shorter than a micrometre in any unit: there are no bones.
+        const SHORTEST_LEG: f64 = 1e-6;
+        if track.points.is_empty() || track.leg_length < SHORTEST_LEG {
             return Err(Rejected::retarget(
-                "E-BVH-SKELETON",
+                rig.skeleton_code(),
                 format!("found legs of length {}, expected bones", track.leg_length),
             ));
         }
@@ -171,15 +148,69 @@ impl Track {
         &self.points[frame]
     }
 
-    /// Positions in the zero pose relative to the root, in the source's axes, `[22]`.
-    pub(super) fn zero_points(&self) -> &[DVec3; NUM_BODY_JOINTS] {
-        &self.zero_points
+    /// The poses that may show a person standing, the most trustworthy first.
+    pub(super) fn rests(&self) -> &[TrackRest] {
+        &self.rests
+    }
+
+    /// The first frame as such a pose.
+    pub(super) fn first_frame(&self) -> TrackRest {
+        TrackRest {
+            name: "first frame",
+            rotations: self.rotations[0],
+            points: self.points[0],
+        }
     }
 
     /// Mean length of both legs from hip over knee to ankle, over the frames.
     pub(super) fn leg_length(&self) -> f64 {
         self.leg_length
     }
+}
+
+fn anchors(bones: &[Bone<'_>], mapping: &Mapping) -> [Anchor; NUM_BODY_JOINTS] {
+    let mut anchors = mapping
+        .source_of
+        .map(|source| source.map(|source| (source, DVec3::ZERO)));
+    for (ankle, foot) in FOOT_OF_ANKLE {
+        let tip = mapping.source_of[ankle]
+            .and_then(|source| Some((source, bones[source].tip?)))
+            .filter(|(_, offset)| *offset != DVec3::ZERO);
+        anchors[foot] = anchors[foot].or(tip);
+    }
+    anchors
+}
+
+/// The bones that carry an anchor, with their ancestors.
+fn needed(bones: &[Bone<'_>], anchors: &[Anchor; NUM_BODY_JOINTS]) -> Vec<bool> {
+    let mut needed = vec![false; bones.len()];
+    for (bone, _) in anchors.iter().flatten() {
+        let mut at = Some(*bone);
+        while let Some(index) = at.filter(|&index| !needed[index]) {
+            needed[index] = true;
+            at = bones[index].parent;
+        }
+    }
+    needed
+}
+
+fn rotations_of(mapping: &Mapping, placed: &[Placed]) -> [DQuat; NUM_BODY_JOINTS] {
+    mapping
+        .source_of
+        .map(|source| source.map_or(DQuat::IDENTITY, |source| placed[source].rotation))
+}
+
+fn points_of(anchors: &[Anchor; NUM_BODY_JOINTS], placed: &[Placed]) -> [DVec3; NUM_BODY_JOINTS] {
+    anchors.map(|anchor| {
+        anchor.map_or(DVec3::ZERO, |(source, offset)| {
+            let Placed { position, rotation } = placed[source];
+            if offset == DVec3::ZERO {
+                position
+            } else {
+                position + rotation * offset
+            }
+        })
+    })
 }
 
 /// Mean length of both legs from hip over knee to ankle.

@@ -1,43 +1,108 @@
 //! The AMASS reader: SMPL, SMPL-H and SMPL-X parameters in an npz archive, z up.
 
-use std::io::{Cursor, Read};
+use std::io::{Read, Seek};
+use std::path::Path;
 
+use datasets_spec::motion::BODY_POSE_WIDTH;
 use datasets_spec::rotation::{from_axis_angle, to_axis_angle};
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
-use zip::ZipArchive;
-use zip::result::ZipError;
 
 use super::npy::{self, Array};
-use super::{MAX_FPS, MIN_FPS, Rejected, RotationSource, SourceClip, floor};
-
-/// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
-/// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
-/// not.
-const MAX_MEMBER_LEN: u64 = 2 << 30;
-const MAX_RATIO: u64 = 200;
-/// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
-const SMALL_MEMBER_LEN: u64 = 1 << 20;
-/// Most members of an archive; the richest AMASS files have about thirty.
-const MAX_MEMBERS: usize = 10_000;
+use super::npz::Archive;
+use super::{MAX_FPS, MIN_FPS, Rejected, RotationSource, SourceClip, amass_catalogue, floor};
+use crate::check::FLAG_FPS_DOUBTFUL;
 
 /// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
 /// Numbers that root and body joints take in every layout.
 const BODY_WIDTH: usize = 66;
-/// Widths of `poses` and the body model each belongs to: 24, 52 and 55 joints, and the 22 joints
-/// that all three have in common.
-const LAYOUTS: [(usize, &str); 4] = [
-    (66, "body only"),
-    (72, "SMPL"),
-    (156, "SMPL-H"),
-    (165, "SMPL-X"),
-];
+/// Relative distance of a stated frame rate from the known one that is more than rounding: the
+/// stored 120.000046 and 59.94 are the same as 120 and 60.
+const FPS_TOLERANCE: f64 = 0.01;
+
+/// The body model that parameters belong to, and the release they come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Variant {
+    /// The 22 joints all models have in common.
+    BodyOnly,
+    /// SMPL, 24 joints.
+    Smpl,
+    /// SMPL-H for the subject's gender, 52 joints: the variant HumanML3D is made of.
+    SmplH,
+    /// SMPL-X for the subject's gender, 55 joints.
+    SmplXGendered,
+    /// SMPL-X, neutral body.
+    SmplXNeutral,
+}
+
+impl Variant {
+    /// The name the AMASS download page uses, where it has one.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::BodyOnly => "body only",
+            Self::Smpl => "SMPL",
+            Self::SmplH => "SMPL-H G",
+            Self::SmplXGendered => "SMPL-X G",
+            Self::SmplXNeutral => "SMPL-X N",
+        }
+    }
+
+    /// Whether the parameters are those of SMPL-X.
+    pub fn is_smplx(self) -> bool {
+        matches!(self, Self::SmplXGendered | Self::SmplXNeutral)
+    }
+
+    /// The variant of `poses` of this width; none if there is no such model.
+    fn of_width(width: usize, gender: Option<&str>) -> Option<Self> {
+        match width {
+            66 => Some(Self::BodyOnly),
+            72 => Some(Self::Smpl),
+            156 => Some(Self::SmplH),
+            165 => Some(Self::smplx(gender)),
+            _ => None,
+        }
+    }
+
+    fn smplx(gender: Option<&str>) -> Self {
+        match gender {
+            Some("male" | "female") => Self::SmplXGendered,
+            _ => Self::SmplXNeutral,
+        }
+    }
+}
 
 /// What an archive holds.
 pub enum Content {
     /// A clip.
     Clip(Box<SourceClip>),
+    /// Something that belongs to AMASS and is no motion.
+    NoMotion {
+        /// What it is.
+        reason: String,
+    },
+}
+
+/// The parameters of an archive as they are in it: z up, at the file's rate.
+pub(crate) struct Parameters {
+    /// The rate the file states, unrounded, in 1/s.
+    pub(crate) stated_fps: f64,
+    /// The body model.
+    pub(crate) variant: Variant,
+    /// The subject's gender, if the file tells one.
+    gender: Result<Option<String>, String>,
+    /// `[T, 3]`
+    trans: Vec<f64>,
+    /// `[T, 3]`
+    root: Vec<f64>,
+    /// `[T, 63]`
+    body: Vec<f64>,
+}
+
+/// [`Content`] before it is a motion.
+pub(crate) enum Parsed {
+    /// A recording.
+    Parameters(Box<Parameters>),
     /// Something that belongs to AMASS and is no motion.
     NoMotion {
         /// What it is.
@@ -53,54 +118,74 @@ fn y_up_from_z_up() -> DQuat {
     DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
 }
 
-/// Reads an archive as a motion of the given body.
+/// Reads an archive as a motion of the given body. `path` tells the subset, whose known frame rate
+/// corrects a stated one that is wrong; both are noted and the clip is flagged.
 ///
 /// The 22 body rotations are taken as they are: the joints of SMPL, SMPL-H and SMPL-X agree in
 /// order and rest orientation. Body shape is ignored, so the store's one body performs the motion.
 ///
 /// # Errors
-/// `E-NPZ-TRUNCATED`, `E-NPZ-CRC`, `E-NPZ-LIMIT`, those of [`npy`], `E-AMASS-KEYS`,
+/// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`npy`], `E-AMASS-KEYS`,
 /// `E-AMASS-SHAPE`, `E-AMASS-FPS`, `E-TOO-SHORT` or `E-NOT-FINITE`.
 ///
 /// # Source
 /// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
 /// position of the pelvis, about which SMPL turns the body.
-pub fn read(bytes: &[u8], skeleton: &Skeleton) -> Result<Content, Rejected> {
-    let mut archive = Archive::open(bytes)?;
-    let has = |archive: &Archive, key: &str| archive.keys.iter().any(|found| found == key);
-    let split_poses = has(&archive, "root_orient") && has(&archive, "pose_body");
-    if !has(&archive, "trans") || !(has(&archive, "poses") || split_poses) {
-        return no_poses(&archive);
-    }
+pub fn read(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Content, Rejected> {
+    let parameters = match parse(bytes)? {
+        Parsed::Parameters(parameters) => *parameters,
+        Parsed::NoMotion { reason } => return Ok(Content::NoMotion { reason }),
+    };
+    let rate = Rate::of(path, parameters.stated_fps)?;
+    let frames: Vec<usize> = (0..parameters.num_frames()).collect();
+    let motion = parameters.motion(&frames, y_up_from_z_up(), rate.fps, skeleton)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.notes = parameters.notes(skeleton);
+    clip.notes.extend(subset_note(path));
+    clip.notes.extend(rate.note);
+    clip.flags = rate.flags;
+    Ok(Content::Clip(Box::new(clip)))
+}
 
-    let mut notes = Vec::new();
-    let (root, body) = if has(&archive, "poses") {
-        let poses = archive.matrix("poses")?;
-        let layout = LAYOUTS.iter().find(|(width, _)| *width == poses.shape[1]);
-        let Some((width, model)) = layout else {
-            return Err(Rejected::read(
+/// Reads the parameters of an archive.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed, Rejected> {
+    let mut archive = Archive::in_memory(bytes)?;
+    let split_poses = archive.has("root_orient") && archive.has("pose_body");
+    if !archive.has("trans") || !(archive.has("poses") || split_poses) {
+        return no_poses(archive.keys());
+    }
+    let gender = read_gender(&mut archive);
+    let (variant, root, body) = if archive.has("poses") {
+        let poses = matrix(&mut archive, "poses")?;
+        let known = gender.as_ref().ok().and_then(Option::as_deref);
+        let variant = Variant::of_width(poses.shape[1], known).ok_or_else(|| {
+            Rejected::read(
                 "E-AMASS-SHAPE",
                 format!(
                     "found poses of {} columns, expected 72 (SMPL), 156 (SMPL-H) or 165 (SMPL-X)",
                     poses.shape[1]
                 ),
-            ));
-        };
-        notes.push(format!("{model} parameters ({width} pose columns)"));
-        (columns(&poses, 0, 3), columns(&poses, 3, BODY_WIDTH))
+            )
+        })?;
+        let (root, body) = (columns(&poses, 0, 3), columns(&poses, 3, BODY_WIDTH));
+        (variant, root, body)
     } else {
-        notes.push("SMPL-X parameters (root_orient and pose_body)".to_owned());
-        let (root, body) = (archive.matrix("root_orient")?, archive.matrix("pose_body")?);
+        let root = matrix(&mut archive, "root_orient")?;
+        let body = matrix(&mut archive, "pose_body")?;
         expect_columns("root_orient", &root, 3)?;
-        expect_columns("pose_body", &body, BODY_WIDTH - 3)?;
-        (root.values, body.values)
+        expect_columns("pose_body", &body, BODY_POSE_WIDTH)?;
+        let known = gender.as_ref().ok().and_then(Option::as_deref);
+        (Variant::smplx(known), root.values, body.values)
     };
-    let trans = archive.matrix("trans")?;
+    let trans = matrix(&mut archive, "trans")?;
     expect_columns("trans", &trans, 3)?;
     let num_frames = trans.shape[0];
     for (key, found) in [
         ("root orientations", root.len() / 3),
-        ("body poses", body.len() / 63),
+        ("body poses", body.len() / BODY_POSE_WIDTH),
     ] {
         if found != num_frames {
             return Err(Rejected::read(
@@ -115,106 +200,238 @@ pub fn read(bytes: &[u8], skeleton: &Skeleton) -> Result<Content, Rejected> {
             "found 0 frames, expected at least 2",
         ));
     }
-    let fps = archive.fps()?;
+    let stated_fps = read_fps(&mut archive)?;
     check_finite(&[
         ("trans", &trans.values, 3),
         ("root", &root, 3),
-        ("body", &body, 63),
+        ("body", &body, BODY_POSE_WIDTH),
     ])?;
-
-    if has(&archive, "gender") {
-        notes.push(
-            match archive
-                .member("gender")
-                .and_then(|bytes| npy::read_text("gender", &bytes))
-            {
-                // Python 2 wrote the text of a bytes object.
-                Ok(gender) => format!(
-                    "gender {}, body shape ignored",
-                    gender.trim_start_matches("b'").trim_end_matches('\'')
-                ),
-                Err(rejected) => format!("gender unknown ({})", rejected.reason),
-            },
-        );
-    }
-    notes.push(format!(
-        "rotations drive the body {} as they are",
-        skeleton.name()
-    ));
-
-    let motion = y_up_motion(fps, &trans.values, &root, &body, skeleton)?;
-    Ok(Content::Clip(Box::new(SourceClip {
-        num_source_frames: num_frames,
-        first_frame: 0,
-        motion,
-        rotation_source: RotationSource::Native,
-        fit_error_m: None,
-        captions: Vec::new(),
-        part_captions: Vec::new(),
-        action: None,
-        style: None,
-        license: None,
-        notes,
+    Ok(Parsed::Parameters(Box::new(Parameters {
+        stated_fps,
+        variant,
+        gender,
+        trans: trans.values,
+        root,
+        body,
     })))
 }
 
-fn no_poses(archive: &Archive) -> Result<Content, Rejected> {
-    let keys = archive.keys.join(", ");
-    if archive.keys.iter().any(|key| key == "betas")
-        && !archive.keys.iter().any(|key| key == "trans")
-    {
-        return Ok(Content::NoMotion {
-            reason: format!("body shape of a subject, no motion (keys: {keys})"),
+/// What the arrays of an archive say of it; no more than their headers is unpacked.
+///
+/// # Errors
+/// As [`read`], shapes and rates excepted.
+pub(crate) fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, Rejected> {
+    let mut archive = Archive::open(reader)?;
+    let key = if archive.has("poses") {
+        "poses"
+    } else {
+        "pose_body"
+    };
+    if !archive.has("trans") || !archive.has(key) {
+        return Ok(None);
+    }
+    let gender = read_gender(&mut archive).ok().flatten();
+    let shape = archive.shape(key)?;
+    let [num_frames, width] = shape[..] else {
+        return Ok(None);
+    };
+    let variant = match key {
+        "poses" => Variant::of_width(width, gender.as_deref()),
+        _ => Some(Variant::smplx(gender.as_deref())),
+    };
+    let fps = read_fps(&mut archive)?;
+    Ok(variant.map(|variant| (variant, num_frames, fps)))
+}
+
+impl Parameters {
+    /// Number of frames.
+    pub(crate) fn num_frames(&self) -> usize {
+        self.trans.len() / 3
+    }
+
+    /// What was found and decided.
+    pub(crate) fn notes(&self, skeleton: &Skeleton) -> Vec<String> {
+        let mut notes = vec![format!("{} parameters", self.variant.as_str())];
+        match &self.gender {
+            Ok(Some(gender)) => notes.push(format!("gender {gender}, body shape ignored")),
+            Ok(None) => {}
+            Err(reason) => notes.push(format!("gender unknown ({reason})")),
+        }
+        notes.push(format!(
+            "rotations drive the body {} as they are",
+            skeleton.name()
+        ));
+        notes
+    }
+
+    /// The chosen frames as a motion on the floor, with the world turned by `turn` to have y up.
+    ///
+    /// # Errors
+    /// `E-NOT-FINITE` if a number cannot be stored, or no frame is chosen.
+    ///
+    /// # Panics
+    /// If a chosen frame does not exist.
+    pub(crate) fn motion(
+        &self,
+        frames: &[usize],
+        turn: DQuat,
+        fps: Fps,
+        skeleton: &Skeleton,
+    ) -> Result<Motion, Rejected> {
+        let rest_pelvis = skeleton.rest(0);
+        let row = |values: &[f64], frame: usize| DVec3::from_slice(&values[3 * frame..]);
+        let body_of = |frame: usize| &self.body[BODY_POSE_WIDTH * frame..][..BODY_POSE_WIDTH];
+        let mut poses: Vec<Pose> = frames
+            .iter()
+            .map(|&frame| {
+                let mut rotations = [DQuat::IDENTITY; 22];
+                rotations[0] = turn * from_axis_angle(row(&self.root, frame));
+                let body = body_of(frame).chunks_exact(3);
+                for (rotation, axis_angle) in rotations[1..].iter_mut().zip(body) {
+                    *rotation = from_axis_angle(DVec3::from_slice(axis_angle));
+                }
+                Pose {
+                    transl: turn * (row(&self.trans, frame) + rest_pelvis) - rest_pelvis,
+                    rotations,
+                }
+            })
+            .collect();
+        floor::put_on_floor(&mut poses, fps, skeleton);
+        let roots = poses
+            .iter()
+            .map(|pose| to_axis_angle(pose.rotations[0]).as_vec3().to_array());
+        // Body rotations are copied, not recomputed: what needs no change keeps its bits.
+        let bodies = frames.iter().map(|&frame| {
+            let body = body_of(frame);
+            std::array::from_fn(|column| body[column] as f32)
+        });
+        Motion::new(
+            fps,
+            poses
+                .iter()
+                .map(|pose| pose.transl.as_vec3().to_array())
+                .collect(),
+            roots.collect(),
+            bodies.collect(),
+        )
+        .map_err(|error| Rejected::read("E-NOT-FINITE", error.to_string()))
+    }
+}
+
+/// The frame rate that is believed, and why.
+struct Rate {
+    fps: Fps,
+    note: Option<String>,
+    flags: u32,
+}
+
+impl Rate {
+    fn of(path: &Path, stated: f64) -> Result<Self, Rejected> {
+        let known = amass_catalogue::true_fps(path)
+            .filter(|known| (stated / known - 1.0).abs() > FPS_TOLERANCE);
+        let fps = Fps::from_file(known.unwrap_or(stated))
+            .map_err(|error| Rejected::read("E-AMASS-FPS", error.to_string()))?;
+        Ok(Self {
+            fps,
+            note: known.map(|known| {
+                format!(
+                    "the file states {stated} fps; {known} fps were taken, as is known of this \
+                     recording"
+                )
+            }),
+            flags: known.map_or(0, |_| FLAG_FPS_DOUBTFUL),
+        })
+    }
+}
+
+/// Which subset a path belongs to, under today's name.
+fn subset_note(path: &Path) -> Option<String> {
+    let (subset, found) = amass_catalogue::subset_of(path)?;
+    Some(if subset.name == found {
+        format!("AMASS subset {found}")
+    } else {
+        format!("AMASS subset {} (here under the name {found})", subset.name)
+    })
+}
+
+fn no_poses(keys: &[String]) -> Result<Parsed, Rejected> {
+    let has = |key: &str| keys.iter().any(|found| found == key);
+    let list = keys.join(", ");
+    let is_still = !has("trans") && !FPS_KEYS.into_iter().any(has);
+    if is_still && (has("betas") || has("markers_latent")) {
+        return Ok(Parsed::NoMotion {
+            reason: format!("body shape of a subject, no motion (keys: {list})"),
         });
     }
+    let hint = if has("posed_joints") || has("global_rot_mats") {
+        "; joint positions and global rotations of another skeleton than SMPL are not read"
+    } else {
+        ""
+    };
     Err(Rejected::read(
         "E-AMASS-KEYS",
-        format!("found keys {keys}; expected trans and either poses or root_orient and pose_body"),
+        format!(
+            "found keys {list}; expected trans and either poses or root_orient and pose_body{hint}"
+        ),
     ))
 }
 
-fn y_up_motion(
-    fps: Fps,
-    trans: &[f64],
-    root: &[f64],
-    body: &[f64],
-    skeleton: &Skeleton,
-) -> Result<Motion, Rejected> {
-    let turn = y_up_from_z_up();
-    let rest_pelvis = skeleton.rest(0);
-    let mut poses: Vec<Pose> = trans
-        .chunks_exact(3)
-        .zip(root.chunks_exact(3))
-        .zip(body.chunks_exact(BODY_WIDTH - 3))
-        .map(|((trans, root), body)| {
-            let mut rotations = [DQuat::IDENTITY; 22];
-            rotations[0] = turn * from_axis_angle(DVec3::from_slice(root));
-            for (rotation, axis_angle) in rotations[1..].iter_mut().zip(body.chunks_exact(3)) {
-                *rotation = from_axis_angle(DVec3::from_slice(axis_angle));
-            }
-            Pose {
-                transl: turn * (DVec3::from_slice(trans) + rest_pelvis) - rest_pelvis,
-                rotations,
-            }
-        })
-        .collect();
-    floor::put_on_floor(&mut poses, fps, skeleton);
-    // Body rotations are copied, not recomputed: what needs no change keeps its bits.
-    Motion::new(
-        fps,
-        poses
-            .iter()
-            .map(|pose| pose.transl.as_vec3().to_array())
-            .collect(),
-        poses
-            .iter()
-            .map(|pose| to_axis_angle(pose.rotations[0]).as_vec3().to_array())
-            .collect(),
-        body.chunks_exact(BODY_WIDTH - 3)
-            .map(|frame| std::array::from_fn(|column| frame[column] as f32))
-            .collect(),
-    )
-    .map_err(|error| Rejected::read("E-NOT-FINITE", error.to_string()))
+/// An array of two dimensions.
+fn matrix<R: Read + Seek>(archive: &mut Archive<R>, key: &str) -> Result<Array, Rejected> {
+    let array = archive.numbers(key)?;
+    if array.shape.len() != 2 || array.shape[1] == 0 {
+        return Err(Rejected::read(
+            "E-AMASS-SHAPE",
+            format!(
+                "found {key} of shape {:?}, expected frames by columns",
+                array.shape
+            ),
+        ));
+    }
+    Ok(array)
+}
+
+/// The gender, which releases write as text, as bytes, or as an array of either; why it is unknown
+/// where it cannot be read, which costs no more than itself.
+fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String>, String> {
+    if !archive.has("gender") {
+        return Ok(None);
+    }
+    let gender = archive
+        .member("gender")
+        .and_then(|bytes| npy::read_text("gender", &bytes))
+        .map_err(|rejected| rejected.reason)?;
+    // Python 2 wrote the text of a bytes object.
+    let gender = gender.trim_start_matches("b'").trim_end_matches('\'');
+    Ok(Some(gender.to_owned()))
+}
+
+fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
+    let key = FPS_KEYS
+        .into_iter()
+        .find(|key| archive.has(key))
+        .ok_or_else(|| {
+            Rejected::read(
+                "E-AMASS-FPS",
+                format!(
+                    "found keys {}, expected {}",
+                    archive.keys().join(", "),
+                    FPS_KEYS.join(" or ")
+                ),
+            )
+        })?;
+    let rate = archive.numbers(key)?;
+    let value = rate.values.first().copied().unwrap_or(f64::NAN);
+    if rate.values.len() == 1 && (MIN_FPS..=MAX_FPS).contains(&value) {
+        return Ok(value);
+    }
+    Err(Rejected::read(
+        "E-AMASS-FPS",
+        format!(
+            "found {key} {value} ({} values), expected one of {MIN_FPS} to {MAX_FPS}",
+            rate.values.len()
+        ),
+    ))
 }
 
 fn columns(array: &Array, from: usize, to: usize) -> Vec<f64> {
@@ -255,136 +472,9 @@ fn check_finite(arrays: &[(&str, &[f64], usize)]) -> Result<(), Rejected> {
     Ok(())
 }
 
-/// An npz archive in memory.
-struct Archive<'a> {
-    zip: ZipArchive<Cursor<&'a [u8]>>,
-    /// Names of the arrays, sorted.
-    keys: Vec<String>,
-}
-
-impl<'a> Archive<'a> {
-    fn open(bytes: &'a [u8]) -> Result<Self, Rejected> {
-        let zip = ZipArchive::new(Cursor::new(bytes)).map_err(|error| {
-            Rejected::read(
-                "E-NPZ-TRUNCATED",
-                format!(
-                    "found no complete zip archive in {} bytes ({error})",
-                    bytes.len()
-                ),
-            )
-            .at(bytes.len())
-        })?;
-        if zip.len() > MAX_MEMBERS {
-            return Err(Rejected::read(
-                "E-NPZ-LIMIT",
-                format!(
-                    "found {} members, expected at most {MAX_MEMBERS}",
-                    zip.len()
-                ),
-            ));
-        }
-        let mut keys: Vec<String> = zip
-            .file_names_raw()
-            .filter_map(|name| name.strip_suffix(b".npy"))
-            .map(|name| String::from_utf8_lossy(name).into_owned())
-            .collect();
-        keys.sort();
-        Ok(Self { zip, keys })
-    }
-
-    /// The bytes of an array's npy file, checked against its CRC.
-    fn member(&mut self, key: &str) -> Result<Vec<u8>, Rejected> {
-        let name = format!("{key}.npy");
-        let mut file = self
-            .zip
-            .by_name(&name)
-            .map_err(|error| member_error(&name, &error))?;
-        let (len, compressed_len) = (file.size(), file.compressed_size());
-        let start = file.data_start().unwrap_or_else(|| file.header_start());
-        if len > MAX_MEMBER_LEN
-            || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > compressed_len.max(1))
-        {
-            return Err(Rejected::read(
-                "E-NPZ-LIMIT",
-                format!(
-                    "{name} unpacks from {compressed_len} to {len} bytes, expected at most \
-                     {MAX_MEMBER_LEN} and {MAX_RATIO} times its packed size"
-                ),
-            )
-            .at(start as usize));
-        }
-        // The stated length is not believed: nothing is reserved by it, and reading stops there.
-        let mut bytes = Vec::new();
-        file.by_ref()
-            .take(len)
-            .read_to_end(&mut bytes)
-            .and_then(|_| file.read(&mut [0]).map(drop))
-            .map_err(|error| member_error(&name, &ZipError::Io(error)).at(start as usize))?;
-        Ok(bytes)
-    }
-
-    fn numbers(&mut self, key: &str) -> Result<Array, Rejected> {
-        let bytes = self.member(key)?;
-        npy::read_numbers(key, &bytes)
-    }
-
-    /// An array of two dimensions.
-    fn matrix(&mut self, key: &str) -> Result<Array, Rejected> {
-        let array = self.numbers(key)?;
-        if array.shape.len() != 2 || array.shape[1] == 0 {
-            return Err(Rejected::read(
-                "E-AMASS-SHAPE",
-                format!(
-                    "found {key} of shape {:?}, expected frames by columns",
-                    array.shape
-                ),
-            ));
-        }
-        Ok(array)
-    }
-
-    fn fps(&mut self) -> Result<Fps, Rejected> {
-        let key = FPS_KEYS
-            .into_iter()
-            .find(|key| self.keys.iter().any(|found| found == key))
-            .ok_or_else(|| {
-                Rejected::read(
-                    "E-AMASS-FPS",
-                    format!(
-                        "found keys {}, expected {}",
-                        self.keys.join(", "),
-                        FPS_KEYS.join(" or ")
-                    ),
-                )
-            })?;
-        let rate = self.numbers(key)?;
-        let value = rate.values.first().copied().unwrap_or(f64::NAN);
-        Some(value)
-            .filter(|value| rate.values.len() == 1 && (MIN_FPS..=MAX_FPS).contains(value))
-            .and_then(|value| Fps::from_file(value).ok())
-            .ok_or_else(|| {
-                Rejected::read(
-                    "E-AMASS-FPS",
-                    format!(
-                        "found {key} {value} ({} values), expected one of {MIN_FPS} to {MAX_FPS}",
-                        rate.values.len()
-                    ),
-                )
-            })
-    }
-}
-
-fn member_error(name: &str, error: &ZipError) -> Rejected {
-    let code = match error {
-        ZipError::Io(io) if io.kind() == std::io::ErrorKind::InvalidData => "E-NPZ-CRC",
-        _ => "E-NPZ-TRUNCATED",
-    };
-    Rejected::read(code, format!("{name} cannot be unpacked ({error})"))
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
-    use std::io::Write;
+    use std::io::{Cursor, Write};
 
     use proptest::prelude::*;
     use zip::ZipWriter;
@@ -429,8 +519,12 @@ pub(crate) mod tests {
         ]
     }
 
+    fn read_at(path: &str, members: &[(&str, Vec<u8>)]) -> Result<Content, Rejected> {
+        read(Path::new(path), &npz(members), &Skeleton::smplx_neutral())
+    }
+
     fn read_members(members: &[(&str, Vec<u8>)]) -> Result<Content, Rejected> {
-        read(&npz(members), &Skeleton::smplx_neutral())
+        read_at("clip_poses.npz", members)
     }
 
     fn clip(members: &[(&str, Vec<u8>)]) -> SourceClip {
@@ -568,8 +662,83 @@ pub(crate) mod tests {
 
     #[test]
     fn shapes_without_motion_are_passed_over() {
-        let shape = read_members(&[("betas", npy_f8(&[16], &[0.0; 16]))]).expect("known");
-        assert!(matches!(shape, Content::NoMotion { .. }));
+        let numbers = || npy_f8(&[16], &[0.0; 16]);
+        for keys in [&["betas"][..], &["betas", "gender", "markers_latent"]] {
+            let members: Vec<(&str, Vec<u8>)> = keys.iter().map(|key| (*key, numbers())).collect();
+            let shape = read_members(&members).expect("known");
+            assert!(matches!(shape, Content::NoMotion { .. }), "{keys:?}");
+        }
+        let other = [("posed_joints", numbers()), ("foot_contacts", numbers())];
+        assert_eq!(code(&other), "E-AMASS-KEYS");
+    }
+
+    #[test]
+    fn known_wrong_rates_are_corrected_noted_and_flagged() {
+        let read_clip = |path: &str| match read_at(path, &clip_members(5, 156)) {
+            Ok(Content::Clip(clip)) => *clip,
+            _ => panic!("{path} is a clip"),
+        };
+        let corrected = read_clip("BMLhandball/S01/x_poses.npz");
+        assert_eq!(corrected.motion.fps().get(), 240.0);
+        assert_eq!(corrected.flags, FLAG_FPS_DOUBTFUL);
+        let said = corrected.notes.join("; ");
+        assert!(
+            said.contains("120.000045776") && said.contains("240"),
+            "{said}"
+        );
+
+        let plain = read_clip("BioMotionLab_NTroje/rub001/x_poses.npz");
+        assert_eq!((plain.motion.fps().get(), plain.flags), (120.0, 0));
+        assert!(plain.notes.iter().any(|note| note.contains("BMLrub")));
+    }
+
+    #[test]
+    fn every_spelling_of_gender_is_read() {
+        let scalar = |descr: &str, bytes: &[u8]| {
+            npy(
+                &format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (), }}"),
+                bytes,
+            )
+        };
+        let unicode: Vec<u8> = "male"
+            .chars()
+            .flat_map(|c| (c as u32).to_le_bytes())
+            .collect();
+        let in_array = npy(
+            "{'descr': '|S6', 'fortran_order': False, 'shape': (1,), }",
+            b"female",
+        );
+        for (bytes, gender) in [
+            (scalar("<U4", &unicode), "gender male"),
+            (scalar("|S7", b"neutral"), "gender neutral"),
+            (scalar("|S7", b"b'male'"), "gender male"),
+            (in_array, "gender female"),
+        ] {
+            let mut members = clip_members(3, 165);
+            members.retain(|(key, _)| *key != "gender");
+            members.push(("gender", bytes));
+            let notes = clip(&members).notes.join("; ");
+            assert!(notes.contains(gender), "{notes}");
+        }
+    }
+
+    #[test]
+    fn the_variant_is_told_from_the_headers() {
+        for (width, variant) in [
+            (66, Variant::BodyOnly),
+            (72, Variant::Smpl),
+            (156, Variant::SmplH),
+            (165, Variant::SmplXGendered),
+        ] {
+            let bytes = npz(&clip_members(7, width));
+            let (found, frames, fps) = peek(Cursor::new(&bytes))
+                .expect("a whole archive")
+                .expect("a motion");
+            assert_eq!((found, frames), (variant, 7));
+            assert!((fps - 120.0).abs() < 1e-3);
+        }
+        let shape = npz(&[("betas", npy_f8(&[16], &[0.0; 16]))]);
+        assert_eq!(peek(Cursor::new(&shape)), Ok(None));
     }
 
     #[test]
@@ -577,7 +746,9 @@ pub(crate) mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let bytes = npz(&clip_members(30, 156));
         for len in [0, 3, 100, bytes.len() / 2, bytes.len() - 1] {
-            let rejected = read(&bytes[..len], &skeleton).err().expect("cut off");
+            let rejected = read(Path::new("x"), &bytes[..len], &skeleton)
+                .err()
+                .expect("cut off");
             assert_eq!(rejected.code, "E-NPZ-TRUNCATED", "{len} bytes");
         }
         let stored = {
@@ -594,8 +765,10 @@ pub(crate) mod tests {
         };
         let mut flipped = stored.clone();
         flipped[400] ^= 1;
-        let rejected = read(&flipped, &skeleton).err().expect("one bit is wrong");
-        assert_eq!(rejected.code, "E-NPZ-CRC");
+        let rejected = read(Path::new("x"), &flipped, &skeleton)
+            .err()
+            .expect("one bit is wrong");
+        assert_eq!(rejected.code, "E-NPZ-TRUNCATED");
     }
 
     #[test]
@@ -623,8 +796,9 @@ pub(crate) mod tests {
                 mutated[at] = byte;
             }
             for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
-                if let Ok(Content::Clip(clip)) = read(candidate, &skeleton) {
-                    prop_assert!(clip.motion.len() == clip.num_source_frames);
+                let _ = peek(Cursor::new(candidate));
+                if let Ok(Content::Clip(clip)) = read(Path::new("x"), candidate, &skeleton) {
+                    prop_assert!(clip.motion.len() == clip.source_frames.len());
                 }
             }
         }

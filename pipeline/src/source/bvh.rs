@@ -5,10 +5,13 @@
 //! missing end sites, a brace on the line of its joint. What has two meanings is refused, foremost
 //! a frame count that the rows do not bear out.
 
+use std::ops::Range;
+
 use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
 use super::{MAX_FPS, MIN_FPS, Rejected, UTF8_BOM};
+use crate::retarget::{Bone, Placed, Rest, Rig};
 
 /// Most joints read from one file. Full-body rigs with fingers and face have some 200.
 const MAX_JOINTS: usize = 4096;
@@ -60,30 +63,6 @@ pub struct Bvh {
     fps: Fps,
     num_frames: usize,
     values: Vec<f64>,
-}
-
-impl BvhJoint {
-    /// The joint's transform in its parent's frame for one frame's columns, `[C]`.
-    pub fn local(&self, frame: &[f64]) -> (DVec3, DQuat) {
-        let mut position = self.offset;
-        let mut rotation = DQuat::IDENTITY;
-        for (channel, &value) in self.channels.iter().zip(&frame[self.first_channel..]) {
-            match *channel {
-                Channel::Position(Axis::X) => position.x = value,
-                Channel::Position(Axis::Y) => position.y = value,
-                Channel::Position(Axis::Z) => position.z = value,
-                Channel::Rotation(axis) => {
-                    let (sin, cos) = (0.5 * value.to_radians()).sin_cos();
-                    rotation *= match axis {
-                        Axis::X => DQuat::from_xyzw(sin, 0.0, 0.0, cos),
-                        Axis::Y => DQuat::from_xyzw(0.0, sin, 0.0, cos),
-                        Axis::Z => DQuat::from_xyzw(0.0, 0.0, sin, cos),
-                    };
-                }
-            }
-        }
-        (position, rotation)
-    }
 }
 
 impl Bvh {
@@ -145,6 +124,254 @@ impl Bvh {
             values,
         })
     }
+}
+
+impl Rig for Bvh {
+    fn skeleton_code(&self) -> &'static str {
+        "E-BVH-SKELETON"
+    }
+
+    fn bones(&self) -> Vec<Bone<'_>> {
+        self.joints
+            .iter()
+            .map(|joint| Bone {
+                name: &joint.name,
+                parent: joint.parent,
+                tip: joint.end_site,
+            })
+            .collect()
+    }
+
+    fn fps(&self) -> Fps {
+        self.fps
+    }
+
+    fn frames(&self) -> Range<usize> {
+        usize::from(self.starts_with_zero_pose())..self.num_frames
+    }
+
+    /// The zero pose: every rotation is zero. Where the file moves a joint against its parent, the
+    /// mean of what it does stands for the offset.
+    fn rests(&self) -> Vec<Rest> {
+        let mut bones: Vec<Placed> = Vec::with_capacity(self.joints.len());
+        for joint in &self.joints {
+            let position = match joint.parent {
+                Some(parent) => bones[parent].position + self.mean_offset(joint),
+                None => DVec3::ZERO,
+            };
+            bones.push(Placed {
+                position,
+                rotation: DQuat::IDENTITY,
+            });
+        }
+        vec![Rest {
+            name: "zero pose",
+            bones,
+        }]
+    }
+
+    fn follow(&self, needed: &[bool], visit: &mut dyn FnMut(usize, &[Placed])) {
+        let num_joints = self.joints.len();
+        let frames = self.frames();
+        let mut placed = vec![Placed::ORIGIN; num_joints * BLOCK.min(frames.len())];
+        let mut local = LocalBlock::default();
+        for start in frames.clone().step_by(BLOCK) {
+            let block = start..frames.end.min(start + BLOCK);
+            let rows = &self.values[block.start * self.num_channels..block.end * self.num_channels];
+            // Joint by joint, so that what is known of a joint is looked up once a block.
+            for (index, joint) in self.joints.iter().enumerate() {
+                if !needed[index] {
+                    continue;
+                }
+                local.read(joint, rows, self.num_channels, block.len());
+                for (slot, of_frame) in placed
+                    .chunks_exact_mut(num_joints)
+                    .take(block.len())
+                    .enumerate()
+                {
+                    let (position, rotation) = (local.positions[slot], local.rotations[slot]);
+                    of_frame[index] = match joint.parent {
+                        Some(parent) => {
+                            let above = of_frame[parent];
+                            Placed {
+                                position: above.position + above.rotation * position,
+                                rotation: above.rotation * rotation,
+                            }
+                        }
+                        None => Placed { position, rotation },
+                    };
+                }
+            }
+            for (frame, of_frame) in block.zip(placed.chunks_exact(num_joints)) {
+                visit(frame, of_frame);
+            }
+        }
+    }
+}
+
+impl Bvh {
+    /// Whether the first frame is the skeleton's zero pose put before the motion, as in the
+    /// conversions of the CMU data: nearly all of its rotations are exactly zero, and many of them
+    /// are not in the next frame.
+    fn starts_with_zero_pose(&self) -> bool {
+        const NEARLY_ALL: f64 = 0.8;
+        const MANY: f64 = 0.25;
+        if self.num_frames < 3 {
+            return false;
+        }
+        let share_of_zeros = |frame: usize| {
+            let values = self.frame(frame);
+            let (mut zeros, mut rotations) = (0usize, 0usize);
+            for joint in &self.joints {
+                for (channel, value) in joint.channels.iter().zip(&values[joint.first_channel..]) {
+                    if matches!(channel, Channel::Rotation(_)) {
+                        rotations += 1;
+                        zeros += usize::from(*value == 0.0);
+                    }
+                }
+            }
+            zeros as f64 / rotations.max(1) as f64
+        };
+        let zeros = share_of_zeros(0);
+        zeros >= NEARLY_ALL && zeros - share_of_zeros(1) >= MANY
+    }
+
+    /// A joint's position in its parent's frame, the mean over the motion where it has channels.
+    fn mean_offset(&self, joint: &BvhJoint) -> DVec3 {
+        let mut offset = joint.offset;
+        let frames = self.frames();
+        for (column, channel) in (joint.first_channel..).zip(&joint.channels) {
+            if let Channel::Position(axis) = *channel {
+                let column = self.values[column..].iter().step_by(self.num_channels);
+                let sum: f64 = column.skip(frames.start).sum();
+                *coordinate(&mut offset, axis) = sum / frames.len() as f64;
+            }
+        }
+        offset
+    }
+}
+
+/// Frames that are worked on at a time: few enough for all joints of a body to stay in the first
+/// two caches, enough to spread what is looked up once a joint.
+const BLOCK: usize = 32;
+
+/// A joint's transforms in its parent's frame, for a block of frames.
+struct LocalBlock {
+    positions: [DVec3; BLOCK],
+    rotations: [DQuat; BLOCK],
+}
+
+impl Default for LocalBlock {
+    fn default() -> Self {
+        Self {
+            positions: [DVec3::ZERO; BLOCK],
+            rotations: [DQuat::IDENTITY; BLOCK],
+        }
+    }
+}
+
+impl LocalBlock {
+    /// Takes the columns of a joint from rows of `num_channels` values.
+    fn read(&mut self, joint: &BvhJoint, rows: &[f64], num_channels: usize, num_rows: usize) {
+        self.positions[..num_rows].fill(joint.offset);
+        self.rotations[..num_rows].fill(DQuat::IDENTITY);
+        for (at, channel) in (joint.first_channel..).zip(&joint.channels) {
+            let mut column = [0.0; BLOCK];
+            for (value, row) in column.iter_mut().zip(rows.chunks_exact(num_channels)) {
+                *value = row[at];
+            }
+            match *channel {
+                Channel::Position(axis) => {
+                    for (position, value) in self.positions.iter_mut().zip(column) {
+                        *coordinate(position, axis) = value;
+                    }
+                }
+                Channel::Rotation(axis) => {
+                    let (sin, cos) = half_angle_sin_cos(&column);
+                    for (slot, rotation) in self.rotations[..num_rows].iter_mut().enumerate() {
+                        *rotation = turned(*rotation, axis, sin[slot], cos[slot]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn coordinate(vector: &mut DVec3, axis: Axis) -> &mut f64 {
+    match axis {
+        Axis::X => &mut vector.x,
+        Axis::Y => &mut vector.y,
+        Axis::Z => &mut vector.z,
+    }
+}
+
+/// `q` times the rotation about an axis with the given sine and cosine of half its angle: half the
+/// multiplications of a general product.
+fn turned(q: DQuat, axis: Axis, s: f64, c: f64) -> DQuat {
+    let DQuat { x, y, z, w } = q;
+    match axis {
+        Axis::X => DQuat::from_xyzw(x * c + w * s, y * c + z * s, z * c - y * s, w * c - x * s),
+        Axis::Y => DQuat::from_xyzw(x * c - z * s, y * c + w * s, z * c + x * s, w * c - y * s),
+        Axis::Z => DQuat::from_xyzw(x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s),
+    }
+}
+
+/// Sines and cosines of half of some angles in degrees.
+///
+/// Whole quarter turns come off in degrees, where the rest is exact; sine and cosine of the rest,
+/// at most 45 degrees, are Taylor polynomials whose first term left out is below 1e-16. Without
+/// branches, a block of angles is computed several at a time.
+fn half_angle_sin_cos(degrees: &[f64; BLOCK]) -> ([f64; BLOCK], [f64; BLOCK]) {
+    /// Angle in degrees up to which the number of quarter turns is exact by far.
+    const LARGEST: f64 = 1e9;
+    /// Adding and subtracting 1.5 * 2^52 rounds to a whole number, whose lowest bits are then the
+    /// lowest of the sum.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    const QUARTER: f64 = 90.0;
+    const SIN: [f64; 7] = [
+        -1.0 / 6.0,
+        1.0 / 120.0,
+        -1.0 / 5_040.0,
+        1.0 / 362_880.0,
+        -1.0 / 39_916_800.0,
+        1.0 / 6_227_020_800.0,
+        -1.0 / 1_307_674_368_000.0,
+    ];
+    const COS: [f64; 8] = [
+        -0.5,
+        1.0 / 24.0,
+        -1.0 / 720.0,
+        1.0 / 40_320.0,
+        -1.0 / 3_628_800.0,
+        1.0 / 479_001_600.0,
+        -1.0 / 87_178_291_200.0,
+        1.0 / 20_922_789_888_000.0,
+    ];
+    let (mut sines, mut cosines) = ([0.0; BLOCK], [0.0; BLOCK]);
+    if degrees.iter().any(|angle| angle.abs() > LARGEST) {
+        for (slot, angle) in degrees.iter().enumerate() {
+            (sines[slot], cosines[slot]) = (0.5 * angle.to_radians()).sin_cos();
+        }
+        return (sines, cosines);
+    }
+    for slot in 0..BLOCK {
+        let half = 0.5 * degrees[slot];
+        let rounded = half * (1.0 / QUARTER) + ROUND;
+        let quarters = rounded - ROUND;
+        let r = (half - QUARTER * quarters).to_radians();
+        let r2 = r * r;
+        let sin = r + r * r2 * SIN.iter().rev().fold(0.0, |sum, term| sum * r2 + term);
+        let cos = 1.0 + r2 * COS.iter().rev().fold(0.0, |sum, term| sum * r2 + term);
+        // A quarter turn exchanges sine and cosine, two change the signs.
+        let turns = rounded.to_bits();
+        let swap = (turns & 1).wrapping_neg();
+        let (sin_bits, cos_bits) = (sin.to_bits(), cos.to_bits());
+        let exchanged = (sin_bits ^ cos_bits) & swap;
+        sines[slot] = f64::from_bits((sin_bits ^ exchanged) ^ ((turns & 2) << 62));
+        cosines[slot] =
+            f64::from_bits((cos_bits ^ exchanged) ^ ((turns.wrapping_add(1) & 2) << 62));
+    }
+    (sines, cosines)
 }
 
 fn syntax(at: usize, reason: impl Into<String>) -> Rejected {
@@ -428,6 +655,11 @@ fn parse_rows(
                 at += 1;
                 break;
             }
+            if let Some((value, end)) = plain_number(bytes, at) {
+                values.push(value);
+                at = end;
+                continue;
+            }
             let start = at;
             while at < bytes.len() && !bytes[at].is_ascii_whitespace() {
                 at += 1;
@@ -479,6 +711,87 @@ const EXACT_POWERS: [f64; 23] = [
     1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
 ];
 
+/// Digits below which a mantissa is below 2^53, hence exact.
+const EXACT_DIGITS: usize = 15;
+
+/// Reads a number of the form that motion files are full of, such as -12.345678 or 5.1e-06, and
+/// where it ends; none if it is anything else, which [`parse_number`] then handles.
+///
+/// Digits are taken eight at a time from one 64-bit word.
+fn plain_number(bytes: &[u8], at: usize) -> Option<(f64, usize)> {
+    let negative = bytes.get(at) == Some(&b'-');
+    let mut at = at + usize::from(negative);
+    let (mut mantissa, whole_digits) = eight_digits(bytes, at)?;
+    at += whole_digits;
+    let mut decimals = 0;
+    if bytes.get(at) == Some(&b'.') {
+        let (fraction, found) = eight_digits(bytes, at + 1)?;
+        mantissa = mantissa * INTEGER_POWERS[found] + fraction;
+        decimals = found;
+        at += 1 + found;
+        if found == INTEGER_POWERS.len() - 1 {
+            let (fraction, found) = eight_digits(bytes, at)?;
+            mantissa = mantissa.wrapping_mul(INTEGER_POWERS[found]) + fraction;
+            decimals += found;
+            at += found;
+        }
+    }
+    let num_digits = whole_digits + decimals;
+    if num_digits == 0 || num_digits > EXACT_DIGITS {
+        return None;
+    }
+    let mut end = *bytes.get(at)?;
+    if matches!(end, b'e' | b'E') && bytes.get(at + 1) == Some(&b'-') {
+        let (exponent, found) = eight_digits(bytes, at + 2)?;
+        decimals += usize::try_from(exponent).ok().filter(|_| found > 0)?;
+        at += 2 + found;
+        end = *bytes.get(at)?;
+    }
+    if !end.is_ascii_whitespace() {
+        return None;
+    }
+    let magnitude = mantissa as f64 / EXACT_POWERS.get(decimals)?;
+    Some((if negative { -magnitude } else { magnitude }, at))
+}
+
+const INTEGER_POWERS: [u64; 9] = [
+    1,
+    10,
+    100,
+    1_000,
+    10_000,
+    100_000,
+    1_000_000,
+    10_000_000,
+    100_000_000,
+];
+
+/// The number that up to eight digits make, and how many there are; none within eight bytes of the
+/// end.
+///
+/// # Source
+/// Lemire, "Number Parsing at a Gigabyte per Second" (2021), section 6.
+fn eight_digits(bytes: &[u8], at: usize) -> Option<(u64, usize)> {
+    const ZEROS: u64 = 0x3030_3030_3030_3030;
+    const TOP_BITS: u64 = 0x8080_8080_8080_8080;
+    /// Added to a byte, carries into its top bit from ten on.
+    const TO_TOP_BIT: u64 = 0x7676_7676_7676_7676;
+    /// Every other pair of digits.
+    const PAIRS: u64 = 0x0000_00FF_0000_00FF;
+    let word: [u8; 8] = bytes.get(at..at.checked_add(8)?)?.try_into().ok()?;
+    let digits = u64::from_le_bytes(word) ^ ZEROS;
+    let no_digit = (digits.wrapping_add(TO_TOP_BIT) | digits) & TOP_BITS;
+    let count = no_digit.trailing_zeros() / 8;
+    // Shifted to the end of the word, so that zeros stand before them.
+    let digits = digits.checked_shl(64 - 8 * count).unwrap_or(0);
+    let pairs = digits.wrapping_mul(10).wrapping_add(digits >> 8);
+    let value = (pairs & PAIRS)
+        .wrapping_mul(100 + (1_000_000 << 32))
+        .wrapping_add(((pairs >> 16) & PAIRS).wrapping_mul(1 + (10_000 << 32)))
+        >> 32;
+    Some((value, count as usize))
+}
+
 /// Parses a decimal number, correctly rounded; none if it is no number or not finite.
 ///
 /// Motion files hold numbers of few digits. For those, digits and power of ten are both exact in
@@ -513,8 +826,6 @@ fn parse_number(token: &[u8]) -> Option<f64> {
     if num_digits == 0 {
         return None;
     }
-    /// Digits below which the mantissa is below 2^53, hence exact.
-    const EXACT_DIGITS: usize = 15;
     if at == digits.len() && num_digits <= EXACT_DIGITS {
         let magnitude = mantissa as f64 / EXACT_POWERS[num_decimals as usize];
         return Some(if negative { -magnitude } else { magnitude });
@@ -546,6 +857,13 @@ mod tests {
         let rejected = parse(text).expect_err(text);
         let at = rejected.byte_offset.expect("every rejection has a place") as usize;
         (rejected.code, text[at..].chars().take(8).collect())
+    }
+
+    /// A joint's transform in its parent's frame.
+    fn local(bvh: &Bvh, joint: usize, frame: usize) -> (DVec3, DQuat) {
+        let mut block = LocalBlock::default();
+        block.read(&bvh.joints()[joint], bvh.frame(frame), bvh.num_channels, 1);
+        (block.positions[0], block.rotations[0])
     }
 
     #[test]
@@ -617,7 +935,7 @@ mod tests {
             .replace("0 1 2 0 0 0 0 0 0", "0 1 2 0 0 0 7 90 90 0")
             .replace("0 1 3 90 0 0 0 0 0", "0 1 3 90 0 0 7 90 90 0");
         let bvh = parse(&text).expect("one position channel");
-        let (position, rotation) = bvh.joints()[1].local(bvh.frame(0));
+        let (position, rotation) = local(&bvh, 1, 0);
         assert_eq!(position, DVec3::new(0.0, 7.0, 15.0));
         // About x first, as the later column is the inner one: z goes to -y, then about z to x.
         assert!((rotation * DVec3::Z - DVec3::X).length() < 1e-15);
@@ -690,6 +1008,42 @@ mod tests {
         }
 
         #[test]
+        fn plain_numbers_parse_as_all_others(
+            value in -1e6..1e6f64,
+            digits in 0usize..12,
+            shift in 0i32..9,
+        ) {
+            let scientific = format!("{:.digits$e}", value * 10f64.powi(-shift));
+            for text in [format!("{value:.digits$}"), scientific, format!("{value:e}")] {
+                // Words are read eight bytes at a time, so the number must not be the last one.
+                let line = format!("{text} 0.0 0.0 0.0\n");
+                if let Some((found, end)) = plain_number(line.as_bytes(), 0) {
+                    prop_assert_eq!(Some(found), text.parse().ok(), "{}", text);
+                    prop_assert_eq!(end, text.len());
+                }
+            }
+            let usual = format!("{value:.6} 0.0 0.0 0.0\n");
+            prop_assert!(plain_number(usual.as_bytes(), 0).is_some(), "{}", usual);
+        }
+
+        #[test]
+        fn sines_and_cosines_agree_with_the_standard_library(
+            degrees in prop::collection::vec(
+                prop_oneof![-200.0..200.0f64, -1e8..1e8f64, -1e300..1e300f64], BLOCK,
+            ),
+        ) {
+            let degrees: [f64; BLOCK] = degrees.try_into().expect("a block");
+            let (sines, cosines) = half_angle_sin_cos(&degrees);
+            for (slot, angle) in degrees.into_iter().enumerate() {
+                // The standard library takes radians: an angle of 1e8 degrees is rounded to 1e-10.
+                let tolerance = 1e-15 + 4e-18 * angle.abs();
+                let (sin, cos) = (0.5 * angle.to_radians()).sin_cos();
+                prop_assert!((sines[slot] - sin).abs() <= tolerance, "{angle}");
+                prop_assert!((cosines[slot] - cos).abs() <= tolerance, "{angle}");
+            }
+        }
+
+        #[test]
         fn words_that_are_no_numbers_are_none(text in "[-+.eE0-9naif,]{0,8}") {
             let expected = text.parse::<f64>().ok().filter(|value| value.is_finite());
             prop_assert_eq!(parse_number(text.as_bytes()), expected);
@@ -711,7 +1065,7 @@ mod tests {
                  Frame Time: 0.1\n{a} {b} {c}\n"
             );
             let bvh = parse(&text).expect("valid");
-            let (_, rotation) = bvh.joints()[0].local(bvh.frame(0));
+            let (_, rotation) = local(&bvh, 0, 0);
             let expected =
                 DQuat::from_euler(euler, a.to_radians(), b.to_radians(), c.to_radians());
             prop_assert!(rotation.dot(expected).abs() > 1.0 - 1e-12);
@@ -731,11 +1085,13 @@ mod tests {
             let truncated = &SMALL.as_bytes()[..cut.index(SMALL.len())];
             for candidate in [&bytes[..], &mutated, truncated] {
                 if let Ok(bvh) = Bvh::parse(candidate) {
-                    for frame in 0..bvh.num_frames() {
-                        for joint in bvh.joints() {
-                            prop_assert!(joint.local(bvh.frame(frame)).1.is_finite());
-                        }
-                    }
+                    let needed = vec![true; bvh.joints().len()];
+                    let mut num_visited = 0;
+                    bvh.follow(&needed, &mut |_, placed| {
+                        assert!(placed.iter().all(|bone| bone.rotation.is_finite()));
+                        num_visited += 1;
+                    });
+                    prop_assert_eq!(num_visited, bvh.frames().len());
                 }
             }
         }

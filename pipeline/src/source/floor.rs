@@ -4,7 +4,7 @@ use datasets_spec::{Fps, Pose, Skeleton};
 use glam::DVec3;
 
 /// The joints that meet the floor: both ankles and both feet.
-const FOOT_JOINTS: [usize; 4] = [7, 8, 10, 11];
+pub(crate) const FOOT_JOINTS: [usize; 4] = [7, 8, 10, 11];
 
 /// Share of the frames whose lowest foot joint may lie below the floor. The very lowest value is
 /// noise: one bad frame would lift the whole clip off the floor.
@@ -30,6 +30,16 @@ pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
             FOOT_JOINTS.map(|joint| keypoints[joint])
         })
         .collect();
+    let shift = shift(&feet, fps);
+    for pose in poses {
+        pose.transl.y += shift;
+    }
+    shift
+}
+
+/// The vertical shift in metres that puts the floor at y = 0, from the positions of both ankles and
+/// both feet in every frame, by the rule of [`put_on_floor`].
+pub(crate) fn shift(feet: &[[DVec3; FOOT_JOINTS.len()]], fps: Fps) -> f64 {
     let lowest: Vec<f64> = feet
         .iter()
         .map(|frame| frame.iter().fold(f64::INFINITY, |low, p| low.min(p.y)))
@@ -46,18 +56,16 @@ pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
     if !touches && feet.len() > 1 && floor > AIRBORNE_HEIGHT_M {
         return 0.0;
     }
-    for pose in poses {
-        pose.transl.y -= floor;
-    }
     -floor
 }
 
 /// The value below which a share of the values lies; none if there are no values.
 pub(crate) fn percentile(values: &[f64], share: f64) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let last = sorted.len().checked_sub(1)?;
-    Some(sorted[(share * last as f64).round() as usize])
+    let last = values.len().checked_sub(1)?;
+    let at = (share * last as f64).round() as usize;
+    let mut partly_sorted = values.to_vec();
+    let (_, value, _) = partly_sorted.select_nth_unstable_by(at, f64::total_cmp);
+    Some(*value)
 }
 
 #[cfg(test)]

@@ -195,19 +195,8 @@ mod tests {
     use crate::source::RotationSource;
 
     fn bare_clip() -> SourceClip {
-        SourceClip {
-            motion: Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid"),
-            rotation_source: RotationSource::Native,
-            fit_error_m: None,
-            num_source_frames: 2,
-            first_frame: 0,
-            captions: Vec::new(),
-            part_captions: Vec::new(),
-            action: None,
-            style: None,
-            license: None,
-            notes: Vec::new(),
-        }
+        let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid");
+        SourceClip::new(motion, RotationSource::Native)
     }
 
     #[test]

@@ -5,15 +5,32 @@
 //! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`].
 
 pub mod amass;
+pub mod amass_catalogue;
+pub mod body_model;
 pub mod bvh;
+pub mod c3d;
 pub mod floor;
+pub mod gltf;
+pub mod humanml3d;
+pub mod humanml3d_amass;
+pub mod joblib;
 pub mod labels;
+pub mod motionfix;
 pub mod npy;
+pub(crate) mod npz;
+pub mod pickle;
+mod smpl;
+pub mod stance;
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use crate::retarget::UserMap;
+use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Caption, PartCaption};
-use datasets_spec::{Motion, Skeleton};
+use datasets_spec::{BodyPart, Fps, Motion, Skeleton, Split};
 
 /// A format this crate turns into motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -22,16 +39,79 @@ pub enum Format {
     Bvh,
     /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
     Amass,
+    /// C3D: marker positions of an optical capture.
+    C3d,
+    /// glTF or GLB: animations of a skinned skeleton.
+    Gltf,
+    /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
+    HumanMl3d,
+    /// HumanML3D's clips, cut from AMASS by its `index.csv`.
+    HumanMl3dAmass,
+    /// A folder of the STANCE release.
+    Stance,
+    /// A folder of the MotionFix release.
+    MotionFix,
 }
 
 impl Format {
+    /// Every format, in the order of their names' appearance in the documents.
+    pub const ALL: [Format; 8] = [
+        Self::Bvh,
+        Self::Amass,
+        Self::C3d,
+        Self::Gltf,
+        Self::HumanMl3d,
+        Self::HumanMl3dAmass,
+        Self::Stance,
+        Self::MotionFix,
+    ];
+
     /// The name used in tables and on the command line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Bvh => "bvh",
             Self::Amass => "amass",
+            Self::C3d => "c3d",
+            Self::Gltf => "gltf",
+            Self::HumanMl3d => "humanml3d",
+            Self::HumanMl3dAmass => "humanml3d-amass",
+            Self::Stance => "stance",
+            Self::MotionFix => "motionfix",
         }
     }
+
+    /// Whether one file of this format may hold several motions.
+    pub fn may_hold_several(self) -> bool {
+        self == Self::Gltf
+    }
+}
+
+/// Names of the motions in a file that stands alone; empty if it holds one, or cannot be read.
+pub fn keys_in(format: Format, bytes: &[u8]) -> Vec<String> {
+    match format {
+        Format::Gltf => gltf::keys(bytes),
+        _ => Vec::new(),
+    }
+}
+
+/// The releases among the files, each found by its layout. `humanml3d_index` is the `index.csv` by
+/// which HumanML3D's clips are to be cut from AMASS files.
+///
+/// # Errors
+/// The index cannot be read.
+pub fn find_releases(
+    files: &Files,
+    humanml3d_index: Option<&Path>,
+) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+    let mut releases: Vec<Box<dyn Release>> = Vec::new();
+    // It comes first: it reads captions that would else count as those of no motion.
+    if let Some(index) = humanml3d_index {
+        releases.push(humanml3d_amass::find(files, index)?);
+    }
+    releases.extend(humanml3d::find(files));
+    releases.extend(stance::find(files));
+    releases.extend(motionfix::find(files));
+    Ok(releases)
 }
 
 /// What a file is, judged by its name and first bytes.
@@ -78,10 +158,8 @@ pub struct SourceClip {
     /// Mean distance in metres between the joints of the motion and those of the file, the latter
     /// with their bones brought to this body's lengths; none for native rotations.
     pub fit_error_m: Option<f32>,
-    /// Frames in the file.
-    pub num_source_frames: usize,
-    /// First frame of the file that is in the motion; later ones all are.
-    pub first_frame: usize,
+    /// Frames of the file the motion was made of.
+    pub source_frames: Range<usize>,
     /// What the clip is said to show.
     pub captions: Vec<Caption>,
     /// What single body parts are said to do.
@@ -94,13 +172,96 @@ pub struct SourceClip {
     pub license: Option<String>,
     /// Decisions a reader may want to check, such as the unit that was assumed.
     pub notes: Vec<String>,
+    /// Quality flags that only the reader can see, such as [`crate::check::FLAG_CAPTION_OUTSIDE`].
+    pub flags: u32,
+    /// The captured markers the motion was solved from.
+    pub markers: Option<Markers>,
+    /// The motion this one is an edit of.
+    pub edit_of: Option<EditOf>,
+    /// Body-part masks the source comes with.
+    pub masks: Vec<SourceMask>,
 }
 
-/// What became of a file.
+impl SourceClip {
+    /// A clip of a whole file, with nothing said about it.
+    pub fn new(motion: Motion, rotation_source: RotationSource) -> Self {
+        let num_frames = motion.len();
+        Self {
+            motion,
+            rotation_source,
+            fit_error_m: None,
+            source_frames: 0..num_frames,
+            captions: Vec::new(),
+            part_captions: Vec::new(),
+            action: None,
+            style: None,
+            license: None,
+            notes: Vec::new(),
+            flags: 0,
+            markers: None,
+            edit_of: None,
+            masks: Vec::new(),
+        }
+    }
+}
+
+/// Markers of an optical capture, y up and in metres.
+///
+/// # Shapes
+/// `T` frames of `M = labels.len()` markers, frame by frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Markers {
+    /// Frame rate of the capture.
+    pub fps: Fps,
+    /// Names, `[M]`.
+    pub labels: Vec<String>,
+    /// Positions in metres, `[T * M]`; zero where the residual is negative.
+    pub positions: Vec<[f32; 3]>,
+    /// Reconstruction residuals in metres, `[T * M]`; negative where a marker was not seen.
+    pub residuals: Vec<f32>,
+    /// The known set the labels belong to.
+    pub set: Option<&'static str>,
+    /// Root-mean-square distance in metres between the markers seen in a frame and those of the
+    /// solved body, `[T]`; empty if no body was solved.
+    pub fit_residuals: Vec<f32>,
+}
+
+/// What makes a clip the edit of another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EditOf {
+    /// Id of the motion before the edit.
+    pub source_id: String,
+    /// semantic, style or fine-grained.
+    pub kind: &'static str,
+    /// Style of the edit.
+    pub style: Option<String>,
+    /// Body parts the edit is said to change.
+    pub parts: Vec<BodyPart>,
+    /// What turns the one into the other; empty where the source gives no words.
+    pub instruction: String,
+}
+
+/// A body-part mask that a source comes with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SourceMask {
+    /// The parts it is made of.
+    pub parts: Vec<BodyPart>,
+    /// What the masked parts do; empty where the source does not say.
+    pub text: String,
+}
+
+/// What became of a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// It is a clip.
     Clip(Box<SourceClip>),
+    /// It is a capture whose markers no known set explains, so that no body could be solved.
+    Markers {
+        /// The capture.
+        markers: Box<Markers>,
+        /// Why it has no motion.
+        reason: String,
+    },
     /// It is no motion, though it looked like one.
     Skipped {
         /// Why.
@@ -108,6 +269,144 @@ pub enum Outcome {
     },
     /// It is a motion that cannot be used.
     Rejected(Rejected),
+}
+
+/// The files under the ingested sources, by their relative paths with forward slashes.
+#[derive(Clone, Debug)]
+pub struct Files {
+    store: Arc<dyn Store>,
+    paths: BTreeMap<String, PathBuf>,
+}
+
+impl Files {
+    /// Takes the path of every file by its relative path.
+    pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
+        Self::on(Disk::store(), paths)
+    }
+
+    /// [`Files::new`], reading through the given store.
+    pub fn on(store: Arc<dyn Store>, paths: BTreeMap<String, PathBuf>) -> Self {
+        Self { store, paths }
+    }
+
+    /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
+    pub(crate) fn hash(&self, path: &Path) -> Result<String, String> {
+        self.store.hash(path).map_err(|error| error.to_string())
+    }
+
+    /// Number of files.
+    pub fn len(&self) -> usize {
+        self.paths.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// Whether there is such a file.
+    pub fn contains(&self, relative: &str) -> bool {
+        self.paths.contains_key(relative)
+    }
+
+    /// Where a file is.
+    pub fn path(&self, relative: &str) -> Option<&Path> {
+        self.paths.get(relative).map(PathBuf::as_path)
+    }
+
+    /// The bytes of a file.
+    ///
+    /// # Errors
+    /// `E-IO` if there is no such file or it cannot be read.
+    pub fn read(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| {
+            Rejected::read("E-IO", format!("there is no file {relative} in the source"))
+        })?;
+        self.store
+            .read(path)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// The bytes of a file that lies beside a source; none if there is no such file.
+    pub(crate) fn read_beside(&self, path: &Path) -> Result<Option<Vec<u8>>, Rejected> {
+        use std::io::ErrorKind::{InvalidFilename, IsADirectory, NotADirectory, NotFound};
+
+        match self.store.read(path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(error) => match error.kind() {
+                NotFound | NotADirectory | IsADirectory | InvalidFilename => Ok(None),
+                _ => Err(Rejected::read(
+                    "E-IO",
+                    format!("cannot read {}: {error}", path.display()),
+                )),
+            },
+        }
+    }
+
+    /// Relative paths of all files, sorted.
+    pub fn all(&self) -> impl Iterator<Item = &str> {
+        self.paths.keys().map(String::as_str)
+    }
+
+    /// Relative paths of the files under a folder (`""` for all, otherwise ending in `/`), sorted.
+    pub fn under<'a>(&'a self, folder: &'a str) -> impl Iterator<Item = &'a str> {
+        self.paths
+            .range(folder.to_owned()..)
+            .map(|(relative, _)| relative.as_str())
+            .take_while(move |relative| relative.starts_with(folder))
+    }
+}
+
+/// How files are turned into clips.
+#[derive(Clone, Debug)]
+pub struct ReadOptions {
+    /// Skeleton the motions are posed on.
+    pub skeleton: Skeleton,
+    /// Joint names of the user, which win over those that are known.
+    pub user_map: Option<UserMap>,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self {
+            skeleton: Skeleton::smplx_neutral(),
+            user_map: None,
+        }
+    }
+}
+
+/// One motion in the plan: a whole file, or one of several that a file holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Relative path of the file it is read from.
+    pub file: String,
+    /// Which of the file's motions; empty if it holds one.
+    pub key: String,
+    /// Id the motion is to have.
+    pub id: String,
+    /// The published split; none draws one.
+    pub split: Option<Split>,
+    /// Id of the motion it mirrors.
+    pub mirrored_of: Option<String>,
+}
+
+/// A release: files that belong together and are read by rules of their own.
+pub trait Release: Send + Sync {
+    /// Its format.
+    fn format(&self) -> Format;
+
+    /// Its motions, in an order that depends on the files alone.
+    fn entries(&self) -> &[Entry];
+
+    /// Its files that hold no motion of their own: why each is passed over. Every file of the
+    /// release is named either here, in [`Release::rejected`] or by an entry.
+    fn passed_over(&self) -> &[(String, String)];
+
+    /// Its files that were found broken before any motion was read.
+    fn rejected(&self) -> &[(String, Rejected)];
+
+    /// Reads one motion. Called from many threads at once.
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome;
 }
 
 /// Why a file was put into quarantine.
@@ -195,28 +494,54 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         .unwrap_or_default();
     match extension.as_str() {
         "bvh" => Recognised::Motion(Format::Bvh),
+        "c3d" => Recognised::Motion(Format::C3d),
+        "glb" | "gltf" => Recognised::Motion(Format::Gltf),
         "npz" if name == "shape.npz" => not_motion("body shape of a subject, no motion".to_owned()),
         "npz" if name.ends_with("_stagei.npz") => {
             not_motion("body shape of a subject (MoSh stage i), no motion".to_owned())
         }
         "npz" => Recognised::Motion(Format::Amass),
+        "npy" => humanml3d::recognise_array(head),
         "json" if name.ends_with(crate::sidecar::Sidecar::SUFFIX) => {
             not_motion("sidecar, read with the motion it describes".to_owned())
         }
         "json" | "txt" | "csv" | "md" | "yaml" | "yml" | "toml" | "tsv" => {
             not_motion(format!("{extension} text, no motion"))
         }
-        "pkl" | "pickle" | "pth" | "pt" | "tar" => not_motion(format!(
-            "{extension} file: pickled objects are code and are never executed; convert it to npz"
-        )),
+        "pkl" | "pickle" => Recognised::Motion(Format::Stance),
+        "pth" | "pt" | "tar" => not_motion(format!("{extension} archive of no known release")),
         _ if text.len() >= b"HIERARCHY".len()
             && text[..b"HIERARCHY".len()].eq_ignore_ascii_case(b"HIERARCHY") =>
         {
             Recognised::Motion(Format::Bvh)
         }
+        _ if head.starts_with(b"glTF") => Recognised::Motion(Format::Gltf),
         "" => not_motion("no known motion format".to_owned()),
         _ => not_motion(format!("{extension} is no known motion format")),
     }
+}
+
+/// Whether these are the first bytes of what stands in for a file that was not downloaded.
+pub(crate) fn is_pointer(head: &[u8]) -> bool {
+    head.starts_with(LFS_POINTER)
+}
+
+/// Refuses what stands in for a file that was not downloaded.
+///
+/// # Errors
+/// `E-LFS-POINTER`.
+pub(crate) fn refuse_pointer(bytes: &[u8]) -> Result<(), Rejected> {
+    if !is_pointer(bytes) {
+        return Ok(());
+    }
+    Err(Rejected::read(
+        "E-LFS-POINTER",
+        format!(
+            "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
+            bytes.len()
+        ),
+    )
+    .at(0))
 }
 
 /// Turns the bytes of one file into a clip on the given body.
@@ -226,29 +551,36 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
 pub fn read_clip(
     format: Format,
     path: &Path,
+    key: &str,
     bytes: &[u8],
     companions: &dyn Fn(&str) -> Option<Vec<u8>>,
-    skeleton: &Skeleton,
+    options: &ReadOptions,
 ) -> Outcome {
-    if bytes.starts_with(LFS_POINTER) {
-        return Outcome::Rejected(
-            Rejected::read(
-                "E-LFS-POINTER",
-                format!(
-                    "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
-                    bytes.len()
-                ),
-            )
-            .at(0),
-        );
+    let skeleton = &options.skeleton;
+    if let Err(rejected) = refuse_pointer(bytes) {
+        return Outcome::Rejected(rejected);
     }
     let read = match format {
-        Format::Bvh => bvh::Bvh::parse(bytes).and_then(|bvh| crate::retarget::clip(&bvh, skeleton)),
-        Format::Amass => match amass::read(bytes, skeleton) {
+        Format::Bvh => bvh::Bvh::parse(bytes).and_then(|bvh| crate::retarget::clip(&bvh, options)),
+        Format::Amass => match amass::read(path, bytes, skeleton) {
             Ok(amass::Content::Clip(clip)) => Ok(*clip),
             Ok(amass::Content::NoMotion { reason }) => return Outcome::Skipped { reason },
             Err(rejected) => Err(rejected),
         },
+        Format::Gltf => match gltf::read(bytes, key, options) {
+            Ok(gltf::Content::Clip(clip)) => Ok(*clip),
+            Ok(gltf::Content::NoMotion { reason }) => return Outcome::Skipped { reason },
+            Err(rejected) => Err(rejected),
+        },
+        Format::C3d => match c3d::read(bytes, options) {
+            Outcome::Clip(clip) => Ok(*clip),
+            other => return other,
+        },
+        Format::HumanMl3d => humanml3d::read_array(bytes, skeleton),
+        Format::Stance => stance::read_pickle_motion(bytes, skeleton),
+        Format::HumanMl3dAmass | Format::MotionFix => {
+            unreachable!("a release reads its own files")
+        }
     };
     match read.and_then(|clip| labels::attach(clip, path, companions)) {
         Ok(clip) => Outcome::Clip(Box::new(clip)),
@@ -288,7 +620,13 @@ mod tests {
             ("a/walk.stance.json", b"{}", None),
             ("a/walk.txt", b"", None),
             ("a/LICENSE", b"MIT", None),
-            ("a/walk.pkl", b"\x80\x04", None),
+            ("a/walk.pkl", b"\x80\x04", Some(Format::Stance)),
+            ("a/walk.pkl", LFS_POINTER, Some(Format::Stance)),
+            ("a/walk.pkl", b"cos\nsystem", Some(Format::Stance)),
+            ("a/capture.C3D", b"\x02\x50", Some(Format::C3d)),
+            ("a/robot.glb", b"glTF", Some(Format::Gltf)),
+            ("a/noextension", b"glTF\x02", Some(Format::Gltf)),
+            ("a/weights.pth", b"\x80\x04", None),
             ("", b"", None),
         ] {
             assert_eq!(motion_format(path, head), format, "{path}");
@@ -301,9 +639,10 @@ mod tests {
         let outcome = read_clip(
             Format::Bvh,
             Path::new("walk.bvh"),
+            "",
             pointer,
             &|_| None,
-            &Skeleton::smplx_neutral(),
+            &ReadOptions::default(),
         );
         assert!(matches!(
             outcome,
@@ -321,12 +660,13 @@ mod tests {
         let outcome = read_clip(
             Format::Bvh,
             Path::new("set/dataset-1_walk_proud_001.bvh"),
+            "",
             text.as_bytes(),
             &|name| {
                 (name == "dataset-1_walk_proud_001.txt")
                     .then(|| b"a man walks#a/DET#0.0#0.0".to_vec())
             },
-            &skeleton,
+            &ReadOptions::default(),
         );
         let Outcome::Clip(clip) = outcome else {
             panic!("{outcome:?}");
@@ -384,9 +724,10 @@ mod tests {
         Some(read_clip(
             format,
             path,
+            "",
             &bytes,
             &beside,
-            &Skeleton::smplx_neutral(),
+            &ReadOptions::default(),
         ))
     }
 
@@ -480,7 +821,7 @@ mod tests {
                         );
                     }
                     Some(Outcome::Skipped { reason }) => panic!("{}: {reason}", path.display()),
-                    Some(Outcome::Clip(_)) | None => {}
+                    Some(Outcome::Clip(_) | Outcome::Markers { .. }) | None => {}
                 }
             }
         }

@@ -48,6 +48,38 @@ impl Header {
     /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes,
     /// `E-NPY-DTYPE` for types without a use here, `E-NPY-HEADER` for anything unreadable.
     pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Rejected> {
+        let (header, descr) = Self::parse_text(name, bytes)?;
+        let found = bytes.len() - header.data_start;
+        let needed = header
+            .shape
+            .iter()
+            .try_fold(header.item_len, |product, &extent| {
+                product.checked_mul(extent)
+            });
+        if needed != Some(found) {
+            return Err(Rejected::read(
+                "E-NPY-SHAPE",
+                format!(
+                    "{name}: found {found} bytes of data, expected {} for shape {:?} of {descr}",
+                    needed.map_or("more than 2^64".to_owned(), |needed| needed.to_string()),
+                    header.shape,
+                ),
+            )
+            .at(header.data_start));
+        }
+        Ok(header)
+    }
+
+    /// Shape that an array claims in its first bytes; its data need not be there.
+    ///
+    /// # Errors
+    /// As [`Header::parse`], `E-NPY-SHAPE` excepted.
+    pub(crate) fn peek_shape(name: &str, head: &[u8]) -> Result<Vec<usize>, Rejected> {
+        Self::parse_text(name, head).map(|(header, _)| header.shape)
+    }
+
+    /// Parses the header alone, and returns the type as it is written too.
+    fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Rejected> {
         let bad = |reason: String, at: usize| {
             Rejected::read("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
         };
@@ -101,24 +133,7 @@ impl Header {
             shape: literal.shape,
             data_start,
         };
-        let found = bytes.len() - data_start;
-        let needed = header
-            .shape
-            .iter()
-            .try_fold(item_len, |product, &extent| product.checked_mul(extent));
-        if needed != Some(found) {
-            return Err(Rejected::read(
-                "E-NPY-SHAPE",
-                format!(
-                    "{name}: found {found} bytes of data, expected {} for shape {:?} of {}",
-                    needed.map_or("more than 2^64".to_owned(), |needed| needed.to_string()),
-                    header.shape,
-                    literal.descr,
-                ),
-            )
-            .at(data_start));
-        }
-        Ok(header)
+        Ok((header, literal.descr))
     }
 
     fn num_items(&self) -> usize {

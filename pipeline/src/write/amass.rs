@@ -71,24 +71,23 @@ fn start(archive: &mut ZipWriter<impl Write + Seek>, name: &str) -> io::Result<(
     Ok(archive.start_file(npyz::npz::file_name_from_array_name(name), options)?)
 }
 
-fn array(
+/// Adds an array of numbers.
+pub(crate) fn array<T: npyz::AutoSerialize>(
     archive: &mut ZipWriter<impl Write + Seek>,
     name: &str,
     shape: &[u64],
-    values: &[f64],
+    values: &[T],
 ) -> io::Result<()> {
     start(archive, name)?;
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(shape)
-        .writer(archive)
-        .begin_nd()?;
-    writer.extend(values)?;
-    writer.finish()
+    super::npy::write(archive, shape, values)
 }
 
 /// A string is a 0-d array of UTF-32 text, as numpy writes one.
-fn text(archive: &mut ZipWriter<impl Write + Seek>, name: &str, value: &str) -> io::Result<()> {
+pub(crate) fn text(
+    archive: &mut ZipWriter<impl Write + Seek>,
+    name: &str,
+    value: &str,
+) -> io::Result<()> {
     start(archive, name)?;
     let dtype = format!("<U{}", value.chars().count())
         .parse()

@@ -271,6 +271,28 @@ mod tests {
     }
 
     #[test]
+    fn reading_a_written_file_returns_the_motion() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut poses = crate::retarget::tests::walk(50);
+        crate::source::floor::put_on_floor(&mut poses, Fps::STORE, &skeleton);
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        let bvh = crate::source::bvh::Bvh::parse(encode(&motion, &skeleton).as_bytes());
+        let options = crate::source::ReadOptions::default();
+        let clip = crate::retarget::clip(&bvh.expect("valid"), &options).expect("a body");
+        assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
+        let (found, expected) = (
+            skeleton.motion_keypoints(&clip.motion),
+            skeleton.motion_keypoints(&motion),
+        );
+        for (found, expected) in found.points.iter().zip(&expected.points) {
+            for (a, b) in found.iter().zip(expected) {
+                // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
+                assert!(a.distance(*b) < 1e-5, "{} m apart", a.distance(*b));
+            }
+        }
+    }
+
+    #[test]
     fn a_quarter_turn_about_y_is_no_singularity() {
         for angle in [std::f64::consts::FRAC_PI_2, -std::f64::consts::FRAC_PI_2] {
             let rotation = DQuat::from_rotation_y(angle) * DQuat::from_rotation_x(0.3);

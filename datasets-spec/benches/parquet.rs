@@ -1,0 +1,179 @@
+//! Writing and reading shards, beside what the machine can do in the same run.
+//!
+//! `cargo bench --bench parquet`; one thread. The rates to compare are frames a second of the two
+//! writers and readers against the copy and the matrix product below them.
+
+use std::hint::black_box;
+use std::path::Path;
+
+use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
+use datasets_spec::table::{Quality, read_rows, read_rows_at, write_rows};
+use datasets_spec::{Fps, Motion, MotionId, Pose, Seed, Split};
+use divan::Bencher;
+use divan::counter::{BytesCount, ItemsCount};
+use glam::{DQuat, DVec3};
+use rand::RngExt;
+
+const NUM_CLIPS: usize = 64;
+const NUM_FRAMES: usize = 120;
+
+fn main() {
+    divan::main();
+}
+
+/// A number that wanders as captured joints do: smooth, with noise in the last bits.
+fn wander(rng: &mut datasets_spec::Rng, time: f64, rate: f64) -> f32 {
+    let noise: f64 = rng.random_range(-2e-3..2e-3);
+    ((rate * time).sin() * 0.4 + noise) as f32
+}
+
+fn feature_rows() -> Vec<HumanMl3dRow> {
+    let mut rng = Seed(1).rng(&["bench", "features"]);
+    let rates: Vec<f64> = (0..HUMANML3D_WIDTH)
+        .map(|_| rng.random_range(0.3..6.0))
+        .collect();
+    (0..NUM_CLIPS)
+        .map(|clip| HumanMl3dRow {
+            id: MotionId::parse(&format!("{clip:06}")).expect("valid"),
+            split: Split::Train,
+            recipe: "humanml3d@1".to_owned(),
+            fps: 20.0,
+            n_frames: NUM_FRAMES as i32,
+            features: (0..NUM_FRAMES)
+                .map(|frame| {
+                    let time = frame as f64 / 20.0 + clip as f64;
+                    std::array::from_fn(|column| wander(&mut rng, time, rates[column]))
+                })
+                .collect(),
+        })
+        .collect()
+}
+
+fn motion_rows() -> Vec<MotionRow> {
+    let mut rng = Seed(1).rng(&["bench", "motions"]);
+    (0..NUM_CLIPS)
+        .map(|clip| {
+            let poses: Vec<Pose> = (0..NUM_FRAMES)
+                .map(|frame| {
+                    let time = frame as f64 / 20.0 + clip as f64;
+                    let mut angle = |rate: f64| f64::from(wander(&mut rng, time, rate));
+                    Pose {
+                        transl: DVec3::new(angle(0.5), angle(2.0), angle(0.7)),
+                        rotations: std::array::from_fn(|joint| {
+                            DQuat::from_rotation_x(angle(1.0 + joint as f64 / 4.0))
+                        }),
+                    }
+                })
+                .collect();
+            let motion = Motion::from_poses(Fps::STORE, &poses).expect("finite");
+            MotionRow {
+                id: MotionId::parse(&format!("{clip:06}")).expect("valid"),
+                split: Split::Train,
+                source: "bench".to_owned(),
+                source_path: format!("{clip:06}.npz"),
+                source_hash: String::new(),
+                license: None,
+                mirrored_of: None,
+                skeleton: "smplx-neutral".to_owned(),
+                fps: 20.0,
+                fps_source: 20.0,
+                start_frame: 0,
+                end_frame: NUM_FRAMES as i32,
+                n_frames: NUM_FRAMES as i32,
+                transl: motion.transl().to_vec(),
+                global_orient: motion.global_orient().to_vec(),
+                body_pose: motion.body_pose().to_vec(),
+                rotation_source: "native".to_owned(),
+                fit_error_m: None,
+                captions: Vec::new(),
+                part_captions: Vec::new(),
+                action: None,
+                style: None,
+                notes: Vec::new(),
+                content_hash: motion.content_hash(),
+                quality: Quality::default(),
+            }
+        })
+        .collect()
+}
+
+fn frames() -> ItemsCount {
+    ItemsCount::new(NUM_CLIPS * NUM_FRAMES)
+}
+
+#[divan::bench]
+fn write_humanml3d(bencher: Bencher) {
+    let rows = feature_rows();
+    bencher
+        .counter(frames())
+        .bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
+}
+
+#[divan::bench]
+fn write_motions(bencher: Bencher) {
+    let rows = motion_rows();
+    bencher
+        .counter(frames())
+        .bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
+}
+
+#[divan::bench]
+fn read_motions(bencher: Bencher) {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("shard.parquet");
+    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
+    std::fs::write(&path, bytes).expect("written");
+    bencher
+        .counter(frames())
+        .bench_local(|| read_rows::<MotionRow>(black_box(&path)).expect("reads"));
+}
+
+#[divan::bench]
+fn read_one_motion(bencher: Bencher) {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("shard.parquet");
+    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
+    std::fs::write(&path, bytes).expect("written");
+    bencher
+        .counter(ItemsCount::new(NUM_FRAMES))
+        .bench_local(|| read_rows_at::<MotionRow>(black_box(&path), &[NUM_CLIPS / 2]));
+}
+
+mod calibration {
+    use super::*;
+
+    /// Bytes of a copy that fits in no cache of the machines this runs on.
+    const COPY_BYTES: usize = 64 << 20;
+    const SIDE: usize = 512;
+
+    #[divan::bench]
+    fn copy(bencher: Bencher) {
+        let from = vec![1u8; COPY_BYTES];
+        let mut to = vec![0u8; COPY_BYTES];
+        bencher
+            .counter(BytesCount::new(2 * COPY_BYTES))
+            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
+    }
+
+    /// A product of two square matrices as the compiler vectorises it; `items` are floating-point
+    /// operations.
+    #[divan::bench]
+    fn matrix_product(bencher: Bencher) {
+        let a = vec![1.0f32; SIDE * SIDE];
+        let b = vec![1.0f32; SIDE * SIDE];
+        let mut c = vec![0.0f32; SIDE * SIDE];
+        bencher
+            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
+            .bench_local(|| {
+                c.fill(0.0);
+                for (row, out) in a.chunks_exact(SIDE).zip(c.chunks_exact_mut(SIDE)) {
+                    for (scale, line) in row.iter().zip(b.chunks_exact(SIDE)) {
+                        for (sum, value) in out.iter_mut().zip(line) {
+                            *sum += scale * value;
+                        }
+                    }
+                }
+                black_box(&c);
+            });
+    }
+}

@@ -1,0 +1,192 @@
+//! Drawings as pixels: PNG of a still one, GIF of a moving one.
+//!
+//! The font comes with the program, so a picture is the same on every machine.
+
+use std::sync::Arc;
+
+use gif::{Encoder, Frame, Repeat};
+use resvg::tiny_skia::{Color, Pixmap, Transform};
+use resvg::usvg::{Options, Tree, fontdb};
+
+use super::strip::{Row, Style, moment};
+
+/// Pictures of a second of a GIF. Times are stored in hundredths, and many viewers slow down
+/// anything shorter than two of them.
+const GIF_FPS: f64 = 20.0;
+/// Most pictures of a GIF: half a minute.
+const MAX_FRAMES: usize = 600;
+/// How coarsely the colours of a GIF are chosen, from 1 (best) to 30 (fastest).
+const QUANTISER_SPEED: i32 = 10;
+
+/// Why a drawing cannot become pixels.
+#[derive(Debug, thiserror::Error)]
+pub enum RasterError {
+    /// The drawing is no SVG; a bug of whatever made it.
+    #[error("the drawing is no valid SVG")]
+    Svg(#[from] resvg::usvg::Error),
+    /// The picture would have no pixel, or too many.
+    #[error("a picture of {width} x {height} pixels cannot be made")]
+    Size {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+    },
+    /// The PNG could not be encoded.
+    #[error("the picture cannot be encoded as PNG: {reason}")]
+    Png {
+        /// What the encoder says.
+        reason: String,
+    },
+    /// The GIF could not be encoded.
+    #[error("the picture cannot be encoded as GIF")]
+    Gif(#[from] gif::EncodingError),
+}
+
+/// The fonts of every picture.
+fn options() -> Options<'static> {
+    let mut fonts = fontdb::Database::new();
+    fonts.load_font_data(dejavu::sans::regular().to_vec());
+    fonts.load_font_data(dejavu::sans::bold().to_vec());
+    for set in [
+        fontdb::Database::set_sans_serif_family,
+        fontdb::Database::set_serif_family,
+        fontdb::Database::set_monospace_family,
+    ] {
+        set(&mut fonts, "DejaVu Sans");
+    }
+    Options {
+        font_family: "DejaVu Sans".to_owned(),
+        fontdb: Arc::new(fonts),
+        ..Options::default()
+    }
+}
+
+/// Draws an SVG document on white.
+fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError> {
+    let tree = Tree::from_str(svg, options)?;
+    let size = tree.size();
+    let (width, height) = (
+        (size.width() * zoom).ceil() as u32,
+        (size.height() * zoom).ceil() as u32,
+    );
+    let mut pixmap = Pixmap::new(width, height).ok_or(RasterError::Size { width, height })?;
+    pixmap.fill(Color::WHITE);
+    resvg::render(
+        &tree,
+        Transform::from_scale(zoom, zoom),
+        &mut pixmap.as_mut(),
+    );
+    Ok(pixmap)
+}
+
+/// An SVG document as PNG, `zoom` pixels to each of its own.
+///
+/// # Errors
+/// The document is no SVG, or the picture has no pixel.
+pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
+    let pixmap = pixels(svg, &options(), zoom)?;
+    pixmap.encode_png().map_err(|error| RasterError::Png {
+        reason: error.to_string(),
+    })
+}
+
+/// Clips beside each other as a GIF that repeats without end.
+///
+/// # Errors
+/// There is no clip, or the picture is too large.
+pub fn gif(rows: &[Row], style: &Style, zoom: f32) -> Result<Vec<u8>, RasterError> {
+    let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
+    let count = ((longest * GIF_FPS).floor() as usize + 1).min(MAX_FRAMES);
+    let options = options();
+    let mut out = Vec::new();
+    let mut encoder: Option<Encoder<&mut Vec<u8>>> = None;
+    let mut target = Some(&mut out);
+    for index in 0..count {
+        let svg = moment(rows, index as f64 / GIF_FPS, style);
+        let mut pixmap = pixels(&svg, &options, zoom)?;
+        let (width, height) = (pixmap.width(), pixmap.height());
+        let size = RasterError::Size { width, height };
+        let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height)) else {
+            return Err(size);
+        };
+        if let Some(out) = target.take() {
+            let mut started = Encoder::new(out, width, height, &[])?;
+            started.set_repeat(Repeat::Infinite)?;
+            encoder = Some(started);
+        }
+        let mut frame = Frame::from_rgba_speed(width, height, pixmap.data_mut(), QUANTISER_SPEED);
+        frame.delay = (100.0 / GIF_FPS) as u16;
+        if let Some(encoder) = &mut encoder {
+            encoder.write_frame(&frame)?;
+        }
+    }
+    drop(encoder);
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
+
+    use super::*;
+
+    fn rows() -> Vec<Row> {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses: Vec<Pose> = (0..11)
+            .map(|frame| {
+                let mut pose = Pose::REST;
+                pose.rotations[16] = datasets_spec::rotation::from_axis_angle(
+                    glam::DVec3::Z * 0.1 * f64::from(frame),
+                );
+                pose
+            })
+            .collect();
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        vec![Row {
+            label: "waving".to_owned(),
+            keypoints: skeleton.motion_keypoints(&motion),
+            highlighted: JointSet::EMPTY,
+        }]
+    }
+
+    #[test]
+    fn a_png_is_as_large_as_asked_and_not_blank() {
+        let svg = moment(&rows(), 0.0, &Style::default());
+        let small = pixels(&svg, &options(), 1.0).expect("drawn");
+        let large = pixels(&svg, &options(), 2.0).expect("drawn");
+        assert_eq!(
+            (2 * small.width(), 2 * small.height()),
+            (large.width(), large.height())
+        );
+        let dark = small.pixels().iter().filter(|p| p.red() < 128).count();
+        assert!(dark > 50, "{dark} dark pixels: the figure and its label");
+        assert!(png(&svg, 1.0).expect("encoded").starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn a_gif_has_a_picture_for_each_moment_and_they_differ() {
+        let bytes = gif(&rows(), &Style::default(), 0.5).expect("encoded");
+        let mut decoder = gif::DecodeOptions::new()
+            .read_info(bytes.as_slice())
+            .expect("a GIF");
+        let mut frames = Vec::new();
+        while let Some(frame) = decoder.read_next_frame().expect("a frame") {
+            frames.push((frame.delay, frame.buffer.to_vec()));
+        }
+        assert_eq!(frames.len(), 11);
+        assert!(frames.iter().all(|(delay, _)| *delay == 5));
+        assert_ne!(frames[0].1, frames[10].1);
+    }
+
+    #[test]
+    fn text_is_drawn_with_the_font_the_program_carries() {
+        let plain = r#"<svg xmlns="http://www.w3.org/2000/svg" width="60" height="20"></svg>"#;
+        let said = plain.replace("></svg>", r#"><text x="2" y="15">Hips</text></svg>"#);
+        assert_ne!(
+            png(plain, 1.0).expect("drawn"),
+            png(&said, 1.0).expect("drawn")
+        );
+        assert!(png("<svg", 1.0).is_err());
+    }
+}

@@ -1,0 +1,217 @@
+//! BVH text to rows of Parquet on one thread, beside a calibration of the machine.
+//!
+//! Throughputs of the file's stages are in source frames, those of the calibration in floating-point
+//! operations and bytes.
+
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::{Quality, write_rows};
+use datasets_spec::{Fps, Motion, MotionId, Resample, Split};
+use divan::counter::{BytesCount, ItemsCount};
+use divan::{Bencher, black_box};
+use pipeline::check::check;
+use pipeline::retarget;
+use pipeline::source::ReadOptions;
+use pipeline::source::bvh::Bvh;
+
+/// Frames of the synthetic file: a clip of half a minute.
+const NUM_FRAMES: usize = 1000;
+
+/// Name, depth and offset in centimetres of the joints of a Bandai-Namco file, whose bones lie
+/// along x and whose joints all have positions and rotations.
+const JOINTS: [(&str, usize, f64); 22] = [
+    ("joint_Root", 0, 0.0),
+    ("Hips", 1, 93.0),
+    ("Spine", 2, 15.0),
+    ("Chest", 3, 20.0),
+    ("Neck", 4, 22.0),
+    ("Head", 5, 12.0),
+    ("Shoulder_L", 4, 12.0),
+    ("UpperArm_L", 5, 13.0),
+    ("LowerArm_L", 6, 28.0),
+    ("Hand_L", 7, 24.0),
+    ("Shoulder_R", 4, 12.0),
+    ("UpperArm_R", 5, 13.0),
+    ("LowerArm_R", 6, 28.0),
+    ("Hand_R", 7, 24.0),
+    ("UpperLeg_L", 2, 9.0),
+    ("LowerLeg_L", 3, 42.0),
+    ("Foot_L", 4, 41.0),
+    ("Toes_L", 5, 14.0),
+    ("UpperLeg_R", 2, 9.0),
+    ("LowerLeg_R", 3, 42.0),
+    ("Foot_R", 4, 41.0),
+    ("Toes_R", 5, 14.0),
+];
+
+fn main() {
+    divan::main();
+}
+
+/// A file of 22 joints with six channels each at 30 fps, six decimals a number.
+fn file() -> String {
+    let mut text = "HIERARCHY\n".to_owned();
+    for (index, (name, depth, offset)) in JOINTS.into_iter().enumerate() {
+        let keyword = if depth == 0 { "ROOT" } else { "JOINT" };
+        text += &format!(
+            "{keyword} {name}\n{{\nOFFSET {offset} 0 0\nCHANNELS 6 Xposition Yposition Zposition \
+             Zrotation Xrotation Yrotation\n"
+        );
+        let next_depth = JOINTS.get(index + 1).map_or(0, |next| next.1);
+        for _ in next_depth..=depth {
+            text += "}\n";
+        }
+    }
+    text += &format!("MOTION\nFrames: {NUM_FRAMES}\nFrame Time: 0.033333\n");
+    for frame in 0..NUM_FRAMES {
+        let row: Vec<String> = JOINTS
+            .iter()
+            .enumerate()
+            .flat_map(|(index, joint)| {
+                let phase = 0.1 * frame as f64 + index as f64;
+                let swing = |amplitude: f64, shift: f64| amplitude * (phase + shift).sin();
+                let turns = [swing(40.0, 0.0), swing(25.0, 1.0), swing(100.0, 2.0)];
+                [joint.2, 0.0, 0.0].into_iter().chain(turns)
+            })
+            .map(|value| format!("{value:.6}"))
+            .collect();
+        text += &row.join(" ");
+        text += "\n";
+    }
+    text
+}
+
+fn frames() -> ItemsCount {
+    ItemsCount::new(NUM_FRAMES)
+}
+
+#[divan::bench]
+fn parse(bencher: Bencher) {
+    let text = file();
+    bencher
+        .counter(frames())
+        .bench_local(|| Bvh::parse(black_box(text.as_bytes())).expect("valid"));
+}
+
+fn motion_of(text: &str) -> Motion {
+    let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+    let clip = retarget::clip(&bvh, &ReadOptions::default()).expect("a body");
+    clip.motion
+}
+
+#[divan::bench]
+fn parse_and_retarget(bencher: Bencher) {
+    let text = file();
+    bencher
+        .counter(frames())
+        .bench_local(|| motion_of(black_box(&text)));
+}
+
+#[divan::bench]
+fn parse_retarget_and_resample(bencher: Bencher) {
+    let text = file();
+    bencher.counter(frames()).bench_local(|| {
+        let motion = motion_of(black_box(&text));
+        Resample::Exact
+            .apply(&motion, Fps::STORE)
+            .expect("resamples")
+    });
+}
+
+#[divan::bench]
+fn to_parquet(bencher: Bencher) {
+    let text = file();
+    bencher.counter(frames()).bench_local(|| {
+        let motion = motion_of(black_box(&text));
+        let motion = Resample::Exact
+            .apply(&motion, Fps::STORE)
+            .expect("resamples");
+        let mut bytes = Vec::new();
+        let rows = [row(&motion)];
+        write_rows(&mut bytes, Path::new("bench.parquet"), &rows, &[]).expect("written");
+        bytes
+    });
+}
+
+fn row(motion: &Motion) -> MotionRow {
+    let skeleton = ReadOptions::default().skeleton;
+    // The synthetic joints whirl faster than any body, which the check says; its work is done.
+    let quality = check(motion, &skeleton).unwrap_or(Quality {
+        flags: 0,
+        max_speed: 0.0,
+        foot_skate: 0.0,
+    });
+    MotionRow {
+        id: MotionId::parse("bench").expect("valid"),
+        split: Split::Train,
+        source: "bvh".to_owned(),
+        source_path: "bench.bvh".to_owned(),
+        source_hash: String::new(),
+        license: None,
+        mirrored_of: None,
+        skeleton: skeleton.name().to_owned(),
+        fps: motion.fps().get() as f32,
+        fps_source: 30.0,
+        start_frame: 0,
+        end_frame: NUM_FRAMES as i32,
+        n_frames: motion.len() as i32,
+        transl: motion.transl().to_vec(),
+        global_orient: motion.global_orient().to_vec(),
+        body_pose: motion.body_pose().to_vec(),
+        rotation_source: "retargeted".to_owned(),
+        fit_error_m: None,
+        captions: Vec::new(),
+        part_captions: Vec::new(),
+        action: None,
+        style: None,
+        notes: Vec::new(),
+        content_hash: motion.content_hash(),
+        quality,
+    }
+}
+
+/// Edge of the matrices of the calibration.
+const EDGE: usize = 512;
+
+/// A plain matrix product, blocked so that a block of each matrix stays in the first cache.
+#[divan::bench]
+fn calibration_matrix_product(bencher: Bencher) {
+    const BLOCK: usize = 64;
+    let a = vec![1.5f32; EDGE * EDGE];
+    let b = vec![0.25f32; EDGE * EDGE];
+    let mut c = vec![0.0f32; EDGE * EDGE];
+    let operations = 2 * EDGE * EDGE * EDGE;
+    bencher
+        .counter(ItemsCount::new(operations))
+        .bench_local(|| {
+            c.fill(0.0);
+            for k0 in (0..EDGE).step_by(BLOCK) {
+                for (a_row, c_row) in black_box(&a)
+                    .chunks_exact(EDGE)
+                    .zip(c.chunks_exact_mut(EDGE))
+                {
+                    for k in k0..k0 + BLOCK {
+                        let factor = a_row[k];
+                        let b_row = &b[k * EDGE..][..EDGE];
+                        for (sum, value) in c_row.iter_mut().zip(b_row) {
+                            *sum += factor * value;
+                        }
+                    }
+                }
+            }
+            black_box(c[EDGE + 1])
+        });
+}
+
+/// Copying more than any cache holds.
+#[divan::bench]
+fn calibration_copy(bencher: Bencher) {
+    const LEN: usize = 256 << 20;
+    let from = vec![1u8; LEN];
+    let mut to = vec![0u8; LEN];
+    bencher.counter(BytesCount::new(LEN)).bench_local(|| {
+        to.copy_from_slice(black_box(&from));
+        black_box(to[LEN / 2])
+    });
+}

@@ -1,0 +1,401 @@
+//! HumanML3D folders: features, joints, captions, split lists and statistics.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use datasets_spec::record::{HUMANML3D_WIDTH, MotionRow};
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use datasets_spec::table::{Caption, Row, read_rows};
+use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
+use polars::prelude::{ParquetReader, SerReader};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::feature::humanml3d::{Features, features_of_joints, joints_of_motion, recover_joints};
+use crate::feature::{Statistics, smpl_body};
+use crate::source::humanml3d::is_id;
+use crate::write::npy;
+
+/// Writes a HumanML3D folder, and returns how many clips are in it.
+///
+/// A clip of `L` frames has `L - 1` frames of features and of joints, as published. Clips whose id
+/// is none of HumanML3D get a running number of six digits; `ids.csv` tells which, and why a clip
+/// was left out. Captions without tokens get their words as tokens with the tag `OTHER`, since
+/// loaders of this layout cannot do without.
+///
+/// Joints are those of a SMPL body in the pose, as in the published set: the bones point as SMPL's
+/// do, and are as long as those of the dataset's body until the recipe gives them its own lengths.
+///
+/// # Errors
+/// The dataset cannot be read or a file cannot be written.
+pub(super) fn write(
+    dataset: &Dataset,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let skeleton = smpl_body(&dataset.skeleton()?);
+    let mut writer = Writer::new(folder, names(dataset)?)?;
+    let shards = dataset.files(MotionRow::TABLE, None);
+    let total = shards.iter().map(|(_, file)| file.rows).sum();
+    progress.begin("export humanml3d", Some(total));
+    for (path, _) in shards {
+        let rows = read_rows::<MotionRow>(&path)?;
+        let clips: Vec<Result<Vec<Features>, String>> = rows
+            .par_iter()
+            .map(|row| {
+                let features = features_of(row, &skeleton);
+                progress.advance(1);
+                features
+            })
+            .collect();
+        for (row, clip) in rows.iter().zip(clips) {
+            writer.take(row, clip)?;
+        }
+    }
+    let clips = writer.finish()?;
+    progress.finish(&format!("{clips} clips"));
+    Ok(clips)
+}
+
+/// The features of a clip, or why it has none.
+fn features_of(row: &MotionRow, skeleton: &Skeleton) -> Result<Vec<Features>, String> {
+    let text = |error: &dyn std::fmt::Display| error.to_string();
+    let motion = row.motion().map_err(|error| text(&error))?;
+    let motion = Resample::Exact
+        .apply(&motion, Fps::STORE)
+        .map_err(|error| text(&error))?;
+    features_of_joints(&joints_of_motion(&motion, skeleton)).map_err(|error| text(&error))
+}
+
+/// The name each motion gets, by its id.
+fn names(dataset: &Dataset) -> Result<BTreeMap<String, String>, Error> {
+    let ids = ids(dataset)?;
+    let mut names: BTreeMap<String, String> = ids
+        .iter()
+        .filter(|(id, _)| is_id(id))
+        .map(|(id, _)| (id.clone(), id.clone()))
+        .collect();
+    let mut taken: BTreeSet<String> = names.values().cloned().collect();
+    let mut next = 0u64;
+    let mut number = |taken: &mut BTreeSet<String>| {
+        loop {
+            let name = format!("{next:06}");
+            next += 1;
+            // The name of the mirror image must be free as well.
+            if !taken.contains(&format!("M{name}")) && taken.insert(name.clone()) {
+                return name;
+            }
+        }
+    };
+    let is_copy = |original: &Option<String>| original.is_some();
+    let (copies, originals): (Vec<_>, Vec<_>) = ids
+        .iter()
+        .filter(|(id, _)| !is_id(id))
+        .partition(|(_, original)| is_copy(original));
+    for (id, _) in originals {
+        names.insert(id.clone(), number(&mut taken));
+    }
+    for (id, original) in copies {
+        let mirrored = original
+            .as_ref()
+            .and_then(|original| names.get(original))
+            .map(|name| format!("M{name}"))
+            .filter(|name| taken.insert(name.clone()));
+        let name = mirrored.unwrap_or_else(|| number(&mut taken));
+        names.insert(id.clone(), name);
+    }
+    Ok(names)
+}
+
+/// Every motion's id and that of the motion it mirrors; no other column is read.
+fn ids(dataset: &Dataset) -> Result<Vec<(String, Option<String>)>, Error> {
+    let wrap = |source| Error::Query {
+        table: MotionRow::TABLE,
+        dataset: dataset.root().to_owned(),
+        source,
+    };
+    let mut ids = Vec::new();
+    for (path, entry) in dataset.files(MotionRow::TABLE, None) {
+        if entry.rows == 0 {
+            continue;
+        }
+        let file = File::open(&path).map_err(Error::io("open", &path))?;
+        let columns = ["id", "mirrored_of"].map(str::to_owned).to_vec();
+        let frame = ParquetReader::new(file)
+            .with_columns(Some(columns))
+            .finish()
+            .map_err(wrap)?;
+        let texts = |name| frame.column(name).and_then(|column| column.str());
+        let (id, original) = (
+            texts("id").map_err(wrap)?,
+            texts("mirrored_of").map_err(wrap)?,
+        );
+        for row in 0..frame.height() {
+            if let Some(id) = id.get(row) {
+                ids.push((id.to_owned(), original.get(row).map(str::to_owned)));
+            }
+        }
+    }
+    Ok(ids)
+}
+
+/// A folder in the making.
+struct Writer {
+    root: PathBuf,
+    names: BTreeMap<String, String>,
+    by_split: BTreeMap<Split, Vec<String>>,
+    statistics: Statistics,
+    ids: BufWriter<File>,
+    clips: u64,
+}
+
+impl Writer {
+    fn new(root: &Path, names: BTreeMap<String, String>) -> Result<Self, Error> {
+        for folder in ["new_joint_vecs", "new_joints", "texts"] {
+            let path = root.join(folder);
+            fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+        }
+        let path = root.join("ids.csv");
+        let mut ids = BufWriter::new(File::create(&path).map_err(Error::io("create", &path))?);
+        writeln!(ids, "name,id,left_out").map_err(Error::io("write", &path))?;
+        Ok(Self {
+            root: root.to_owned(),
+            names,
+            by_split: BTreeMap::new(),
+            statistics: Statistics::default(),
+            ids,
+            clips: 0,
+        })
+    }
+
+    /// Writes a clip, or notes why there is none.
+    fn take(&mut self, row: &MotionRow, clip: Result<Vec<Features>, String>) -> Result<(), Error> {
+        let id = row.id.as_str();
+        let name = self.names.get(id).cloned().unwrap_or_default();
+        let reason = clip.as_ref().err().map_or("", String::as_str);
+        self.note([&name, id, reason])?;
+        let Ok(features) = clip else {
+            return Ok(());
+        };
+        let joints: Vec<f32> = recover_joints(&features)
+            .iter()
+            .flatten()
+            .flat_map(|joint| joint.as_vec3().to_array())
+            .collect();
+        let frames = features.len() as u64;
+        let (vectors, width) = (features.as_flattened(), HUMANML3D_WIDTH as u64);
+        let shape = [frames, NUM_BODY_JOINTS as u64, 3];
+        self.array(
+            &format!("new_joint_vecs/{name}.npy"),
+            &[frames, width],
+            vectors,
+        )?;
+        self.array(&format!("new_joints/{name}.npy"), &shape, &joints)?;
+        if !row.captions.is_empty() {
+            let lines: String = row.captions.iter().map(caption_line).collect();
+            self.file(&format!("texts/{name}.txt"), lines.as_bytes())?;
+        }
+        self.statistics.take(&features);
+        self.by_split.entry(row.split).or_default().push(name);
+        self.clips += 1;
+        Ok(())
+    }
+
+    /// Writes the lists and the statistics.
+    fn finish(mut self) -> Result<u64, Error> {
+        self.ids
+            .flush()
+            .map_err(Error::io("write", self.root.join("ids.csv")))?;
+        for (file, splits) in [
+            ("train.txt", &[Split::Train][..]),
+            ("val.txt", &[Split::Val]),
+            ("test.txt", &[Split::Test]),
+            ("train_val.txt", &[Split::Train, Split::Val]),
+            ("all.txt", &Split::ALL),
+        ] {
+            let listed = splits.iter().filter_map(|split| self.by_split.get(split));
+            let mut names: Vec<&str> = listed.flatten().map(String::as_str).collect();
+            names.sort_unstable();
+            let lines: String = names.iter().flat_map(|name| [*name, "\n"]).collect();
+            self.file(file, lines.as_bytes())?;
+        }
+        let width = [HUMANML3D_WIDTH as u64];
+        self.array("Mean.npy", &width, &self.statistics.mean())?;
+        self.array("Std.npy", &width, &self.statistics.group_std())?;
+        Ok(self.clips)
+    }
+
+    fn note(&mut self, fields: [&str; 3]) -> Result<(), Error> {
+        let mut line = csv::Writer::from_writer(&mut self.ids);
+        line.write_record(fields)
+            .map_err(std::io::Error::from)
+            .and_then(|()| line.flush())
+            .map_err(Error::io("write", self.root.join("ids.csv")))
+    }
+
+    fn array(&self, name: &str, shape: &[u64], values: &[f32]) -> Result<(), Error> {
+        let bytes = npy::encode(shape, values).map_err(Error::io("encode", name))?;
+        self.file(name, &bytes)
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        let path = self.root.join(name);
+        fs::write(&path, bytes).map_err(Error::io("write", &path))
+    }
+}
+
+/// A caption as `text#tokens#from#to`.
+fn caption_line(caption: &Caption) -> String {
+    // A line break would end the caption; a hash sign in the tokens would end them.
+    let text = caption.text.replace(['\r', '\n'], " ");
+    let tokens = match caption.tokens.as_str() {
+        "" => words(&text),
+        tokens => tokens.replace(['\r', '\n', '#'], " "),
+    };
+    format!("{text}#{tokens}#{:?}#{:?}\n", caption.from_s, caption.to_s)
+}
+
+/// Words with the tag of those whose kind is unknown.
+fn words(text: &str) -> String {
+    let words: Vec<String> = text
+        .split(|c: char| !c.is_alphabetic())
+        .filter(|word| !word.is_empty())
+        .map(|word| format!("{}/OTHER", word.to_lowercase()))
+        .collect();
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::feature::humanml3d::{UNIFORM_BONES, process_joints};
+    use crate::ingest::{IngestOptions, ingest};
+    use crate::retarget::tests::walk;
+    use crate::source::npy::read_numbers;
+    use datasets_spec::{Motion, NoProgress};
+
+    fn ingested(source: &Path, out: &Path) -> Dataset {
+        let sources = [PathBuf::from(source)];
+        ingest(
+            &sources,
+            out,
+            &IngestOptions::default(),
+            "test",
+            &NoProgress,
+        )
+        .expect("plain files")
+        .dataset
+    }
+
+    fn points(path: &Path) -> Vec<DVec3> {
+        let bytes = fs::read(path).expect("written");
+        let array = read_numbers("joints", &bytes).expect("an array");
+        array
+            .values
+            .chunks_exact(3)
+            .map(DVec3::from_slice)
+            .collect()
+    }
+
+    fn read(path: PathBuf) -> String {
+        fs::read_to_string(path).expect("written")
+    }
+
+    #[test]
+    fn what_is_exported_comes_back() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir_all(at("in/KIT")).expect("made");
+        let skeleton = Skeleton::smplx_neutral();
+        let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
+        let bytes = crate::write::amass::encode(&motion, &skeleton).expect("encoded");
+        fs::write(at("in/KIT/walk_poses.npz"), bytes).expect("written");
+        fs::write(
+            at("in/KIT/walk_poses.txt"),
+            "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\nhe walks, fast##0.5#1.5\n",
+        )
+        .expect("written");
+        let first = ingested(&at("in"), &at("first"));
+        fs::create_dir_all(at("out")).expect("made");
+        assert_eq!(write(&first, &at("out"), &NoProgress).expect("written"), 1);
+
+        let rows = |dataset: &Dataset| dataset.read::<MotionRow>(None).expect("read");
+        let before = rows(&first)[0].clone();
+        let body = smpl_body(&skeleton);
+        let joints = joints_of_motion(&before.motion().expect("valid"), &body);
+        let processed = process_joints(&joints, &UNIFORM_BONES).expect("long enough");
+        let stored = points(&at("out/new_joints/000000.npy"));
+        assert_eq!(stored.len(), 59 * NUM_BODY_JOINTS, "one frame less");
+        for (stored, processed) in stored.iter().zip(processed.as_flattened()) {
+            // Positions in f32, of which the root is a sum of 60 velocities.
+            assert!((*stored - *processed).length() < 1e-5);
+        }
+        assert_eq!(
+            read(at("out/ids.csv")),
+            "name,id,left_out\n000000,KIT/walk_poses,\n"
+        );
+        assert_eq!(
+            read(at("out/texts/000000.txt")),
+            "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\n\
+             he walks, fast#he/OTHER walks/OTHER fast/OTHER#0.5#1.5\n"
+        );
+        assert_eq!(read(at("out/all.txt")), "000000\n");
+
+        let again = ingested(&at("out"), &at("again"));
+        let rows = rows(&again);
+        assert_eq!(rows.len(), 1, "joints and vector are one clip");
+        let after = &rows[0];
+        assert_eq!((after.id.as_str(), after.split), ("000000", before.split));
+        assert_eq!(after.captions[0], before.captions[0]);
+        let joints = joints_of_motion(&after.motion().expect("valid"), &body);
+        let back = process_joints(&joints, &UNIFORM_BONES).expect("long enough");
+        let apart = back
+            .as_flattened()
+            .iter()
+            .zip(processed.as_flattened())
+            .map(|(a, b)| a.distance(*b))
+            .sum::<f64>()
+            / back.as_flattened().len() as f64;
+        // The pelvis and the chest have one rotation for three bones each.
+        assert!(apart < 0.02, "{apart}");
+    }
+
+    #[test]
+    fn published_ids_are_kept_and_others_fill_the_gaps() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir_all(at("in/new_joint_vecs")).expect("made");
+        let skeleton = Skeleton::smplx_neutral();
+        let motion = Motion::from_poses(Fps::STORE, &walk(30)).expect("valid");
+        let features =
+            features_of_joints(&joints_of_motion(&motion, &skeleton)).expect("long enough");
+        let vector = npy::encode(&[29, 263], features.as_flattened()).expect("encoded");
+        for id in ["000000", "M000000", "M000001", "walk"] {
+            fs::write(at("in/new_joint_vecs").join(format!("{id}.npy")), &vector).expect("written");
+        }
+        let dataset = ingested(&at("in"), &at("first"));
+        let names = names(&dataset).expect("read");
+        assert_eq!(names["M000001"], "M000001");
+        assert_eq!(
+            names["walk"], "000002",
+            "000000 is taken, M000001 is another's mirror"
+        );
+        fs::create_dir_all(at("out")).expect("made");
+        assert_eq!(
+            write(&dataset, &at("out"), &NoProgress).expect("written"),
+            4
+        );
+        let array = |name: &str| {
+            let bytes = fs::read(at("out").join(name)).expect("written");
+            read_numbers(name, &bytes).expect("an array")
+        };
+        assert_eq!(array("Mean.npy").shape, [263]);
+        let std = array("Std.npy").values;
+        // One spread for each group of features.
+        assert!(std[4..67].iter().all(|&value| value == std[4]));
+    }
+}

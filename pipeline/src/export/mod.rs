@@ -1,0 +1,137 @@
+//! Datasets in the layouts that other tools read.
+//!
+//! An export appears whole or not at all: it is written to a folder beside the one asked for, which
+//! gets its name when everything is in it.
+
+mod amass;
+mod clips;
+mod humanml3d;
+mod lerobot;
+mod stance;
+mod webdataset;
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::{Dataset, Progress};
+
+use crate::Error;
+
+/// A layout to export to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Layout {
+    /// AMASS npz files with the keys of the SMPL-X releases.
+    Amass,
+    /// A HumanML3D folder.
+    HumanMl3d,
+    /// The layout of the STANCE release.
+    Stance,
+    /// A BVH file for each clip.
+    Bvh,
+    /// A GLB file for each clip: an animated skeleton in a simple body.
+    Gltf,
+    /// Tar shards of npy and json members.
+    WebDataset,
+    /// LeRobot v3: one row a frame.
+    LeRobot,
+}
+
+impl Layout {
+    /// Every layout.
+    pub const ALL: [Layout; 7] = [
+        Self::Amass,
+        Self::HumanMl3d,
+        Self::Stance,
+        Self::Bvh,
+        Self::Gltf,
+        Self::WebDataset,
+        Self::LeRobot,
+    ];
+
+    /// The name used on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Amass => "amass",
+            Self::HumanMl3d => "humanml3d",
+            Self::Stance => "stance",
+            Self::Bvh => "bvh",
+            Self::Gltf => "gltf",
+            Self::WebDataset => "webdataset",
+            Self::LeRobot => "lerobot",
+        }
+    }
+}
+
+/// Writes a dataset to a new folder in another layout, and returns how many clips are in it.
+///
+/// # Errors
+/// The folder exists and is not empty, the dataset cannot be read, or writing fails; nothing is
+/// left behind then.
+pub fn export(
+    dataset: &Dataset,
+    layout: Layout,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let folder = Staging::beside(out)?;
+    let clips = match layout {
+        Layout::Amass => amass::write(dataset, &folder.path, progress)?,
+        Layout::HumanMl3d => humanml3d::write(dataset, &folder.path, progress)?,
+        Layout::Bvh => clips::bvh(dataset, &folder.path, progress)?,
+        Layout::Gltf => clips::gltf(dataset, &folder.path, progress)?,
+        Layout::WebDataset => webdataset::write(dataset, &folder.path, progress)?,
+        Layout::LeRobot => lerobot::write(dataset, &folder.path, progress)?,
+        Layout::Stance => stance::write(dataset, &folder.path, progress)?,
+    };
+    folder.publish(out)?;
+    Ok(clips)
+}
+
+/// A folder that is removed again unless it is published.
+struct Staging {
+    path: PathBuf,
+    published: bool,
+}
+
+impl Staging {
+    fn beside(out: &Path) -> Result<Self, Error> {
+        let occupied = match fs::read_dir(out) {
+            Ok(mut entries) => entries.next().is_some(),
+            Err(_) => out.exists(),
+        };
+        if occupied {
+            return Err(Error::Occupied {
+                path: out.to_owned(),
+            });
+        }
+        let mut name = OsString::from(".");
+        name.push(out.file_name().unwrap_or("export".as_ref()));
+        name.push(format!(".{}.partial", std::process::id()));
+        let path = out.with_file_name(name);
+        fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+        Ok(Self {
+            path,
+            published: false,
+        })
+    }
+
+    fn publish(mut self, out: &Path) -> Result<(), Error> {
+        if out.exists() {
+            fs::remove_dir(out).map_err(Error::io("replace", out))?;
+        }
+        fs::rename(&self.path, out).map_err(Error::io("rename to", out))?;
+        self.published = true;
+        Ok(())
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        if !self.published {
+            // What is left behind by a failing disk cannot be reported from here; the error that
+            // led here is.
+            let _ = fs::remove_dir_all(&self.path);
+        }
+    }
+}

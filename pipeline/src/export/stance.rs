@@ -1,0 +1,407 @@
+//! The layout of the STANCE release: pickles of 20 fps and the lists that go with them.
+//!
+//! The release numbers its files by HumanML3D's clips. Motions that are none of those get numbers
+//! beyond; what the layout has no place for (ids, splits, captions) is in `origin.json`, which the
+//! reader of this crate takes into account and other readers need not know.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{PartCaption, Row, read_rows};
+use datasets_spec::{BodyPart, Dataset, Fps, Motion, Progress, Resample, Split};
+use serde::Serialize;
+use serde_json::json;
+
+use crate::Error;
+use crate::source::pickle::{Array, Value};
+use crate::source::stance::origin::{self, Origin, Origins};
+use crate::source::stance::{
+    ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
+};
+use crate::write::pickle;
+
+/// Writes the motions, pairs and masks of a dataset into an empty folder, and returns how many
+/// motions there are.
+///
+/// Pairs of kind semantic have no place in the release and are left out; so is a mask without named
+/// parts. Motions of other rates than 20 fps are resampled.
+///
+/// # Errors
+/// The dataset cannot be read or the folder cannot be written.
+pub(super) fn write(
+    dataset: &Dataset,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let mut annotations = Annotations::default();
+    for mask in dataset.read::<MaskRow>(None)? {
+        annotations.take_mask(&mask);
+    }
+    let annotated = annotations.by_id.keys().cloned().collect();
+    let plan = Plan::make(dataset, &annotated)?;
+    let mut writer = Writer {
+        folder,
+        plan: &plan,
+        origins: Origins::new(),
+        annotations,
+        waiting: BTreeMap::new(),
+    };
+    for section in [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT] {
+        create(&folder.join(section))?;
+        create(&folder.join(SPLIT).join(section))?;
+    }
+    create(&folder.join(REGEN))?;
+    progress.begin("export", Some(plan.places.len() as u64));
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        for row in read_rows::<MotionRow>(&path)? {
+            writer.take(row)?;
+            progress.advance(1);
+        }
+    }
+    writer.finish()?;
+    let clips = plan.places.len() as u64;
+    progress.finish(&format!(
+        "{clips} motions in the layout of the STANCE release"
+    ));
+    Ok(clips)
+}
+
+/// An adjustment to be written: its file, its motions and what is said of it.
+struct Adjustment {
+    stem: String,
+    pair: PairRow,
+}
+
+/// Which file every motion goes to.
+struct Plan {
+    /// Section and file stem of the motions in files of their own, by id; none for those that are
+    /// in adjustments alone.
+    places: BTreeMap<String, Option<(&'static str, String)>>,
+    adjustments: Vec<Adjustment>,
+    /// Which adjustments a motion is in.
+    uses: BTreeMap<String, Vec<usize>>,
+}
+
+impl Plan {
+    /// `annotated` motions need a file that annotations can name.
+    fn make(dataset: &Dataset, annotated: &BTreeSet<String>) -> Result<Self, Error> {
+        let mut ids = BTreeSet::new();
+        for (path, _) in dataset.files(MotionRow::TABLE, None) {
+            let rows = read_rows::<MotionRow>(&path)?;
+            ids.extend(rows.into_iter().map(|row| row.id.as_str().to_owned()));
+        }
+        let pairs = dataset.read::<PairRow>(None)?;
+        let (mut styled, mut adjusted) = (BTreeMap::new(), Vec::new());
+        for pair in pairs {
+            let both = [&pair.source_id, &pair.target_id];
+            if !both.iter().all(|id| ids.contains(id.as_str())) {
+                continue;
+            }
+            match (pair.kind.as_str(), &pair.style) {
+                ("style", Some(style)) => {
+                    let source = pair.source_id.as_str().to_owned();
+                    let target = pair.target_id.as_str().to_owned();
+                    styled.insert(target, (source, style.clone()));
+                }
+                ("fine-grained", _) => adjusted.push(pair),
+                _ => {}
+            }
+        }
+        // A style is named after its base motion's file, so the base motion needs one.
+        let bases: BTreeSet<String> = styled.values().map(|(source, _)| source.clone()).collect();
+        styled.retain(|target, _| !bases.contains(target));
+        let mut plan = Self {
+            places: BTreeMap::new(),
+            adjustments: Vec::new(),
+            uses: BTreeMap::new(),
+        };
+        plan.place_adjustments(adjusted);
+        plan.place_base(&ids, &styled, &bases, annotated);
+        plan.place_styled(&styled);
+        Ok(plan)
+    }
+
+    fn place_adjustments(&mut self, pairs: Vec<PairRow>) {
+        let mut stems = BTreeSet::new();
+        for (number, pair) in pairs.into_iter().enumerate() {
+            let stem = adjustment_stem(&pair)
+                .filter(|stem| !stems.contains(stem))
+                .unwrap_or_else(|| format!("pair_{number:06}"));
+            stems.insert(stem.clone());
+            for id in [&pair.source_id, &pair.target_id] {
+                let uses = self.uses.entry(id.as_str().to_owned()).or_default();
+                uses.push(number);
+            }
+            self.adjustments.push(Adjustment { stem, pair });
+        }
+    }
+
+    fn place_base(
+        &mut self,
+        ids: &BTreeSet<String>,
+        styled: &BTreeMap<String, (String, String)>,
+        bases: &BTreeSet<String>,
+        annotated: &BTreeSet<String>,
+    ) {
+        let mut taken: BTreeSet<String> = ids.iter().filter_map(|id| file_stem(id)).collect();
+        let mut number = FIRST_FREE_NUMBER;
+        for id in ids {
+            let needs_file = bases.contains(id) || annotated.contains(id);
+            if self.uses.contains_key(id) && !needs_file && file_stem(id).is_none() {
+                self.places.insert(id.clone(), None);
+                continue;
+            }
+            if styled.contains_key(id) {
+                continue;
+            }
+            let stem = file_stem(id).unwrap_or_else(|| {
+                while !taken.insert(format!("{number:06}")) {
+                    number += 1;
+                }
+                format!("{number:06}")
+            });
+            self.places.insert(id.clone(), Some((BASE_MOTION, stem)));
+        }
+    }
+
+    fn place_styled(&mut self, styled: &BTreeMap<String, (String, String)>) {
+        let mut taken = BTreeSet::new();
+        for (target, (source, style)) in styled {
+            let base = match self.places.get(source) {
+                Some(Some((_, stem))) => stem.clone(),
+                _ => continue,
+            };
+            let name = format!("{base}_{}", file_name(style));
+            let mut stem = name.clone();
+            let mut take = 1;
+            while !taken.insert(stem.clone()) {
+                take += 1;
+                stem = format!("{name}-{take}");
+            }
+            let place = Some((STYLE_TRANSFER, stem));
+            self.places.insert(target.clone(), place);
+        }
+    }
+}
+
+/// The file an adjustment came from, if it was read from a release.
+fn adjustment_stem(pair: &PairRow) -> Option<String> {
+    let stem = |id: &str, key: &str| {
+        let stem = id.strip_prefix("adjustment/")?.strip_suffix(key)?;
+        (file_name(stem) == stem && !stem.is_empty()).then(|| stem.to_owned())
+    };
+    let source = stem(pair.source_id.as_str(), "#src")?;
+    let target = stem(pair.target_id.as_str(), "#tgt")?;
+    (source == target).then_some(source)
+}
+
+/// A text as a part of a file name of any system.
+fn file_name(text: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+    text.chars()
+        .map(|c| if plain(c) { c } else { '-' })
+        .collect()
+}
+
+/// What is said of the parts of each motion: masks and their texts in turn.
+#[derive(Default)]
+struct Annotations {
+    by_id: BTreeMap<String, Vec<(String, String)>>,
+}
+
+impl Annotations {
+    fn take_mask(&mut self, mask: &MaskRow) {
+        let known = mask
+            .parts
+            .iter()
+            .all(|part| part.parse::<BodyPart>().is_ok());
+        if known && !mask.parts.is_empty() {
+            self.put(
+                mask.motion_id.as_str(),
+                mask.parts.join("+"),
+                mask.text.clone(),
+            );
+        }
+    }
+
+    /// Takes what a part does, unless a mask that has the part says it already.
+    fn take_caption(&mut self, id: &str, caption: &PartCaption) {
+        let PartCaption { part, text } = caption;
+        let said = self.by_id.get(id).into_iter().flatten();
+        let known = said
+            .filter(|(_, said)| said == text)
+            .any(|(parts, _)| parts.split('+').any(|name| name == part));
+        if !known && part.parse::<BodyPart>().is_ok() {
+            self.put(id, part.clone(), text.clone());
+        }
+    }
+
+    fn put(&mut self, id: &str, parts: String, text: String) {
+        let said = self.by_id.entry(id.to_owned()).or_default();
+        said.push((parts, text));
+    }
+}
+
+struct Writer<'a> {
+    folder: &'a Path,
+    plan: &'a Plan,
+    origins: Origins,
+    annotations: Annotations,
+    /// Motions of adjustments, until both of a pair are there and every pair of theirs is written.
+    waiting: BTreeMap<String, Waiting>,
+}
+
+struct Waiting {
+    value: Value,
+    origin: Origin,
+    left: usize,
+}
+
+impl Writer<'_> {
+    fn take(&mut self, row: MotionRow) -> Result<(), Error> {
+        let id = row.id.as_str().to_owned();
+        let motion = Resample::Exact.apply(&row.motion()?, Fps::STORE)?;
+        for caption in &row.part_captions {
+            self.annotations.take_caption(&id, caption);
+        }
+        let value = motion_value(&motion);
+        let origin = origin_of(row);
+        if let Some(Some((section, stem))) = self.plan.places.get(&id) {
+            let path = self.folder.join(section).join(format!("{stem}.pkl"));
+            save(&path, &pickle::encode(&value))?;
+            self.origins
+                .insert(format!("{section}/{stem}"), origin.clone());
+        }
+        if let Some(uses) = self.plan.uses.get(&id) {
+            let waiting = Waiting {
+                value,
+                origin,
+                left: uses.len(),
+            };
+            self.waiting.insert(id, waiting);
+            self.write_adjustments(uses)?;
+        }
+        Ok(())
+    }
+
+    /// Writes those of the adjustments whose motions are both there, and lets go of motions that no
+    /// other one needs.
+    fn write_adjustments(&mut self, numbers: &[usize]) -> Result<(), Error> {
+        for &number in numbers {
+            let Adjustment { stem, pair } = &self.plan.adjustments[number];
+            let ids = [pair.source_id.as_str(), pair.target_id.as_str()];
+            let (Some(source), Some(target)) = (self.waiting.get(ids[0]), self.waiting.get(ids[1]))
+            else {
+                continue;
+            };
+            let content = Value::Dict(vec![
+                (Value::text("src"), source.value.clone()),
+                (Value::text("tgt"), target.value.clone()),
+                (Value::text("body_part"), Value::text(&pair.parts.join("+"))),
+                (Value::text("text"), Value::text(&pair.instruction)),
+            ]);
+            for (key, waiting) in [("src", source), ("tgt", target)] {
+                let name = format!("{ADJUSTMENT}/{stem}#{key}");
+                self.origins.insert(name, waiting.origin.clone());
+            }
+            let path = self.folder.join(ADJUSTMENT).join(format!("{stem}.pkl"));
+            save(&path, &pickle::encode(&content))?;
+            for id in ids {
+                let done = self.waiting.get_mut(id).is_some_and(|waiting| {
+                    waiting.left = waiting.left.saturating_sub(1);
+                    waiting.left == 0
+                });
+                if done {
+                    self.waiting.remove(id);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(&self) -> Result<(), Error> {
+        let (mut masks, mut texts) = (BTreeMap::new(), BTreeMap::new());
+        for (id, said) in &self.annotations.by_id {
+            let Some(Some((BASE_MOTION, stem))) = self.plan.places.get(id) else {
+                continue;
+            };
+            let (parts, says): (Vec<&str>, Vec<&str>) = said
+                .iter()
+                .map(|(parts, text)| (parts.as_str(), text.as_str()))
+                .unzip();
+            masks.insert(stem, parts);
+            texts.insert(stem, says);
+        }
+        let regen = self.folder.join(REGEN);
+        save_json(&regen.join("mask_all.json"), &masks)?;
+        save_json(&regen.join("part_annotations.json"), &texts)?;
+        save_json(&self.folder.join(origin::FILE_NAME), &self.origins)?;
+        for split in [Split::Val, Split::Test] {
+            let names = |section: &str| -> BTreeSet<&str> {
+                let names = self.origins.iter();
+                let names = names.filter(|(_, origin)| origin.split == split);
+                names
+                    .filter_map(|(name, _)| {
+                        let stem = name.strip_prefix(section)?.strip_prefix('/')?;
+                        stem.split('#').next()
+                    })
+                    .collect()
+            };
+            let folder = self.folder.join(SPLIT);
+            let mut lines: Vec<&str> = names(BASE_MOTION).into_iter().collect();
+            lines.push("");
+            let base = folder.join(BASE_MOTION).join(format!("{split}.txt"));
+            save(&base, lines.join("\n").as_bytes())?;
+            for section in [STYLE_TRANSFER, ADJUSTMENT] {
+                let list = folder.join(section).join(format!("{split}.json"));
+                save_json(&list, &json!(names(section)))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn motion_value(motion: &Motion) -> Value {
+    let column = |key: &str, width: usize, numbers: &[f32]| {
+        let array = Array::from_f32(&[motion.len(), width], numbers.iter().copied());
+        (Value::text(key), Value::Array(Arc::new(array)))
+    };
+    let body_width = motion.body_pose()[0].len();
+    Value::Dict(vec![
+        column("body_pose", body_width, motion.body_pose().as_flattened()),
+        column("global_orient", 3, motion.global_orient().as_flattened()),
+        column("transl", 3, motion.transl().as_flattened()),
+    ])
+}
+
+fn origin_of(row: MotionRow) -> Origin {
+    Origin {
+        id: row.id.into(),
+        split: row.split,
+        mirrored_of: row.mirrored_of,
+        captions: row.captions,
+        action: row.action,
+        style: row.style,
+        license: row.license,
+    }
+}
+
+fn create(folder: &Path) -> Result<(), Error> {
+    fs::create_dir_all(folder).map_err(Error::io("create folder", folder))
+}
+
+fn save(path: &Path, content: &[u8]) -> Result<(), Error> {
+    fs::write(path, content).map_err(Error::io("write", path))
+}
+
+fn save_json(path: &Path, content: &impl Serialize) -> Result<(), Error> {
+    let text = serde_json::to_vec_pretty(content)
+        .map_err(|error| Error::io("write", path)(error.into()))?;
+    save(path, &text)
+}
+
+#[cfg(test)]
+mod tests;

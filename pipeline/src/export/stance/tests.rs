@@ -1,0 +1,198 @@
+use std::path::PathBuf;
+
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::{MotionId, NoProgress};
+
+use super::*;
+use crate::export::{Layout, export};
+use crate::ingest::{IngestOptions, ingest};
+use crate::source::stance::tests::write_release;
+
+fn ingested(source: &Path, out: &Path) -> Dataset {
+    let sources: [PathBuf; 1] = [source.to_owned()];
+    let report = ingest(
+        &sources,
+        out,
+        &IngestOptions::default(),
+        "test",
+        &NoProgress,
+    );
+    let report = report.expect("ingested");
+    assert_eq!(report.quarantine, []);
+    report.dataset
+}
+
+/// What an export must keep of the motions, the pairs and the masks, in lines.
+#[derive(Debug, PartialEq)]
+struct Kept {
+    motions: BTreeSet<String>,
+    pairs: BTreeSet<String>,
+    masks: BTreeSet<String>,
+}
+
+/// `words` says whether style transfers are to have words and parts, for which the release has no
+/// place.
+fn kept(dataset: &Dataset, words: bool) -> Kept {
+    let motions = dataset.read::<MotionRow>(None).expect("readable");
+    let pairs = dataset.read::<PairRow>(None).expect("readable");
+    let masks = dataset.read::<MaskRow>(None).expect("readable");
+    Kept {
+        motions: motions
+            .into_iter()
+            .map(|row| {
+                format!(
+                    "{} {} {:?} {:?} {:?} {}",
+                    row.id, row.split, row.mirrored_of, row.style, row.captions, row.content_hash
+                )
+            })
+            .collect(),
+        pairs: pairs
+            .into_iter()
+            .map(|row| {
+                let told = (words || row.kind != "style").then_some((row.parts, row.instruction));
+                format!(
+                    "{} {} {} {:?} {:?}",
+                    row.id,
+                    row.split,
+                    row.kind,
+                    row.style,
+                    told.unwrap_or_default()
+                )
+            })
+            .collect(),
+        masks: masks
+            .into_iter()
+            .map(|row| format!("{} {:?} {}", row.motion_id, row.parts, row.text))
+            .collect(),
+    }
+}
+
+fn exported_again(dataset: &Dataset, folder: &Path) -> Dataset {
+    let out = folder.join("exported");
+    let clips = export(dataset, Layout::Stance, &out, &NoProgress).expect("exported");
+    let rows = dataset.read::<MotionRow>(None).expect("readable").len();
+    assert_eq!(clips, rows as u64);
+    ingested(&out, &folder.join("again"))
+}
+
+#[test]
+fn an_exported_release_comes_back_bit_for_bit() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    write_release(&dir.path().join("release"));
+    let dataset = ingested(&dir.path().join("release"), &dir.path().join("dataset"));
+    let before = kept(&dataset, true);
+    assert_eq!(
+        (before.motions.len(), before.pairs.len(), before.masks.len()),
+        (7, 2, 3)
+    );
+    let again = exported_again(&dataset, dir.path());
+    assert_eq!(kept(&again, true), before);
+    let out = dir.path().join("exported");
+    for file in [
+        "base_motion/000009.pkl",
+        "base_motion/014625.pkl",
+        "style_transfer/000009_proud.pkl",
+        "adjustment/paired_data_seed0_15_batch0_id3.pkl",
+        "regen/mask_all.json",
+        "regen/part_annotations.json",
+    ] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+    let val = fs::read_to_string(out.join("split/base_motion/val.txt")).expect("there");
+    assert_eq!(val, "000010\n");
+    let test = fs::read_to_string(out.join("split/style_transfer/test.json")).expect("there");
+    assert_eq!(
+        serde_json::from_str::<Vec<String>>(&test).expect("a list"),
+        ["000009_proud"]
+    );
+}
+
+#[test]
+fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    write_release(&dir.path().join("release"));
+    let dataset = ingested(&dir.path().join("release"), &dir.path().join("dataset"));
+    let mut rows = dataset.read::<MotionRow>(None).expect("readable");
+    let names = [
+        "cmu/a",
+        "cmu/b",
+        "cmu/c@1-9",
+        "cmu/c@1-9~m",
+        "014700",
+        "x/d_1",
+        "x/d_2",
+    ];
+    for (row, name) in rows.iter_mut().zip(names) {
+        row.id = MotionId::parse(name).expect("an id");
+        row.split = Split::Test;
+        row.mirrored_of = None;
+        row.style = None;
+        row.part_captions.clear();
+    }
+    rows[3].mirrored_of = Some("cmu/c@1-9".to_owned());
+    rows[0].captions = vec![datasets_spec::table::Caption {
+        text: "walks".to_owned(),
+        ..Default::default()
+    }];
+    let id = |name: &str| MotionId::parse(name).expect("an id");
+    let pair = |kind: &str, source: &str, target: &str, style: Option<&str>| PairRow {
+        id: format!("{source}+{target}"),
+        split: Split::Test,
+        source: "corpus".to_owned(),
+        kind: kind.to_owned(),
+        source_id: id(source),
+        target_id: id(target),
+        style: style.map(str::to_owned),
+        parts: vec!["HEAD".to_owned()],
+        instruction: format!("as {target}"),
+    };
+    let pairs = [
+        pair("fine-grained", "cmu/a", "x/d_1", None),
+        pair("fine-grained", "cmu/a", "014700", None),
+        pair("style", "cmu/b", "x/d_2", Some("very/old")),
+    ];
+    rows[6].style = Some("very/old".to_owned());
+    let mask = MaskRow {
+        id: "m".to_owned(),
+        motion_id: id("x/d_1"),
+        split: Split::Test,
+        parts: vec!["LEFT_ARM".to_owned(), "HEAD".to_owned()],
+        hard_joints: Vec::new(),
+        soft_joints: Vec::new(),
+        mask_def_version: datasets_spec::MASK_DEF_VERSION,
+        text: "nodding".to_owned(),
+        text_origin: "human".to_owned(),
+        author: String::new(),
+    };
+    let root = dir.path().join("other");
+    commit_rows(
+        &root,
+        &rows,
+        Some(|row: &MotionRow| row.split),
+        &datasets_spec::Skeleton::smplx_neutral(),
+        "1",
+        "test",
+    )
+    .expect("committed");
+    commit_rows(
+        &root,
+        &pairs,
+        Some(|row: &PairRow| row.split),
+        &datasets_spec::Skeleton::smplx_neutral(),
+        "2",
+        "test",
+    )
+    .expect("committed");
+    let other = commit_rows(
+        &root,
+        &[mask],
+        Some(|row: &MaskRow| row.split),
+        &datasets_spec::Skeleton::smplx_neutral(),
+        "3",
+        "test",
+    )
+    .expect("committed");
+    let again = exported_again(&other, dir.path());
+    assert_eq!(kept(&again, true), kept(&other, false));
+    assert!(dir.path().join("exported/base_motion/029232.pkl").is_file());
+}

@@ -1,0 +1,196 @@
+//! WebDataset: tar shards whose members come in groups of one name, as PyTorch loaders stream them.
+//!
+//! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`. A key is
+//! the clip's id with every character but letters, digits, `-` and `_` replaced by `%XX`, because a
+//! dot ends a key and a slash makes a folder.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, Progress, Split};
+use serde_json::json;
+
+use crate::Error;
+use crate::write::npy;
+
+/// Clips and bytes of a shard, whichever is reached first.
+const SHARD_CLIPS: usize = 1000;
+const SHARD_BYTES: u64 = 256 << 20;
+/// Everybody may read a member and its owner write it.
+const MODE: u32 = 0o644;
+
+/// Writes the shards of every split and returns the number of clips.
+///
+/// # Errors
+/// The dataset cannot be read or a shard cannot be written.
+pub(super) fn write(
+    dataset: &Dataset,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let total = dataset.manifest().rows(MotionRow::TABLE, None);
+    progress.begin("export webdataset", Some(total));
+    let mut count = 0;
+    for split in Split::ALL {
+        let mut shards = Shards {
+            folder,
+            split,
+            index: 0,
+            open: None,
+        };
+        for (path, _) in dataset.files(MotionRow::TABLE, Some(split)) {
+            for row in read_rows::<MotionRow>(&path)? {
+                shards.append(&row)?;
+                count += 1;
+                progress.advance(1);
+            }
+        }
+        shards.close()?;
+    }
+    progress.finish(&format!("{count} clips"));
+    Ok(count)
+}
+
+struct Shards<'a> {
+    folder: &'a Path,
+    split: Split,
+    index: usize,
+    open: Option<Shard>,
+}
+
+struct Shard {
+    tar: tar::Builder<BufWriter<File>>,
+    clips: usize,
+    bytes: u64,
+}
+
+impl Shards<'_> {
+    fn append(&mut self, row: &MotionRow) -> Result<(), Error> {
+        let full = self
+            .open
+            .as_ref()
+            .is_some_and(|shard| shard.clips >= SHARD_CLIPS || shard.bytes >= SHARD_BYTES);
+        if full {
+            self.close()?;
+        }
+        let path = self
+            .folder
+            .join(format!("{}-{:06}.tar", self.split, self.index));
+        if self.open.is_none() {
+            let file = File::create(&path).map_err(Error::io("create", &path))?;
+            self.open = Some(Shard {
+                tar: tar::Builder::new(BufWriter::new(file)),
+                clips: 0,
+                bytes: 0,
+            });
+        }
+        let Some(shard) = &mut self.open else {
+            return Ok(());
+        };
+        let key = key(row.id.as_str());
+        let array = |frames: &[f32], width: usize| {
+            let shape = [(frames.len() / width) as u64, width as u64];
+            npy::encode(&shape, frames)
+        };
+        let members = [
+            ("transl.npy", array(row.transl.as_flattened(), 3)),
+            (
+                "global_orient.npy",
+                array(row.global_orient.as_flattened(), 3),
+            ),
+            ("body_pose.npy", array(row.body_pose.as_flattened(), 63)),
+        ];
+        for (name, bytes) in members {
+            let bytes = bytes.map_err(Error::io("encode", &path))?;
+            shard
+                .append(&format!("{key}.{name}"), &bytes)
+                .map_err(Error::io("write", &path))?;
+        }
+        let text = facts(row).to_string().into_bytes();
+        shard
+            .append(&format!("{key}.json"), &text)
+            .map_err(Error::io("write", &path))?;
+        shard.clips += 1;
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<(), Error> {
+        let Some(shard) = self.open.take() else {
+            return Ok(());
+        };
+        let path = self
+            .folder
+            .join(format!("{}-{:06}.tar", self.split, self.index));
+        self.index += 1;
+        let buffer = shard.tar.into_inner().map_err(Error::io("write", &path))?;
+        let file = buffer
+            .into_inner()
+            .map_err(|error| Error::io("write", &path)(error.into_error()))?;
+        file.sync_all().map_err(Error::io("sync", &path))
+    }
+}
+
+impl Shard {
+    /// Appends a member whose header holds nothing that differs from run to run.
+    fn append(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(MODE);
+        header.set_mtime(0);
+        self.bytes += bytes.len() as u64;
+        self.tar.append_data(&mut header, name, bytes)
+    }
+}
+
+fn key(id: &str) -> String {
+    id.bytes()
+        .map(|byte| match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' => char::from(byte).to_string(),
+            other => format!("%{other:02X}"),
+        })
+        .collect()
+}
+
+fn facts(row: &MotionRow) -> serde_json::Value {
+    let captions: Vec<_> = row
+        .captions
+        .iter()
+        .map(|said| json!({ "text": said.text, "from_s": said.from_s, "to_s": said.to_s }))
+        .collect();
+    let parts: Vec<_> = row
+        .part_captions
+        .iter()
+        .map(|said| json!({ "part": said.part, "text": said.text }))
+        .collect();
+    json!({
+        "id": row.id.as_str(),
+        "split": row.split.as_str(),
+        "source": row.source,
+        "fps": row.fps,
+        "frames": row.n_frames,
+        "skeleton": row.skeleton,
+        "captions": captions,
+        "parts": parts,
+        "action": row.action,
+        "style": row.style,
+        "license": row.license,
+        "mirrored_of": row.mirrored_of,
+        "content_hash": row.content_hash,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_have_no_dot_and_no_slash_and_stay_apart() {
+        assert_eq!(key("000012"), "000012");
+        assert_eq!(key("a/b.c"), "a%2Fb%2Ec");
+        assert_ne!(key("a/b"), key("a_b"));
+        assert!(!key("x.y/z~m@1-2").contains(['.', '/']));
+    }
+}

@@ -1,0 +1,127 @@
+//! Mean and standard deviation of HumanML3D features, as its folder ships them.
+
+use datasets_spec::record::HUMANML3D_WIDTH;
+
+use super::humanml3d::{Features, GROUPS};
+
+/// Mean and variance of every feature over frames met so far. Those of two sets of frames can be
+/// merged exactly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Statistics {
+    frames: u64,
+    mean: Vec<f64>,
+    /// Sum of squared distances to the mean.
+    scatter: Vec<f64>,
+}
+
+impl Default for Statistics {
+    fn default() -> Self {
+        Self {
+            frames: 0,
+            mean: vec![0.0; HUMANML3D_WIDTH],
+            scatter: vec![0.0; HUMANML3D_WIDTH],
+        }
+    }
+}
+
+impl Statistics {
+    /// Takes the frames of a clip, by Welford's update.
+    pub fn take(&mut self, features: &[Features]) {
+        for frame in features {
+            self.frames += 1;
+            let columns = self.mean.iter_mut().zip(&mut self.scatter);
+            for ((mean, scatter), value) in columns.zip(frame) {
+                let before = f64::from(*value) - *mean;
+                *mean += before / self.frames as f64;
+                *scatter += before * (f64::from(*value) - *mean);
+            }
+        }
+    }
+
+    /// Adds the frames another set has met.
+    pub fn merge(&mut self, other: &Self) {
+        let frames = self.frames + other.frames;
+        if frames == 0 {
+            return;
+        }
+        let share = other.frames as f64 / frames as f64;
+        for column in 0..HUMANML3D_WIDTH {
+            let apart = other.mean[column] - self.mean[column];
+            self.mean[column] += apart * share;
+            self.scatter[column] +=
+                other.scatter[column] + apart * apart * self.frames as f64 * share;
+        }
+        self.frames = frames;
+    }
+
+    /// Frames met.
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// The mean of each feature.
+    pub fn mean(&self) -> Features {
+        std::array::from_fn(|column| self.mean[column] as f32)
+    }
+
+    /// The standard deviation of each feature, replaced by its mean over the group the feature
+    /// belongs to, as in the published `Std.npy`. The contacts are a group of their own.
+    pub fn group_std(&self) -> Features {
+        let deviation = |column: usize| (self.scatter[column] / self.frames.max(1) as f64).sqrt();
+        let mut std = [0.0; HUMANML3D_WIDTH];
+        for (_, range) in GROUPS {
+            let mean = range.clone().map(deviation).sum::<f64>() / range.len() as f64;
+            std[range].fill(mean as f32);
+        }
+        std
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames(count: usize, from: usize) -> Vec<Features> {
+        (from..from + count)
+            .map(|frame| std::array::from_fn(|column| ((frame * 7 + column) as f32 * 0.37).sin()))
+            .collect()
+    }
+
+    #[test]
+    fn mean_and_deviation_are_those_of_all_frames() {
+        let all = frames(50, 0);
+        let mut whole = Statistics::default();
+        whole.take(&all);
+        for column in [0, 5, 262] {
+            let mean = all.iter().map(|f| f64::from(f[column])).sum::<f64>() / 50.0;
+            assert!((f64::from(whole.mean()[column]) - mean).abs() < 1e-6);
+        }
+        // The root height is a group of one, so its deviation is its own.
+        let mean = f64::from(whole.mean()[3]);
+        let variance = all
+            .iter()
+            .map(|f| (f64::from(f[3]) - mean).powi(2))
+            .sum::<f64>()
+            / 50.0;
+        assert!((f64::from(whole.group_std()[3]) - variance.sqrt()).abs() < 1e-6);
+        assert_eq!(whole.group_std()[4], whole.group_std()[66]);
+    }
+
+    #[test]
+    fn parts_merge_to_the_whole_in_any_cut() {
+        let all = frames(60, 3);
+        let mut whole = Statistics::default();
+        whole.take(&all);
+        for cut in [0, 1, 29, 60] {
+            let (mut left, mut right) = (Statistics::default(), Statistics::default());
+            left.take(&all[..cut]);
+            right.take(&all[cut..]);
+            left.merge(&right);
+            assert_eq!(left.frames(), 60);
+            for column in 0..HUMANML3D_WIDTH {
+                assert!((left.mean()[column] - whole.mean()[column]).abs() < 1e-6);
+                assert!((left.group_std()[column] - whole.group_std()[column]).abs() < 1e-6);
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! How far a guessed skeleton map can be trusted.
+
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use glam::DVec3;
+
+use super::joint_map::{Mapping, Origin, hangs_from};
+use super::rig::Bone;
+use super::track::Track;
+
+/// Confidence below which a guessed map is not used. A body whose legs and head alone are named
+/// reaches 0.62; a fox that carries its head high stays at 0.5.
+pub(super) const LEAST: f64 = 0.6;
+
+/// Trust in a map that no name speaks for, relative to one by names.
+const NAMELESS: f64 = 0.8;
+
+/// Joints and those that hang from them in every body.
+const DESCENT: [(usize, usize); 9] = [
+    (1, 4),
+    (2, 5),
+    (4, 7),
+    (5, 8),
+    (16, 18),
+    (17, 19),
+    (18, 20),
+    (19, 21),
+    (12, 15),
+];
+/// Bones of the left side, as (joint, its child), and the same of the right.
+const SIDES: [[(usize, usize); 2]; 4] = [
+    [(1, 4), (2, 5)],
+    [(4, 7), (5, 8)],
+    [(16, 18), (17, 19)],
+    [(18, 20), (19, 21)],
+];
+
+/// What speaks for a guessed map, each from 0 to 1.
+pub(super) struct Evidence {
+    /// Share of the body joints that were found.
+    found: f64,
+    /// Share of the limb joints that hang from the joint they should.
+    descent: f64,
+    /// Likeness of the lengths of left and right limbs.
+    symmetry: f64,
+    /// How upright the trunk is over the legs.
+    posture: f64,
+    /// Whether names speak for it.
+    named: bool,
+}
+
+impl Evidence {
+    /// Gathers what the skeleton and its motion say. `stands` is whether a rest pose shows a person
+    /// standing.
+    pub(super) fn gather(
+        mapping: &Mapping,
+        bones: &[Bone<'_>],
+        track: &Track,
+        stands: bool,
+    ) -> Self {
+        let source_of = |joint: usize| mapping.source_of[joint];
+        let found = mapping.source_of.iter().flatten().count() as f64 / NUM_BODY_JOINTS as f64;
+        let descent = mean(DESCENT.iter().filter_map(|&(joint, child)| {
+            let (joint, child) = (source_of(joint)?, source_of(child)?);
+            Some(f64::from(u8::from(hangs_from(bones, child, joint))))
+        }));
+        let points = track.points(0);
+        let symmetry = mean(SIDES.iter().filter_map(|sides| {
+            let [left, right] = sides.map(|(joint, child)| {
+                let located = track.is_located(joint) && track.is_located(child);
+                located.then(|| points[joint].distance(points[child]))
+            });
+            let (left, right) = (left?, right?);
+            Some(likeness(left.min(right) / left.max(right)))
+        }));
+        Self {
+            found,
+            descent,
+            symmetry,
+            posture: if stands { 1.0 } else { straightness(track) },
+            named: mapping.origin == Origin::Words,
+        }
+    }
+
+    /// The confidence, from 0 to 1: 0.6 for joints found, 0.2 each for descent and symmetry, all of
+    /// it times the posture, and times 0.8 where no name speaks for the map.
+    pub(super) fn confidence(&self) -> f64 {
+        let built = 0.6 * self.found + 0.2 * self.descent + 0.2 * self.symmetry;
+        let trust = if self.named { 1.0 } else { NAMELESS };
+        built * self.posture * trust
+    }
+
+    /// What speaks against the map.
+    pub(super) fn doubts(&self, mapping: &Mapping) -> String {
+        /// Share below which a piece of evidence is worth a word.
+        const WEAK: f64 = 0.7;
+        let mut doubts = Vec::new();
+        if self.posture < WEAK {
+            doubts.push("its trunk is not upright over its legs".to_owned());
+        }
+        if self.symmetry < WEAK {
+            doubts.push("its left and right limbs differ in length".to_owned());
+        }
+        if self.descent < WEAK {
+            doubts.push("its limb joints do not hang from one another".to_owned());
+        }
+        let absent = mapping.absent();
+        if !absent.is_empty() {
+            doubts.push(format!("it has no {}", absent.join(", ")));
+        }
+        doubts.join("; ")
+    }
+}
+
+/// One for lengths that differ by a tenth at most, zero from one half on.
+fn likeness(ratio: f64) -> f64 {
+    const ALIKE: f64 = 0.9;
+    const UNLIKE: f64 = 0.5;
+    if ratio.is_nan() {
+        return 0.0;
+    }
+    ((ratio - UNLIKE) / (ALIKE - UNLIKE)).clamp(0.0, 1.0)
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0usize), |(sum, count), value| {
+        (sum + value, count + 1)
+    });
+    if count == 0 { 0.0 } else { sum / count as f64 }
+}
+
+/// How straight the line from ankles over hips to the head is over the frames: a body that stands,
+/// walks or lies is straight, a beast on four legs is bent by a right angle.
+fn straightness(track: &Track) -> f64 {
+    /// Mean cosine from which a body counts as straight: people also bow and sit.
+    const STRAIGHT: f64 = 0.7;
+    let top = if track.is_located(15) { 15 } else { 12 };
+    let cosines = (0..track.num_frames()).map(|frame| {
+        let points = track.points(frame);
+        let middle = |left: usize, right: usize| points[left].midpoint(points[right]);
+        let hips = middle(1, 2);
+        let trunk: DVec3 = (points[top] - hips).normalize_or_zero();
+        trunk.dot((hips - middle(7, 8)).normalize_or_zero())
+    });
+    (mean(cosines) / STRAIGHT).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_are_alike_up_to_a_tenth_and_unlike_from_a_half() {
+        for (ratio, expected) in [(1.0, 1.0), (0.9, 1.0), (0.7, 0.5), (0.5, 0.0), (0.1, 0.0)] {
+            assert!((likeness(ratio) - expected).abs() < 1e-12, "{ratio}");
+        }
+        assert_eq!(likeness(f64::NAN), 0.0, "limbs without length");
+    }
+
+    #[test]
+    fn confidence_weighs_the_evidence_as_stated() {
+        let all = |found: f64, posture: f64, named: bool| Evidence {
+            found,
+            descent: 1.0,
+            symmetry: 1.0,
+            posture,
+            named,
+        };
+        assert!((all(1.0, 1.0, true).confidence() - 1.0).abs() < 1e-12);
+        assert!((all(1.0, 1.0, false).confidence() - 0.8).abs() < 1e-12);
+        assert!(
+            all(8.0 / 22.0, 1.0, true).confidence() > LEAST,
+            "legs and a head"
+        );
+        assert!(all(1.0, 0.2, true).confidence() < LEAST, "on all fours");
+    }
+}

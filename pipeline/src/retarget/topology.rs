@@ -1,0 +1,162 @@
+//! Finding the body in a skeleton whose names say nothing, from how its bones hang together.
+
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use glam::DVec3;
+
+use super::rig::{Bone, Placed};
+
+/// Children of one bone that are looked at. The hips and chest of a body have three to six; every
+/// pair of them is tried.
+const MAX_CHILDREN: usize = 16;
+/// Bones of a leg that has a knee and an ankle, and of an arm that has an elbow.
+const MIN_LEG: usize = 3;
+const MIN_ARM: usize = 3;
+/// Largest ratio of the lengths of the left and the right limb of one body.
+const MAX_ASYMMETRY: f64 = 1.2;
+
+/// A run of bones without branches, ending in a branching bone or a leaf.
+type Chain = Vec<usize>;
+
+/// The body joints of a skeleton, `[22]`; none if it does not look like a body.
+///
+/// A pelvis has two chains of equal length, the legs, and a third child that leads to a bone with
+/// two more such chains, the arms; of what else hangs from that one, the head is what ends highest,
+/// seen from the feet. The toes say where the front is, and the front which side is the left one.
+pub(super) fn guess(
+    bones: &[Bone<'_>],
+    rest: &[Placed],
+) -> Option<[Option<usize>; NUM_BODY_JOINTS]> {
+    let mut children: Vec<Vec<usize>> = vec![Vec::new(); bones.len()];
+    for (index, bone) in bones.iter().enumerate() {
+        if let Some(parent) = bone.parent {
+            children[parent].push(index);
+        }
+    }
+    let tree = Tree { children, rest };
+    (0..bones.len()).find_map(|pelvis| tree.body_at(pelvis))
+}
+
+struct Tree<'a> {
+    children: Vec<Vec<usize>>,
+    rest: &'a [Placed],
+}
+
+impl Tree<'_> {
+    fn position(&self, bone: usize) -> DVec3 {
+        self.rest[bone].position
+    }
+
+    /// The bones from this one down to the first that branches or ends.
+    fn chain(&self, start: usize) -> Chain {
+        let mut chain = vec![start];
+        let mut last = start;
+        while let [only] = self.children[last][..] {
+            chain.push(only);
+            last = only;
+        }
+        chain
+    }
+
+    fn length(&self, chain: &[usize]) -> f64 {
+        chain
+            .windows(2)
+            .map(|pair| self.position(pair[0]).distance(self.position(pair[1])))
+            .sum()
+    }
+
+    /// The two longest equal chains of at least `least` bones among the children of a bone.
+    fn symmetric_pair(&self, bone: usize, least: usize) -> Option<[Chain; 2]> {
+        let children = &self.children[bone];
+        if children.len() > MAX_CHILDREN {
+            return None;
+        }
+        let chains: Vec<Chain> = children
+            .iter()
+            .map(|&child| self.chain(child))
+            .filter(|chain| chain.len() >= least)
+            .collect();
+        let mut best: Option<(f64, [Chain; 2])> = None;
+        for (index, a) in chains.iter().enumerate() {
+            for b in &chains[index + 1..] {
+                let (long, short) = (self.length(&a[..least]), self.length(&b[..least]));
+                let (long, short) = (long.max(short), long.min(short));
+                let equal = a.len() == b.len() && short > 0.0 && long / short < MAX_ASYMMETRY;
+                if equal && best.as_ref().is_none_or(|(length, _)| short > *length) {
+                    best = Some((short, [a.clone(), b.clone()]));
+                }
+            }
+        }
+        best.map(|(_, pair)| pair)
+    }
+
+    fn body_at(&self, pelvis: usize) -> Option<[Option<usize>; NUM_BODY_JOINTS]> {
+        let legs = self.symmetric_pair(pelvis, MIN_LEG)?;
+        let middle = |pair: &[Chain; 2], at: usize| {
+            self.position(pair[0][at])
+                .midpoint(self.position(pair[1][at]))
+        };
+        let up = (middle(&legs, 0) - middle(&legs, 2)).try_normalize()?;
+        let (spine, arms, top) = self.children[pelvis]
+            .iter()
+            .filter(|child| legs.iter().all(|leg| leg[0] != **child))
+            .find_map(|&child| self.trunk(child, up))?;
+        // Without toes nothing tells front from back, and thus left from right.
+        let toes = |leg: &Chain| Some(self.position(*leg.get(3)?) - self.position(leg[2]));
+        let front = toes(&legs[0])? + toes(&legs[1])?;
+        let left = up.cross(front).try_normalize()?;
+        let from_left = |pair: [Chain; 2]| -> [Chain; 2] {
+            let [a, b] = pair;
+            let across = self.position(a[1]) - self.position(b[1]);
+            if across.dot(left) > 0.0 {
+                [a, b]
+            } else {
+                [b, a]
+            }
+        };
+
+        let mut body = [None; NUM_BODY_JOINTS];
+        body[0] = Some(pelvis);
+        for (leg, joints) in from_left(legs).iter().zip([[1, 4, 7, 10], [2, 5, 8, 11]]) {
+            for (joint, &bone) in joints.into_iter().zip(leg) {
+                body[joint] = Some(bone);
+            }
+        }
+        for (arm, joints) in from_left(arms)
+            .iter()
+            .zip([[13, 16, 18, 20], [14, 17, 19, 21]])
+        {
+            // The shortest arm has no collar.
+            let first = usize::from(arm.len() == MIN_ARM);
+            for (&joint, &bone) in joints[first..].iter().zip(arm) {
+                body[joint] = Some(bone);
+            }
+        }
+        for (joint, bone) in super::joint_map::spine_joints(&spine) {
+            body[joint] = Some(bone);
+        }
+        match top[..] {
+            [head] => body[15] = Some(head),
+            [neck, head, ..] => (body[12], body[15]) = (Some(neck), Some(head)),
+            [] => {}
+        }
+        Some(body)
+    }
+
+    /// Spine, arms and neck with head of what hangs from a child of the pelvis.
+    fn trunk(&self, start: usize, up: DVec3) -> Option<(Chain, [Chain; 2], Chain)> {
+        let spine = self.chain(start);
+        let chest = *spine.last()?;
+        let arms = self.symmetric_pair(chest, MIN_ARM)?;
+        let height = |chain: &Chain| {
+            let end = chain.last().copied().unwrap_or(chest);
+            (self.position(end) - self.position(chest)).dot(up)
+        };
+        let top = self.children[chest]
+            .iter()
+            .filter(|child| arms.iter().all(|arm| arm[0] != **child))
+            .map(|&child| self.chain(child))
+            .filter(|chain| height(chain) > 0.0)
+            .max_by(|a, b| height(a).total_cmp(&height(b)))?;
+        Some((spine, arms, top))
+    }
+}

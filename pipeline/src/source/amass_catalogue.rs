@@ -1,0 +1,230 @@
+//! What is known of AMASS beside its files: its subsets under all their names, the archives they
+//! come in, and recordings whose stated frame rate is wrong.
+
+use std::path::Path;
+
+/// A subset of AMASS.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Subset {
+    /// Its name today.
+    pub name: &'static str,
+    /// Names its folder had in other releases.
+    pub former_names: &'static [&'static str],
+    /// The archive on the AMASS download page that holds it.
+    pub archive: &'static str,
+    /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a
+    /// calibration pose.
+    pub lead_in_frames: usize,
+}
+
+const fn subset(
+    name: &'static str,
+    former_names: &'static [&'static str],
+    archive: &'static str,
+    lead_in_frames: usize,
+) -> Subset {
+    Subset {
+        name,
+        former_names,
+        archive,
+        lead_in_frames,
+    }
+}
+
+/// The subsets of AMASS.
+///
+/// # Source
+/// Names: the AMASS download page and the folder names of the SMPL-H release. Lead-ins: HumanML3D,
+/// `raw_pose_processing` (3 s of Eyes_Japan_Dataset and MPI_HDM05, 1 s of TotalCapture and
+/// MPI_Limits, half a second of Transitions_mocap).
+pub const SUBSETS: &[Subset] = &[
+    subset("ACCAD", &[], "ACCAD.tar.bz2", 0),
+    subset("BMLhandball", &[], "BMLhandball.tar.bz2", 0),
+    subset("BMLmovi", &[], "BMLmovi.tar.bz2", 0),
+    subset("BMLrub", &["BioMotionLab_NTroje"], "BMLrub.tar.bz2", 0),
+    subset("CMU", &[], "CMU.tar.bz2", 0),
+    subset("CNRS", &[], "CNRS.tar.bz2", 0),
+    subset("DanceDB", &[], "DanceDB.tar.bz2", 0),
+    subset("DFaust", &["DFaust_67", "DFaust67"], "DFaust.tar.bz2", 0),
+    subset("EKUT", &[], "EKUT.tar.bz2", 0),
+    subset(
+        "EyesJapanDataset",
+        &["Eyes_Japan_Dataset"],
+        "EyesJapanDataset.tar.bz2",
+        60,
+    ),
+    subset("GRAB", &[], "GRAB.tar.bz2", 0),
+    subset("HDM05", &["MPI_HDM05"], "HDM05.tar.bz2", 60),
+    subset("HUMAN4D", &[], "HUMAN4D.tar.bz2", 0),
+    subset("HumanEva", &[], "HumanEva.tar.bz2", 0),
+    subset("KIT", &[], "KIT.tar.bz2", 0),
+    subset("MoSh", &["MPI_mosh"], "MoSh.tar.bz2", 0),
+    subset("MOYO", &[], "MOYO.tar.bz2", 0),
+    subset("PosePrior", &["MPI_Limits"], "PosePrior.tar.bz2", 20),
+    subset("SFU", &[], "SFU.tar.bz2", 0),
+    subset("SOMA", &[], "SOMA.tar.bz2", 0),
+    subset("SSM", &["SSM_synced"], "SSM.tar.bz2", 0),
+    subset("TCDHands", &["TCD_handMocap"], "TCDHands.tar.bz2", 0),
+    subset("TotalCapture", &[], "TotalCapture.tar.bz2", 20),
+    subset(
+        "Transitions",
+        &["Transitions_mocap"],
+        "Transitions.tar.bz2",
+        10,
+    ),
+    subset("WEIZMANN", &[], "WEIZMANN.tar.bz2", 0),
+];
+
+/// Recordings whose stated rate is wrong: a part of the path, whether it is a whole folder name,
+/// and the true rate in 1/s.
+///
+/// # Source
+/// The corrections of athn-nik/sinc.
+const FPS_OVERRIDES: [(&str, bool, f64); 3] = [
+    ("BMLhandball", true, 240.0),
+    ("20160930_50032", false, 59.0),
+    ("20161014_50033", false, 59.0),
+];
+
+/// Ends of file names that releases put behind the name of a recording.
+const STEM_ENDS: [&str; 2] = ["_poses", "_stageii"];
+
+impl Subset {
+    /// The subset of this name, past or present.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        SUBSETS
+            .iter()
+            .find(|subset| subset.name == name || subset.former_names.contains(&name))
+    }
+
+    /// Whether HumanML3D was made of it.
+    pub fn is_in_humanml3d(&self) -> bool {
+        const OTHERS: [&str; 7] = [
+            "CNRS", "DanceDB", "GRAB", "HUMAN4D", "MOYO", "SOMA", "WEIZMANN",
+        ];
+        !OTHERS.contains(&self.name)
+    }
+}
+
+/// A recording of AMASS whatever its release.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Recording {
+    /// Today's name of its subset.
+    pub subset: &'static str,
+    /// Folders and name within the subset, without the ends that differ between releases.
+    pub name: String,
+}
+
+impl Recording {
+    /// Finds subset and name in a path. The deepest folder with a subset's name counts, since
+    /// archives are often unpacked into a folder of their own name. None without such a folder.
+    pub fn of(path: &Path) -> Option<Self> {
+        let parts: Vec<String> = path
+            .components()
+            .map(|part| part.as_os_str().to_string_lossy().into_owned())
+            .collect();
+        let (file, folders) = parts.split_last()?;
+        let (depth, subset) = folders
+            .iter()
+            .enumerate()
+            .rev()
+            .find_map(|(depth, folder)| Some((depth, Subset::named(folder)?)))?;
+        let stem = file
+            .rsplit_once('.')
+            .map_or(file.as_str(), |(stem, _)| stem);
+        let stem = STEM_ENDS
+            .into_iter()
+            .find_map(|end| stem.strip_suffix(end))
+            .unwrap_or(stem);
+        let mut name = String::new();
+        for folder in &folders[depth + 1..] {
+            name += folder;
+            name.push('/');
+        }
+        name += stem;
+        Some(Self {
+            subset: subset.name,
+            // The SMPL-X releases have underscores in place of spaces.
+            name: name.replace(' ', "_"),
+        })
+    }
+}
+
+/// The subset a file lies in, and the name of the folder that says so.
+pub fn subset_of(path: &Path) -> Option<(&'static Subset, String)> {
+    let folders: Vec<_> = path.parent()?.components().collect();
+    folders.into_iter().rev().find_map(|part| {
+        let name = part.as_os_str().to_string_lossy().into_owned();
+        Some((Subset::named(&name)?, name))
+    })
+}
+
+/// The true frame rate of a recording whose stated one is known to be wrong.
+pub fn true_fps(path: &Path) -> Option<f64> {
+    let whole = path.to_string_lossy();
+    FPS_OVERRIDES.into_iter().find_map(|(part, folder, fps)| {
+        let found = if folder {
+            path.components().any(|name| name.as_os_str() == part)
+        } else {
+            whole.contains(part)
+        };
+        found.then_some(fps)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_recording_has_one_name_in_every_release() {
+        let name = |path: &str| Recording::of(Path::new(path)).expect("a subset is named");
+        for (old, new) in [
+            (
+                "pose_data/BioMotionLab_NTroje/rub001/0000_walk_poses.npy",
+                "amass/BMLrub/rub001/0000_walk_stageii.npz",
+            ),
+            (
+                "./pose_data/ACCAD/Female1General_c3d/A1 - Stand_poses.npy",
+                "/data/ACCAD/ACCAD/Female1General_c3d/A1_-_Stand_stageii.npz",
+            ),
+            ("MPI_mosh/50027/x_poses.npz", "MoSh/50027/x_poses.npz"),
+        ] {
+            assert_eq!(name(old), name(new), "{old}");
+        }
+        assert_ne!(name("KIT/3/a_poses.npz"), name("KIT/4/a_poses.npz"));
+        assert_eq!(Recording::of(Path::new("somewhere/a_poses.npz")), None);
+        assert_eq!(
+            Recording::of(Path::new("KIT.npz")),
+            None,
+            "a file is no folder"
+        );
+    }
+
+    #[test]
+    fn names_are_unique() {
+        let mut names: Vec<&str> = SUBSETS
+            .iter()
+            .flat_map(|subset| subset.former_names.iter().copied().chain([subset.name]))
+            .collect();
+        let count = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        let humanml3d = SUBSETS.iter().filter(|s| s.is_in_humanml3d()).count();
+        assert_eq!(humanml3d, 18, "subsets HumanML3D lists");
+    }
+
+    #[test]
+    fn wrong_rates_are_known_by_folder_and_by_name() {
+        assert_eq!(
+            true_fps(Path::new("BMLhandball/S01/x_poses.npz")),
+            Some(240.0)
+        );
+        assert_eq!(
+            true_fps(Path::new("SSM_synced/20160930_50032/x_poses.npz")),
+            Some(59.0)
+        );
+        assert_eq!(true_fps(Path::new("KIT/3/BMLhandball_poses.npz")), None);
+    }
+}

@@ -1,0 +1,726 @@
+//! The C3D reader: marker positions of an optical capture, from any of the three kinds of processor
+//! that ever wrote the format.
+//!
+//! A C3D file is blocks of 512 bytes: a header, a section of parameters and the frames. What the
+//! three say of the same thing often differs, so the parameters are believed before the header, and
+//! the length of the file before both.
+//!
+//! # Source
+//! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
+
+mod parameters;
+
+use datasets_spec::Fps;
+use glam::DVec3;
+
+use self::parameters::Parameters;
+use super::{
+    MAX_FPS, MIN_FPS, Markers, Outcome, ReadOptions, Rejected, RotationSource, SourceClip,
+};
+use crate::check::FLAG_GAPS_FILLED;
+use crate::markers::{self, is_model_output};
+
+/// Bytes of a block.
+const BLOCK: usize = 512;
+/// Second byte of every C3D file.
+const MAGIC: u8 = 0x50;
+/// Distance in metres from the origin beyond which no marker is: the plausibility test that finds
+/// numbers read with the wrong processor's rules.
+const MAX_DISTANCE_M: f64 = 100.0;
+/// Share of implausible positions above which the processor's flag is not believed.
+const MAX_IMPLAUSIBLE: f64 = 0.1;
+/// Most points of a frame; real captures have a few hundred.
+const MAX_POINTS: usize = 10_000;
+
+/// Whose numbers a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Processor {
+    /// Little-endian IEEE numbers.
+    Intel,
+    /// Little-endian whole numbers and VAX floating point.
+    Dec,
+    /// Big-endian IEEE numbers.
+    Mips,
+}
+
+impl Processor {
+    fn of(code: u8) -> Option<Self> {
+        match code {
+            84 => Some(Self::Intel),
+            85 => Some(Self::Dec),
+            86 => Some(Self::Mips),
+            _ => None,
+        }
+    }
+
+    fn u16(self, bytes: [u8; 2]) -> u16 {
+        match self {
+            Self::Intel | Self::Dec => u16::from_le_bytes(bytes),
+            Self::Mips => u16::from_be_bytes(bytes),
+        }
+    }
+
+    fn i16(self, bytes: [u8; 2]) -> i16 {
+        self.u16(bytes) as i16
+    }
+
+    fn f32(self, bytes: [u8; 4]) -> f32 {
+        match self {
+            Self::Intel => f32::from_le_bytes(bytes),
+            Self::Mips => f32::from_be_bytes(bytes),
+            Self::Dec => {
+                // Two little-endian words, the high one first, and an exponent that is two larger.
+                let [b0, b1, b2, b3] = bytes;
+                f32::from_be_bytes([b1, b0, b3, b2]) / 4.0
+            }
+        }
+    }
+}
+
+/// A parsed capture.
+#[derive(Clone, Debug)]
+pub struct C3d {
+    /// Whose numbers the file holds.
+    pub processor: Processor,
+    /// Whether the points are stored as whole numbers with a scale.
+    pub integer: bool,
+    /// The markers in metres, in the file's own axes.
+    pub markers: Markers,
+    /// Points that are no markers but angles, forces and the like, by name.
+    pub model_outputs: Vec<String>,
+    /// Decisions a reader may want to check.
+    pub notes: Vec<String>,
+}
+
+fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
+    Rejected::read("E-C3D-HEADER", reason).at(at)
+}
+
+impl C3d {
+    /// Parses a file. None if it holds no points.
+    ///
+    /// # Errors
+    /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM` or `E-C3D-ENDIAN`, with the byte offset
+    /// where there is one.
+    pub fn parse(bytes: &[u8]) -> Result<Option<Self>, Rejected> {
+        if bytes.len() < BLOCK {
+            return Err(Rejected::read(
+                "E-C3D-TRUNCATED",
+                format!("found {} bytes, expected a header of {BLOCK}", bytes.len()),
+            )
+            .at(bytes.len()));
+        }
+        if bytes[1] != MAGIC {
+            return Err(header_error(
+                1,
+                format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]),
+            ));
+        }
+        let start = usize::from(bytes[0]).saturating_sub(1) * BLOCK;
+        let section = bytes.get(start..start + 4).filter(|_| start > 0);
+        let Some(&[_, _, _, code]) = section else {
+            return Err(header_error(
+                0,
+                format!(
+                    "the parameters are said to be in block {}, which is none",
+                    bytes[0]
+                ),
+            ));
+        };
+        let processor = Processor::of(code).ok_or_else(|| {
+            header_error(
+                start + 3,
+                format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)"),
+            )
+        })?;
+        let parameters = Parameters::parse(bytes, start, processor)?;
+        let header = Header::read(bytes, processor);
+        Layout::find(bytes, &header, &parameters)?
+            .map(|layout| layout.read(bytes, processor, &parameters))
+            .transpose()
+    }
+}
+
+/// What the first block says.
+struct Header {
+    points: usize,
+    analog_per_frame: usize,
+    frames: usize,
+    scale: f64,
+    data_block: usize,
+    rate: f64,
+}
+
+impl Header {
+    fn read(bytes: &[u8], processor: Processor) -> Self {
+        let word = |number: usize| {
+            let at = 2 * (number - 1);
+            processor.u16([bytes[at], bytes[at + 1]])
+        };
+        let real = |number: usize| {
+            let at = 2 * (number - 1);
+            processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+        };
+        let (first, last) = (usize::from(word(4)), usize::from(word(5)));
+        Self {
+            points: word(2).into(),
+            analog_per_frame: word(3).into(),
+            frames: (last + 1).saturating_sub(first),
+            scale: real(7).into(),
+            data_block: word(9).into(),
+            rate: real(11).into(),
+        }
+    }
+}
+
+/// Where the frames are and what is in them.
+struct Layout {
+    start: usize,
+    points: usize,
+    /// Values of a frame behind those of the points.
+    analog: usize,
+    frames: usize,
+    scale: f64,
+    fps: Fps,
+    notes: Vec<String>,
+}
+
+impl Layout {
+    fn find(
+        bytes: &[u8],
+        header: &Header,
+        parameters: &Parameters,
+    ) -> Result<Option<Self>, Rejected> {
+        let mut notes = Vec::new();
+        let stated = |name: &str| parameters.number("POINT", name);
+        let points = match stated("USED") {
+            Some(used) if used >= 0.0 => used as usize,
+            _ => header.points,
+        };
+        if points == 0 {
+            return Ok(None);
+        }
+        if points > MAX_POINTS {
+            return Err(header_error(
+                2,
+                format!("found {points} points, expected at most {MAX_POINTS}"),
+            ));
+        }
+        let scale = stated("SCALE")
+            .filter(|scale| *scale != 0.0)
+            .unwrap_or(header.scale);
+        if !scale.is_finite() || scale == 0.0 {
+            return Err(header_error(
+                12,
+                format!("found a scale of {scale}, expected another"),
+            ));
+        }
+        let rate = [stated("RATE").unwrap_or(0.0), header.rate]
+            .into_iter()
+            .find(|rate| (MIN_FPS..=MAX_FPS).contains(rate))
+            .ok_or_else(|| {
+                header_error(
+                    20,
+                    format!("found {} frames a second, expected a rate", header.rate),
+                )
+            })?;
+        let fps = Fps::from_file(rate)
+            .map_err(|error| header_error(20, format!("no frame rate: {error}")))?;
+        let data_block = match header.data_block {
+            0 => stated("DATA_START").map_or(0, |block| block.max(0.0) as usize),
+            block => block,
+        };
+        let start = data_block.saturating_sub(1) * BLOCK;
+        if start < BLOCK || start >= bytes.len() {
+            return Err(Rejected::read(
+                "E-C3D-TRUNCATED",
+                format!(
+                    "the frames are said to be in block {data_block}, the file has {}",
+                    bytes.len().div_ceil(BLOCK)
+                ),
+            )
+            .at(bytes.len()));
+        }
+        let value_size = if scale < 0.0 { 4 } else { 2 };
+        let analog = header.analog_per_frame;
+        let frame_size = (4 * points + analog) * value_size;
+        let room = (bytes.len() - start) / frame_size;
+        let frames = frame_count(header, parameters, room, &mut notes)?;
+        Ok(Some(Self {
+            start,
+            points,
+            analog,
+            frames,
+            scale,
+            fps,
+            notes,
+        }))
+    }
+
+    fn read(
+        mut self,
+        bytes: &[u8],
+        processor: Processor,
+        parameters: &Parameters,
+    ) -> Result<C3d, Rejected> {
+        let labels = labels(parameters, self.points);
+        let outputs = parameters.model_outputs();
+        let kept: Vec<usize> = (0..self.points)
+            .filter(|point| !outputs.contains(&labels[*point]) && !is_model_output(&labels[*point]))
+            .collect();
+        let units = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let raw = self.raw_positions(bytes, processor);
+        let metres = metres_of(units.trim(), &raw, &mut self.notes);
+
+        let mut positions = Vec::with_capacity(self.frames * kept.len());
+        let mut residuals = Vec::with_capacity(self.frames * kept.len());
+        let (mut seen, mut implausible) = (0usize, 0usize);
+        for frame in raw.chunks_exact(self.points) {
+            for &point in &kept {
+                let Point { at, residual } = frame[point];
+                let place = at * metres;
+                let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
+                if residual >= 0.0 {
+                    seen += 1;
+                    implausible += usize::from(!plausible);
+                }
+                if residual >= 0.0 && plausible {
+                    positions.push(place.as_vec3().to_array());
+                    residuals.push((residual * metres) as f32);
+                } else {
+                    positions.push([0.0; 3]);
+                    residuals.push(-1.0);
+                }
+            }
+        }
+        if implausible as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+            return Err(Rejected::read(
+                "E-C3D-ENDIAN",
+                format!(
+                    "found {implausible} of {seen} positions farther than {MAX_DISTANCE_M} m; the \
+                     file says {processor:?}, and its numbers are another processor's"
+                ),
+            )
+            .at(self.start));
+        }
+        if implausible > 0 {
+            self.notes.push(format!(
+                "{implausible} positions farther than {MAX_DISTANCE_M} m count as not seen"
+            ));
+        }
+        let labels: Vec<String> = kept.iter().map(|point| labels[*point].clone()).collect();
+        Ok(C3d {
+            processor,
+            integer: self.scale > 0.0,
+            markers: Markers {
+                fps: self.fps,
+                labels,
+                positions,
+                residuals,
+                set: None,
+                fit_residuals: Vec::new(),
+            },
+            model_outputs: outputs,
+            notes: self.notes,
+        })
+    }
+
+    /// Every point of every frame in the file's unit.
+    fn raw_positions(&self, bytes: &[u8], processor: Processor) -> Vec<Point> {
+        let size = if self.scale < 0.0 { 4 } else { 2 };
+        let frame_size = (4 * self.points + self.analog) * size;
+        let data = &bytes[self.start..self.start + self.frames * frame_size];
+        let mut points = Vec::with_capacity(self.frames * self.points);
+        for frame in data.chunks_exact(frame_size) {
+            for point in frame[..4 * self.points * size].chunks_exact(4 * size) {
+                points.push(if size == 4 {
+                    real_point(point, processor, self.scale)
+                } else {
+                    whole_point(point, processor, self.scale)
+                });
+            }
+        }
+        points
+    }
+}
+
+/// A point in the file's unit; the residual is negative where it was not seen.
+#[derive(Clone, Copy)]
+struct Point {
+    at: DVec3,
+    residual: f64,
+}
+
+fn real_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
+    let value = |index: usize| {
+        let at = 4 * index;
+        f64::from(processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
+    };
+    let at = DVec3::new(value(0), value(1), value(2));
+    // The fourth number holds, as a whole number, cameras in its high byte and the residual in its
+    // low one.
+    let packed = value(3);
+    let residual = if packed < 0.0 || !packed.is_finite() || !at.is_finite() {
+        -1.0
+    } else {
+        f64::from(packed.min(f64::from(u16::MAX)) as u16 & 0xFF) * scale.abs()
+    };
+    Point { at, residual }
+}
+
+fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
+    let value = |index: usize| processor.i16([bytes[2 * index], bytes[2 * index + 1]]);
+    let at = DVec3::new(value(0).into(), value(1).into(), value(2).into()) * scale;
+    let packed = value(3);
+    let residual = if packed < 0 {
+        -1.0
+    } else {
+        f64::from(packed & 0xFF) * scale
+    };
+    Point { at, residual }
+}
+
+/// Number of frames: what the parameters say, for long captures in two words or as a real number,
+/// else what the header says, as long as the file has room for it.
+fn frame_count(
+    header: &Header,
+    parameters: &Parameters,
+    room: usize,
+    notes: &mut Vec<String>,
+) -> Result<usize, Rejected> {
+    let field = |name: &str| parameters.long("TRIAL", name);
+    let trial = match (field("ACTUAL_START_FIELD"), field("ACTUAL_END_FIELD")) {
+        (Some(first), Some(last)) if last >= first => Some(last - first + 1),
+        _ => None,
+    };
+    let whole = |name: &str| {
+        let number = parameters.number("POINT", name)?;
+        // Sixteen bits are read with their sign, which a count does not have.
+        let number = if number < 0.0 {
+            number + 65_536.0
+        } else {
+            number
+        };
+        (number >= 1.0).then_some(number as usize)
+    };
+    let claims = [
+        ("TRIAL:ACTUAL fields", trial),
+        ("POINT:LONG_FRAMES", whole("LONG_FRAMES")),
+        ("POINT:FRAMES", whole("FRAMES")),
+        ("header", Some(header.frames).filter(|frames| *frames > 0)),
+    ];
+    let first = claims.iter().find_map(|(_, claim)| *claim);
+    let fits = claims
+        .iter()
+        .find_map(|(name, claim)| Some((*name, claim.filter(|frames| *frames <= room)?)));
+    match (first, fits) {
+        (Some(first), Some((name, frames))) => {
+            if first != frames {
+                notes.push(format!(
+                    "{frames} frames by {name}; {first} claimed elsewhere"
+                ));
+            }
+            Ok(frames)
+        }
+        (Some(first), None) => Err(Rejected::read(
+            "E-C3D-TRUNCATED",
+            format!("found room for {room} frames, expected {first}"),
+        )),
+        _ => Err(header_error(6, "found no number of frames")),
+    }
+}
+
+/// A name for each point, unique.
+fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
+    let mut stated = Vec::new();
+    for number in 1.. {
+        let name = match number {
+            1 => "LABELS".to_owned(),
+            more => format!("LABELS{more}"),
+        };
+        match parameters.texts("POINT", &name) {
+            Some(more) => stated.extend(more),
+            None => break,
+        }
+    }
+    let mut labels: Vec<String> = Vec::with_capacity(points);
+    let mut seen = std::collections::BTreeMap::new();
+    for point in 0..points {
+        let label = stated
+            .get(point)
+            .map(|label| label.trim())
+            .unwrap_or_default();
+        let label = match label {
+            "" => format!("point{}", point + 1),
+            label => label.to_owned(),
+        };
+        let times = seen.entry(label.clone()).or_insert(0);
+        *times += 1;
+        labels.push(match *times {
+            1 => label,
+            again => format!("{label}.{again}"),
+        });
+    }
+    labels
+}
+
+/// Metres of the file's unit. Files that state none are in millimetres, unless they then would be
+/// of a doll.
+fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
+    match units.to_ascii_lowercase().as_str() {
+        "mm" | "millimeters" | "millimetres" => return 0.001,
+        "cm" => return 0.01,
+        "dm" => return 0.1,
+        "m" | "meters" | "metres" => return 1.0,
+        "in" | "inches" => return 0.0254,
+        _ => {}
+    }
+    /// A capture volume smaller than this many units is not stated in millimetres.
+    const SMALLEST_VOLUME: f64 = 20.0;
+    let largest = points
+        .iter()
+        .filter(|point| point.residual >= 0.0)
+        .fold(0.0, |largest: f64, point| {
+            largest.max(point.at.abs().max_element())
+        });
+    let (name, metres) = if largest < SMALLEST_VOLUME {
+        ("metres", 1.0)
+    } else {
+        ("millimetres", 0.001)
+    };
+    notes.push(format!("unit {units:?} is none; {name} assumed"));
+    metres
+}
+
+/// Reads a capture: a clip where the markers are of a known set, otherwise the markers alone.
+pub fn read(bytes: &[u8], options: &ReadOptions) -> Outcome {
+    let capture = match C3d::parse(bytes) {
+        Ok(Some(capture)) => capture,
+        Ok(None) => {
+            return Outcome::Skipped {
+                reason: "C3D without marker data".to_owned(),
+            };
+        }
+        Err(rejected) => return Outcome::Rejected(rejected),
+    };
+    let frames = capture.markers.positions.len() / capture.markers.labels.len().max(1);
+    if capture.markers.labels.is_empty() {
+        return Outcome::Skipped {
+            reason: "C3D without marker data".to_owned(),
+        };
+    }
+    let solved = match markers::solve(&capture.markers, &options.skeleton) {
+        Ok(solved) if frames > 1 => solved,
+        Ok(_) => {
+            return Outcome::Markers {
+                markers: Box::new(capture.markers),
+                reason: "a single frame".to_owned(),
+            };
+        }
+        Err(error) => {
+            return Outcome::Markers {
+                markers: Box::new(capture.markers),
+                reason: error.to_string(),
+            };
+        }
+    };
+    let known: Vec<f32> = solved
+        .fit_residuals
+        .iter()
+        .copied()
+        .filter(|residual| *residual >= 0.0)
+        .collect();
+    let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
+    clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
+    clip.notes.extend(capture.notes);
+    clip.notes.extend(solved.notes);
+    if solved.gaps > 0 {
+        clip.flags |= FLAG_GAPS_FILLED;
+        clip.notes.push(format!(
+            "{} frames showed too few markers and were interpolated",
+            solved.gaps
+        ));
+    }
+    clip.markers = Some(solved.markers);
+    Outcome::Clip(Box::new(clip))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A small file of one group, one labelled point and three frames.
+    fn file(processor: u8, integer: bool) -> Vec<u8> {
+        let big = processor == 86;
+        let word = |number: u16| {
+            if big {
+                number.to_be_bytes()
+            } else {
+                number.to_le_bytes()
+            }
+        };
+        let real = |number: f32| match processor {
+            86 => number.to_be_bytes(),
+            85 => {
+                let [a, b, c, d] = (number * 4.0).to_be_bytes();
+                if number == 0.0 { [0; 4] } else { [b, a, d, c] }
+            }
+            _ => number.to_le_bytes(),
+        };
+        let scale: f32 = if integer { 0.5 } else { -0.5 };
+        let mut bytes = vec![0u8; 2 * BLOCK];
+        bytes[..2].copy_from_slice(&[2, MAGIC]);
+        for (number, value) in [(2, 1u16), (3, 2), (4, 1), (5, 3), (9, 3)] {
+            bytes[2 * (number - 1)..2 * number].copy_from_slice(&word(value));
+        }
+        bytes[12..16].copy_from_slice(&real(scale));
+        bytes[20..24].copy_from_slice(&real(100.0));
+        let mut parameters = vec![1, MAGIC, 1, processor];
+        let mut put = |id: i8, name: &str, content: &[u8]| {
+            parameters.push(name.len() as u8);
+            parameters.push(id as u8);
+            parameters.extend(name.as_bytes());
+            parameters.extend(word(u16::try_from(2 + content.len()).expect("short")));
+            parameters.extend(content);
+        };
+        put(-1, "POINT", &[0]);
+        put(1, "LABELS", b"\xff\x02\x04\x01LKNE\x00");
+        put(1, "UNITS", b"\xff\x01\x02mm\x00");
+        parameters.extend([0, 0]);
+        bytes[BLOCK..BLOCK + parameters.len()].copy_from_slice(&parameters);
+        for frame in 0..3u16 {
+            let at = [100.0, -20.0, 10.0 * f32::from(frame)];
+            for coordinate in at {
+                if integer {
+                    bytes.extend(word((coordinate / scale) as i16 as u16));
+                } else {
+                    bytes.extend(real(coordinate));
+                }
+            }
+            // Cameras 1 and 2 and a residual of 4; the last frame was not seen.
+            let packed: i16 = if frame == 2 { -1 } else { 0x0304 };
+            if integer {
+                bytes.extend(word(packed as u16));
+                bytes.extend([0; 4]);
+            } else {
+                bytes.extend(real(packed.into()));
+                bytes.extend([0; 8]);
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn three_processors_and_two_storages_say_the_same() {
+        for processor in [84, 85, 86] {
+            for integer in [true, false] {
+                let capture = C3d::parse(&file(processor, integer))
+                    .expect("a good file")
+                    .expect("with a point");
+                let markers = &capture.markers;
+                assert_eq!(capture.integer, integer);
+                assert_eq!(markers.labels, ["LKNE"]);
+                assert_eq!(markers.fps.get(), 100.0);
+                assert_eq!(markers.positions[1], [0.1, -0.02, 0.01], "{processor}");
+                assert_eq!(
+                    markers.residuals,
+                    [0.002, 0.002, -1.0],
+                    "{processor} {integer}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_of_another_processor_are_found_out() {
+        let mut wrong = file(86, false);
+        wrong[BLOCK + 3] = 84;
+        let code = C3d::parse(&wrong).expect_err("nonsense").code;
+        assert!(
+            ["E-C3D-ENDIAN", "E-C3D-HEADER", "E-C3D-PARAM"].contains(&code),
+            "{code}"
+        );
+        // Only the frames are another processor's.
+        let mut frames = file(84, false);
+        for value in frames[2 * BLOCK..].chunks_exact_mut(4) {
+            value.copy_from_slice(&1e30f32.to_le_bytes());
+        }
+        assert_eq!(
+            C3d::parse(&frames).expect_err("nonsense").code,
+            "E-C3D-ENDIAN"
+        );
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let good = file(84, true);
+        let code = |bytes: &[u8]| C3d::parse(bytes).expect_err("broken").code;
+        assert_eq!(code(b""), "E-C3D-TRUNCATED");
+        assert_eq!(code(&good[..good.len() - 30]), "E-C3D-TRUNCATED");
+        let mut no_magic = good.clone();
+        no_magic[1] = 0;
+        assert_eq!(code(&no_magic), "E-C3D-HEADER");
+        let mut no_section = good.clone();
+        no_section[0] = 99;
+        assert_eq!(code(&no_section), "E-C3D-HEADER");
+        let mut empty = good;
+        empty[2..4].copy_from_slice(&[0, 0]);
+        assert!(C3d::parse(&empty).expect("fine").is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_never_panic(at in 0usize..1100, value in any::<u8>(), integer in any::<bool>()) {
+            let mut bytes = file(84, integer);
+            let at = at % bytes.len();
+            bytes[at] = value;
+            let _parsed = C3d::parse(&bytes);
+        }
+    }
+
+    /// The sample files of c3d.org hold one capture in six encodings.
+    #[test]
+    fn real_encodings_agree() {
+        let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from) else {
+            skipped();
+            return;
+        };
+        let folder = root.join("c3d/c3d.org_sample01");
+        let read = |name: &str| {
+            let bytes = std::fs::read(folder.join(name)).expect("a sample file");
+            C3d::parse(&bytes)
+                .expect("good")
+                .expect("with points")
+                .markers
+        };
+        let reference = read("Eb015pi.c3d");
+        assert_eq!(
+            (reference.fps.get(), reference.positions.len()),
+            (50.0, 450 * 26)
+        );
+        for other in [
+            "Eb015pr.c3d",
+            "Eb015si.c3d",
+            "Eb015sr.c3d",
+            "Eb015vi.c3d",
+            "Eb015vr.c3d",
+        ] {
+            let other = read(other);
+            assert_eq!(other.labels, reference.labels);
+            for (a, b) in reference.positions.iter().zip(&other.positions) {
+                // A step of the integer encoding is 0.0833 mm.
+                let apart = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+                assert!(apart < 1e-4, "{a:?} and {b:?}");
+            }
+        }
+    }
+
+    #[expect(
+        clippy::print_stderr,
+        reason = "a test that checks nothing must say so"
+    )]
+    fn skipped() {
+        eprintln!("SKIPPED: STANCE_TEST_DATA names no folder with the sample files of c3d.org");
+    }
+}

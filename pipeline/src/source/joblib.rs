@@ -1,0 +1,291 @@
+//! Dumps of joblib: pickles whose arrays lie behind them in the stream, packed or not.
+
+use std::io::{self, Read};
+
+use bzip2::read::BzDecoder;
+use flate2::read::{MultiGzDecoder, ZlibDecoder};
+use lz4_flex::frame::FrameDecoder;
+use lzma_rust2::{LzmaReader, XzReader};
+
+use super::Rejected;
+use super::pickle::{self, Options, Value};
+
+/// Most bytes a dump may unpack to, and how many times its packed size. The dump of MotionFix, the
+/// largest known, unpacks to about 2 GB and by less than 10 times.
+const MAX_UNPACKED_LEN: u64 = 4 << 30;
+const MAX_RATIO: u64 = 200;
+/// Size below which the ratio does not matter.
+const SMALL_LEN: u64 = 64 << 20;
+/// Memory in KiB that an LZMA stream may ask for its dictionary; the strongest preset asks for 64
+/// MiB.
+const LZMA_MEMORY_KIB: u32 = 128 << 10;
+/// Bytes the packing is recognised by.
+const MAGIC_LEN: usize = 6;
+
+/// How a dump is packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Packing {
+    None,
+    Zlib,
+    Gzip,
+    Bzip2,
+    Xz,
+    Lzma,
+    Lz4,
+}
+
+impl Packing {
+    /// Recognises a packing by the first bytes.
+    ///
+    /// # Source
+    /// The prefixes in joblib's `compressor.py`.
+    fn of(head: &[u8]) -> Result<Self, Rejected> {
+        Ok(match head {
+            [0x78, ..] => Self::Zlib,
+            [0x1f, 0x8b, ..] => Self::Gzip,
+            [b'B', b'Z', b'h', ..] => Self::Bzip2,
+            [0xfd, b'7', b'z', b'X', b'Z', 0] => Self::Xz,
+            [0x5d, 0x00, ..] => Self::Lzma,
+            [0x04, 0x22, 0x4d, 0x18, ..] => Self::Lz4,
+            [b'Z', b'F', ..] => {
+                return Err(Rejected::read(
+                    "E-JOBLIB-OLD",
+                    "found a dump of joblib before 0.10, expected one of a newer version; load it \
+                     there and dump it again",
+                )
+                .at(0));
+            }
+            _ => Self::None,
+        })
+    }
+
+    fn unpacked<'a>(self, packed: impl Read + 'a) -> io::Result<Box<dyn Read + 'a>> {
+        Ok(match self {
+            Self::None => Box::new(packed),
+            Self::Zlib => Box::new(ZlibDecoder::new(packed)),
+            Self::Gzip => Box::new(MultiGzDecoder::new(packed)),
+            Self::Bzip2 => Box::new(BzDecoder::new(packed)),
+            Self::Xz => Box::new(XzReader::new_mem_limit(packed, true, LZMA_MEMORY_KIB)),
+            Self::Lzma => Box::new(LzmaReader::new_mem_limit(packed, LZMA_MEMORY_KIB, None)?),
+            Self::Lz4 => Box::new(FrameDecoder::new(packed)),
+        })
+    }
+}
+
+/// Whether the first bytes are those of a packed dump or of a pickle.
+pub fn has_magic(head: &[u8]) -> bool {
+    let head = &head[..head.len().min(MAGIC_LEN)];
+    pickle::has_magic(head) || Packing::of(head).is_ok_and(|packing| packing != Packing::None)
+}
+
+/// Reads a dump, packed or not. A plain pickle is one without arrays.
+///
+/// # Errors
+/// `E-JOBLIB-OLD` for the layout before joblib 0.10, and those of [`pickle::read_from`]; byte
+/// offsets count in the unpacked stream.
+pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
+    read_from(bytes, bytes.len() as u64, &Options::default())
+}
+
+/// Reads a dump of so many bytes from a stream.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_from<'a>(
+    mut packed: impl Read + 'a,
+    packed_len: u64,
+    options: &Options<'a>,
+) -> Result<Value, Rejected> {
+    let mut head = Vec::new();
+    packed
+        .by_ref()
+        .take(MAGIC_LEN as u64)
+        .read_to_end(&mut head)
+        .map_err(|error| Rejected::read("E-IO", format!("cannot read the dump ({error})")))?;
+    let packing = Packing::of(&head)?;
+    let whole = io::Cursor::new(head).chain(packed);
+    let limit = packed_len
+        .saturating_mul(MAX_RATIO)
+        .clamp(SMALL_LEN, MAX_UNPACKED_LEN);
+    let unpacked = packing.unpacked(whole).map_err(|error| {
+        Rejected::read(
+            "E-PICKLE-UNPACK",
+            format!("found a damaged {packing:?} stream ({error})"),
+        )
+        .at(0)
+    })?;
+    let capped = Capped {
+        inner: unpacked,
+        limit,
+        left: limit,
+    };
+    pickle::read_with_wrapped_arrays(capped, options)
+}
+
+/// A stream that fails beyond a length instead of going on.
+struct Capped<R> {
+    inner: R,
+    limit: u64,
+    left: u64,
+}
+
+impl<R: Read> Read for Capped<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.inner.read(buffer)?;
+        self.left = self.left.checked_sub(read as u64).ok_or_else(|| {
+            io::Error::new(
+                io::ErrorKind::FileTooLarge,
+                format!("it unpacks to more than {} bytes", self.limit),
+            )
+        })?;
+        Ok(read)
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::io::Write;
+
+    use flate2::Compression;
+    use flate2::write::ZlibEncoder;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::source::pickle::fixture::{DUMPS, decoded};
+    use crate::source::pickle::{Array, Dtype};
+    use crate::write::pickle::encode;
+
+    /// A dump of dictionaries, texts and arrays as joblib writes one: arrays lie behind wrappers,
+    /// aligned to 16 bytes.
+    pub(crate) fn dump(value: &Value) -> Vec<u8> {
+        let mut out = vec![0x80, 4];
+        put(&mut out, value);
+        out.push(b'.');
+        out
+    }
+
+    fn put(out: &mut Vec<u8>, value: &Value) {
+        match value {
+            Value::Dict(entries) => {
+                out.push(b'}');
+                for (key, value) in entries {
+                    put(out, key);
+                    put(out, value);
+                    out.push(b's');
+                }
+            }
+            Value::Array(array) => put_array(out, array),
+            // The pickle of a plain value, without its protocol and its end.
+            other => {
+                let pickle = encode(other);
+                out.extend(&pickle[2..pickle.len() - 1]);
+            }
+        }
+    }
+
+    fn put_array(out: &mut Vec<u8>, array: &Array) {
+        const ALIGNMENT: usize = 16;
+        assert_eq!(array.dtype(), Dtype::Float(4));
+        out.extend(b"cjoblib.numpy_pickle\nNumpyArrayWrapper\n)\x81}(");
+        put(out, &Value::text("shape"));
+        let shape = array
+            .shape()
+            .iter()
+            .map(|&extent| Value::Int(extent as i128));
+        put(out, &Value::Tuple(shape.collect()));
+        for (key, state) in [
+            ("subclass", &b"cnumpy\nndarray\n"[..]),
+            ("order", b"\x8c\x01C"),
+            ("dtype", b"cnumpy\ndtype\n\x8c\x02f4\x89\x88\x87R(K\x03\x8c\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"),
+            ("allow_mmap", b"\x88"),
+            ("numpy_array_alignment_bytes", b"K\x10"),
+        ] {
+            put(out, &Value::text(key));
+            out.extend(state);
+        }
+        out.extend(b"ub");
+        let padding = ALIGNMENT - (out.len() + 1) % ALIGNMENT;
+        out.push(padding as u8);
+        out.extend(vec![0xff; padding]);
+        out.extend(array.data());
+    }
+
+    pub(crate) fn zlib(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(bytes).expect("in memory");
+        encoder.finish().expect("in memory")
+    }
+
+    #[test]
+    fn dumps_of_every_packing_hold_the_same() {
+        for (name, base64) in DUMPS {
+            let bytes = decoded(base64);
+            assert!(has_magic(&bytes), "{name}");
+            let value = read(&bytes).unwrap_or_else(|r| panic!("{name}: {r:?}"));
+            for key in ["rots", "F"] {
+                let array = value.get(key).and_then(Value::as_array).expect(name);
+                assert_eq!(array.shape(), [2, 3], "{name}");
+                let count = (0..6).map(f64::from).collect();
+                assert_eq!(array.to_f64(), Some(count), "{name} {key}");
+            }
+            let objects = vec![Value::text("x"), Value::None];
+            assert_eq!(value.get("o"), Some(&Value::List(objects)), "{name}");
+            assert_eq!(value.get("s"), Some(&Value::Float(2.5)), "{name}");
+            assert_eq!(value.get("text"), Some(&Value::text("raise")), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_bomb_is_not_unpacked() {
+        let len = SMALL_LEN + 1;
+        let mut bomb = vec![0x80, 4, 0x8e];
+        bomb.extend(len.to_le_bytes());
+        bomb.resize(bomb.len() + len as usize, 0);
+        bomb.push(b'.');
+        let rejected = read(&zlib(&bomb)).expect_err("a thousand times its size");
+        assert_eq!(rejected.code, "E-PICKLE-LIMIT", "{}", rejected.reason);
+    }
+
+    #[test]
+    fn damaged_and_old_dumps_are_rejected_by_code() {
+        let code = |bytes: &[u8]| read(bytes).expect_err("rejected").code;
+        for (name, base64) in DUMPS {
+            let bytes = decoded(base64);
+            let code = code(&bytes[..bytes.len() / 2]);
+            assert!(
+                ["E-PICKLE-TRUNCATED", "E-PICKLE-UNPACK"].contains(&code),
+                "{name}: {code}"
+            );
+        }
+        assert_eq!(code(b"ZF0x1234"), "E-JOBLIB-OLD");
+        assert_eq!(code(b"x\x9cnonsense"), "E-PICKLE-UNPACK");
+        let rejected = read(b"cjoblib.numpy_pickle\nZNDArrayWrapper\n.").expect_err("old");
+        assert_eq!(rejected.code, "E-PICKLE-REFUSED");
+        assert!(
+            rejected.reason.contains("beside the dump"),
+            "{}",
+            rejected.reason
+        );
+        // Outside a dump no bytes follow a wrapper.
+        let (_, plain) = DUMPS[0];
+        let rejected = pickle::read(&decoded(plain)).expect_err("a wrapper");
+        assert_eq!(rejected.code, "E-PICKLE-FORMAT");
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_it_panic(
+            which in 0..DUMPS.len(),
+            edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        ) {
+            let mut bytes = decoded(DUMPS[which].1);
+            for (at, byte) in edits {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            if let Err(rejected) = read(&bytes) {
+                prop_assert!(rejected.code.starts_with("E-"));
+            }
+        }
+    }
+}

@@ -1,0 +1,386 @@
+//! The MotionFix release: pairs of motions and the words that turn one into the other, in joblib
+//! dumps with split and label files beside them.
+//!
+//! # Source
+//! Repository athn-nik/motionfix: `motionfix.pth.tar` is a dictionary from ids to `motion_source`,
+//! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+
+use datasets_spec::{BodyPart, Fps, Seed, Split};
+use serde_json::Value as Json;
+
+use super::pickle::{Options, Value};
+use super::smpl::{Parameters, column, y_up_from_z_up};
+use super::{
+    EditOf, Entry, Files, Format, LFS_POINTER, Outcome, ReadOptions, Rejected, Release,
+    RotationSource, SourceClip, joblib, refuse_pointer,
+};
+
+/// Rate of every motion of the release, in 1/s.
+const RELEASE_FPS: f64 = 30.0;
+/// Digits of an id.
+const ID_DIGITS: usize = 6;
+/// Numbers of a frame of `rots`: the root and 21 body joints.
+const ROTATIONS_WIDTH: usize = 66;
+
+const SPLITS: &str = "splits.json";
+/// What the names of the release's label and statistics files begin with, beside `splits.json`.
+const LABELS: [&str; 8] = [
+    "amt_motionfix",
+    "gpt-labels_full",
+    "gpt3-labels",
+    "labels_val_spatial",
+    "paraphrases_dict",
+    "statistics_motionfix",
+    "text-annot_val_spatial",
+    "texts_pairs_val",
+];
+/// The label file that is read: body parts by instruction.
+const PART_LABELS: &str = "gpt-labels_full";
+
+const SOURCE: &str = "source";
+const TARGET: &str = "target";
+
+/// A pair of the release, as the dump has it.
+///
+/// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
+/// about 570 MB while it is ingested; decoding a dump takes hardly more than what it holds.
+struct Pair {
+    source: Result<Parameters, Rejected>,
+    target: Result<Parameters, Rejected>,
+    text: String,
+}
+
+/// A release, with its dumps decoded.
+struct MotionFix {
+    entries: Vec<Entry>,
+    passed_over: Vec<(String, String)>,
+    rejected: Vec<(String, Rejected)>,
+    pairs: BTreeMap<String, Pair>,
+    /// Body parts by instruction.
+    parts: BTreeMap<String, Vec<BodyPart>>,
+}
+
+/// The release among the files: at most one, since its ids are the same wherever it lies.
+pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
+    let dumps: Vec<&str> = files.all().filter(|file| is_dump(file)).collect();
+    let labels: Vec<&str> = files.all().filter(|file| is_label(file, &dumps)).collect();
+    if dumps.is_empty() && labels.is_empty() {
+        return Vec::new();
+    }
+    let mut release = MotionFix {
+        entries: Vec::new(),
+        passed_over: Vec::new(),
+        rejected: Vec::new(),
+        pairs: BTreeMap::new(),
+        parts: BTreeMap::new(),
+    };
+    if dumps.is_empty() {
+        let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
+        release.passed_over = labels
+            .into_iter()
+            .map(|file| (file.to_owned(), reason.to_owned()))
+            .collect();
+        return vec![Box::new(release)];
+    }
+    let mut splits = BTreeMap::new();
+    for file in labels {
+        release.take_label(files, file, &mut splits);
+    }
+    for file in dumps {
+        release.take_dump(files, file, &splits);
+    }
+    vec![Box::new(release)]
+}
+
+fn name_of(file: &str) -> &str {
+    file.rsplit('/').next().unwrap_or(file)
+}
+
+fn folder_of(file: &str) -> &str {
+    file.strip_suffix(name_of(file)).unwrap_or_default()
+}
+
+fn is_dump(file: &str) -> bool {
+    let name = name_of(file).to_lowercase();
+    name.starts_with("motionfix") && name.ends_with(".pth.tar")
+}
+
+fn is_label(file: &str, dumps: &[&str]) -> bool {
+    let name = name_of(file);
+    if name == SPLITS {
+        return dumps.iter().any(|dump| folder_of(dump) == folder_of(file));
+    }
+    (name.ends_with(".json") || name.ends_with(".npy"))
+        && LABELS.iter().any(|label| name.starts_with(label))
+}
+
+/// The split a dump holds alone, by its name: `motionfix_val.pth.tar`.
+fn split_of_dump(file: &str) -> Option<Split> {
+    let name = name_of(file).to_lowercase();
+    let stem = name.strip_suffix(".pth.tar")?;
+    stem.rsplit_once('_')?.1.parse().ok()
+}
+
+fn padded(id: &str) -> String {
+    format!("{id:0>ID_DIGITS$}")
+}
+
+impl MotionFix {
+    /// Reads the label files that say something of motions, and passes over the others.
+    fn take_label(&mut self, files: &Files, file: &str, splits: &mut BTreeMap<String, Split>) {
+        let name = name_of(file);
+        let has_parts = name.starts_with(PART_LABELS);
+        if name != SPLITS && !has_parts {
+            let reason = "MotionFix label file that belongs to no motion".to_owned();
+            self.passed_over.push((file.to_owned(), reason));
+            return;
+        }
+        let read = files.read(file).and_then(|bytes| {
+            refuse_pointer(&bytes)?;
+            serde_json::from_slice::<Json>(&bytes).map_err(|error| {
+                Rejected::read("E-MOTIONFIX-JSON", format!("found no JSON ({error})"))
+            })
+        });
+        let content = match read {
+            Ok(content) => content,
+            Err(rejected) => {
+                self.rejected.push((file.to_owned(), rejected));
+                return;
+            }
+        };
+        for (key, value) in content.as_object().into_iter().flatten() {
+            if has_parts {
+                let parts = parse_parts(value.as_str().unwrap_or_default());
+                self.parts.insert(key.clone(), parts);
+            } else if let Ok(split) = key.parse::<Split>() {
+                let ids = value.as_array().into_iter().flatten();
+                let ids = ids.filter_map(|id| match id {
+                    Json::String(id) => Some(padded(id)),
+                    Json::Number(id) => Some(padded(&id.to_string())),
+                    _ => None,
+                });
+                splits.extend(ids.map(|id| (id, split)));
+            }
+        }
+        let reason = "MotionFix label file, read with the motions".to_owned();
+        self.passed_over.push((file.to_owned(), reason));
+    }
+
+    /// Decodes a dump and plans the motions no dump before it had.
+    fn take_dump(&mut self, files: &Files, file: &str, splits: &BTreeMap<String, Split>) {
+        let entries = match decode(files, file) {
+            Ok(entries) => entries,
+            Err(rejected) => {
+                self.rejected.push((file.to_owned(), rejected));
+                return;
+            }
+        };
+        let found = entries.len();
+        let mut added = BTreeSet::new();
+        for (key, value) in entries {
+            let id = match &key {
+                Value::Str(id) => padded(id),
+                Value::Int(id) => padded(&id.to_string()),
+                _ => continue,
+            };
+            if !self.pairs.contains_key(&id) {
+                self.pairs.insert(id.clone(), Pair::of(&value));
+                added.insert(id);
+            }
+        }
+        if added.is_empty() {
+            let reason = match found {
+                0 => "MotionFix dump without motions".to_owned(),
+                _ => "MotionFix dump whose motions are all in another one".to_owned(),
+            };
+            self.passed_over.push((file.to_owned(), reason));
+        }
+        for id in added {
+            // Both motions of a pair need one split even where no list gives it.
+            let split = splits
+                .get(&id)
+                .copied()
+                .or(split_of_dump(file))
+                .unwrap_or_else(|| match splits.is_empty() {
+                    true => Split::assign(&id, Seed(0)),
+                    false => Split::Train,
+                });
+            self.entries
+                .extend([SOURCE, TARGET].into_iter().map(|side| Entry {
+                    file: file.to_owned(),
+                    key: format!("{id}/{side}"),
+                    id: motion_id(&id, side),
+                    split: Some(split),
+                    mirrored_of: None,
+                }));
+        }
+    }
+
+    fn read_checked(&self, entry: &Entry, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+        let planned = entry.key.split_once('/');
+        let (id, side, pair) = planned
+            .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
+            .ok_or_else(|| {
+                Rejected::read("E-IO", format!("{} is not in the release", entry.key))
+            })?;
+        let parameters = match side {
+            SOURCE => &pair.source,
+            _ => &pair.target,
+        };
+        let fps =
+            Fps::new(RELEASE_FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
+        let parameters = parameters.as_ref().map_err(Rejected::clone)?;
+        let motion = parameters.turned(y_up_from_z_up(), fps, &options.skeleton)?;
+        let mut clip = SourceClip::new(motion, RotationSource::Native);
+        clip.notes = vec![
+            "SMPL-H parameters (66 pose columns), z up, placed at the origin".to_owned(),
+            format!(
+                "rotations drive the body {} as they are",
+                options.skeleton.name()
+            ),
+        ];
+        if side == TARGET {
+            clip.edit_of = Some(EditOf {
+                source_id: motion_id(id, SOURCE),
+                kind: "fine-grained",
+                style: None,
+                parts: self.parts.get(&pair.text).cloned().unwrap_or_default(),
+                instruction: pair.text.clone(),
+            });
+        }
+        Ok(clip)
+    }
+}
+
+fn motion_id(id: &str, side: &str) -> String {
+    format!("motionfix/{id}-{side}")
+}
+
+impl Release for MotionFix {
+    fn format(&self) -> Format {
+        Format::MotionFix
+    }
+
+    fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    fn passed_over(&self) -> &[(String, String)] {
+        &self.passed_over
+    }
+
+    fn rejected(&self) -> &[(String, Rejected)] {
+        &self.rejected
+    }
+
+    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome {
+        match self.read_checked(entry, options) {
+            Ok(clip) => Outcome::Clip(Box::new(clip)),
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+}
+
+/// The entries of a dump. It is unpacked as a stream: positions of joints, which follow from the
+/// rotations, are never all in memory.
+fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
+    let failed =
+        |error: std::io::Error| Rejected::read("E-IO", format!("cannot read {file}: {error}"));
+    let path = files
+        .path(file)
+        .ok_or_else(|| Rejected::read("E-IO", format!("there is no file {file} in the source")))?;
+    let len = std::fs::metadata(path).map_err(failed)?.len();
+    if len < 4 * LFS_POINTER.len() as u64 {
+        refuse_pointer(&files.read(file)?)?;
+    }
+    let options = Options {
+        drop_keys: &["joint_positions"],
+        single_precision: true,
+    };
+    let dump = joblib::read_from(File::open(path).map_err(failed)?, len, &options)?;
+    match dump {
+        Value::Dict(entries) => Ok(entries),
+        other => Err(Rejected::read(
+            "E-MOTIONFIX-KEYS",
+            format!(
+                "found {}, expected a dictionary from ids to pairs",
+                other.describe()
+            ),
+        )),
+    }
+}
+
+impl Pair {
+    fn of(value: &Value) -> Self {
+        let side = |key: &str| {
+            let motion = value.get(key).ok_or_else(|| {
+                Rejected::read(
+                    "E-MOTIONFIX-KEYS",
+                    format!(
+                        "found {}, expected one with motion_source, motion_target and text",
+                        value.describe()
+                    ),
+                )
+            })?;
+            parameters(motion)
+        };
+        let text = value.get("text");
+        let first = text.and_then(Value::as_sequence).and_then(<[Value]>::first);
+        let text = text
+            .and_then(Value::as_str)
+            .or(first.and_then(Value::as_str));
+        Self {
+            source: side("motion_source"),
+            target: side("motion_target"),
+            text: text.unwrap_or_default().trim().to_owned(),
+        }
+    }
+}
+
+fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
+    let rotations: Vec<[f32; ROTATIONS_WIDTH]> = column(motion, "rots")?;
+    Parameters::new(
+        rotations
+            .iter()
+            .map(|frame| [frame[0], frame[1], frame[2]])
+            .collect(),
+        rotations
+            .iter()
+            .map(|frame| std::array::from_fn(|column| frame[3 + column]))
+            .collect(),
+        column(motion, "trans")?,
+    )
+}
+
+/// The parts an answer such as `Answer: right arm\nleft arm` names. `buttocks` stand for the root,
+/// which is the lower body's alone to move; `neck` is the head's.
+fn parse_parts(answer: &str) -> Vec<BodyPart> {
+    let answer = answer.trim().trim_start_matches("Answer:").to_lowercase();
+    let mut parts: Vec<BodyPart> = answer
+        .split(['\n', ','])
+        .filter_map(|name| {
+            Some(match name.trim().trim_end_matches('.') {
+                "left arm" | "left hand" => BodyPart::LeftArm,
+                "right arm" | "right hand" => BodyPart::RightArm,
+                "left leg" => BodyPart::LeftLeg,
+                "right leg" => BodyPart::RightLeg,
+                "torso" => BodyPart::Torso,
+                "neck" | "necks" | "head" => BodyPart::Head,
+                "buttocks" => BodyPart::LowerBody,
+                _ => return None,
+            })
+        })
+        .collect();
+    parts.sort();
+    parts.dedup();
+    if parts.contains(&BodyPart::LowerBody) {
+        parts.retain(|part| !matches!(part, BodyPart::LeftLeg | BodyPart::RightLeg));
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,181 @@
+//! Archives of NumPy's npz format, within bounds: nothing is unpacked further than its stated and
+//! allowed length, and nothing but the arrays asked for is unpacked at all.
+
+use std::io::{Cursor, Read, Seek};
+
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+use super::Rejected;
+use super::npy::{self, Array, Header};
+
+/// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
+/// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
+/// not.
+const MAX_MEMBER_LEN: u64 = 2 << 30;
+const MAX_RATIO: u64 = 200;
+/// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
+const SMALL_MEMBER_LEN: u64 = 1 << 20;
+/// Most members of an archive; the richest AMASS files have about thirty.
+const MAX_MEMBERS: usize = 10_000;
+/// Bytes of a member that surely hold an array's header, as [`npy`] bounds it.
+const HEADER_LEN: u64 = 10_016;
+
+/// An npz archive.
+pub(crate) struct Archive<R> {
+    zip: ZipArchive<R>,
+    /// Names of the arrays, sorted.
+    keys: Vec<String>,
+}
+
+impl<'a> Archive<Cursor<&'a [u8]>> {
+    /// Opens an archive in memory.
+    ///
+    /// # Errors
+    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    pub(crate) fn in_memory(bytes: &'a [u8]) -> Result<Self, Rejected> {
+        Self::open(Cursor::new(bytes))
+    }
+}
+
+impl<R: Read + Seek> Archive<R> {
+    /// Reads the list of members.
+    ///
+    /// # Errors
+    /// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, or `E-ARCHIVE-PATH` if a name leads out of the archive or
+    /// differs from another in case alone.
+    pub(crate) fn open(mut reader: R) -> Result<Self, Rejected> {
+        let len = reader.seek(std::io::SeekFrom::End(0)).unwrap_or(0);
+        let zip = ZipArchive::new(reader).map_err(|error| {
+            Rejected::read(
+                "E-NPZ-TRUNCATED",
+                format!("found no complete zip archive in {len} bytes ({error})"),
+            )
+            .at(usize::try_from(len).unwrap_or(usize::MAX))
+        })?;
+        if zip.len() > MAX_MEMBERS {
+            return Err(Rejected::read(
+                "E-NPZ-LIMIT",
+                format!(
+                    "found {} members, expected at most {MAX_MEMBERS}",
+                    zip.len()
+                ),
+            ));
+        }
+        check_names(zip.file_names_raw())?;
+        let mut keys: Vec<String> = zip
+            .file_names_raw()
+            .filter_map(|name| name.strip_suffix(b".npy"))
+            .map(|name| String::from_utf8_lossy(name).into_owned())
+            .collect();
+        keys.sort();
+        Ok(Self { zip, keys })
+    }
+
+    /// Names of the arrays, sorted.
+    pub(crate) fn keys(&self) -> &[String] {
+        &self.keys
+    }
+
+    /// Whether there is an array of this name.
+    pub(crate) fn has(&self, key: &str) -> bool {
+        self.keys.iter().any(|found| found == key)
+    }
+
+    /// The bytes of an array's npy file, checked against its CRC.
+    ///
+    /// # Errors
+    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    pub(crate) fn member(&mut self, key: &str) -> Result<Vec<u8>, Rejected> {
+        self.member_within(key, MAX_MEMBER_LEN)
+    }
+
+    /// [`Archive::member`] of an array that is known to be small.
+    ///
+    /// # Errors
+    /// As [`Archive::member`].
+    pub(crate) fn member_within(&mut self, key: &str, max_len: u64) -> Result<Vec<u8>, Rejected> {
+        let name = format!("{key}.npy");
+        let mut file = self
+            .zip
+            .by_name(&name)
+            .map_err(|error| member_error(&name, &error))?;
+        let (len, compressed_len) = (file.size(), file.compressed_size());
+        let start = file.data_start().unwrap_or_else(|| file.header_start());
+        if len > max_len || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > compressed_len.max(1)) {
+            return Err(Rejected::read(
+                "E-NPZ-LIMIT",
+                format!(
+                    "{name} unpacks from {compressed_len} to {len} bytes, expected at most \
+                     {max_len} and {MAX_RATIO} times its packed size"
+                ),
+            )
+            .at(start as usize));
+        }
+        // The stated length is not believed: nothing is reserved by it, and reading stops there.
+        let mut bytes = Vec::new();
+        file.by_ref()
+            .take(len)
+            .read_to_end(&mut bytes)
+            .and_then(|_| file.read(&mut [0]).map(drop))
+            .map_err(|error| member_error(&name, &ZipError::Io(error)).at(start as usize))?;
+        Ok(bytes)
+    }
+
+    /// An array of numbers.
+    ///
+    /// # Errors
+    /// As [`Archive::member`], or those of [`npy::read_numbers`].
+    pub(crate) fn numbers(&mut self, key: &str) -> Result<Array, Rejected> {
+        let bytes = self.member(key)?;
+        npy::read_numbers(key, &bytes)
+    }
+
+    /// The shape that an array claims; no more of it than its header is unpacked.
+    ///
+    /// # Errors
+    /// As [`Archive::member`], or those of [`npy`] for a header.
+    pub(crate) fn shape(&mut self, key: &str) -> Result<Vec<usize>, Rejected> {
+        let name = format!("{key}.npy");
+        let file = self
+            .zip
+            .by_name(&name)
+            .map_err(|error| member_error(&name, &error))?;
+        let mut head = Vec::new();
+        file.take(HEADER_LEN)
+            .read_to_end(&mut head)
+            .map_err(|error| member_error(&name, &ZipError::Io(error)))?;
+        Header::peek_shape(key, &head)
+    }
+}
+
+fn member_error(name: &str, error: &ZipError) -> Rejected {
+    Rejected::read(
+        "E-NPZ-TRUNCATED",
+        format!("{name} cannot be unpacked ({error})"),
+    )
+}
+/// Refuses names that mean something to a file system. Archives are read in memory and never
+/// unpacked, so they could do no harm here; what made them is not to be believed in anything else.
+fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Rejected> {
+    let mut seen = std::collections::BTreeSet::new();
+    for name in names {
+        let name = String::from_utf8_lossy(name);
+        let leads_out = name.starts_with('/')
+            || name.contains('\\')
+            || name.split('/').any(|part| part == "..")
+            || name.as_bytes().get(1) == Some(&b':');
+        let problem = if leads_out {
+            "leads out of the archive"
+        } else if !seen.insert(name.to_lowercase()) {
+            "differs from another in case alone"
+        } else {
+            continue;
+        };
+        return Err(Rejected::read(
+            "E-ARCHIVE-PATH",
+            format!("found a member {name:?}, which {problem}"),
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,83 @@
+//! A stream of bytes that knows its position and believes no length.
+
+use std::io::{BufRead, BufReader, ErrorKind, Read};
+
+use crate::source::Rejected;
+
+/// The bytes of a pickle.
+pub(super) struct Input<'a> {
+    reader: BufReader<Box<dyn Read + 'a>>,
+    position: usize,
+}
+
+impl<'a> Input<'a> {
+    pub(super) fn new(reader: impl Read + 'a) -> Self {
+        Self {
+            reader: BufReader::new(Box::new(reader)),
+            position: 0,
+        }
+    }
+
+    /// Bytes read so far; in a packed file those of the unpacked stream.
+    pub(super) fn position(&self) -> usize {
+        self.position
+    }
+
+    pub(super) fn byte(&mut self) -> Result<u8, Rejected> {
+        self.array::<1>().map(|[byte]| byte)
+    }
+
+    pub(super) fn array<const N: usize>(&mut self) -> Result<[u8; N], Rejected> {
+        let mut bytes = [0; N];
+        self.reader
+            .read_exact(&mut bytes)
+            .map_err(|error| self.failed(&error, N as u64))?;
+        self.position = self.position.saturating_add(N);
+        Ok(bytes)
+    }
+
+    /// The next `len` bytes. Memory grows with what is there, not with `len`.
+    pub(super) fn bytes(&mut self, len: u64) -> Result<Vec<u8>, Rejected> {
+        let mut bytes = Vec::new();
+        let read = self.reader.by_ref().take(len).read_to_end(&mut bytes);
+        read.map_err(|error| self.failed(&error, len))?;
+        if (bytes.len() as u64) < len {
+            return Err(self.truncated(len));
+        }
+        self.position = self.position.saturating_add(bytes.len());
+        Ok(bytes)
+    }
+
+    /// A line without its end.
+    pub(super) fn line(&mut self) -> Result<Vec<u8>, Rejected> {
+        let mut line = Vec::new();
+        let read = self.reader.read_until(b'\n', &mut line);
+        read.map_err(|error| self.failed(&error, 1))?;
+        if line.pop() != Some(b'\n') {
+            return Err(self.truncated(1));
+        }
+        self.position = self.position.saturating_add(line.len() + 1);
+        Ok(line)
+    }
+
+    fn truncated(&self, needed: u64) -> Rejected {
+        Rejected::read(
+            "E-PICKLE-TRUNCATED",
+            format!("the pickle ends within an element, expected {needed} more bytes"),
+        )
+        .at(self.position)
+    }
+
+    fn failed(&self, error: &std::io::Error, needed: u64) -> Rejected {
+        let code = match error.kind() {
+            ErrorKind::UnexpectedEof => return self.truncated(needed),
+            ErrorKind::FileTooLarge => "E-PICKLE-LIMIT",
+            ErrorKind::InvalidData
+            | ErrorKind::InvalidInput
+            | ErrorKind::OutOfMemory
+            | ErrorKind::Other => "E-PICKLE-UNPACK",
+            _ => "E-IO",
+        };
+        Rejected::read(code, format!("the pickle cannot be read on ({error})")).at(self.position)
+    }
+}

@@ -1,0 +1,173 @@
+//! The closed list of names a pickle may ask for, and what the machine makes of them.
+
+use std::sync::Arc;
+
+use super::Value;
+use super::array::{Dtype, ItemType};
+
+/// The place of an object in the machine's store.
+pub(super) type Id = u32;
+
+/// A name whose meaning this reader knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Global {
+    /// Makes an empty NumPy array that is filled by its state.
+    Reconstruct,
+    /// The class of NumPy arrays.
+    NdArray,
+    /// NumPy's types of items.
+    ItemType,
+    /// A NumPy scalar of a type and its bytes.
+    Scalar,
+    /// A NumPy array over a buffer (protocol 5).
+    FromBuffer,
+    /// Dictionaries.
+    Dict,
+    List,
+    Tuple,
+    Set,
+    Bytes,
+    /// The way Python 3 writes bytes in protocols before 3: text encoded as Latin-1.
+    Encode,
+    /// A tensor over a storage.
+    RebuildTensor,
+    /// A tensor's storage from the bytes of a file of its own.
+    LoadStorage,
+    /// The class of storages of a type.
+    StorageOf(Dtype),
+    /// A tensor's shape.
+    TensorShape,
+    /// joblib's stand-in for an array whose bytes follow it.
+    ArrayWrapper,
+}
+
+impl Global {
+    /// Finds a name in the list.
+    ///
+    /// # Source
+    /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py`
+    /// write.
+    pub(super) fn find(module: &str, name: &str) -> Option<Self> {
+        let numpy_core = module
+            .strip_prefix("numpy.core")
+            .or_else(|| module.strip_prefix("numpy._core"));
+        Some(match (module, name) {
+            _ if numpy_core.is_some() => match (numpy_core?, name) {
+                (".multiarray", "_reconstruct") => Self::Reconstruct,
+                (".multiarray", "scalar") => Self::Scalar,
+                (".numeric", "_frombuffer") => Self::FromBuffer,
+                (".memmap", "memmap") => Self::NdArray,
+                _ => return None,
+            },
+            ("numpy", "ndarray" | "memmap") => Self::NdArray,
+            ("numpy", "dtype") => Self::ItemType,
+            ("collections", "OrderedDict") => Self::Dict,
+            ("builtins" | "__builtin__", "dict") => Self::Dict,
+            ("builtins" | "__builtin__", "list") => Self::List,
+            ("builtins" | "__builtin__", "tuple") => Self::Tuple,
+            ("builtins" | "__builtin__", "set" | "frozenset") => Self::Set,
+            ("builtins" | "__builtin__", "bytes" | "bytearray") => Self::Bytes,
+            ("_codecs", "encode") => Self::Encode,
+            ("torch._utils", "_rebuild_tensor_v2") => Self::RebuildTensor,
+            ("torch.storage", "_load_from_bytes") => Self::LoadStorage,
+            ("torch", "Size") => Self::TensorShape,
+            ("torch", storage) => Self::StorageOf(storage_type(storage)?),
+            ("joblib.numpy_pickle", "NumpyArrayWrapper") => Self::ArrayWrapper,
+            _ => return None,
+        })
+    }
+
+    /// Why a name that is not in the list is refused, beyond its being code.
+    pub(super) fn refusal(module: &str, name: &str) -> &'static str {
+        match (module, name) {
+            (_, "NDArrayWrapper" | "ZNDArrayWrapper") if module.starts_with("joblib") => {
+                "joblib before 0.10 keeps arrays in files beside the dump; load it there and dump it \
+                 again"
+            }
+            _ => "that is code and is never executed; save it as plain arrays",
+        }
+    }
+}
+
+fn storage_type(class: &str) -> Option<Dtype> {
+    Some(match class {
+        "HalfStorage" => Dtype::Float(2),
+        "FloatStorage" => Dtype::Float(4),
+        "DoubleStorage" => Dtype::Float(8),
+        "CharStorage" => Dtype::Signed(1),
+        "ShortStorage" => Dtype::Signed(2),
+        "IntStorage" => Dtype::Signed(4),
+        "LongStorage" => Dtype::Signed(8),
+        "ByteStorage" => Dtype::Unsigned(1),
+        "BoolStorage" => Dtype::Bool,
+        _ => return None,
+    })
+}
+
+/// Memory that tensors are views of.
+#[derive(Clone, Debug)]
+pub(super) struct Storage {
+    pub(super) dtype: Dtype,
+    pub(super) data: StorageData,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum StorageData {
+    /// The bytes themselves.
+    Present(Arc<[u8]>),
+    /// The name of bytes that are kept outside the pickle.
+    Named(String),
+}
+
+/// A tensor whose storage is outside the pickle.
+#[derive(Clone, Debug)]
+pub(super) struct Tensor {
+    pub(super) dtype: Dtype,
+    pub(super) key: String,
+    pub(super) offset: usize,
+    pub(super) shape: Vec<usize>,
+    pub(super) strides: Vec<usize>,
+}
+
+/// An object of the machine. Containers name their items by place, so that what is shared in the
+/// pickle is stored once and can be filled after it was named.
+#[derive(Clone, Debug)]
+pub(super) enum Node {
+    /// A value without items.
+    Leaf(Value),
+    List(Vec<Id>),
+    Tuple(Vec<Id>),
+    Set(Vec<Id>),
+    Dict(Vec<(Id, Id)>),
+    Global(Global),
+    ItemType(ItemType),
+    /// An array that waits for its state.
+    PendingArray,
+    /// A joblib wrapper that waits for its state.
+    PendingWrapper,
+    Storage(Storage),
+    Tensor(Tensor),
+    /// Bytes that became an array.
+    Released,
+}
+
+impl Node {
+    /// What a message says the object is.
+    pub(super) fn kind(&self) -> &'static str {
+        match self {
+            Self::Leaf(Value::Str(_)) => "text",
+            Self::Leaf(Value::Bytes(_)) => "bytes",
+            Self::Leaf(Value::Array(_)) => "an array",
+            Self::Leaf(_) => "a plain value",
+            Self::List(_) => "a list",
+            Self::Tuple(_) => "a tuple",
+            Self::Set(_) => "a set",
+            Self::Dict(_) => "a dictionary",
+            Self::Global(_) => "a name",
+            Self::ItemType(_) => "a type",
+            Self::PendingArray | Self::PendingWrapper => "an array without content",
+            Self::Storage(_) | Self::Tensor(_) => "a tensor",
+            Self::Released => "bytes that are an array already",
+        }
+    }
+}

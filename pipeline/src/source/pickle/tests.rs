@@ -1,0 +1,398 @@
+use std::io::Write;
+
+use proptest::prelude::*;
+use zip::write::SimpleFileOptions;
+
+use super::fixture::{PICKLES, decoded};
+use super::*;
+use crate::write::pickle::encode;
+
+fn code(bytes: &[u8]) -> &'static str {
+    match read(bytes) {
+        Ok(_) => "accepted",
+        Err(rejected) => rejected.code,
+    }
+}
+
+fn numbers(value: &Value, key: &str) -> Vec<f64> {
+    let array = value.get(key).and_then(Value::as_array).expect(key);
+    assert_eq!(array.shape(), [2, 3], "{key}");
+    array.to_f64().expect("numbers")
+}
+
+#[test]
+fn python_says_the_same_in_every_protocol() {
+    for (name, base64) in PICKLES {
+        let value = read(&decoded(base64)).unwrap_or_else(|r| panic!("{name}: {r:?}"));
+        let count: Vec<f64> = (0..6).map(f64::from).collect();
+        assert_eq!(numbers(&value, "rots"), count, "{name}");
+        assert_eq!(numbers(&value, "F"), count, "{name}");
+        assert_eq!(value.get("text"), Some(&Value::text("raise")), "{name}");
+        assert_eq!(value.get("s"), Some(&Value::Float(2.5)), "{name}");
+        assert_eq!(value.get("n"), Some(&Value::Int(-3)), "{name}");
+        assert_eq!(value.get("big"), Some(&Value::Int(1 << 70)), "{name}");
+        assert_eq!(
+            value.get("o"),
+            Some(&Value::Bytes(Arc::from([0, 255]))),
+            "{name}"
+        );
+        assert_eq!(
+            value.get("set"),
+            Some(&Value::Set(vec![Value::Int(1)])),
+            "{name}"
+        );
+        let ordered = vec![(Value::text("k"), Value::Int(1))];
+        assert_eq!(value.get("od"), Some(&Value::Dict(ordered)), "{name}");
+        let text = value
+            .get("u")
+            .and_then(Value::as_array)
+            .and_then(Array::to_text);
+        assert_eq!(text, Some(vec!["ab".to_owned(), "c".to_owned()]), "{name}");
+    }
+}
+
+#[test]
+fn text_of_python_2_is_latin_1() {
+    let quoted = b"(dp0\nS'caf\\xe9'\np1\nS\"it's\"\np2\nsV\\u20ac\np3\nI-7\ns.";
+    assert_eq!(
+        read(quoted),
+        Ok(Value::Dict(vec![
+            (Value::text("café"), Value::text("it's")),
+            (Value::text("€"), Value::Int(-7)),
+        ]))
+    );
+    assert_eq!(read(b"\x80\x02U\x02\xe9a."), Ok(Value::text("éa")));
+    assert_eq!(read(b"(lp0\nI01\naF2.5\naL12L\na."), {
+        let items = vec![Value::Bool(true), Value::Float(2.5), Value::Int(12)];
+        Ok(Value::List(items))
+    });
+}
+
+#[test]
+fn what_would_be_code_is_refused_by_name_and_never_run() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let canary = dir.path().join("canary");
+    let path = canary.to_str().expect("a plain path");
+    let system = |call: &str| format!("{call}(S'touch {path}'\ntR.").into_bytes();
+    let stacked = {
+        let mut bytes = b"\x80\x04\x8c\x02os\x8c\x06system\x93\x8c".to_vec();
+        let command = format!("touch {path}");
+        bytes.push(command.len() as u8);
+        bytes.extend(command.as_bytes());
+        bytes.extend(b"\x85R.");
+        bytes
+    };
+    for (name, at, bytes) in [
+        ("os.system", 0, system("cos\nsystem\n")),
+        ("posix.system", 0, system("cposix\nsystem\n")),
+        ("builtins.eval", 0, system("cbuiltins\neval\n")),
+        ("builtins.getattr", 0, system("cbuiltins\ngetattr\n")),
+        (
+            "copyreg._reconstructor",
+            0,
+            system("ccopyreg\n_reconstructor\n"),
+        ),
+        (
+            "numpy.core.multiarray.fromfile",
+            0,
+            system("cnumpy.core.multiarray\nfromfile\n"),
+        ),
+        (
+            "numpy.testing.measure",
+            0,
+            system("cnumpy.testing\nmeasure\n"),
+        ),
+        ("torch.load", 0, system("ctorch\nload\n")),
+        ("os.system", 14, stacked),
+        ("os.system", 1, b"(ios\nsystem\n.".to_vec()),
+    ] {
+        let rejected = read(&bytes).expect_err(name);
+        assert_eq!(rejected.code, "E-PICKLE-REFUSED", "{name}");
+        assert!(rejected.reason.contains(name), "{}", rejected.reason);
+        assert_eq!(rejected.byte_offset, Some(at), "{name}");
+    }
+    for bytes in [
+        &b"(cnumpy\nndarray\no."[..],
+        b"\x80\x02\x82\x01.",
+        b"Pname\n.",
+        b"(tQ.",
+        b"\x80\x05\x97.",
+        b"cnumpy\nndarray\n.",
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\ndtype\n(I0\ntS'b'\ntR.",
+    ] {
+        assert_eq!(code(bytes), "E-PICKLE-REFUSED", "{}", bytes.escape_ascii());
+    }
+    assert!(!canary.exists(), "nothing was run");
+}
+
+#[test]
+fn lengths_and_shapes_are_not_believed() {
+    let far = |op: u8| [&[0x80, 4, op][..], &u64::MAX.to_le_bytes(), b"abc."].concat();
+    for op in [0x8d, 0x8e, 0x96] {
+        assert_eq!(code(&far(op)), "E-PICKLE-TRUNCATED", "{op:#x}");
+    }
+    let lying = Array::from_f32(&[1, 3], [1.0, 2.0, 3.0]);
+    let bytes = encode(&Value::Array(Arc::new(lying)));
+    let shape_at = bytes
+        .windows(5)
+        .position(|window| window == b"K\x01K\x03t")
+        .expect("the shape");
+    let mut wide = bytes.clone();
+    wide[shape_at + 1] = 200;
+    assert_eq!(code(&wide), "E-PICKLE-SHAPE");
+    let fields = b"cnumpy\ndtype\n(S'V8'\nI0\nI1\ntR.";
+    assert_eq!(code(fields), "E-PICKLE-DTYPE");
+    assert_eq!(code(b""), "E-PICKLE-TRUNCATED");
+    assert_eq!(code(b"\x80\x09N."), "E-PICKLE-FORMAT");
+    for malformed in [
+        &b"."[..],
+        b"a.",
+        b"]a.",
+        b"R.",
+        b"(0.",
+        b"h\x07.",
+        b"\xff",
+        b"}(Nu.",
+        b"e.",
+    ] {
+        assert_eq!(
+            code(malformed),
+            "E-PICKLE-FORMAT",
+            "{}",
+            malformed.escape_ascii()
+        );
+    }
+}
+
+#[test]
+fn depth_cycles_and_sharing_are_bounded() {
+    let nested = |depth: usize| {
+        let mut bytes = vec![b']'; depth];
+        bytes.extend(vec![b'a'; depth - 1]);
+        bytes.push(b'.');
+        bytes
+    };
+    assert_eq!(code(&nested(60)), "accepted");
+    assert_eq!(code(&nested(100_000)), "E-PICKLE-LIMIT");
+    assert_eq!(
+        code(b"\x80\x04]\x94h\x00a."),
+        "E-PICKLE-LIMIT",
+        "a list in itself"
+    );
+    let mut laughs = b"\x80\x04]\x94".to_vec();
+    for level in 0..30u8 {
+        laughs.extend([b'h', level, b'h', level, 0x86, 0x94]);
+    }
+    laughs.push(b'.');
+    assert_eq!(code(&laughs), "E-PICKLE-LIMIT");
+    let twice = read(b"\x80\x04](}\x94h\x00e.").expect("shared once");
+    assert_eq!(
+        twice,
+        Value::List(vec![Value::Dict(vec![]), Value::Dict(vec![])])
+    );
+}
+
+/// The opcodes of a tuple.
+fn tuple(items: &[&[u8]]) -> Vec<u8> {
+    [b"(", items.concat().as_slice(), b"t"].concat()
+}
+
+fn text(text: &str) -> Vec<u8> {
+    [&[0x8c, text.len() as u8], text.as_bytes()].concat()
+}
+
+/// A tensor `[2, 2]` over the second to fifth of the storage's numbers, column-major.
+fn tensor(storage: &[u8]) -> Vec<u8> {
+    let arguments = tuple(&[
+        storage,
+        b"K\x01",
+        b"K\x02K\x02\x86",
+        b"K\x01K\x02\x86",
+        b"\x89",
+        b"ccollections\nOrderedDict\n)R",
+    ]);
+    [
+        b"ctorch._utils\n_rebuild_tensor_v2\n",
+        arguments.as_slice(),
+        b"R",
+    ]
+    .concat()
+}
+
+fn outside_storage() -> Vec<u8> {
+    let name = tuple(&[
+        &text("storage"),
+        b"ctorch\nFloatStorage\n",
+        &text("7"),
+        &text("cpu"),
+        b"K\x05",
+    ]);
+    [name.as_slice(), b"Q"].concat()
+}
+
+fn storage_bytes() -> Vec<u8> {
+    (0..5).flat_map(|i| (i as f32).to_le_bytes()).collect()
+}
+
+fn legacy_file(object: &[u8]) -> Vec<u8> {
+    let mut file = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.".to_vec();
+    file.extend(b"\x80\x04}");
+    file.extend(text("little_endian"));
+    file.extend(b"\x88s.\x80\x04");
+    file.extend(object);
+    file.extend(b".\x80\x04](");
+    file.extend(text("7"));
+    file.extend(b"e.");
+    file.extend(5u64.to_le_bytes());
+    file.extend(storage_bytes());
+    file
+}
+
+fn zip_file(pickle: &[u8], storage: &[u8]) -> Vec<u8> {
+    let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, content) in [
+        ("archive/data.pkl", pickle),
+        ("archive/byteorder", b"little"),
+        ("archive/data/7", storage),
+    ] {
+        writer.start_file(name, options).expect("in memory");
+        writer.write_all(content).expect("in memory");
+    }
+    writer.finish().expect("in memory").into_inner()
+}
+
+#[test]
+fn tensors_are_read_from_every_container_of_torch() {
+    let object = tensor(&outside_storage());
+    let inner = legacy_file(&outside_storage());
+    let within = {
+        let mut call = b"ctorch.storage\n_load_from_bytes\n\x8e".to_vec();
+        call.extend((inner.len() as u64).to_le_bytes());
+        call.extend(&inner);
+        call.extend(b"\x85R");
+        [b"\x80\x04", tensor(&call).as_slice(), b"."].concat()
+    };
+    let pickle = [b"\x80\x02", object.as_slice(), b"."].concat();
+    for (name, value) in [
+        ("legacy", read_torch(&legacy_file(&object))),
+        ("zip", read_torch(&zip_file(&pickle, &storage_bytes()))),
+        ("pickle", read(&within)),
+    ] {
+        let value = value.unwrap_or_else(|r| panic!("{name}: {r:?}"));
+        let array = value.as_array().expect(name);
+        assert_eq!(array.shape(), [2, 2], "{name}");
+        assert_eq!(array.to_f32(), Some(vec![1.0, 3.0, 2.0, 4.0]), "{name}");
+    }
+    for (name, file, code) in [
+        (
+            "short storage",
+            zip_file(&pickle, &[0; 16]),
+            "E-PICKLE-SHAPE",
+        ),
+        ("no torch file", b"\x80\x02N.".to_vec(), "E-TORCH-FORMAT"),
+        (
+            "cut off",
+            legacy_file(&object)[..legacy_file(&object).len() - 1].to_vec(),
+            "E-PICKLE-TRUNCATED",
+        ),
+        ("code", zip_file(b"cos\nsystem\n.", &[]), "E-PICKLE-REFUSED"),
+        (
+            "cut zip",
+            zip_file(&pickle, &[])[..60].to_vec(),
+            "E-TORCH-FORMAT",
+        ),
+    ] {
+        let rejected = read_torch(&file).expect_err(name);
+        assert_eq!(rejected.code, code, "{name}: {}", rejected.reason);
+    }
+}
+
+#[test]
+fn dropped_keys_and_single_precision_save_memory() {
+    let (_, protocol_5) = PICKLES[2];
+    let bytes = decoded(protocol_5);
+    let options = Options {
+        drop_keys: &["rots"],
+        single_precision: true,
+    };
+    let value = read_from(&bytes[..], &options).expect("valid");
+    assert_eq!(value.get("rots"), Some(&Value::None));
+    let kept = value.get("F").and_then(Value::as_array).expect("kept");
+    assert_eq!(kept.dtype(), Dtype::Float(4));
+    assert_eq!(kept.to_f64(), Some((0..6).map(f64::from).collect()));
+}
+
+#[test]
+fn the_first_bytes_tell_a_pickle() {
+    for (_, base64) in PICKLES {
+        assert!(has_magic(&decoded(base64)));
+    }
+    for other in [
+        &b""[..],
+        b"PK\x03\x04",
+        b"{\"a\": 1}",
+        b"\x80\x7f",
+        b"version https",
+    ] {
+        assert!(!has_magic(other), "{}", other.escape_ascii());
+    }
+}
+
+fn flat_value() -> impl Strategy<Value = Value> {
+    prop_oneof![
+        Just(Value::None),
+        any::<bool>().prop_map(Value::Bool),
+        any::<i128>().prop_map(Value::Int),
+        any::<i32>().prop_map(|number| Value::Int(number.into())),
+        (-1e9..1e9).prop_map(Value::Float),
+        any::<String>().prop_map(|text| Value::text(&text)),
+        prop::collection::vec(any::<u8>(), 0..300).prop_map(|bytes| Value::Bytes(bytes.into())),
+        prop::collection::vec(-1e3f32..1e3, 0..20)
+            .prop_map(|v| Value::Array(Arc::new(Array::from_f32(&[v.len()], v.clone())))),
+    ]
+}
+
+fn value() -> impl Strategy<Value = Value> {
+    flat_value().prop_recursive(4, 40, 6, |inner| {
+        prop_oneof![
+            prop::collection::vec(inner.clone(), 0..6).prop_map(Value::List),
+            prop::collection::vec(inner.clone(), 0..6).prop_map(Value::Tuple),
+            prop::collection::vec((inner.clone(), inner), 0..6).prop_map(Value::Dict),
+        ]
+    })
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_is_read_back(value in value()) {
+        prop_assert_eq!(read(&encode(&value)), Ok(value));
+    }
+
+    #[test]
+    fn no_bytes_make_it_panic(
+        bytes in prop::collection::vec(any::<u8>(), 0..200),
+        which in 0..5usize,
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+        cut in any::<prop::sample::Index>(),
+    ) {
+        let object = tensor(&outside_storage());
+        let valid = match which {
+            0 => legacy_file(&object),
+            1 => zip_file(&[b"\x80\x02", object.as_slice(), b"."].concat(), &storage_bytes()),
+            which => decoded(PICKLES[which - 2].1),
+        };
+        let mut mutated = valid.clone();
+        for (at, byte) in edits {
+            let at = at.index(mutated.len());
+            mutated[at] = byte;
+        }
+        for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
+            for read in [read(candidate), read_torch(candidate)] {
+                if let Err(rejected) = read {
+                    prop_assert!(rejected.code.starts_with("E-"), "{:?}", rejected);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,501 @@
+//! A folder of the release: which of its files hold which motions.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value as Json;
+
+use super::annotation::{Annotations, parse_parts};
+use super::motion::release_clip;
+use super::name::{listed_name, motion_id, original_of};
+use super::origin::{self, Origin, Origins};
+use super::rejected_json;
+use super::split::{ClipSplits, Lists};
+use crate::source::pickle::Value;
+use crate::source::{
+    EditOf, Entry, Files, Format, Outcome, ReadOptions, Rejected, Release, SourceClip, joblib,
+    refuse_pointer,
+};
+
+/// The folders of the release.
+pub(crate) const BASE_MOTION: &str = "base_motion";
+pub(crate) const STYLE_TRANSFER: &str = "style_transfer";
+pub(crate) const ADJUSTMENT: &str = "adjustment";
+pub(crate) const REGEN: &str = "regen";
+pub(crate) const SPLIT: &str = "split";
+const FOLDERS: [&str; 5] = [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT, REGEN, SPLIT];
+
+/// Keys of the two motions of an adjustment.
+const SOURCE_KEY: &str = "src";
+const TARGET_KEY: &str = "tgt";
+
+/// Largest pickle read, in bytes: an hour at 20 fps takes 20 MB.
+const MAX_PICKLE_LEN: u64 = 256 << 20;
+
+/// Folders (empty, or ending in `/`) that hold a release.
+pub(super) fn roots(files: &Files) -> BTreeSet<String> {
+    files
+        .all()
+        .filter(|path| path.ends_with(".pkl"))
+        .filter_map(|path| {
+            let (root, folder, _) = place(path)?;
+            [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT]
+                .contains(&folder)
+                .then(|| root.to_owned())
+        })
+        .collect()
+}
+
+/// Splits a path into the release's folder, the one of [`FOLDERS`] in it, and the rest.
+fn place(path: &str) -> Option<(&str, &'static str, &str)> {
+    let mut start = 0;
+    for component in path.split('/') {
+        let end = start + component.len();
+        if let Some(folder) = FOLDERS.into_iter().find(|folder| *folder == component) {
+            let rest = path.get(end + 1..)?;
+            return Some((&path[..start], folder, rest));
+        }
+        start = end + 1;
+    }
+    None
+}
+
+/// What a motion is in the release.
+#[derive(Clone, Debug)]
+enum Role {
+    /// A base motion.
+    Base,
+    /// A base motion in a style.
+    Styled {
+        source_id: String,
+        style: String,
+    },
+    /// One of the motions of an adjustment.
+    Source,
+    Target {
+        source_id: String,
+    },
+}
+
+/// A motion of the release beyond what its entry says.
+#[derive(Clone, Debug)]
+struct Detail {
+    role: Role,
+    origin: Option<Origin>,
+    /// Where the motion is written again as the edit of another one: file and source id.
+    edited_in: Option<(String, String)>,
+}
+
+/// A planned release.
+pub(super) struct StanceRelease {
+    entries: Vec<Entry>,
+    passed_over: Vec<(String, String)>,
+    rejected: Vec<(String, Rejected)>,
+    /// By file and key.
+    details: BTreeMap<(String, String), Detail>,
+    annotations: Annotations,
+    /// Body part and text of adjustments whose pickle lacks them, by file stem.
+    adjustments: Json,
+}
+
+impl StanceRelease {
+    pub(super) fn plan(files: &Files, root: String) -> Self {
+        let mut planner = Planner::new(files, &root);
+        planner.read_lists();
+        planner.plan_motions();
+        planner.release
+    }
+
+    fn read_checked(&self, files: &Files, entry: &Entry) -> Result<SourceClip, Rejected> {
+        let detail = self
+            .details
+            .get(&(entry.file.clone(), entry.key.clone()))
+            .ok_or_else(|| {
+                Rejected::read("E-IO", format!("{} is not in the release", entry.file))
+            })?;
+        let value = read_pickle(files, &entry.file)?;
+        let mut clip = match &detail.role {
+            Role::Base => {
+                let mut clip = release_clip(&value)?;
+                let named = motion_id(stem_of(&entry.file));
+                self.annotations.attach(&named, &mut clip);
+                clip
+            }
+            Role::Styled { source_id, style } => {
+                let mut clip = release_clip(&value)?;
+                clip.style = Some(style.clone());
+                clip.edit_of = Some(EditOf {
+                    source_id: source_id.clone(),
+                    kind: "style",
+                    style: Some(style.clone()),
+                    parts: Vec::new(),
+                    instruction: text_of(&value, "text"),
+                });
+                clip
+            }
+            Role::Source => release_clip(of_pair(&value, SOURCE_KEY)?)?,
+            Role::Target { source_id } => {
+                let mut clip = release_clip(of_pair(&value, TARGET_KEY)?)?;
+                let edit = self.edit_of(&value, &entry.file, source_id, &mut clip.notes);
+                clip.edit_of = Some(edit);
+                clip
+            }
+        };
+        if let Some((file, source_id)) = &detail.edited_in {
+            let pair = read_pickle(files, file)?;
+            let edit = self.edit_of(&pair, file, source_id, &mut clip.notes);
+            clip.edit_of = clip.edit_of.or(Some(edit));
+        }
+        let stem = stem_of(&entry.file);
+        if motion_id(stem) != stem {
+            clip.notes.push(format!("file {stem} of the release"));
+        }
+        if let Some(origin) = &detail.origin {
+            clip.captions.clone_from(&origin.captions);
+            clip.action.clone_from(&origin.action);
+            clip.style.clone_from(&origin.style);
+            clip.license.clone_from(&origin.license);
+        }
+        Ok(clip)
+    }
+
+    /// What an adjustment says of its target.
+    fn edit_of(
+        &self,
+        pair: &Value,
+        file: &str,
+        source_id: &str,
+        notes: &mut Vec<String>,
+    ) -> EditOf {
+        let beside = &self.adjustments[stem_of(file)];
+        let said = |key: &str| match text_of(pair, key) {
+            text if text.is_empty() => beside[key].as_str().unwrap_or_default().to_owned(),
+            text => text,
+        };
+        let (parts, unknown) = parse_parts(&said("body_part"));
+        notes.extend(unknown);
+        EditOf {
+            source_id: source_id.to_owned(),
+            kind: "fine-grained",
+            style: None,
+            parts,
+            instruction: said("text"),
+        }
+    }
+}
+
+impl Release for StanceRelease {
+    fn format(&self) -> Format {
+        Format::Stance
+    }
+
+    fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    fn passed_over(&self) -> &[(String, String)] {
+        &self.passed_over
+    }
+
+    fn rejected(&self) -> &[(String, Rejected)] {
+        &self.rejected
+    }
+
+    fn read(&self, files: &Files, entry: &Entry, _options: &ReadOptions) -> Outcome {
+        match self.read_checked(files, entry) {
+            Ok(clip) => Outcome::Clip(Box::new(clip)),
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+}
+
+fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
+    let path = files.path(file);
+    let len = path
+        .and_then(|path| std::fs::metadata(path).ok())
+        .map_or(0, |metadata| metadata.len());
+    if len > MAX_PICKLE_LEN {
+        return Err(Rejected::read(
+            "E-TOO-LARGE",
+            format!("found {len} bytes, expected at most {MAX_PICKLE_LEN} in a pickle"),
+        ));
+    }
+    let bytes = files.read(file)?;
+    refuse_pointer(&bytes)?;
+    joblib::read(&bytes)
+}
+
+fn of_pair<'a>(value: &'a Value, key: &str) -> Result<&'a Value, Rejected> {
+    value.get(key).ok_or_else(|| {
+        Rejected::read(
+            "E-STANCE-KEYS",
+            format!(
+                "found {}, expected one with src, tgt, body_part and text",
+                value.describe()
+            ),
+        )
+    })
+}
+
+/// A text, or several joined by `+`.
+fn text_of(value: &Value, key: &str) -> String {
+    match value.get(key) {
+        Some(Value::Str(text)) => text.trim().to_owned(),
+        Some(Value::List(items) | Value::Tuple(items)) => {
+            let texts: Vec<&str> = items.iter().filter_map(Value::as_str).collect();
+            texts.join("+")
+        }
+        _ => String::new(),
+    }
+}
+
+fn stem_of(file: &str) -> &str {
+    listed_name(file)
+}
+
+/// Goes through the files of a release.
+struct Planner<'a> {
+    files: &'a Files,
+    root: &'a str,
+    release: StanceRelease,
+    base_lists: Lists,
+    style_lists: Lists,
+    adjustment_lists: Lists,
+    origins: Origins,
+    /// Where each motion of an export was found first: an export may write one twice.
+    taken: BTreeMap<String, (String, String)>,
+}
+
+impl<'a> Planner<'a> {
+    fn new(files: &'a Files, root: &'a str) -> Self {
+        Self {
+            files,
+            root,
+            release: StanceRelease {
+                entries: Vec::new(),
+                passed_over: Vec::new(),
+                rejected: Vec::new(),
+                details: BTreeMap::new(),
+                annotations: Annotations::default(),
+                adjustments: Json::Null,
+            },
+            base_lists: Lists::default(),
+            style_lists: Lists::default(),
+            adjustment_lists: Lists::default(),
+            origins: Origins::new(),
+            taken: BTreeMap::new(),
+        }
+    }
+
+    /// Reads everything that is no motion.
+    fn read_lists(&mut self) {
+        let (mut masks, mut texts) = (Json::Null, Json::Null);
+        let files: Vec<&str> = self.files.under(self.root).collect();
+        for file in files {
+            if file.strip_prefix(self.root) == Some(origin::FILE_NAME) {
+                self.origins = self.json(file).unwrap_or_default();
+                continue;
+            }
+            let Some((root, folder, rest)) = place(file) else {
+                continue;
+            };
+            if root != self.root {
+                continue;
+            }
+            let name = rest.rsplit('/').next().unwrap_or(rest);
+            match (folder, name) {
+                (REGEN, "mask_all.json") => masks = self.json(file).unwrap_or_default(),
+                (REGEN, "part_annotations.json") => texts = self.json(file).unwrap_or_default(),
+                (ADJUSTMENT, name)
+                    if name.starts_with("adjustment_annotations") && name.ends_with(".json") =>
+                {
+                    self.release.adjustments = self.json(file).unwrap_or_default();
+                }
+                (SPLIT, _) => self.read_list(file, rest),
+                _ => {}
+            }
+        }
+        self.release.annotations = Annotations::new(&masks, &texts);
+    }
+
+    fn read_list(&mut self, file: &str, rest: &str) {
+        let mut components = rest.rsplit('/');
+        let name = components.next().unwrap_or_default();
+        let section = components.next().unwrap_or(BASE_MOTION);
+        let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
+        let Some(split) = Lists::split_of(stem) else {
+            return;
+        };
+        let mut lists = Lists::default();
+        match extension {
+            "txt" => match self.files.read(file) {
+                Ok(bytes) => {
+                    lists.take_lines(split, &String::from_utf8_lossy(&bytes));
+                    self.read_with_motions(file);
+                }
+                Err(rejected) => self.release.rejected.push((file.to_owned(), rejected)),
+            },
+            "json" => {
+                if let Some(value) = self.json::<Json>(file) {
+                    lists.take_json(split, &value);
+                }
+            }
+            _ => return,
+        }
+        let all = match section {
+            STYLE_TRANSFER => &mut self.style_lists,
+            ADJUSTMENT => &mut self.adjustment_lists,
+            _ => &mut self.base_lists,
+        };
+        all.join(lists);
+    }
+
+    /// The content of a JSON file of the release; none if it is broken, which is then on record.
+    fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
+        let read = self.files.read(file).and_then(|bytes| {
+            refuse_pointer(&bytes)?;
+            serde_json::from_slice(&bytes).map_err(|error| rejected_json(file, &error))
+        });
+        match read {
+            Ok(value) => {
+                self.read_with_motions(file);
+                Some(value)
+            }
+            Err(rejected) => {
+                self.release.rejected.push((file.to_owned(), rejected));
+                None
+            }
+        }
+    }
+
+    fn read_with_motions(&mut self, file: &str) {
+        let reason = "list of the STANCE release, read with its motions".to_owned();
+        self.release.passed_over.push((file.to_owned(), reason));
+    }
+
+    fn plan_motions(&mut self) {
+        let clips = ClipSplits::new(&self.base_lists, &self.style_lists);
+        for section in [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT] {
+            let prefix = format!("{}{section}/", self.root);
+            let files: Vec<&str> = self
+                .files
+                .under(&prefix)
+                .filter(|file| file.ends_with(".pkl"))
+                .collect();
+            for file in files {
+                match section {
+                    BASE_MOTION => self.plan_base(file, &clips),
+                    STYLE_TRANSFER => self.plan_styled(file, &clips),
+                    _ => self.plan_adjustment(file),
+                }
+            }
+        }
+    }
+
+    fn plan_base(&mut self, file: &str, clips: &ClipSplits) {
+        let id = motion_id(stem_of(file));
+        let entry = Entry {
+            file: file.to_owned(),
+            key: String::new(),
+            split: clips.of(&id),
+            mirrored_of: original_of(&id).map(str::to_owned),
+            id,
+        };
+        self.plan(entry, Role::Base, BASE_MOTION);
+    }
+
+    fn plan_styled(&mut self, file: &str, clips: &ClipSplits) {
+        let Some((base, style)) = stem_of(file).split_once('_') else {
+            let reason = "the file name has no style, expected one such as 000009_proud.pkl";
+            let rejected = Rejected::read("E-STANCE-NAME", reason);
+            self.release.rejected.push((file.to_owned(), rejected));
+            return;
+        };
+        let source_id = self
+            .origins
+            .get(&format!("{BASE_MOTION}/{base}"))
+            .map_or_else(|| motion_id(base), |origin| origin.id.clone());
+        let entry = Entry {
+            file: file.to_owned(),
+            key: String::new(),
+            // A crop, a copy and a styled version share their clip's split.
+            id: format!("{source_id}#{style}"),
+            split: clips.of(&source_id),
+            mirrored_of: None,
+        };
+        let role = Role::Styled {
+            source_id,
+            style: style.to_owned(),
+        };
+        self.plan(entry, role, STYLE_TRANSFER);
+    }
+
+    fn plan_adjustment(&mut self, file: &str) {
+        let stem = stem_of(file);
+        let split = self.adjustment_lists.of(stem);
+        let id_of = |key: &str| {
+            let origin = self.origins.get(&format!("{ADJUSTMENT}/{stem}#{key}"));
+            origin.map_or_else(
+                || format!("{ADJUSTMENT}/{stem}#{key}"),
+                |origin| origin.id.clone(),
+            )
+        };
+        let entry_of = |key: &str| Entry {
+            file: file.to_owned(),
+            key: key.to_owned(),
+            id: id_of(key),
+            split,
+            mirrored_of: None,
+        };
+        let (source, target) = (entry_of(SOURCE_KEY), entry_of(TARGET_KEY));
+        let role = Role::Target {
+            source_id: source.id.clone(),
+        };
+        let both = [
+            self.plan(source, Role::Source, ADJUSTMENT),
+            self.plan(target, role, ADJUSTMENT),
+        ];
+        if both == [false; 2] {
+            let reason = "its motions are in other files of the release".to_owned();
+            self.release.passed_over.push((file.to_owned(), reason));
+        }
+    }
+
+    /// Adds a motion, by its origin where one is recorded. Answers whether it is a new one: an
+    /// export writes a motion again for each pair it is in.
+    fn plan(&mut self, mut entry: Entry, mut role: Role, section: &str) -> bool {
+        let suffix = match entry.key.as_str() {
+            "" => String::new(),
+            key => format!("#{key}"),
+        };
+        let name = format!("{section}/{}{suffix}", stem_of(&entry.file));
+        let origin = self.origins.get(&name).cloned();
+        if let Some(origin) = &origin {
+            entry.id.clone_from(&origin.id);
+            entry.split = Some(origin.split);
+            entry.mirrored_of.clone_from(&origin.mirrored_of);
+            if let (Role::Styled { style, .. }, Some(own)) = (&mut role, &origin.style) {
+                style.clone_from(own);
+            }
+        }
+        let place = (entry.file.clone(), entry.key.clone());
+        if origin.is_some() {
+            if let Some(first) = self.taken.get(&entry.id) {
+                if let (Role::Target { source_id }, Some(detail)) =
+                    (role, self.release.details.get_mut(first))
+                {
+                    detail.edited_in.get_or_insert((entry.file, source_id));
+                }
+                return false;
+            }
+            self.taken.insert(entry.id.clone(), place.clone());
+        }
+        let detail = Detail {
+            role,
+            origin,
+            edited_in: None,
+        };
+        self.release.details.insert(place, detail);
+        self.release.entries.push(entry);
+        true
+    }
+}

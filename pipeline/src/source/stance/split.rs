@@ -1,0 +1,165 @@
+//! The split lists of the release.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::Split;
+use serde_json::Value;
+
+use super::name::{listed_name, motion_id, original_of};
+
+/// The names of one section's lists, and the split each is in. A name in several lists is in the
+/// one that is looked at last: nothing that is tested may be trained on.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lists {
+    names: BTreeMap<String, Split>,
+}
+
+impl Lists {
+    /// The split a list is of, by its file name.
+    pub(super) fn split_of(stem: &str) -> Option<Split> {
+        match stem.to_lowercase().as_str() {
+            "train" => Some(Split::Train),
+            "val" | "valid" | "validation" => Some(Split::Val),
+            "test" => Some(Split::Test),
+            _ => None,
+        }
+    }
+
+    /// Takes a list of lines.
+    pub(super) fn take_lines(&mut self, split: Split, text: &str) {
+        for line in text.lines() {
+            self.put(split, line);
+        }
+    }
+
+    /// Takes every name in a list of names or pairs, or in a map.
+    pub(super) fn take_json(&mut self, split: Split, value: &Value) {
+        match value {
+            Value::String(name) => self.put(split, name),
+            Value::Number(number) => self.put(split, &number.to_string()),
+            Value::Array(items) => items.iter().for_each(|item| self.take_json(split, item)),
+            Value::Object(map) => {
+                for (key, value) in map {
+                    self.put(split, key);
+                    self.take_json(split, value);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn put(&mut self, split: Split, name: &str) {
+        let name = listed_name(name);
+        if name.is_empty() {
+            return;
+        }
+        let found = self.names.entry(name.to_owned()).or_insert(split);
+        *found = split.max(*found);
+    }
+
+    /// Takes the names of other lists of the same section.
+    pub(super) fn join(&mut self, other: Self) {
+        for (name, split) in other.names {
+            self.put(split, &name);
+        }
+    }
+
+    /// The split of a name, `train` if other names are listed, none if there are no lists.
+    pub(super) fn of(&self, name: &str) -> Option<Split> {
+        if self.names.is_empty() {
+            return None;
+        }
+        Some(self.names.get(name).copied().unwrap_or(Split::Train))
+    }
+}
+
+/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one:
+/// the last of any that the lists of base motions or of style transfers give to one of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ClipSplits {
+    clips: BTreeMap<String, Split>,
+}
+
+impl ClipSplits {
+    pub(super) fn new(base: &Lists, style: &Lists) -> Self {
+        let mut clips = BTreeMap::new();
+        // A style transfer is listed by its file, such as 000009_proud.
+        let styled = style.names.iter().map(|(name, split)| {
+            let (base, _style) = name.split_once('_').unwrap_or((name, ""));
+            (base, split)
+        });
+        let base = base
+            .names
+            .iter()
+            .map(|(name, split)| (name.as_str(), split));
+        for (name, &split) in base.chain(styled) {
+            let found = clips.entry(clip_of(&motion_id(name))).or_insert(split);
+            *found = split.max(*found);
+        }
+        Self { clips }
+    }
+
+    /// The split of a motion by its id; none if there are no lists.
+    pub(super) fn of(&self, id: &str) -> Option<Split> {
+        if self.clips.is_empty() {
+            return None;
+        }
+        Some(
+            self.clips
+                .get(&clip_of(id))
+                .copied()
+                .unwrap_or(Split::Train),
+        )
+    }
+}
+
+fn clip_of(id: &str) -> String {
+    original_of(id).unwrap_or(id).to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn copies_and_styles_of_a_clip_are_where_the_last_of_them_is() {
+        let (mut base, mut style) = (Lists::default(), Lists::default());
+        base.take_lines(Split::Val, "000001\r\nM000002\n\n");
+        base.take_lines(Split::Test, "014619\n");
+        style.take_json(
+            Split::Test,
+            &json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
+        );
+        style.take_json(Split::Test, &json!({"000001_old": 1}));
+        let splits = ClipSplits::new(&base, &style);
+        for (id, split) in [
+            ("000001", Split::Test),
+            ("M000001", Split::Test),
+            ("000002", Split::Val),
+            ("000003", Split::Test),
+            ("000004", Split::Test),
+            ("000005", Split::Test),
+            ("000006", Split::Train),
+        ] {
+            assert_eq!(splits.of(id), Some(split), "{id}");
+        }
+        let none = ClipSplits::new(&Lists::default(), &Lists::default());
+        assert_eq!(none.of("000001"), None);
+    }
+
+    #[test]
+    fn lists_are_named_by_their_file() {
+        assert_eq!(Lists::split_of("Val"), Some(Split::Val));
+        assert_eq!(Lists::split_of("test"), Some(Split::Test));
+        assert_eq!(Lists::split_of("all"), None);
+        let mut lists = Lists::default();
+        assert_eq!(lists.of("a"), None);
+        lists.take_json(Split::Test, &json!(["x/a.pkl"]));
+        assert_eq!(
+            (lists.of("a"), lists.of("b")),
+            (Some(Split::Test), Some(Split::Train))
+        );
+    }
+}

@@ -1,0 +1,329 @@
+//! Numbers about a dataset: how much, of what, how well.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use datasets_spec::Dataset;
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, read_rows};
+use serde::Serialize;
+
+use crate::Error;
+use crate::check::FLAG_NAMES;
+
+/// Upper ends of the classes of durations, in seconds; the last class has none.
+const DURATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 60.0];
+
+/// Clips that have something in common.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Share {
+    /// Clips.
+    pub clips: u64,
+    /// Stored frames.
+    pub frames: u64,
+    /// Hours.
+    pub hours: f64,
+}
+
+/// How a number is spread.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// Value below which 5 % lie.
+    pub p5: f64,
+    /// The median.
+    pub p50: f64,
+    /// Value below which 95 % lie.
+    pub p95: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+impl Spread {
+    /// The spread of numbers; none of none.
+    fn of(mut numbers: Vec<f64>) -> Option<Self> {
+        numbers.sort_by(f64::total_cmp);
+        let last = numbers.len().checked_sub(1)?;
+        // The nearest rank, so that every quantile is a number that was measured.
+        let at = |share: f64| numbers[(share * last as f64).round() as usize];
+        Some(Self {
+            p5: at(0.05),
+            p50: at(0.5),
+            p95: at(0.95),
+            max: numbers[last],
+        })
+    }
+}
+
+/// Numbers about a dataset.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Statistics {
+    /// All clips.
+    pub total: Share,
+    /// By split.
+    pub splits: BTreeMap<String, Share>,
+    /// By kind of source.
+    pub sources: BTreeMap<String, Share>,
+    /// By where the rotations come from.
+    pub rotations: BTreeMap<String, Share>,
+    /// By stored frame rate.
+    pub rates: BTreeMap<String, Share>,
+    /// By licence tag.
+    pub licenses: BTreeMap<String, Share>,
+    /// By action, where one is stated.
+    pub actions: BTreeMap<String, Share>,
+    /// By style, where one is stated.
+    pub styles: BTreeMap<String, Share>,
+    /// Clips that mirror another.
+    pub mirrored: u64,
+    /// Captions, their words, and clips without any.
+    pub captions: u64,
+    /// Words of all captions.
+    pub words: u64,
+    /// Clips nothing is said of.
+    pub silent: u64,
+    /// Clips by duration, in classes.
+    pub durations: Vec<(String, u64)>,
+    /// Clips by finding of the quality checks.
+    pub flags: BTreeMap<String, u64>,
+    /// Highest joint speed of a clip in m/s.
+    pub max_speed: Option<Spread>,
+    /// Speed of planted feet in m/s.
+    pub foot_skate: Option<Spread>,
+    /// Distance between source and stored joints in metres, by kind of source.
+    pub fit_error_m: BTreeMap<String, Spread>,
+    /// Masks by parts.
+    pub masks: BTreeMap<String, u64>,
+    /// Pairs by kind.
+    pub pairs: BTreeMap<String, u64>,
+}
+
+/// Counts a dataset, shard by shard.
+///
+/// # Errors
+/// A table cannot be read.
+pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
+    let mut statistics = Statistics::default();
+    let (mut speeds, mut skates) = (Vec::new(), Vec::new());
+    let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let mut durations = [0u64; DURATIONS.len() + 1];
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        for row in read_rows::<MotionRow>(&path)? {
+            let seconds = f64::from(row.n_frames) / f64::from(row.fps);
+            let class = DURATIONS.partition_point(|end| *end <= seconds);
+            durations[class] += 1;
+            speeds.push(row.quality.max_speed.into());
+            skates.push(row.quality.foot_skate.into());
+            if let Some(error) = row.fit_error_m {
+                errors
+                    .entry(row.source.clone())
+                    .or_default()
+                    .push(error.into());
+            }
+            statistics.take(&row, seconds);
+        }
+    }
+    statistics.durations = durations
+        .into_iter()
+        .enumerate()
+        .map(|(class, clips)| (class_name(class), clips))
+        .collect();
+    statistics.max_speed = Spread::of(speeds);
+    statistics.foot_skate = Spread::of(skates);
+    statistics.fit_error_m = errors
+        .into_iter()
+        .filter_map(|(source, errors)| Some((source, Spread::of(errors)?)))
+        .collect();
+    for (path, _) in dataset.files(MaskRow::TABLE, None) {
+        for row in read_rows::<MaskRow>(&path)? {
+            *statistics.masks.entry(row.parts.join("+")).or_default() += 1;
+        }
+    }
+    for (path, _) in dataset.files(PairRow::TABLE, None) {
+        for row in read_rows::<PairRow>(&path)? {
+            *statistics.pairs.entry(row.kind).or_default() += 1;
+        }
+    }
+    Ok(statistics)
+}
+
+fn class_name(class: usize) -> String {
+    match (
+        class.checked_sub(1).map(|before| DURATIONS[before]),
+        DURATIONS.get(class),
+    ) {
+        (None, Some(end)) => format!("under {end} s"),
+        (Some(start), Some(end)) => format!("{start} to {end} s"),
+        (Some(start), None) => format!("{start} s and more"),
+        (None, None) => "all".to_owned(),
+    }
+}
+
+impl Statistics {
+    fn take(&mut self, row: &MotionRow, seconds: f64) {
+        let add = |share: &mut Share| {
+            share.clips += 1;
+            share.frames += u64::try_from(row.n_frames).unwrap_or(0);
+            share.hours += seconds / 3600.0;
+        };
+        add(&mut self.total);
+        add(self.splits.entry(row.split.to_string()).or_default());
+        add(self.sources.entry(row.source.clone()).or_default());
+        add(self
+            .rotations
+            .entry(row.rotation_source.clone())
+            .or_default());
+        add(self.rates.entry(format!("{} fps", row.fps)).or_default());
+        let license = row
+            .license
+            .clone()
+            .unwrap_or_else(|| "not stated".to_owned());
+        add(self.licenses.entry(license).or_default());
+        if let Some(action) = &row.action {
+            add(self.actions.entry(action.clone()).or_default());
+        }
+        if let Some(style) = &row.style {
+            add(self.styles.entry(style.clone()).or_default());
+        }
+        self.mirrored += u64::from(row.mirrored_of.is_some());
+        self.captions += row.captions.len() as u64;
+        let words = row
+            .captions
+            .iter()
+            .map(|said| said.text.split_whitespace().count());
+        self.words += words.sum::<usize>() as u64;
+        self.silent += u64::from(row.captions.is_empty() && row.part_captions.is_empty());
+        for (flag, name) in FLAG_NAMES {
+            if row.quality.flags & flag != 0 {
+                *self.flags.entry(name.to_owned()).or_default() += 1;
+            }
+        }
+    }
+}
+
+/// A bar of eighths for a share of the largest.
+fn bar(value: u64, largest: u64) -> String {
+    const WIDTH: u64 = 24;
+    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    let eighths = (8 * WIDTH * value).checked_div(largest).unwrap_or(0);
+    let whole = "█".repeat((eighths / 8) as usize);
+    format!("{whole}{}", EIGHTHS[(eighths % 8) as usize])
+}
+
+impl fmt::Display for Statistics {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Share {
+            clips,
+            frames,
+            hours,
+        } = self.total;
+        writeln!(f, "{clips} clips, {frames} frames, {hours:.2} hours")?;
+        writeln!(
+            f,
+            "{} captions of {} words; {} clips without any; {} mirrored",
+            self.captions, self.words, self.silent, self.mirrored
+        )?;
+        for (title, shares) in [
+            ("split", &self.splits),
+            ("source", &self.sources),
+            ("rotations", &self.rotations),
+            ("rate", &self.rates),
+            ("licence", &self.licenses),
+            ("action", &self.actions),
+            ("style", &self.styles),
+        ] {
+            if shares.is_empty() {
+                continue;
+            }
+            let largest = shares.values().map(|share| share.clips).max().unwrap_or(0);
+            writeln!(
+                f,
+                "\n{title:<24} {:>8} {:>9} {:>8}",
+                "clips", "frames", "hours"
+            )?;
+            for (label, share) in shares {
+                writeln!(
+                    f,
+                    "{label:<24} {:>8} {:>9} {:>8.2}  {}",
+                    share.clips,
+                    share.frames,
+                    share.hours,
+                    bar(share.clips, largest)
+                )?;
+            }
+        }
+        let counts = |title: &str, counts: &[(String, u64)], f: &mut fmt::Formatter<'_>| {
+            if counts.is_empty() {
+                return Ok(());
+            }
+            let largest = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
+            writeln!(f, "\n{title:<24} {:>8}", "clips")?;
+            for (label, count) in counts {
+                writeln!(f, "{label:<24} {count:>8}  {}", bar(*count, largest))?;
+            }
+            Ok(())
+        };
+        let listed = |map: &BTreeMap<String, u64>| -> Vec<(String, u64)> {
+            map.iter()
+                .map(|(label, count)| (label.clone(), *count))
+                .collect()
+        };
+        counts("duration", &self.durations, f)?;
+        counts("finding", &listed(&self.flags), f)?;
+        counts("mask", &listed(&self.masks), f)?;
+        counts("pair", &listed(&self.pairs), f)?;
+        writeln!(
+            f,
+            "\n{:<24} {:>8} {:>8} {:>8} {:>8}",
+            "", "p5", "p50", "p95", "max"
+        )?;
+        let mut spreads: Vec<(String, Spread)> = Vec::new();
+        spreads.extend(
+            self.max_speed
+                .map(|spread| ("max speed, m/s".to_owned(), spread)),
+        );
+        spreads.extend(
+            self.foot_skate
+                .map(|spread| ("foot skate, m/s".to_owned(), spread)),
+        );
+        for (source, spread) in &self.fit_error_m {
+            spreads.push((format!("fit error of {source}, m"), *spread));
+        }
+        for (label, Spread { p5, p50, p95, max }) in spreads {
+            writeln!(f, "{label:<24} {p5:>8.3} {p50:>8.3} {p95:>8.3} {max:>8.3}")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spreads_are_numbers_that_were_measured() {
+        assert_eq!(Spread::of(Vec::new()), None);
+        let spread = Spread::of((0..=100).map(f64::from).collect()).expect("some");
+        assert_eq!(
+            (spread.p5, spread.p50, spread.p95, spread.max),
+            (5.0, 50.0, 95.0, 100.0)
+        );
+        let one = Spread::of(vec![2.5]).expect("one");
+        assert_eq!((one.p5, one.max), (2.5, 2.5));
+    }
+
+    #[test]
+    fn classes_of_durations_have_names_without_gaps() {
+        let names: Vec<String> = (0..=DURATIONS.len()).map(class_name).collect();
+        assert_eq!(names[0], "under 1 s");
+        assert_eq!(names[1], "1 to 2 s");
+        assert_eq!(names[DURATIONS.len()], "60 s and more");
+    }
+
+    #[test]
+    fn bars_grow_with_their_share() {
+        assert_eq!(bar(0, 10), "");
+        assert_eq!(bar(10, 10).chars().count(), 24);
+        assert_eq!(bar(1, 192), "▏");
+        assert_eq!(bar(5, 0), "");
+    }
+}

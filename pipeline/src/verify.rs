@@ -1,0 +1,484 @@
+//! Whether a dataset is what it says: hashes, columns, contents, and splits that keep apart.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::manifest::FileEntry;
+use datasets_spec::record::{
+    EditRow, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, ScoreRow,
+    TripletRow,
+};
+use datasets_spec::store::{Disk, Store};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, MotionId, Progress, Split};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::Error;
+
+/// What a finding is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Check {
+    /// Files are there, with the recorded size and hash.
+    Files,
+    /// Every table has its columns, and rows decode.
+    Schema,
+    /// Motions are what their hashes and counts say.
+    Contents,
+    /// Rows that name a motion name one that is there.
+    References,
+    /// Nothing of a source clip is in two splits.
+    Splits,
+    /// Sources equal ingested, quarantined and skipped.
+    Accounting,
+}
+
+impl Check {
+    /// Every check, in the order they are made.
+    pub const ALL: [Check; 6] = [
+        Self::Files,
+        Self::Schema,
+        Self::Contents,
+        Self::References,
+        Self::Splits,
+        Self::Accounting,
+    ];
+
+    /// What it says of itself.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Files => "files",
+            Self::Schema => "schema",
+            Self::Contents => "contents",
+            Self::References => "references",
+            Self::Splits => "splits",
+            Self::Accounting => "accounting",
+        }
+    }
+}
+
+/// Something that is not as it should be.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Finding {
+    /// The check that found it.
+    pub check: Check,
+    /// The file, motion or row.
+    pub item: String,
+    /// What is wrong, with the numbers found and expected.
+    pub problem: String,
+}
+
+/// What was checked and what was found.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Verification {
+    /// Files whose hashes were computed.
+    pub files: u64,
+    /// Rows that were decoded.
+    pub rows: u64,
+    /// Everything that is wrong.
+    pub findings: Vec<Finding>,
+    /// Motions that are equal to one of another split. Published datasets contain some, so they are
+    /// told apart from the findings.
+    pub duplicates: Vec<Finding>,
+}
+
+impl Verification {
+    /// Whether nothing is wrong.
+    pub fn passed(&self) -> bool {
+        self.findings.is_empty()
+    }
+}
+
+/// Checks a dataset from its files to its contents. Memory is bounded by one shard a thread and a
+/// line for each motion.
+///
+/// # Errors
+/// The folder is no dataset, or of a newer format.
+pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Error> {
+    let dataset = Dataset::open_unverified(root)?;
+    let manifest = dataset.manifest();
+    let mut findings = Vec::new();
+    if !manifest.accounting.balances() {
+        findings.push(Finding {
+            check: Check::Accounting,
+            item: "manifest".to_owned(),
+            problem: format!(
+                "sources are not all accounted for: {:?}",
+                manifest.accounting
+            ),
+        });
+    }
+    let files: Vec<(&str, &FileEntry)> = manifest
+        .tables
+        .iter()
+        .flat_map(|(table, files)| files.iter().map(move |file| (table.as_str(), file)))
+        .collect();
+    progress.begin("verify", Some(files.len() as u64));
+    let read: Vec<Read> = files
+        .par_iter()
+        .map(|(table, file)| {
+            let read = Read::of(root, table, file, &manifest.skeleton);
+            progress.advance(1);
+            read
+        })
+        .collect();
+    let rows = read.iter().map(|read| read.rows).sum();
+    let mut motions = BTreeMap::new();
+    let mut named = Vec::new();
+    let mut by_content: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
+    let mut duplicates = Vec::new();
+    let mut by_source: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
+    for read in read {
+        findings.extend(read.findings);
+        named.extend(read.named);
+        for motion in read.motions {
+            duplicates.extend(motion.duplicate_of(&mut by_content));
+            findings.extend(motion.leak(&mut by_source));
+            if motions.insert(motion.id.clone(), motion.split).is_some() {
+                findings.push(Finding {
+                    check: Check::Contents,
+                    item: motion.id.to_string(),
+                    problem: "two motions have this id".to_owned(),
+                });
+            }
+        }
+    }
+    for name in named {
+        findings.extend(name.check(&motions));
+    }
+    findings.sort();
+    progress.finish(&format!("{} files, {rows} rows", files.len()));
+    Ok(Verification {
+        files: files.len() as u64,
+        rows,
+        findings,
+        duplicates,
+    })
+}
+
+/// What is kept of a motion to compare it with others.
+struct Met {
+    id: MotionId,
+    split: Split,
+    mirrored_of: Option<String>,
+    content_hash: String,
+}
+
+impl Met {
+    /// Whether a motion that was met before has the same content and another split.
+    fn duplicate_of(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
+        let first = met
+            .entry(self.content_hash.clone())
+            .or_insert_with(|| (self.id.clone(), self.split));
+        (first.1 != self.split).then(|| Finding {
+            check: Check::Splits,
+            item: self.id.to_string(),
+            problem: format!(
+                "is in {} and equal to {} in {}",
+                self.split, first.0, first.1
+            ),
+        })
+    }
+
+    /// Whether a motion made of the same source clip was met in another split.
+    fn leak(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
+        let clip = match &self.mirrored_of {
+            Some(original) => {
+                MotionId::parse(original).map_or(original.clone(), |id| id.source_clip().to_owned())
+            }
+            None => self.id.source_clip().to_owned(),
+        };
+        let first = met
+            .entry(clip)
+            .or_insert_with(|| (self.id.clone(), self.split));
+        (first.1 != self.split).then(|| Finding {
+            check: Check::Splits,
+            item: self.id.to_string(),
+            problem: format!(
+                "is in {}, and {}, made of the same source clip, in {}",
+                self.split, first.0, first.1
+            ),
+        })
+    }
+}
+
+/// A row that names a motion.
+struct Named {
+    table: &'static str,
+    row: String,
+    motion: String,
+    split: Split,
+}
+
+impl Named {
+    fn check(&self, motions: &BTreeMap<MotionId, Split>) -> Option<Finding> {
+        let item = format!("{} of {}", self.row, self.table);
+        let found = MotionId::parse(&self.motion)
+            .ok()
+            .and_then(|id| motions.get(&id));
+        match found {
+            Some(split) if *split == self.split => None,
+            Some(split) => Some(Finding {
+                check: Check::Splits,
+                item,
+                problem: format!(
+                    "is in {} and names {}, which is in {split}",
+                    self.split, self.motion
+                ),
+            }),
+            None => Some(Finding {
+                check: Check::References,
+                item,
+                problem: format!("names {}, which is not in the dataset", self.motion),
+            }),
+        }
+    }
+}
+
+/// What one file was found to hold.
+#[derive(Default)]
+struct Read {
+    rows: u64,
+    motions: Vec<Met>,
+    named: Vec<Named>,
+    findings: Vec<Finding>,
+}
+
+impl Read {
+    fn of(root: &Path, table: &str, file: &FileEntry, skeleton: &str) -> Self {
+        let mut read = Self::default();
+        if let Err(problem) = check_file(root, file) {
+            read.find(Check::Files, &file.path, problem);
+            return read;
+        }
+        let path = root.join(&file.path);
+        let reader = match table {
+            MotionRow::TABLE => read.motions(&path, file, skeleton),
+            MaskRow::TABLE => read.rows_of(&path, file, |row: &MaskRow| {
+                vec![(row.id.clone(), row.motion_id.to_string(), row.split)]
+            }),
+            PairRow::TABLE => read.rows_of(&path, file, |row: &PairRow| {
+                [&row.source_id, &row.target_id]
+                    .map(|id| (row.id.clone(), id.to_string(), row.split))
+                    .to_vec()
+            }),
+            HumanMl3dRow::TABLE => read.rows_of(&path, file, |row: &HumanMl3dRow| {
+                vec![(row.id.to_string(), row.id.to_string(), row.split)]
+            }),
+            MarkerRow::TABLE => read.rows_of(&path, file, |_: &MarkerRow| Vec::new()),
+            TripletRow::TABLE => read.rows_of(&path, file, |_: &TripletRow| Vec::new()),
+            EditRow::TABLE => read.rows_of(&path, file, |_: &EditRow| Vec::new()),
+            ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
+            QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
+            other => Err(format!("no table is called {other}")),
+        };
+        if let Err(problem) = reader {
+            read.find(Check::Schema, &file.path, problem);
+        }
+        read
+    }
+
+    fn find(&mut self, check: Check, item: &str, problem: String) {
+        self.findings.push(Finding {
+            check,
+            item: item.to_owned(),
+            problem,
+        });
+    }
+
+    /// Decodes the rows of a table and takes the motions they name.
+    fn rows_of<R: Row>(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        names: impl Fn(&R) -> Vec<(String, String, Split)>,
+    ) -> Result<(), String> {
+        let rows = self.decoded::<R>(path, file)?;
+        for (row, motion, split) in rows.iter().flat_map(names) {
+            self.named.push(Named {
+                table: R::TABLE,
+                row,
+                motion,
+                split,
+            });
+        }
+        Ok(())
+    }
+
+    fn decoded<R: Row>(&mut self, path: &Path, file: &FileEntry) -> Result<Vec<R>, String> {
+        let rows: Vec<R> = read_rows(path).map_err(|error| error.to_string())?;
+        if rows.len() as u64 != file.rows {
+            let problem = format!("holds {} rows, the manifest says {}", rows.len(), file.rows);
+            self.find(Check::Contents, &file.path, problem);
+        }
+        self.rows += rows.len() as u64;
+        Ok(rows)
+    }
+
+    fn motions(&mut self, path: &Path, file: &FileEntry, skeleton: &str) -> Result<(), String> {
+        for row in self.decoded::<MotionRow>(path, file)? {
+            let id = row.id.as_str();
+            match row.motion() {
+                Err(error) => self.find(Check::Contents, id, error.to_string()),
+                Ok(motion) => {
+                    let (hash, frames) = (motion.content_hash(), motion.len());
+                    if hash != row.content_hash {
+                        let problem = format!("its hash is {hash}, recorded {}", row.content_hash);
+                        self.find(Check::Contents, id, problem);
+                    }
+                    if usize::try_from(row.n_frames) != Ok(frames) {
+                        let problem = format!("has {frames} frames, recorded {}", row.n_frames);
+                        self.find(Check::Contents, id, problem);
+                    }
+                }
+            }
+            if row.skeleton != skeleton {
+                let problem = format!("is posed on {}, the dataset on {skeleton}", row.skeleton);
+                self.find(Check::Contents, id, problem);
+            }
+            if file.split != Some(row.split) {
+                let problem = format!("says {} and lies in {}", row.split, file.path);
+                self.find(Check::Splits, id, problem);
+            }
+            self.motions.push(Met {
+                split: row.split,
+                mirrored_of: row.mirrored_of,
+                content_hash: row.content_hash,
+                id: row.id,
+            });
+        }
+        Ok(())
+    }
+}
+
+fn check_file(root: &Path, file: &FileEntry) -> Result<(), String> {
+    let path = root.join(&file.path);
+    let size = std::fs::metadata(&path)
+        .map_err(|error| error.to_string())?
+        .len();
+    if size != file.bytes {
+        return Err(format!(
+            "has {size} bytes, the manifest says {}",
+            file.bytes
+        ));
+    }
+    let hash = Disk.hash(&path).map_err(|error| error.to_string())?;
+    if hash != file.blake3 {
+        return Err(format!(
+            "BLAKE3 is {hash}, the manifest says {}",
+            file.blake3
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::NoProgress;
+    use datasets_spec::dataset::{Commit, ShardName, Transaction};
+
+    use super::*;
+    use crate::compose::fixture;
+
+    /// A dataset of the given motions, each in the shard of its split.
+    fn dataset(root: &Path, rows: &[MotionRow]) -> Dataset {
+        let transaction = Transaction::begin(root, "the test").expect("begins");
+        let mut files = Vec::new();
+        for split in Split::ALL {
+            let rows: Vec<MotionRow> = rows
+                .iter()
+                .filter(|row| row.split == split)
+                .cloned()
+                .collect();
+            let name = ShardName {
+                table: MotionRow::TABLE,
+                split: Some(split),
+                index: 0,
+                of: 1,
+            };
+            files.push(transaction.write_shard(&name, &rows, &[]).expect("written"));
+        }
+        transaction
+            .commit(Commit {
+                tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), files)]),
+                ..Commit::default()
+            })
+            .expect("committed")
+    }
+
+    fn row(id: &str, split: Split) -> MotionRow {
+        fixture::motion_row(id, split, &fixture::wandering(id, 30))
+    }
+
+    fn findings(rows: &[MotionRow]) -> Vec<(Check, String)> {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        dataset(dir.path(), rows);
+        let done = verify(dir.path(), &NoProgress).expect("a dataset");
+        let findings = done.findings.into_iter();
+        findings.map(|found| (found.check, found.item)).collect()
+    }
+
+    #[test]
+    fn a_sound_dataset_passes_and_what_was_looked_at_is_counted() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        dataset(dir.path(), &[row("a", Split::Train), row("b", Split::Test)]);
+        let done = verify(dir.path(), &NoProgress).expect("a dataset");
+        assert!(done.passed(), "{:?}", done.findings);
+        assert_eq!((done.files, done.rows), (3, 2));
+    }
+
+    #[test]
+    fn copies_of_a_clip_in_two_splits_are_a_leak() {
+        for copy in ["a~m", "a@10-20", "a#second"] {
+            let found = findings(&[row("a", Split::Train), row(copy, Split::Test)]);
+            assert_eq!(found, [(Check::Splits, copy.to_owned())]);
+        }
+        let mut mirrored = row("other", Split::Val);
+        mirrored.mirrored_of = Some("a".to_owned());
+        let found = findings(&[row("a", Split::Train), mirrored]);
+        assert_eq!(found, [(Check::Splits, "other".to_owned())]);
+    }
+
+    #[test]
+    fn equal_motions_in_two_splits_are_told_apart_from_leaks() {
+        let mut copy = row("a", Split::Train);
+        copy.id = MotionId::parse("b").expect("valid");
+        copy.split = Split::Val;
+        let dir = tempfile::tempdir().expect("temporary folder");
+        dataset(dir.path(), &[row("a", Split::Train), copy]);
+        let done = verify(dir.path(), &NoProgress).expect("a dataset");
+        assert!(done.passed());
+        assert_eq!(done.duplicates.len(), 1);
+        assert_eq!(done.duplicates[0].item, "b");
+    }
+
+    #[test]
+    fn wrong_hashes_counts_and_ids_are_found() {
+        let mut altered = row("a", Split::Train);
+        altered.transl[0][0] += 1.0;
+        let mut miscounted = row("b", Split::Train);
+        miscounted.n_frames += 1;
+        let twice = [row("c", Split::Train), row("c", Split::Train)];
+        let found = findings(&[&[altered, miscounted], &twice[..]].concat());
+        let expected = ["a", "b", "c"].map(|id| (Check::Contents, id.to_owned()));
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn an_altered_or_missing_file_is_named_and_the_rest_is_checked() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let made = dataset(dir.path(), &[row("a", Split::Train), row("b", Split::Test)]);
+        let files = made.files(MotionRow::TABLE, None);
+        let altered = &files[0].0;
+        let mut bytes = std::fs::read(altered).expect("reads");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        std::fs::write(altered, bytes).expect("writes");
+        std::fs::remove_file(&files[1].0).expect("removed");
+        let done = verify(dir.path(), &NoProgress).expect("a dataset");
+        let items: Vec<&str> = done.findings.iter().map(|f| f.item.as_str()).collect();
+        assert_eq!(items, [files[0].1.path.as_str(), files[1].1.path.as_str()]);
+        assert_eq!(done.rows, 1, "the third file was read");
+    }
+}

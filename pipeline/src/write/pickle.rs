@@ -1,0 +1,180 @@
+//! Python pickles of plain values and NumPy arrays.
+
+use crate::source::pickle::{Array, Dtype, Value};
+
+/// The oldest protocol with lengths of 64 bits; Python 3.4 and later read it.
+const PROTOCOL: u8 = 4;
+
+/// Encodes a value as a pickle that Python reads back with `pickle.load`; arrays need NumPy there,
+/// of any version.
+pub fn encode(value: &Value) -> Vec<u8> {
+    let mut out = vec![0x80, PROTOCOL];
+    put(&mut out, value);
+    out.push(b'.');
+    out
+}
+
+fn put(out: &mut Vec<u8>, value: &Value) {
+    match value {
+        Value::None => out.push(b'N'),
+        Value::Bool(true) => out.push(0x88),
+        Value::Bool(false) => out.push(0x89),
+        Value::Int(number) => put_int(out, *number),
+        Value::Float(number) => {
+            out.push(b'G');
+            out.extend(number.to_be_bytes());
+        }
+        Value::Str(text) => put_text(out, text),
+        Value::Bytes(bytes) => put_bytes(out, bytes),
+        Value::List(items) => {
+            out.extend(b"](");
+            items.iter().for_each(|item| put(out, item));
+            out.push(b'e');
+        }
+        Value::Tuple(items) => put_tuple(out, |out| items.iter().for_each(|item| put(out, item))),
+        Value::Set(items) => {
+            out.extend([0x8f, b'(']);
+            items.iter().for_each(|item| put(out, item));
+            out.push(0x90);
+        }
+        Value::Dict(entries) => {
+            out.extend(b"}(");
+            for (key, value) in entries {
+                put(out, key);
+                put(out, value);
+            }
+            out.push(b'u');
+        }
+        Value::Array(array) => put_array(out, array),
+    }
+}
+
+fn put_int(out: &mut Vec<u8>, number: i128) {
+    if let Ok(small) = u8::try_from(number) {
+        out.extend([b'K', small]);
+    } else if let Ok(word) = i32::try_from(number) {
+        out.push(b'J');
+        out.extend(word.to_le_bytes());
+    } else {
+        let bytes = number.to_le_bytes();
+        out.extend([0x8a, bytes.len() as u8]);
+        out.extend(bytes);
+    }
+}
+
+fn put_text(out: &mut Vec<u8>, text: &str) {
+    match u8::try_from(text.len()) {
+        Ok(len) => out.extend([0x8c, len]),
+        Err(_) => {
+            out.push(0x8d);
+            out.extend((text.len() as u64).to_le_bytes());
+        }
+    }
+    out.extend(text.as_bytes());
+}
+
+fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
+    match u8::try_from(bytes.len()) {
+        Ok(len) => out.extend([b'C', len]),
+        Err(_) => {
+            out.push(0x8e);
+            out.extend((bytes.len() as u64).to_le_bytes());
+        }
+    }
+    out.extend(bytes);
+}
+
+fn put_tuple(out: &mut Vec<u8>, items: impl FnOnce(&mut Vec<u8>)) {
+    out.push(b'(');
+    items(out);
+    out.push(b't');
+}
+
+fn put_global(out: &mut Vec<u8>, module: &str, name: &str) {
+    put_text(out, module);
+    put_text(out, name);
+    out.push(0x93);
+}
+
+/// An array as NumPy writes one: an empty array, and its state of version, shape, type, order and
+/// bytes. The module has the name of NumPy 1, which NumPy 2 still answers to.
+fn put_array(out: &mut Vec<u8>, array: &Array) {
+    put_global(out, "numpy.core.multiarray", "_reconstruct");
+    put_tuple(out, |out| {
+        put_global(out, "numpy", "ndarray");
+        put_tuple(out, |out| put_int(out, 0));
+        put_bytes(out, b"b");
+    });
+    out.push(b'R');
+    put_tuple(out, |out| {
+        put_int(out, 1);
+        put_tuple(out, |out| {
+            let extents = array.shape().iter();
+            extents.for_each(|&extent| put_int(out, extent as i128));
+        });
+        put_dtype(out, array.dtype());
+        put(out, &Value::Bool(false));
+        put_bytes(out, array.data());
+    });
+    out.push(b'b');
+}
+
+/// A type and its state: version, byte order, no inner type, no fields, length and alignment where
+/// the type does not imply them, no flags.
+fn put_dtype(out: &mut Vec<u8>, dtype: Dtype) {
+    put_global(out, "numpy", "dtype");
+    put_tuple(out, |out| {
+        put_text(out, &dtype.to_string());
+        put(out, &Value::Bool(false));
+        put(out, &Value::Bool(true));
+    });
+    out.push(b'R');
+    let (order, len, alignment) = match dtype {
+        Dtype::Bytes(len) => ("|", len as i128, 1),
+        Dtype::Text(_) => ("<", dtype.item_len() as i128, 4),
+        _ if dtype.item_len() == 1 => ("|", -1, -1),
+        _ => ("<", -1, -1),
+    };
+    put_tuple(out, |out| {
+        put_int(out, 3);
+        put_text(out, order);
+        out.extend(b"NNN");
+        put_int(out, len);
+        put_int(out, alignment);
+        put_int(out, 0);
+    });
+    out.push(b'b');
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::source::pickle::read;
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let array = Array::from_f32(&[2, 3], [0.0, -1.5, f32::MIN_POSITIVE, 3.0, 4.0, 5e30]);
+        let value = Value::Dict(vec![
+            (Value::text("none"), Value::None),
+            (Value::text("flag"), Value::Bool(true)),
+            (
+                Value::Int(-70_000),
+                Value::List(vec![
+                    Value::Int(255),
+                    Value::Int(1 << 77),
+                    Value::Float(-0.1),
+                ]),
+            ),
+            (
+                Value::text(&"é".repeat(300)),
+                Value::Bytes(Arc::from([7; 300])),
+            ),
+            (Value::text("array"), Value::Array(Arc::new(array))),
+            (Value::text("empty"), Value::Tuple(Vec::new())),
+            (Value::text("set"), Value::Set(vec![Value::Int(1)])),
+        ]);
+        assert_eq!(read(&encode(&value)), Ok(value));
+    }
+}

@@ -1,0 +1,359 @@
+//! What is left when a run is killed, or when the disk fails under it.
+//!
+//! Both tests count the file operations of a run. One makes the n-th fail, for every n; the other
+//! has the process killed right before the n-th, for fifty seeded n.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::store::{Disk, Store, StoreFile};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
+use pipeline::Error;
+use pipeline::corpus::{CorpusOptions, write_corpus};
+use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
+
+const NUM_CLIPS: usize = 18;
+const HOLDER: &str = "the test";
+
+/// What happens at the chosen operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    /// It fails with this kind of error.
+    Fail(io::ErrorKind),
+    /// A write takes half of what it is given and the next one fails, as on a full disk.
+    WriteHalf,
+    /// The process is killed, so that nothing after it can run.
+    Kill,
+}
+
+/// The disk, with a fate waiting at one operation.
+#[derive(Debug)]
+struct Doomed {
+    count: Arc<AtomicUsize>,
+    at: usize,
+    fate: Fate,
+}
+
+impl Doomed {
+    fn store(at: usize, fate: Fate) -> (Arc<dyn Store>, Arc<AtomicUsize>) {
+        let count = Arc::new(AtomicUsize::new(0));
+        let store = Self {
+            count: Arc::clone(&count),
+            at,
+            fate,
+        };
+        (Arc::new(store), count)
+    }
+
+    fn step(&self) -> io::Result<()> {
+        step(&self.count, self.at, self.fate)
+    }
+}
+
+fn step(count: &AtomicUsize, at: usize, fate: Fate) -> io::Result<()> {
+    if count.fetch_add(1, Ordering::SeqCst) != at {
+        return Ok(());
+    }
+    match fate {
+        Fate::Fail(kind) => Err(io::Error::new(kind, "the test lets this operation fail")),
+        Fate::WriteHalf => Err(io::Error::new(
+            io::ErrorKind::StorageFull,
+            "the test lets the disk be full",
+        )),
+        Fate::Kill => {
+            let killed = Command::new("kill")
+                .args(["-9", &std::process::id().to_string()])
+                .status();
+            unreachable!("the process outlived its own SIGKILL: {killed:?}")
+        }
+    }
+}
+
+struct DoomedFile {
+    file: Box<dyn StoreFile>,
+    count: Arc<AtomicUsize>,
+    at: usize,
+    fate: Fate,
+}
+
+impl Write for DoomedFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let now = self.count.load(Ordering::SeqCst);
+        if self.fate == Fate::WriteHalf && now == self.at && bytes.len() > 1 {
+            // The operation is not counted, so the rest of the bytes meets the full disk.
+            return self.file.write(&bytes[..bytes.len() / 2]);
+        }
+        step(&self.count, self.at, self.fate)?;
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl StoreFile for DoomedFile {
+    fn sync(&mut self) -> io::Result<()> {
+        step(&self.count, self.at, self.fate)?;
+        self.file.sync()
+    }
+}
+
+impl Store for Doomed {
+    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
+        self.step()?;
+        Disk.create_dir_all(path)
+    }
+
+    fn create(&self, path: &Path) -> io::Result<Box<dyn StoreFile>> {
+        self.step()?;
+        Ok(Box::new(DoomedFile {
+            file: Disk.create(path)?,
+            count: Arc::clone(&self.count),
+            at: self.at,
+            fate: self.fate,
+        }))
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.step()?;
+        Disk.rename(from, to)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        self.step()?;
+        Disk.sync_dir(path)
+    }
+
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        self.step()?;
+        Disk.read(path)
+    }
+
+    fn hash(&self, path: &Path) -> io::Result<String> {
+        self.step()?;
+        Disk.hash(path)
+    }
+
+    fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>> {
+        self.step()?;
+        Disk.list(path)
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        self.step()?;
+        Disk.remove_file(path)
+    }
+
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+        self.step()?;
+        Disk.remove_dir_all(path)
+    }
+}
+
+/// A small corpus with one broken file in it.
+fn source(dir: &Path) -> PathBuf {
+    let source = dir.join("corpus");
+    let options = CorpusOptions {
+        clips: NUM_CLIPS,
+        ..CorpusOptions::default()
+    };
+    write_corpus(&source, &options, &NoProgress).expect("the corpus is written");
+    std::fs::write(source.join("broken.bvh"), b"HIERARCHY\n").expect("written");
+    source
+}
+
+fn run(
+    store: Arc<dyn Store>,
+    source: &Path,
+    out: &Path,
+    new_version: bool,
+) -> Result<IngestReport, Error> {
+    let options = IngestOptions {
+        seed: Seed(3),
+        new_version,
+        ..IngestOptions::default()
+    };
+    // One thread, so that the n-th operation is the same one every time.
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .expect("a pool");
+    pool.install(|| {
+        let transaction = Transaction::begin_on(store, out, HOLDER)?;
+        ingest_in(transaction, &[source.to_owned()], &options, &NoProgress)
+    })
+}
+
+/// Every file of a folder that is not part of the newest manifest's dataset.
+fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
+    let root = dataset.root();
+    let named: Vec<PathBuf> = dataset
+        .manifest()
+        .tables
+        .values()
+        .flatten()
+        .map(|file| root.join(&file.path))
+        .collect();
+    let mut found = Vec::new();
+    let mut folders = vec![root.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for (path, is_dir) in Disk.list(&folder).expect("listed") {
+            let name = path.strip_prefix(root).expect("below the root");
+            let of_the_format = name.starts_with("README.md")
+                || name.starts_with("croissant.json")
+                || name.starts_with("meta/LOCK")
+                || name.to_string_lossy().starts_with("meta/manifest-");
+            if is_dir {
+                folders.push(path);
+            } else if !of_the_format && !named.contains(&path) {
+                found.push(path);
+            }
+        }
+    }
+    found
+}
+
+fn ids_and_hashes(dataset: &Dataset) -> Vec<(String, String)> {
+    let rows: Vec<MotionRow> = dataset.read(None).expect("reads");
+    let mut pairs: Vec<(String, String)> = rows
+        .into_iter()
+        .map(|row| (row.id.as_str().to_owned(), row.content_hash))
+        .collect();
+    pairs.sort();
+    pairs
+}
+
+#[test]
+fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let source = source(dir.path());
+    let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
+    let clean = run(store, &source, &dir.path().join("clean"), false).expect("a healthy disk");
+    let num_operations = count.load(Ordering::SeqCst);
+    let expected = ids_and_hashes(&clean.dataset);
+    assert_eq!(expected.len(), NUM_CLIPS);
+
+    let fates = [
+        Fate::Fail(io::ErrorKind::Other),
+        Fate::Fail(io::ErrorKind::StorageFull),
+        Fate::WriteHalf,
+    ];
+    let mut num_failed = 0;
+    for at in 0..num_operations {
+        let fate = fates[at % fates.len()];
+        let out = dir.path().join(format!("failing{at}"));
+        let (store, _) = Doomed::store(at, fate);
+        match run(store, &source, &out, false) {
+            Err(_) => {
+                num_failed += 1;
+                // Whoever opens the folder sees no dataset, or a whole one.
+                if let Ok(dataset) = Dataset::open(&out) {
+                    assert_eq!(
+                        dataset.manifest().root_hash,
+                        clean.dataset.manifest().root_hash
+                    );
+                }
+                let again = run(Disk::store(), &source, &out, false).expect("the disk is healthy");
+                assert_eq!(
+                    again.dataset.manifest().root_hash,
+                    clean.dataset.manifest().root_hash,
+                    "operation {at}"
+                );
+                assert_eq!(
+                    leftovers(&again.dataset),
+                    Vec::<PathBuf>::new(),
+                    "operation {at}"
+                );
+            }
+            Ok(report) if report.accounting.codes.contains_key("E-IO") => {
+                // The operation that failed read a source, and that is what the report says.
+                assert!(report.accounting.balances());
+                // It may have been the broken file that could not be read.
+                let broken = report.accounting.quarantined - report.accounting.codes["E-IO"];
+                assert!(broken <= 1, "operation {at}: {:?}", report.accounting);
+                let again = run(Disk::store(), &source, &out, true).expect("the disk is healthy");
+                assert_eq!(ids_and_hashes(&again.dataset), expected, "operation {at}");
+            }
+            Ok(report) => {
+                // What failed was a leftover's removal or a look at what an earlier run left.
+                assert_eq!(
+                    report.dataset.manifest().root_hash,
+                    clean.dataset.manifest().root_hash,
+                    "operation {at}"
+                );
+                Dataset::open(&out).expect("whole");
+            }
+        }
+        std::fs::remove_dir_all(&out).expect("removed");
+    }
+    assert!(
+        num_failed > num_operations / 3,
+        "{num_failed} of {num_operations} operations were found out"
+    );
+}
+
+const CHILD: &str = "STANCE_TEST_CHILD";
+
+#[test]
+fn killed_anywhere_a_run_continues_to_the_same_dataset() {
+    if let Some(task) = std::env::var_os(CHILD) {
+        let task = task.to_string_lossy().into_owned();
+        let mut parts = task.splitn(3, '|');
+        let mut next = || parts.next().expect("point, source and output");
+        let (at, source, out) = (next().parse().expect("a number"), next(), next());
+        let (store, _) = Doomed::store(at, Fate::Kill);
+        let done = run(store, Path::new(source), Path::new(out), false);
+        panic!("the run was to be killed and ended with {done:?}");
+    }
+    const NUM_POINTS: usize = 50;
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let source = source(dir.path());
+    let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
+    let clean = run(store, &source, &dir.path().join("clean"), false).expect("a healthy disk");
+    let num_operations = count.load(Ordering::SeqCst) as u64;
+    let num_shards = clean.dataset.files(MotionRow::TABLE, None).len();
+    assert!(
+        num_shards > 1,
+        "an interrupted run has something to continue after"
+    );
+
+    for point in 0..NUM_POINTS {
+        let at = Seed(9).draw_u64(&["kill", &point.to_string()]) % num_operations;
+        let out = dir.path().join(format!("killed{point}"));
+        let this = "killed_anywhere_a_run_continues_to_the_same_dataset";
+        let child = Command::new(std::env::current_exe().expect("this test"))
+            .args(["--exact", this, "--nocapture"])
+            .env(
+                CHILD,
+                format!("{at}|{}|{}", source.display(), out.display()),
+            )
+            .output()
+            .expect("the child starts");
+        assert_eq!(child.status.code(), None, "killed by a signal: {child:?}");
+        if let Ok(dataset) = Dataset::open(&out) {
+            assert_eq!(
+                dataset.manifest().root_hash,
+                clean.dataset.manifest().root_hash
+            );
+        }
+        let again = run(Disk::store(), &source, &out, false).expect("continues");
+        assert_eq!(
+            again.dataset.manifest().root_hash,
+            clean.dataset.manifest().root_hash,
+            "killed before operation {at}"
+        );
+        assert!(again.accounting.balances());
+        assert_eq!(
+            leftovers(&again.dataset),
+            Vec::<PathBuf>::new(),
+            "killed before operation {at}"
+        );
+        std::fs::remove_dir_all(&out).expect("removed");
+    }
+}

@@ -1,0 +1,27 @@
+//! `stance stats`
+
+use std::path::PathBuf;
+
+use datasets_spec::Dataset;
+use pipeline::stats::statistics;
+
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Count a dataset: clips, hours, captions, findings of the quality checks, speeds and fit errors.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder
+    dataset: PathBuf,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let statistics = statistics(&Dataset::open(&args.dataset)?)?;
+    if global.json {
+        report::json(&statistics)?;
+    } else {
+        report::text(&statistics.to_string());
+    }
+    Ok(Exit::Done)
+}

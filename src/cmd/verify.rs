@@ -1,0 +1,153 @@
+//! `stance verify`
+
+use std::path::PathBuf;
+
+use datasets_spec::Dataset;
+use pipeline::reference::{Comparison, compare};
+use pipeline::verify::{Check, Finding, Verification, verify};
+use serde::Serialize;
+
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Check a dataset: hashes, columns, contents, and that no split leaks into another.
+///
+/// Exits with 1 if anything is wrong. Motions of different splits that are equal number by number
+/// are listed, but do not fail the check, because published datasets contain some.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Also compare the features with those of this HumanML3D folder, by id and group of features
+    #[arg(long, value_name = "DIR")]
+    reference: Option<PathBuf>,
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document<'a> {
+    passed: bool,
+    #[serde(flatten)]
+    verification: &'a Verification,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reference: Option<&'a Comparison>,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let verification = verify(&args.dataset, &global.bars())?;
+    let comparison = match &args.reference {
+        // Features of a dataset that is not whole mean nothing.
+        Some(folder) if verification.passed() => Some(compare(
+            &Dataset::open(&args.dataset)?,
+            folder,
+            &global.bars(),
+        )?),
+        _ => None,
+    };
+    let passed = verification.passed() && comparison.as_ref().is_none_or(Comparison::passed);
+    if global.json {
+        report::json(&Document {
+            passed,
+            verification: &verification,
+            reference: comparison.as_ref(),
+        })?;
+    } else {
+        let mut page = text(&verification);
+        if let Some(comparison) = &comparison {
+            page += &compared(comparison);
+        }
+        report::text(&page);
+    }
+    Ok(if passed { Exit::Done } else { Exit::Failed })
+}
+
+fn text(verification: &Verification) -> String {
+    let mut text = format!(
+        "{} files and {} rows checked\n",
+        verification.files, verification.rows
+    );
+    for check in Check::ALL {
+        let found: Vec<&Finding> = verification
+            .findings
+            .iter()
+            .filter(|finding| finding.check == check)
+            .collect();
+        let verdict = match found.len() {
+            0 => "ok".to_owned(),
+            count => format!("{count} wrong"),
+        };
+        text += &format!("{:<12} {verdict}\n", check.name());
+        text += &listing(&found);
+    }
+    if !verification.duplicates.is_empty() {
+        let duplicates: Vec<&Finding> = verification.duplicates.iter().collect();
+        text += &format!(
+            "{} motions are equal to one of another split\n",
+            duplicates.len()
+        );
+        text += &listing(&duplicates);
+    }
+    text
+}
+
+/// The groups of features beside those of the reference.
+fn compared(comparison: &Comparison) -> String {
+    let mut text = format!(
+        "\n{} clips and {} frames beside the reference, by {}\n{:<20} {:>10} {:>10} {:>10} {:>9}\n",
+        comparison.clips,
+        comparison.frames,
+        comparison.recipe,
+        "group",
+        "max",
+        "mean",
+        "tolerance",
+        "agreeing"
+    );
+    for group in &comparison.groups {
+        let verdict = match (group.frames, group.passed) {
+            (0, _) => "not in the reference",
+            (_, true) => "ok",
+            (_, false) => "differs",
+        };
+        text += &format!(
+            "{:<20} {:>10.2e} {:>10.2e} {:>10.0e} {:>8.2}%  {verdict}\n",
+            group.name,
+            group.max,
+            group.mean,
+            group.tolerance,
+            100.0 * group.agreeing
+        );
+        for worst in group.worst.iter().filter(|_| !group.passed) {
+            text += &format!("  {} differs by up to {:.2e}\n", worst.id, worst.max);
+        }
+    }
+    for (missing, side) in [
+        (&comparison.only_in_dataset, "the dataset"),
+        (&comparison.only_in_reference, "the reference"),
+    ] {
+        if missing.count > 0 {
+            text += &format!(
+                "{} clips are in {side} alone: {}\n",
+                missing.count,
+                missing.first_ids.join(", ")
+            );
+        }
+    }
+    for problem in &comparison.problems {
+        text += &format!("  {}: {}\n", problem.id, problem.reason);
+    }
+    text
+}
+
+fn listing(findings: &[&Finding]) -> String {
+    const SHOWN: usize = 10;
+    let mut text = String::new();
+    for Finding { item, problem, .. } in findings.iter().take(SHOWN) {
+        text += &format!("  {item}: {problem}\n");
+    }
+    if findings.len() > SHOWN {
+        text += &format!("  and {} more; --json lists all\n", findings.len() - SHOWN);
+    }
+    text
+}
