@@ -78,8 +78,10 @@ pub(crate) fn text(manifest: &Manifest) -> String {
 }
 
 fn record_set(id: &str, table: &str, columns: &[Column], source: &Value) -> Value {
+    // Croissant has no lists of structures; readers find those columns in the Parquet schema.
     let fields: Vec<Value> = columns
         .iter()
+        .filter(|column| !column.type_name().contains("struct"))
         .map(|column| field(id, column, source))
         .collect();
     json!({

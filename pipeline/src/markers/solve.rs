@@ -397,9 +397,9 @@ impl Solver<'_> {
         let facing = DQuat::from_mat3(&DMat3::from_cols(across, DVec3::Y, front)).normalize();
         let mut locals = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         locals[0] = facing;
-        // Arms hang more often than they are stretched.
-        locals[16] = DQuat::from_rotation_z(-1.0);
-        locals[17] = DQuat::from_rotation_z(1.0);
+        for shoulder in [16, 17] {
+            locals[shoulder] = Self::at_rest(shoulder);
+        }
         Some(Body::posed(pelvis, locals, self.skeleton))
     }
 
@@ -578,6 +578,17 @@ impl Solver<'_> {
         Body::posed(body.pelvis + DVec3::from_slice(step), locals, self.skeleton)
     }
 
+    /// How a joint is turned where nothing else says so. Arms hang: a capture of the legs alone shows
+    /// nobody with arms stretched out.
+    fn at_rest(joint: usize) -> DQuat {
+        const HANGING: f64 = 1.1;
+        match joint {
+            16 => DQuat::from_rotation_z(-HANGING),
+            17 => DQuat::from_rotation_z(HANGING),
+            _ => DQuat::IDENTITY,
+        }
+    }
+
     /// Weight of the angle from rest of a joint; the root may face anywhere.
     fn rest_weight(joint: usize) -> f64 {
         match joint {
@@ -600,8 +611,8 @@ impl Solver<'_> {
             };
         }
         for joint in 1..NUM_BODY_JOINTS {
-            let rest = to_axis_angle(body.locals[joint]).length_squared();
-            cost += Self::rest_weight(joint) * rest;
+            let from_rest = Self::at_rest(joint).inverse() * body.locals[joint];
+            cost += Self::rest_weight(joint) * to_axis_angle(from_rest).length_squared();
             if let Some(before) = before {
                 let turned = before.locals[joint].inverse() * body.locals[joint];
                 cost += SMOOTH_WEIGHT * to_axis_angle(turned).length_squared();
@@ -660,7 +671,10 @@ impl Solver<'_> {
                     right[at + k] -= weight * angle[k];
                 }
             };
-            hold(Self::rest_weight(joint), body.locals[joint]);
+            hold(
+                Self::rest_weight(joint),
+                body.locals[joint] * Self::at_rest(joint).inverse(),
+            );
             if let Some(before) = before {
                 hold(
                     SMOOTH_WEIGHT,
