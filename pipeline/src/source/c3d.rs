@@ -652,6 +652,41 @@ mod tests {
         );
     }
 
+    /// The header counts frames in sixteen bits; longer captures say how many in two words of TRIAL.
+    #[test]
+    fn captures_of_more_than_65535_frames_are_read_whole() {
+        const FRAMES: u32 = 70_000;
+        let mut bytes = file(84, true);
+        let mut parameters = Vec::new();
+        let mut put = |id: i8, name: &str, content: &[u8]| {
+            parameters.push(name.len() as u8);
+            parameters.push(id as u8);
+            parameters.extend(name.as_bytes());
+            parameters.extend(
+                u16::try_from(2 + content.len())
+                    .expect("short")
+                    .to_le_bytes(),
+            );
+            parameters.extend(content);
+        };
+        let words = |number: u32| [&[2, 1, 2][..], &number.to_le_bytes(), &[0]].concat();
+        put(-1, "TRIAL", &[0]);
+        put(1, "ACTUAL_START_FIELD", &words(1));
+        put(1, "ACTUAL_END_FIELD", &words(FRAMES));
+        parameters.extend([0, 0]);
+        bytes[BLOCK + 4..BLOCK + 4 + parameters.len()].copy_from_slice(&parameters);
+        let frame = bytes[2 * BLOCK..2 * BLOCK + 12].to_vec();
+        bytes.truncate(2 * BLOCK);
+        bytes.extend(frame.repeat(FRAMES as usize));
+        let capture = C3d::parse(&bytes).expect("good").expect("with a point");
+        assert_eq!(capture.markers.positions.len(), FRAMES as usize);
+        // With room for fewer frames than the words claim, the header's three are believed.
+        bytes.truncate(2 * BLOCK + 12 * 1000);
+        let capture = C3d::parse(&bytes).expect("good").expect("with a point");
+        assert_eq!(capture.markers.positions.len(), 3);
+        assert!(!capture.notes.is_empty());
+    }
+
     #[test]
     fn what_is_missing_is_named() {
         let good = file(84, true);
