@@ -879,7 +879,7 @@ mod tests {
                 ..FitOptions::default()
             };
             let fitted = fit_motion(&skeleton, &frames, Fps::STORE, &options).expect("finite");
-            let poses: Vec<Pose> = fitted.motion.poses().collect();
+            let poses: Vec<Pose> = fitted.motion.poses();
             poses
                 .windows(2)
                 .map(|pair| angle_between(pair[0].rotations[16], pair[1].rotations[16]))

@@ -1,7 +1,10 @@
 //! Forward kinematics: where the joints are, given the rotations.
 
+use std::ops::Range;
+
 use glam::{DQuat, DVec3};
 
+use crate::blocks;
 use crate::motion::{Keypoints, Motion, Pose};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
@@ -76,8 +79,35 @@ impl Skeleton {
     pub fn motion_keypoints(&self, motion: &Motion) -> Keypoints {
         Keypoints {
             fps: motion.fps(),
-            points: motion.poses().map(|pose| self.keypoints(&pose)).collect(),
+            points: self.points_of_frames(motion, 0..motion.len()),
         }
+    }
+
+    /// The first `K` of the 28 keypoints, in metres, of some frames of a motion; the first 22 are
+    /// the body joints.
+    ///
+    /// # Shapes
+    /// `[T, K]`.
+    ///
+    /// # Panics
+    /// If `K` is 0 or more than 28, or a frame does not exist.
+    pub fn points_of_frames<const K: usize>(
+        &self,
+        motion: &Motion,
+        frames: Range<usize>,
+    ) -> Vec<[DVec3; K]> {
+        blocks::keypoints_of(self, motion.columns(frames))
+    }
+
+    /// The first `K` of the 28 keypoints of poses, in metres.
+    ///
+    /// # Shapes
+    /// `[T, K]`.
+    ///
+    /// # Panics
+    /// If `K` is 0 or more than 28.
+    pub fn points_of_poses<const K: usize>(&self, poses: &[Pose]) -> Vec<[DVec3; K]> {
+        blocks::keypoints_of(self, poses)
     }
 }
 

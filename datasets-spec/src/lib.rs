@@ -6,16 +6,17 @@
 //!
 //! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
 
+mod blocks;
 pub mod canonical;
 mod card;
 mod croissant;
 pub mod dataset;
 mod error;
 pub mod fit;
-
 mod ids;
 mod joint_set;
 pub mod kinematics;
+pub mod lanes;
 pub mod manifest;
 pub mod motion;
 pub mod normalise;

@@ -1,13 +1,19 @@
 //! A motion as SMPL-X parameters, and the 28 keypoints it drives.
 
+use std::ops::Range;
+
 use glam::{DQuat, DVec3};
 
-use crate::rotation::{from_axis_angle, to_axis_angle};
+use crate::blocks::{self, Columns, WideColumns};
+use crate::rotation::from_axis_angle;
 use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use crate::{Error, Fps};
 
 /// Numbers of `body_pose` in a frame: 21 joints times 3.
 pub const BODY_POSE_WIDTH: usize = 3 * (NUM_BODY_JOINTS - 1);
+
+/// Numbers turned into bytes at a time.
+const HASHED_AT_ONCE: usize = 4096;
 
 /// A motion of `L` frames as SMPL-X parameters: `transl` `[L, 3]` in metres, `global_orient`
 /// `[L, 3]` and `body_pose` `[L, 63]` as axis-angle in radians; y up, betas zero. Frame-major
@@ -77,18 +83,11 @@ impl Motion {
     /// # Errors
     /// As [`Motion::new`].
     pub fn from_poses(fps: Fps, poses: &[Pose]) -> Result<Self, Error> {
-        let mut transl = Vec::with_capacity(poses.len());
-        let mut global_orient = Vec::with_capacity(poses.len());
-        let mut body_pose = Vec::with_capacity(poses.len());
-        for pose in poses {
-            transl.push(pose.transl.as_vec3().to_array());
-            global_orient.push(to_axis_angle(pose.rotations[0]).as_vec3().to_array());
-            let mut frame = [0.0; BODY_POSE_WIDTH];
-            for (slot, &rotation) in frame.chunks_exact_mut(3).zip(&pose.rotations[1..]) {
-                slot.copy_from_slice(&to_axis_angle(rotation).as_vec3().to_array());
-            }
-            body_pose.push(frame);
-        }
+        let transl = poses
+            .iter()
+            .map(|pose| pose.transl.as_vec3().to_array())
+            .collect();
+        let (global_orient, body_pose) = blocks::rotation_vectors(poses);
         Self::new(fps, transl, global_orient, body_pose)
     }
 
@@ -179,8 +178,16 @@ impl Motion {
     }
 
     /// All frames in working precision.
-    pub fn poses(&self) -> impl ExactSizeIterator<Item = Pose> + '_ {
-        (0..self.len()).map(|frame| self.pose(frame))
+    pub fn poses(&self) -> Vec<Pose> {
+        blocks::poses_of(self.columns(0..self.len()))
+    }
+
+    pub(crate) fn columns(&self, frames: Range<usize>) -> Columns<'_> {
+        Columns {
+            transl: &self.transl[frames.clone()],
+            global_orient: &self.global_orient[frames.clone()],
+            body_pose: &self.body_pose[frames],
+        }
     }
 
     /// The frames of a range, at the same rate.
@@ -216,12 +223,28 @@ impl Motion {
             self.body_pose.as_flattened(),
         ] {
             hasher.update(&(column.len() as u64).to_le_bytes());
-            for value in column {
-                hasher.update(&value.to_le_bytes());
+            for values in column.chunks(HASHED_AT_ONCE) {
+                let mut bytes = [0; 4 * HASHED_AT_ONCE];
+                for (bytes, value) in bytes.chunks_exact_mut(4).zip(values) {
+                    bytes.copy_from_slice(&value.to_le_bytes());
+                }
+                hasher.update(&bytes[..4 * values.len()]);
             }
         }
         hasher.finalize().to_hex().to_string()
     }
+}
+
+/// Poses from translations in metres and the rotation vectors of the 22 body joints in radians.
+///
+/// # Shapes
+/// `[T]` and `[T, 66]`.
+///
+/// # Panics
+/// If the slices differ in length.
+pub fn poses_of(transl: &[DVec3], vectors: &[[f64; 3 * NUM_BODY_JOINTS]]) -> Vec<Pose> {
+    assert_eq!(transl.len(), vectors.len());
+    blocks::poses_of(WideColumns { transl, vectors })
 }
 
 /// `L` frames of the 28 keypoints in metres, y up.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::blocks;
 use crate::canonical::KeypointFrame;
 use crate::motion::{Motion, Pose};
 use crate::rotation::slerp;
@@ -41,22 +42,34 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     if motion.fps() == target {
         return Ok(motion.clone());
     }
-    let source_per_target = motion.fps().get() / target.get();
-    let last = (motion.len() - 1) as f64;
+    let poses = blocks::interpolate(&motion.poses(), &grid(motion.len(), motion.fps(), target));
+    Motion::from_poses(target, &poses)
+}
+
+/// Where the frames of a clip of `num_frames` lie when it is brought to another rate with
+/// [`Resample::Exact`]: the source frame before each, and the share of the way to the next one,
+/// below 1. A clip without frames has none.
+pub fn grid(num_frames: usize, source: Fps, target: Fps) -> Vec<(usize, f64)> {
+    let Some(last) = num_frames.checked_sub(1) else {
+        return Vec::new();
+    };
+    let source_per_target = source.get() / target.get();
+    let last = last as f64;
     let num_frames = (last / source_per_target + END_SLACK_FRAMES).floor() as usize + 1;
-    let poses: Vec<Pose> = (0..num_frames)
+    (0..num_frames)
         .map(|frame| {
             let at = (frame as f64 * source_per_target).min(last);
-            let before = at.floor() as usize;
-            let alpha = at - before as f64;
-            let from = motion.pose(before);
-            if alpha == 0.0 {
-                return from;
-            }
-            interpolate(&from, &motion.pose(before + 1), alpha)
+            (at.floor() as usize, at.fract())
         })
-        .collect();
-    Motion::from_poses(target, &poses)
+        .collect()
+}
+
+/// The poses at the places of a [`grid`].
+///
+/// # Panics
+/// If a place lies outside the poses.
+pub fn interpolate_all(poses: &[Pose], grid: &[(usize, f64)]) -> Vec<Pose> {
+    blocks::interpolate(poses, grid)
 }
 
 /// The pose between two: translation linear, rotations spherical.
@@ -147,7 +160,7 @@ mod tests {
                 .apply(&steady(fps, frames), Fps::STORE)
                 .expect("resamples");
             assert_eq!(out.len(), expected, "{fps} fps");
-            for (frame, pose) in out.poses().enumerate() {
+            for (frame, pose) in out.poses().into_iter().enumerate() {
                 let secs = Fps::STORE.secs_at(frame);
                 assert!((pose.transl.x - secs).abs() < 1e-6);
                 assert!(angle_between(pose.rotations[18], from_axis_angle(DVec3::Y * secs)) < 1e-6);

@@ -5,31 +5,29 @@
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
+use crate::lanes::{self, Real};
+
+/// Longest rotation vector that is taken as it is.
+pub(crate) const MAX_TURN: f64 = 2.0 * <f64 as Real>::MAX_ANGLE;
 /// Half-angle sine below which the released code replaces spherical interpolation by a plain
 /// average (`algorithms`: official slerp).
 const OFFICIAL_SLERP_EPS: f32 = 1e-3;
 
 /// The rotation by `|v|` radians about `v`.
 pub fn from_axis_angle(v: DVec3) -> DQuat {
-    let half = 0.5 * v.length();
-    // sin(x)/x from its series where the quotient would lose digits; the next term is 2e-18.
-    let scale = if half < 1e-4 {
-        0.5 * (1.0 - half * half / 6.0)
+    let length = v.length();
+    // Whole turns of a number nobody turns by, before it loses its digits.
+    let v = if length > MAX_TURN {
+        v * (length % std::f64::consts::TAU / length)
     } else {
-        0.5 * half.sin() / half
+        v
     };
-    DQuat::from_xyzw(v.x * scale, v.y * scale, v.z * scale, half.cos())
+    DQuat::from_array(lanes::quaternion(v.to_array()))
 }
 
 /// The rotation vector of a unit quaternion, its length in [0, pi].
 pub fn to_axis_angle(q: DQuat) -> DVec3 {
-    let q = if q.w < 0.0 { -q } else { q };
-    let v = DVec3::new(q.x, q.y, q.z);
-    let sine = v.length();
-    if sine < 1e-12 {
-        return v * 2.0;
-    }
-    v * (2.0 * sine.atan2(q.w) / sine)
+    DVec3::from_array(lanes::rotation_vector(q.to_array()))
 }
 
 /// The first two rows of a rotation matrix: the 6D form of PyTorch3D, MotionFix and MotionRefit.
@@ -74,13 +72,7 @@ pub fn yaw(m: DMat3) -> f64 {
 /// The angle is taken from the chord lengths, so the result keeps full precision for nearly equal
 /// rotations, where the usual arc cosine loses half of the digits.
 pub fn slerp(from: DQuat, to: DQuat, alpha: f64) -> DQuat {
-    let to = if from.dot(to) < 0.0 { -to } else { to };
-    let angle = 2.0 * (to - from).length().atan2((to + from).length());
-    if angle < 1e-9 {
-        return (from * (1.0 - alpha) + to * alpha).normalize();
-    }
-    let (from_weight, to_weight) = ((1.0 - alpha) * angle, alpha * angle);
-    ((from * from_weight.sin() + to * to_weight.sin()) / angle.sin()).normalize()
+    DQuat::from_array(lanes::slerp(from.to_array(), to.to_array(), alpha))
 }
 
 /// Spherical interpolation as the released MotionReFit code computes it, in `f32`: where the sine

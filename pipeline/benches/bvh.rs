@@ -119,19 +119,26 @@ fn parse_retarget_and_resample(bencher: Bencher) {
     });
 }
 
+/// Files that go into one shard; a shard of the store holds up to 256.
+const NUM_FILES: usize = 8;
+
 #[divan::bench]
 fn to_parquet(bencher: Bencher) {
     let text = file();
-    bencher.counter(frames()).bench_local(|| {
-        let motion = motion_of(black_box(&text));
-        let motion = Resample::Exact
-            .apply(&motion, Fps::STORE)
-            .expect("resamples");
-        let mut bytes = Vec::new();
-        let rows = [row(&motion)];
-        write_rows(&mut bytes, Path::new("bench.parquet"), &rows, &[]).expect("written");
-        bytes
-    });
+    bencher
+        .counter(ItemsCount::new(NUM_FILES * NUM_FRAMES))
+        .bench_local(|| {
+            let rows: Vec<MotionRow> = (0..NUM_FILES)
+                .map(|_| {
+                    let motion = motion_of(black_box(&text));
+                    let motion = Resample::Exact
+                        .apply(&motion, Fps::STORE)
+                        .expect("resamples");
+                    row(&motion)
+                })
+                .collect();
+            write_rows(Vec::new(), Path::new("bench.parquet"), &rows, &[]).expect("written")
+        });
 }
 
 fn row(motion: &Motion) -> MotionRow {

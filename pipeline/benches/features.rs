@@ -13,7 +13,7 @@ use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use pipeline::corpus::{CorpusOptions, clip};
 use pipeline::feature::{self, humanml3d};
-use pipeline::source::amass;
+use pipeline::source::{ReadOptions, amass};
 use pipeline::write;
 
 fn main() {
@@ -87,19 +87,23 @@ fn amass_to_parquet(bencher: Bencher) {
             write::amass::encode(&fast, &skeleton).expect("encodes")
         })
         .collect();
-    let read = |bytes: &Vec<u8>| match amass::read(Path::new("clip.npz"), bytes, &skeleton) {
-        Ok(amass::Content::Clip(clip)) => clip.motion,
-        _ => panic!("the archive is good"),
+    let read = |bytes: &Vec<u8>, rate| {
+        let options = ReadOptions {
+            rate,
+            ..ReadOptions::default()
+        };
+        match amass::read(Path::new("clip.npz"), bytes, &options) {
+            Ok(amass::Content::Clip(clip)) => clip.motion,
+            _ => panic!("the archive is good"),
+        }
     };
-    let frames: usize = archives.iter().map(|bytes| read(bytes).len()).sum();
+    let frames: usize = archives.iter().map(|bytes| read(bytes, None).len()).sum();
     bencher.counter(ItemsCount::new(frames)).bench_local(|| {
         let rows: Vec<HumanMl3dRow> = archives
             .iter()
             .enumerate()
             .map(|(index, bytes)| {
-                let motion = Resample::Exact
-                    .apply(&read(black_box(bytes)), Fps::STORE)
-                    .expect("resampled");
+                let motion = read(black_box(bytes), Some(Fps::STORE));
                 let joints = humanml3d::joints_of_motion(&motion, &skeleton);
                 let features = humanml3d::features_of_joints(&joints).expect("a clip");
                 HumanMl3dRow {

@@ -64,6 +64,8 @@ pub enum Teleports {
     Keep,
 }
 
+type Joints = [DVec3; NUM_BODY_JOINTS];
+
 /// Fewest frames of a motion: one frame does not move.
 const MIN_FRAMES: usize = 2;
 /// Speed of a joint in m/s above which the motion is broken. The fastest human movements, of a
@@ -141,24 +143,36 @@ fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
     let fps = motion.fps().get();
     let mut longest = 0..0;
     let mut start = 0;
-    let mut before = skeleton.keypoints(&motion.pose(0));
-    for frame in 1..=motion.len() {
-        let jumps = frame < motion.len() && {
-            let joints = skeleton.keypoints(&motion.pose(frame));
-            let speed = (0..NUM_BODY_JOINTS)
-                .map(|joint| (joints[joint] - before[joint]).length() * fps)
-                .fold(0.0, f64::max);
-            before = joints;
-            speed > TELEPORT_SPEED
-        };
-        if jumps || frame == motion.len() {
-            if frame - start > longest.len() {
-                longest = start..frame;
-            }
-            start = frame;
+    let mut before = None;
+    let mut ends_at = |frame: usize, start: &mut usize| {
+        if frame - *start > longest.len() {
+            longest = *start..frame;
+        }
+        *start = frame;
+    };
+    for_each_frame(motion, skeleton, |frame, joints| {
+        let jumps = before.replace(*joints).is_some_and(|before: Joints| {
+            (0..NUM_BODY_JOINTS)
+                .any(|joint| (joints[joint] - before[joint]).length() * fps > TELEPORT_SPEED)
+        });
+        if jumps {
+            ends_at(frame, &mut start);
+        }
+    });
+    ends_at(motion.len(), &mut start);
+    longest
+}
+
+/// Calls `take` with the joints of every frame, in order. Few frames are held at a time.
+fn for_each_frame(motion: &Motion, skeleton: &Skeleton, mut take: impl FnMut(usize, &Joints)) {
+    const FRAMES_AT_ONCE: usize = 256;
+    for first in (0..motion.len()).step_by(FRAMES_AT_ONCE) {
+        let frames = first..motion.len().min(first + FRAMES_AT_ONCE);
+        let joints: Vec<Joints> = skeleton.points_of_frames(motion, frames);
+        for (at, joints) in joints.iter().enumerate() {
+            take(first + at, joints);
         }
     }
-    longest
 }
 
 /// The fastest movement of a motion that is too fast.
@@ -194,39 +208,41 @@ fn judge(motion: &Motion, skeleton: &Skeleton) -> Result<(Quality, Option<Jump>)
         ));
     }
     let fps = motion.fps().get();
-    let joints_of = |frame: usize| -> [DVec3; NUM_BODY_JOINTS] {
-        let keypoints = skeleton.keypoints(&motion.pose(frame));
-        std::array::from_fn(|joint| keypoints[joint])
-    };
-    let first = joints_of(0);
-    let mut before = first;
-    let mut max_speed = 0.0f64;
+    let mut first: Option<Joints> = None;
+    let mut before: Joints = [DVec3::ZERO; NUM_BODY_JOINTS];
+    // Squares of distances: a root for each joint and frame would cost as much as the kinematics.
+    let mut longest_step = 0.0f64;
     let mut fastest = (0, 0);
-    let mut max_shift = 0.0f64;
-    let mut lowest = first
-        .iter()
-        .fold(f64::INFINITY, |low, joint| low.min(joint.y));
+    let mut longest_shift = 0.0f64;
+    let mut lowest = f64::INFINITY;
     let (mut skate_sum, mut weight_sum, mut touches) = (0.0, 0.0, false);
-    for frame in 1..motion.len() {
-        let joints = joints_of(frame);
+    for_each_frame(motion, skeleton, |frame, joints| {
+        lowest = joints.iter().fold(lowest, |low, joint| low.min(joint.y));
+        let Some(first) = &first else {
+            first = Some(*joints);
+            before = *joints;
+            return;
+        };
         for joint in 0..NUM_BODY_JOINTS {
-            let speed = (joints[joint] - before[joint]).length() * fps;
-            if speed > max_speed {
-                max_speed = speed;
+            let step = (joints[joint] - before[joint]).length_squared();
+            if step > longest_step {
+                longest_step = step;
                 fastest = (frame, joint);
             }
-            max_shift = max_shift.max((joints[joint] - first[joint]).length());
-            lowest = lowest.min(joints[joint].y);
+            longest_shift = longest_shift.max((joints[joint] - first[joint]).length_squared());
         }
         for foot in FEET {
             let height = joints[foot].y.max(before[foot].y).max(0.0);
-            let weight = (2.0 - (height / PLANTED_M).exp2()).max(0.0);
-            skate_sum += weight * (joints[foot] - before[foot]).with_y(0.0).length() * fps;
-            weight_sum += weight;
             touches |= height < CONTACT_M;
+            if height < PLANTED_M {
+                let weight = 2.0 - (height / PLANTED_M).exp2();
+                skate_sum += weight * (joints[foot] - before[foot]).with_y(0.0).length() * fps;
+                weight_sum += weight;
+            }
         }
-        before = joints;
-    }
+        before = *joints;
+    });
+    let (max_speed, max_shift) = (longest_step.sqrt() * fps, longest_shift.sqrt());
     let jump = (max_speed > TELEPORT_SPEED).then_some(Jump {
         joint: fastest.1,
         frame: fastest.0,

@@ -32,7 +32,7 @@ use crate::source::{
 
 /// Version of the rules by which files become rows. It is part of every plan, so a dataset made by
 /// older rules is never continued by newer ones.
-const INGEST_VERSION: u32 = 2;
+const INGEST_VERSION: u32 = 3;
 /// Source items of a shard: few enough that a shard's motions fit in memory many times over.
 const SHARD_SOURCES: usize = 256;
 /// Largest file read at once, in bytes; releases that keep many motions in a file have rules of
@@ -205,6 +205,14 @@ pub fn ingest_in(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
+    let options = &IngestOptions {
+        read: ReadOptions {
+            // The published stride rule counts the file's own frames.
+            rate: options.fps.filter(|_| options.resample == Resample::Exact),
+            ..options.read.clone()
+        },
+        ..options.clone()
+    };
     let plan = Plan::make(transaction.store(), sources, options, progress)?;
     let plan_hash = plan.hash(options);
     let recorded = transaction
@@ -1177,8 +1185,8 @@ fn clip_rows(
     source_hash: String,
     options: &IngestOptions,
 ) -> Result<ClipRows, Rejected> {
-    let fps_source = clip.motion.fps();
-    let target = options.fps.unwrap_or(fps_source);
+    let fps_source = clip.source_fps;
+    let target = options.fps.unwrap_or(clip.motion.fps());
     let motion = options
         .resample
         .apply(&clip.motion, target)
@@ -1195,12 +1203,12 @@ fn clip_rows(
     quality.flags |= clip.flags | said_flags(&clip);
     let entry = item.entry;
     let features = match options.humanml3d_features {
-        true => Some(feature_row(
-            &motion,
-            &id,
-            item.split,
-            &options.read.skeleton,
-        )?),
+        true => {
+            // The joints of HumanML3D are those of SMPL, which lie elsewhere than SMPL-X's.
+            let body = clip.body.clone();
+            let body = body.unwrap_or_else(|| smpl_body(&options.read.skeleton));
+            Some(feature_row(&motion, &id, item.split, &body)?)
+        }
         false => None,
     };
     let markers = clip
@@ -1247,10 +1255,9 @@ fn feature_row(
     motion: &Motion,
     id: &MotionId,
     split: Split,
-    skeleton: &Skeleton,
+    body: &Skeleton,
 ) -> Result<HumanMl3dRow, Rejected> {
-    // The joints of HumanML3D are those of SMPL, which lie elsewhere than SMPL-X's.
-    let joints = humanml3d::joints_of_motion(motion, &smpl_body(skeleton));
+    let joints = humanml3d::joints_of_motion(motion, body);
     let features = humanml3d::features_of_joints(&joints)
         .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))?;
     Ok(HumanMl3dRow {

@@ -172,6 +172,7 @@ pub fn automatic_masks(
 fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; Region::ALL.len()] {
     let carried: Vec<[DVec3; 22]> = motion
         .poses()
+        .into_iter()
         .map(|pose| {
             let points = skeleton.keypoints(&pose);
             let global = skeleton.global_rotations(&pose);

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Context;
 use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::check::Teleports;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::retarget::UserMap;
-use pipeline::source::body_model::read_skeleton;
+use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{Format, ReadOptions};
 use serde::Serialize;
 
@@ -45,6 +46,10 @@ pub(crate) struct Args {
     /// Pose motions on the skeleton of this body model: a SMPL-X or SMPL-H npz, or J_*.npy
     #[arg(long, value_name = "FILE")]
     body_model: Option<PathBuf>,
+    /// Compute the features of AMASS motions on each subject's own body, from the male and female
+    /// models (npz with shapedirs) in this folder, as the published HumanML3D features were
+    #[arg(long, value_name = "FOLDER")]
+    subject_models: Option<PathBuf>,
     /// Names of a skeleton that is not known, as a joint map in JSON
     #[arg(long, value_name = "JSON")]
     joint_map: Option<PathBuf>,
@@ -200,7 +205,20 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
         }
         None => None,
     };
-    Ok(ReadOptions { skeleton, user_map })
+    let subjects = match &args.subject_models {
+        Some(folder) => {
+            let subjects = Subjects::read(folder)
+                .with_context(|| format!("cannot use the body models in {}", folder.display()))?;
+            Some(Arc::new(subjects))
+        }
+        None => None,
+    };
+    Ok(ReadOptions {
+        skeleton,
+        user_map,
+        subjects,
+        ..ReadOptions::default()
+    })
 }
 
 fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {

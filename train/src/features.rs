@@ -61,7 +61,7 @@ pub(crate) fn encoder_poses(
     stride: usize,
 ) -> Result<Vec<Pose>, datasets_spec::Error> {
     let motion = Resample::Exact.apply(motion, Fps::STORE)?;
-    Ok(motion.poses().step_by(stride).collect())
+    Ok(motion.poses().into_iter().step_by(stride).collect())
 }
 
 /// Turns a segment about the vertical so that its first frame faces +z.

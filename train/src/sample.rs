@@ -59,7 +59,7 @@ impl EditItem {
                 id: id.clone(),
                 source,
             })?;
-        let poses: Vec<Pose> = motion.poses().collect();
+        let poses: Vec<Pose> = motion.poses();
         let starts = window_starts(poses.len(), WINDOW_FRAMES, WINDOW_ADVANCE);
         let mut placement = None;
         let mut windows = Vec::with_capacity(starts.len());

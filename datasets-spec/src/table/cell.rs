@@ -184,10 +184,10 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
     }
 
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-        let mut lengths = Vec::new();
-        let mut numbers: Vec<f32> = Vec::new();
-        for frames in values {
-            lengths.push(frames.len());
+        let rows: Vec<&Self> = values.collect();
+        let lengths: Vec<usize> = rows.iter().map(|frames| frames.len()).collect();
+        let mut numbers: Vec<f32> = Vec::with_capacity(D * lengths.iter().sum::<usize>());
+        for frames in rows {
             numbers.extend_from_slice(frames.as_flattened());
         }
         let width = i32::try_from(D).unwrap_or(i32::MAX);

@@ -163,12 +163,7 @@ pub enum FeatureError {
 
 /// The 22 body joints of a motion.
 pub fn joints_of_motion(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
-    (0..motion.len())
-        .map(|frame| {
-            let keypoints = skeleton.keypoints(&motion.pose(frame));
-            std::array::from_fn(|joint| keypoints[joint])
-        })
-        .collect()
+    skeleton.points_of_frames(motion, 0..motion.len())
 }
 
 /// The features of world joints by the whole recipe.

@@ -131,7 +131,7 @@ pub fn motion_of_joints(
     let options = FitOptions::body_joints();
     let fitted = fit_motion(&smpl_body(skeleton), &targets, fps, &options).map_err(no_motion)?;
     let error = fitted.error_m.iter().sum::<f64>() / fitted.error_m.len() as f64;
-    let mut poses: Vec<Pose> = fitted.motion.poses().collect();
+    let mut poses: Vec<Pose> = fitted.motion.poses();
     floor::put_on_floor(&mut poses, fps, skeleton);
     let motion = Motion::from_poses(fps, &poses).map_err(no_motion)?;
     Ok((motion, error as f32))

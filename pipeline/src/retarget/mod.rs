@@ -16,10 +16,9 @@ pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
 pub use rig::{Bone, Placed, Rest, Rig};
 pub use user_map::{UserMap, UserMapError};
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
-use datasets_spec::rotation::{slerp, to_axis_angle};
+use datasets_spec::rotation::slerp;
 use datasets_spec::skeleton::{NUM_BODY_JOINTS, PARENTS};
-use datasets_spec::{Motion, Skeleton};
+use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 
 use self::align::{Alignment, SPINE};
@@ -264,9 +263,7 @@ impl Carrier<'_> {
         let offsets: [DVec3; NUM_BODY_JOINTS] =
             std::array::from_fn(|joint| self.skeleton.offset(joint));
         let compared = self.compared();
-        let mut transl = Vec::with_capacity(num_frames);
-        let mut global_orient = Vec::with_capacity(num_frames);
-        let mut body_pose = Vec::with_capacity(num_frames);
+        let mut poses = Vec::with_capacity(num_frames);
         let mut feet = Vec::with_capacity(num_frames);
         let mut error = 0.0;
         for frame in 0..num_frames {
@@ -274,21 +271,19 @@ impl Carrier<'_> {
             let body = self.joints(frame, &global, &offsets);
             error += self.direction_error(frame, &body, &compared);
             feet.push(floor::FOOT_JOINTS.map(|joint| body[joint]));
-            transl.push(body[0] - self.skeleton.rest(0));
-            global_orient.push(to_axis_angle(global[0]).as_vec3().to_array());
-            let mut pose = [0.0; BODY_POSE_WIDTH];
-            for (slot, joint) in pose.chunks_exact_mut(3).zip(1..) {
-                let local = global[parent(joint)].conjugate() * global[joint];
-                slot.copy_from_slice(&to_axis_angle(local).as_vec3().to_array());
-            }
-            body_pose.push(pose);
+            poses.push(Pose {
+                transl: body[0] - self.skeleton.rest(0),
+                rotations: std::array::from_fn(|joint| match joint {
+                    0 => global[0],
+                    _ => global[parent(joint)].conjugate() * global[joint],
+                }),
+            });
         }
         let shift = floor::shift(&feet, rig.fps());
-        let transl = transl
-            .into_iter()
-            .map(|transl: DVec3| (transl + DVec3::Y * shift).as_vec3().to_array())
-            .collect();
-        let motion = Motion::new(rig.fps(), transl, global_orient, body_pose)
+        for pose in &mut poses {
+            pose.transl.y += shift;
+        }
+        let motion = Motion::from_poses(rig.fps(), &poses)
             .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
         let count = (num_frames * compared.len()).max(1);
         Ok(Carried {
@@ -552,7 +547,7 @@ pub(crate) mod tests {
     fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
         assert_eq!(clip.motion.len(), poses.len());
         let lift = f64::from(clip.motion.transl()[0][1]) - poses[0].transl.y;
-        for (found, expected) in clip.motion.poses().zip(poses) {
+        for (found, expected) in clip.motion.poses().into_iter().zip(poses) {
             for joint in 0..NUM_BODY_JOINTS {
                 let angle = angle_between(found.rotations[joint], expected.rotations[joint]);
                 assert!(angle < 1e-6, "joint {joint} differs by {angle} rad");
@@ -609,7 +604,7 @@ pub(crate) mod tests {
             "{:?}",
             clip.notes
         );
-        for (found, expected) in clip.motion.poses().zip(&poses) {
+        for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
             let (found_points, expected_points) =
                 (skeleton.keypoints(&found), skeleton.keypoints(expected));
             // Limb bones point exactly where they point in the source.

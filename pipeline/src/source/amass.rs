@@ -1,22 +1,23 @@
 //! The AMASS reader: SMPL, SMPL-H and SMPL-X parameters in an npz archive, z up.
 
-use std::io::{Read, Seek};
+use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
 use datasets_spec::motion::BODY_POSE_WIDTH;
-use datasets_spec::rotation::{from_axis_angle, to_axis_angle};
-use datasets_spec::{Fps, Motion, Pose, Skeleton};
+use datasets_spec::rotation::to_axis_angle;
+use datasets_spec::{Fps, Motion, Skeleton, motion, resample};
 use glam::{DQuat, DVec3};
 
-use super::npy::{self, Array};
+use super::npy::{self, Rows};
 use super::npz::Archive;
-use super::{MAX_FPS, MIN_FPS, Rejected, RotationSource, SourceClip, amass_catalogue, floor};
+use super::{
+    MAX_FPS, MIN_FPS, ReadOptions, Rejected, RotationSource, SourceClip, amass_catalogue, floor,
+};
 use crate::check::FLAG_FPS_DOUBTFUL;
+use crate::feature::smpl_body;
 
 /// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
-/// Numbers that root and body joints take in every layout.
-const BODY_WIDTH: usize = 66;
 /// Relative distance of a stated frame rate from the known one that is more than rounding: the
 /// stored 120.000046 and 59.94 are the same as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;
@@ -83,26 +84,30 @@ pub enum Content {
     },
 }
 
-/// The parameters of an archive as they are in it: z up, at the file's rate.
-pub(crate) struct Parameters {
+/// The parameters of an archive as they are in it: z up, at the file's rate, unpacked where asked
+/// for.
+pub(crate) struct Parameters<'a> {
     /// The rate the file states, unrounded, in 1/s.
     pub(crate) stated_fps: f64,
     /// The body model.
     pub(crate) variant: Variant,
     /// The subject's gender, if the file tells one.
-    gender: Result<Option<String>, String>,
+    pub(crate) gender: Result<Option<String>, String>,
+    /// Shape of the subject's body; empty if the file has none that can be used.
+    pub(crate) betas: Vec<f64>,
     /// `[T, 3]`
-    trans: Vec<f64>,
-    /// `[T, 3]`
-    root: Vec<f64>,
-    /// `[T, 63]`
-    body: Vec<f64>,
+    trans: Rows<'a>,
+    /// `[T, 3..]`
+    root: Rows<'a>,
+    /// `[T, ..]`, the body's rotations from column `body_at` on.
+    body: Rows<'a>,
+    body_at: usize,
 }
 
 /// [`Content`] before it is a motion.
-pub(crate) enum Parsed {
+pub(crate) enum Parsed<'a> {
     /// A recording.
-    Parameters(Box<Parameters>),
+    Parameters(Box<Parameters<'a>>),
     /// Something that belongs to AMASS and is no motion.
     NoMotion {
         /// What it is.
@@ -123,6 +128,8 @@ fn y_up_from_z_up() -> DQuat {
 ///
 /// The 22 body rotations are taken as they are: the joints of SMPL, SMPL-H and SMPL-X agree in
 /// order and rest orientation. Body shape is ignored, so the store's one body performs the motion.
+/// With a [`ReadOptions::rate`], the clip is interpolated at exact times to that rate, and only frames it needs are
+/// looked at for more than whether they are finite; the floor is then that of these frames.
 ///
 /// # Errors
 /// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`npy`], `E-AMASS-KEYS`,
@@ -131,19 +138,29 @@ fn y_up_from_z_up() -> DQuat {
 /// # Source
 /// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
 /// position of the pelvis, about which SMPL turns the body.
-pub fn read(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Content, Rejected> {
+pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Content, Rejected> {
+    let (rate, skeleton) = (options.rate, &options.skeleton);
     let parameters = match parse(bytes)? {
         Parsed::Parameters(parameters) => *parameters,
         Parsed::NoMotion { reason } => return Ok(Content::NoMotion { reason }),
     };
-    let rate = Rate::of(path, parameters.stated_fps)?;
-    let frames: Vec<usize> = (0..parameters.num_frames()).collect();
-    let motion = parameters.motion(&frames, y_up_from_z_up(), rate.fps, skeleton)?;
+    let stated = Rate::of(path, parameters.stated_fps)?;
+    let num_frames = parameters.num_frames();
+    let target = rate.unwrap_or(stated.fps);
+    let grid = if target == stated.fps {
+        (0..num_frames).map(|frame| (frame, 0.0)).collect()
+    } else {
+        resample::grid(num_frames, stated.fps, target)
+    };
+    let motion = parameters.motion_at(&grid, y_up_from_z_up(), target, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
-    clip.notes = parameters.notes(skeleton);
+    clip.source_frames = 0..num_frames;
+    clip.source_fps = stated.fps;
+    clip.body = parameters.body(options);
+    clip.notes = parameters.notes(skeleton, clip.body.is_some());
     clip.notes.extend(subset_note(path));
-    clip.notes.extend(rate.note);
-    clip.flags = rate.flags;
+    clip.notes.extend(stated.note);
+    clip.flags = stated.flags;
     Ok(Content::Clip(Box::new(clip)))
 }
 
@@ -151,41 +168,39 @@ pub fn read(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Content, R
 ///
 /// # Errors
 /// As [`read`].
-pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed, Rejected> {
+pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
     let mut archive = Archive::in_memory(bytes)?;
     let split_poses = archive.has("root_orient") && archive.has("pose_body");
     if !archive.has("trans") || !(archive.has("poses") || split_poses) {
         return no_poses(archive.keys());
     }
     let gender = read_gender(&mut archive);
-    let (variant, root, body) = if archive.has("poses") {
-        let poses = matrix(&mut archive, "poses")?;
-        let known = gender.as_ref().ok().and_then(Option::as_deref);
-        let variant = Variant::of_width(poses.shape[1], known).ok_or_else(|| {
+    let known = gender.as_ref().ok().and_then(Option::as_deref);
+    let (variant, root, body, body_at) = if archive.has("poses") {
+        let poses = matrix(&mut archive, bytes, "poses")?;
+        let variant = Variant::of_width(poses.width(), known).ok_or_else(|| {
             Rejected::read(
                 "E-AMASS-SHAPE",
                 format!(
                     "found poses of {} columns, expected 72 (SMPL), 156 (SMPL-H) or 165 (SMPL-X)",
-                    poses.shape[1]
+                    poses.width()
                 ),
             )
         })?;
-        let (root, body) = (columns(&poses, 0, 3), columns(&poses, 3, BODY_WIDTH));
-        (variant, root, body)
+        (variant, poses.clone(), poses, 3)
     } else {
-        let root = matrix(&mut archive, "root_orient")?;
-        let body = matrix(&mut archive, "pose_body")?;
+        let root = matrix(&mut archive, bytes, "root_orient")?;
+        let body = matrix(&mut archive, bytes, "pose_body")?;
         expect_columns("root_orient", &root, 3)?;
         expect_columns("pose_body", &body, BODY_POSE_WIDTH)?;
-        let known = gender.as_ref().ok().and_then(Option::as_deref);
-        (Variant::smplx(known), root.values, body.values)
+        (Variant::smplx(known), root, body, 0)
     };
-    let trans = matrix(&mut archive, "trans")?;
+    let trans = matrix(&mut archive, bytes, "trans")?;
     expect_columns("trans", &trans, 3)?;
-    let num_frames = trans.shape[0];
+    let num_frames = trans.len();
     for (key, found) in [
-        ("root orientations", root.len() / 3),
-        ("body poses", body.len() / BODY_POSE_WIDTH),
+        ("root orientations", root.len()),
+        ("body poses", body.len()),
     ] {
         if found != num_frames {
             return Err(Rejected::read(
@@ -201,19 +216,19 @@ pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed, Rejected> {
         ));
     }
     let stated_fps = read_fps(&mut archive)?;
-    check_finite(&[
-        ("trans", &trans.values, 3),
-        ("root", &root, 3),
-        ("body", &body, BODY_POSE_WIDTH),
-    ])?;
-    Ok(Parsed::Parameters(Box::new(Parameters {
+    let betas = read_betas(&mut archive);
+    let parameters = Parameters {
         stated_fps,
         variant,
         gender,
-        trans: trans.values,
+        betas,
+        trans,
         root,
         body,
-    })))
+        body_at,
+    };
+    parameters.check_finite()?;
+    Ok(Parsed::Parameters(Box::new(parameters)))
 }
 
 /// What the arrays of an archive say of it; no more than their headers is unpacked.
@@ -243,20 +258,72 @@ pub(crate) fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, 
     Ok(variant.map(|variant| (variant, num_frames, fps)))
 }
 
-impl Parameters {
+impl Parameters<'_> {
     /// Number of frames.
     pub(crate) fn num_frames(&self) -> usize {
-        self.trans.len() / 3
+        self.trans.len()
+    }
+
+    /// Whether all numbers of all frames can be stored.
+    ///
+    /// # Errors
+    /// `E-NOT-FINITE`.
+    fn check_finite(&self) -> Result<(), Rejected> {
+        for frame in 0..self.num_frames() {
+            for (name, rows, column, len) in [
+                ("trans", &self.trans, 0, 3),
+                ("root", &self.root, 0, 3),
+                ("body", &self.body, self.body_at, BODY_POSE_WIDTH),
+            ] {
+                if !rows.is_finite(frame, column, len) {
+                    let bad = (column..column + len).find(|&at| !rows.is_finite(frame, at, 1));
+                    let [bad] = rows.get(frame, bad.unwrap_or(column));
+                    return Err(Rejected::read(
+                        "E-NOT-FINITE",
+                        format!("found {bad} in frame {frame} of {name}, expected finite numbers"),
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The rotation vectors of root and body in a frame.
+    fn vectors(&self, frame: usize) -> [f64; 3 + BODY_POSE_WIDTH] {
+        // In one array, the body follows the root.
+        if self.body_at == 3 {
+            return self.body.get(frame, 0);
+        }
+        let mut vectors = [0.0; 3 + BODY_POSE_WIDTH];
+        vectors[..3].copy_from_slice(&self.root.get::<3>(frame, 0));
+        vectors[3..].copy_from_slice(&self.body.get::<BODY_POSE_WIDTH>(frame, self.body_at));
+        vectors
+    }
+
+    /// The subject's own body, with the joints that HumanML3D's are of; none without models for the
+    /// kind of parameters.
+    pub(crate) fn body(&self, options: &ReadOptions) -> Option<Skeleton> {
+        let gender = self.gender.as_ref().ok().and_then(Option::as_deref);
+        let is_smplh = self.variant == Variant::SmplH;
+        let subjects = options.subjects.as_ref()?;
+        let body = subjects.body(is_smplh, gender, &self.betas)?;
+        Some(if is_smplh { body } else { smpl_body(&body) })
     }
 
     /// What was found and decided.
-    pub(crate) fn notes(&self, skeleton: &Skeleton) -> Vec<String> {
+    pub(crate) fn notes(&self, skeleton: &Skeleton, own_body: bool) -> Vec<String> {
         let mut notes = vec![format!("{} parameters", self.variant.as_str())];
-        match &self.gender {
-            Ok(Some(gender)) => notes.push(format!("gender {gender}, body shape ignored")),
-            Ok(None) => {}
-            Err(reason) => notes.push(format!("gender unknown ({reason})")),
-        }
+        let gender = match &self.gender {
+            Ok(Some(gender)) => format!("gender {gender}"),
+            Ok(None) => "gender not told".to_owned(),
+            Err(reason) => format!("gender unknown ({reason})"),
+        };
+        notes.push(if own_body {
+            let betas = self.betas.len();
+            format!("{gender}, {betas} betas; features are those of the subject's own body")
+        } else {
+            format!("{gender}, body shape ignored")
+        });
         notes.push(format!(
             "rotations drive the body {} as they are",
             skeleton.name()
@@ -267,7 +334,7 @@ impl Parameters {
     /// The chosen frames as a motion on the floor, with the world turned by `turn` to have y up.
     ///
     /// # Errors
-    /// `E-NOT-FINITE` if a number cannot be stored, or no frame is chosen.
+    /// As [`Parameters::motion_at`].
     ///
     /// # Panics
     /// If a chosen frame does not exist.
@@ -278,43 +345,77 @@ impl Parameters {
         fps: Fps,
         skeleton: &Skeleton,
     ) -> Result<Motion, Rejected> {
-        let rest_pelvis = skeleton.rest(0);
-        let row = |values: &[f64], frame: usize| DVec3::from_slice(&values[3 * frame..]);
-        let body_of = |frame: usize| &self.body[BODY_POSE_WIDTH * frame..][..BODY_POSE_WIDTH];
-        let mut poses: Vec<Pose> = frames
+        let grid: Vec<(usize, f64)> = frames.iter().map(|&frame| (frame, 0.0)).collect();
+        self.motion_at(&grid, turn, fps, skeleton)
+    }
+
+    /// The motion at the places of a [`resample::grid`], on the floor, with the world turned by
+    /// `turn` to have y up.
+    ///
+    /// # Errors
+    /// `E-NOT-FINITE` if a number cannot be stored, or there is no place.
+    ///
+    /// # Panics
+    /// If a place lies outside the recording.
+    pub(crate) fn motion_at(
+        &self,
+        grid: &[(usize, f64)],
+        turn: DQuat,
+        fps: Fps,
+        skeleton: &Skeleton,
+    ) -> Result<Motion, Rejected> {
+        let bad = |error: datasets_spec::Error| Rejected::read("E-NOT-FINITE", error.to_string());
+        // The frames that are needed, each followed by the next where a place lies between.
+        let mut needed = Vec::with_capacity(grid.len());
+        let among_needed: Vec<(usize, f64)> = grid
             .iter()
-            .map(|&frame| {
-                let mut rotations = [DQuat::IDENTITY; 22];
-                rotations[0] = turn * from_axis_angle(row(&self.root, frame));
-                let body = body_of(frame).chunks_exact(3);
-                for (rotation, axis_angle) in rotations[1..].iter_mut().zip(body) {
-                    *rotation = from_axis_angle(DVec3::from_slice(axis_angle));
+            .map(|&(frame, alpha)| {
+                needed.push(frame);
+                let place = needed.len() - 1;
+                if alpha != 0.0 {
+                    needed.push(frame + 1);
                 }
-                Pose {
-                    transl: turn * (row(&self.trans, frame) + rest_pelvis) - rest_pelvis,
-                    rotations,
-                }
+                (place, alpha)
             })
             .collect();
-        floor::put_on_floor(&mut poses, fps, skeleton);
-        let roots = poses
+        let rest_pelvis = skeleton.rest(0);
+        let vectors: Vec<[f64; 3 + BODY_POSE_WIDTH]> =
+            needed.iter().map(|&frame| self.vectors(frame)).collect();
+        let transl: Vec<DVec3> = needed
             .iter()
-            .map(|pose| to_axis_angle(pose.rotations[0]).as_vec3().to_array());
-        // Body rotations are copied, not recomputed: what needs no change keeps its bits.
-        let bodies = frames.iter().map(|&frame| {
-            let body = body_of(frame);
-            std::array::from_fn(|column| body[column] as f32)
-        });
-        Motion::new(
-            fps,
-            poses
+            .map(|&frame| {
+                let file = DVec3::from_array(self.trans.get(frame, 0));
+                turn * (file + rest_pelvis) - rest_pelvis
+            })
+            .collect();
+        let mut poses = motion::poses_of(&transl, &vectors);
+        for pose in &mut poses {
+            pose.rotations[0] = turn * pose.rotations[0];
+        }
+        let mut poses = resample::interpolate_all(&poses, &among_needed);
+        floor::put_on_floor(&mut poses, fps, skeleton);
+        // Body rotations are copied where no frame is made, not recomputed: what needs no change
+        // keeps its bits.
+        let copied = |row: usize| -> [f32; BODY_POSE_WIDTH] {
+            std::array::from_fn(|column| vectors[row][3 + column] as f32)
+        };
+        let transl = poses.iter().map(|pose| pose.transl.as_vec3().to_array());
+        if among_needed.iter().all(|place| place.1 == 0.0) {
+            let roots = poses
                 .iter()
-                .map(|pose| pose.transl.as_vec3().to_array())
-                .collect(),
-            roots.collect(),
-            bodies.collect(),
-        )
-        .map_err(|error| Rejected::read("E-NOT-FINITE", error.to_string()))
+                .map(|pose| to_axis_angle(pose.rotations[0]).as_vec3().to_array());
+            let bodies = (0..poses.len()).map(copied);
+            return Motion::new(fps, transl.collect(), roots.collect(), bodies.collect())
+                .map_err(bad);
+        }
+        let made = Motion::from_poses(fps, &poses).map_err(bad)?;
+        let bodies = made.body_pose().iter().zip(&among_needed);
+        let bodies = bodies.map(|(made, &(row, alpha))| match alpha {
+            0.0 => copied(row),
+            _ => *made,
+        });
+        let roots = made.global_orient().to_vec();
+        Motion::new(fps, transl.collect(), roots, bodies.collect()).map_err(bad)
     }
 }
 
@@ -354,7 +455,7 @@ fn subset_note(path: &Path) -> Option<String> {
     })
 }
 
-fn no_poses(keys: &[String]) -> Result<Parsed, Rejected> {
+fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
     let has = |key: &str| keys.iter().any(|found| found == key);
     let list = keys.join(", ");
     let is_still = !has("trans") && !FPS_KEYS.into_iter().any(has);
@@ -377,18 +478,30 @@ fn no_poses(keys: &[String]) -> Result<Parsed, Rejected> {
 }
 
 /// An array of two dimensions.
-fn matrix<R: Read + Seek>(archive: &mut Archive<R>, key: &str) -> Result<Array, Rejected> {
-    let array = archive.numbers(key)?;
-    if array.shape.len() != 2 || array.shape[1] == 0 {
-        return Err(Rejected::read(
+fn matrix<'a>(
+    archive: &mut Archive<Cursor<&'a [u8]>>,
+    bytes: &'a [u8],
+    key: &str,
+) -> Result<Rows<'a>, Rejected> {
+    let member = archive.borrowed(bytes, key)?;
+    Rows::new(key, member)?.map_err(|shape| {
+        Rejected::read(
             "E-AMASS-SHAPE",
-            format!(
-                "found {key} of shape {:?}, expected frames by columns",
-                array.shape
-            ),
-        ));
+            format!("found {key} of shape {shape:?}, expected frames by columns"),
+        )
+    })
+}
+
+/// The shape of the subject's body, which no motion needs: none where it cannot be read.
+fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
+    if !archive.has("betas") {
+        return Vec::new();
     }
-    Ok(array)
+    let betas = archive.numbers("betas").map(|array| array.values);
+    betas
+        .ok()
+        .filter(|betas| betas.iter().all(|beta| beta.is_finite()))
+        .unwrap_or_default()
 }
 
 /// The gender, which releases write as text, as bytes, or as an array of either; why it is unknown
@@ -434,48 +547,24 @@ fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
     ))
 }
 
-fn columns(array: &Array, from: usize, to: usize) -> Vec<f64> {
-    array
-        .values
-        .chunks_exact(array.shape[1])
-        .flat_map(|row| &row[from..to])
-        .copied()
-        .collect()
-}
-
-fn expect_columns(key: &str, array: &Array, expected: usize) -> Result<(), Rejected> {
-    if array.shape[1] == expected {
+fn expect_columns(key: &str, rows: &Rows<'_>, expected: usize) -> Result<(), Rejected> {
+    if rows.width() == expected {
         return Ok(());
     }
     Err(Rejected::read(
         "E-AMASS-SHAPE",
         format!(
             "found {key} of {} columns, expected {expected}",
-            array.shape[1]
+            rows.width()
         ),
     ))
-}
-
-fn check_finite(arrays: &[(&str, &[f64], usize)]) -> Result<(), Rejected> {
-    for (name, values, width) in arrays {
-        if let Some(at) = values.iter().position(|value| !(*value as f32).is_finite()) {
-            return Err(Rejected::read(
-                "E-NOT-FINITE",
-                format!(
-                    "found {} in frame {} of {name}, expected finite numbers",
-                    values[at],
-                    at / width
-                ),
-            ));
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use std::io::{Cursor, Write};
 
+    use datasets_spec::rotation::angle_between;
     use proptest::prelude::*;
     use zip::ZipWriter;
     use zip::write::SimpleFileOptions;
@@ -520,7 +609,7 @@ pub(crate) mod tests {
     }
 
     fn read_at(path: &str, members: &[(&str, Vec<u8>)]) -> Result<Content, Rejected> {
-        read(Path::new(path), &npz(members), &Skeleton::smplx_neutral())
+        read(Path::new(path), &npz(members), &ReadOptions::default())
     }
 
     fn read_members(members: &[(&str, Vec<u8>)]) -> Result<Content, Rejected> {
@@ -574,8 +663,12 @@ pub(crate) mod tests {
         let split = {
             let mut members = clip_members(4, 165);
             let poses = npy::read_numbers("poses", &members[0].1).expect("valid");
-            members[0] = ("root_orient", npy_f8(&[4, 3], &columns(&poses, 0, 3)));
-            members.push(("pose_body", npy_f8(&[4, 63], &columns(&poses, 3, 66))));
+            let columns = |poses: &npy::Array, range: std::ops::Range<usize>| -> Vec<f64> {
+                let rows = poses.values.chunks_exact(poses.shape[1]);
+                rows.flat_map(|row| row[range.clone()].to_vec()).collect()
+            };
+            members[0] = ("root_orient", npy_f8(&[4, 3], &columns(&poses, 0..3)));
+            members.push(("pose_body", npy_f8(&[4, 63], &columns(&poses, 3..66))));
             members
         };
         for members in [
@@ -587,7 +680,7 @@ pub(crate) mod tests {
             let motion = clip(&members).motion;
             assert_eq!((motion.len(), motion.fps().get()), (4, 120.0));
             let poses = match npy::read_numbers("poses", &members[0].1).expect("valid") {
-                Array { shape, values } if shape[1] > 3 => values[3..66].to_vec(),
+                npy::Array { shape, values } if shape[1] > 3 => values[3..66].to_vec(),
                 _ => npy::read_numbers("pose_body", &members[4].1)
                     .expect("valid")
                     .values[..63]
@@ -595,6 +688,49 @@ pub(crate) mod tests {
             };
             for (stored, in_file) in motion.body_pose()[0].iter().zip(poses) {
                 assert_eq!(*stored, in_file as f32, "copied, not recomputed");
+            }
+        }
+    }
+
+    #[test]
+    fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
+        // At 120 fps frames of 20 and 30 fps are frames of the file, those of 25 fps lie between.
+        for (fps, between) in [(20.0, false), (30.0, false), (25.0, true)] {
+            let bytes = npz(&clip_members(100, 156));
+            let read_with = |rate: Option<Fps>| {
+                let options = ReadOptions {
+                    rate,
+                    ..ReadOptions::default()
+                };
+                match read(Path::new("x.npz"), &bytes, &options) {
+                    Ok(Content::Clip(clip)) => *clip,
+                    _ => panic!("the archive is good"),
+                }
+            };
+            let fps = Fps::new(fps).expect("a rate");
+            let (whole, at_rate) = (read_with(None), read_with(Some(fps)));
+            assert_eq!(at_rate.source_fps, whole.motion.fps());
+            assert_eq!(at_rate.source_frames, 0..100);
+            let resampled = resample::Resample::Exact
+                .apply(&whole.motion, fps)
+                .expect("resampled");
+            assert_eq!(at_rate.motion.len(), resampled.len());
+            // The floor is that of other frames.
+            let rise = at_rate.motion.transl()[0][1] - resampled.transl()[0][1];
+            for frame in 0..resampled.len() {
+                let (found, expected) = (at_rate.motion.pose(frame), resampled.pose(frame));
+                let apart = found.transl - expected.transl - DVec3::Y * f64::from(rise);
+                assert!(apart.length() < 1e-6, "{apart}");
+                for joint in 0..22 {
+                    let (found, expected) = (found.rotations[joint], expected.rotations[joint]);
+                    // Stored in f32, once and twice.
+                    assert!(angle_between(found, expected) < 1e-6);
+                }
+                if !between {
+                    let copied = at_rate.motion.body_pose()[frame];
+                    let stride = (120.0 / fps.get()) as usize;
+                    assert_eq!(copied, whole.motion.body_pose()[stride * frame], "bits");
+                }
             }
         }
     }
@@ -743,10 +879,9 @@ pub(crate) mod tests {
 
     #[test]
     fn damaged_archives_are_rejected_by_code() {
-        let skeleton = Skeleton::smplx_neutral();
         let bytes = npz(&clip_members(30, 156));
         for len in [0, 3, 100, bytes.len() / 2, bytes.len() - 1] {
-            let rejected = read(Path::new("x"), &bytes[..len], &skeleton)
+            let rejected = read(Path::new("x"), &bytes[..len], &ReadOptions::default())
                 .err()
                 .expect("cut off");
             assert_eq!(rejected.code, "E-NPZ-TRUNCATED", "{len} bytes");
@@ -765,7 +900,7 @@ pub(crate) mod tests {
         };
         let mut flipped = stored.clone();
         flipped[400] ^= 1;
-        let rejected = read(Path::new("x"), &flipped, &skeleton)
+        let rejected = read(Path::new("x"), &flipped, &ReadOptions::default())
             .err()
             .expect("one bit is wrong");
         assert_eq!(rejected.code, "E-NPZ-TRUNCATED");
@@ -788,7 +923,6 @@ pub(crate) mod tests {
             edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
             cut in any::<prop::sample::Index>(),
         ) {
-            let skeleton = Skeleton::smplx_neutral();
             let valid = npz(&clip_members(2, 72));
             let mut mutated = valid.clone();
             for (at, byte) in edits {
@@ -797,7 +931,7 @@ pub(crate) mod tests {
             }
             for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
                 let _ = peek(Cursor::new(candidate));
-                if let Ok(Content::Clip(clip)) = read(Path::new("x"), candidate, &skeleton) {
+                if let Ok(Content::Clip(clip)) = read(Path::new("x"), candidate, &ReadOptions::default()) {
                     prop_assert!(clip.motion.len() == clip.source_frames.len());
                 }
             }

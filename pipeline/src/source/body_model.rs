@@ -1,7 +1,8 @@
-//! The rest skeleton of a body model the user has: SMPL-X or SMPL-H as npz, or its joints as npy.
+//! The rest skeleton of a body model the user has: SMPL-X or SMPL-H as npz, or its joints as npy;
+//! and the bodies of subjects, by gender and shape.
 
 use std::fs::{self, File};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::Skeleton;
 use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
@@ -12,9 +13,13 @@ use super::npy::{self, Array};
 use super::npz::Archive;
 use crate::Error;
 
-/// Largest array read of a model, in bytes. The joint regressor of SMPL-X takes 4.6 MB; the blend
-/// shapes, which take hundreds, are never unpacked.
+/// Largest array read of a model, in bytes, but for its shapes. The joint regressor of SMPL-X takes
+/// 4.6 MB; pose blend shapes, which take hundreds, are never unpacked.
 const MAX_ARRAY_LEN: u64 = 64 << 20;
+/// Largest array of blend shapes read, in bytes: the 400 of SMPL-X take 101 MB.
+const MAX_SHAPES_LEN: u64 = 256 << 20;
+/// Betas that count.
+const NUM_BETAS: usize = 10;
 /// Joints of SMPL-H: the body and two hands of 15.
 const NUM_SMPLH_JOINTS: usize = 52;
 /// Joints of SMPL-X between body and hands that SMPL-H lacks: jaw and both eyes.
@@ -65,6 +70,204 @@ pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
     ))
 }
 
+/// A body model with its shapes: where the joints of each subject rest.
+#[derive(Clone)]
+pub struct BodyModel {
+    /// Joints with all betas zero; 52 for SMPL-H, 55 for SMPL-X.
+    joints: Vec<DVec3>,
+    /// How the joints move with each beta, by beta.
+    shapes: Vec<Vec<DVec3>>,
+}
+
+impl BodyModel {
+    /// Reads a model from an npz that holds `shapedirs` beside what [`read_skeleton`] needs.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no such model.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let file = File::open(path).map_err(Error::io("open", path))?;
+        Self::regress(file).map_err(|rejected| Error::BodyModel {
+            path: path.to_owned(),
+            code: rejected.code,
+            reason: rejected.reason,
+        })
+    }
+
+    fn regress(file: File) -> Result<Self, Rejected> {
+        let mut archive = Archive::open(file)?;
+        let template = Template::read(&mut archive)?;
+        if !archive.has("shapedirs") {
+            return Err(Rejected::read(
+                "E-BODY-KEYS",
+                format!(
+                    "found keys {}, expected shapedirs, which tell the bodies of subjects apart",
+                    archive.keys().join(", ")
+                ),
+            ));
+        }
+        let bytes = archive.member_within("shapedirs", MAX_SHAPES_LEN)?;
+        let shapes = npy::read_numbers("shapedirs", &bytes)?;
+        let [num_vertices, 3, num_betas] = shapes.shape[..] else {
+            return Err(bad_shape("shapedirs", &shapes, "[vertices, 3, betas]"));
+        };
+        if num_vertices != template.vertices.len() {
+            return Err(bad_shape(
+                "shapedirs",
+                &shapes,
+                "as many vertices as v_template",
+            ));
+        }
+        let shapes = (0..num_betas.min(NUM_BETAS))
+            .map(|beta| {
+                let moved: Vec<DVec3> = (0..num_vertices)
+                    .map(|vertex| {
+                        DVec3::from_array(std::array::from_fn(|axis| {
+                            shapes.values[(3 * vertex + axis) * num_betas + beta]
+                        }))
+                    })
+                    .collect();
+                template.means(&moved)
+            })
+            .collect();
+        let joints = template.means(&template.vertices);
+        complete(joints.clone()).and_then(plausible)?;
+        Ok(Self { joints, shapes })
+    }
+
+    /// The rest skeleton of a subject. Betas the model does not have, and those after the tenth,
+    /// count for nothing, as in the published preparation.
+    pub fn skeleton(&self, name: &str, betas: &[f64]) -> Skeleton {
+        let joints: Vec<DVec3> = (0..self.joints.len())
+            .map(|joint| {
+                let moved = self.shapes.iter().zip(betas);
+                self.joints[joint]
+                    + moved
+                        .map(|(shape, beta)| *beta * shape[joint])
+                        .sum::<DVec3>()
+            })
+            .collect();
+        let whole = complete(joints).expect("the number of joints was checked when it was read");
+        Skeleton::new(name, whole)
+    }
+
+    /// Whether this is SMPL-H.
+    fn is_smplh(&self) -> bool {
+        self.joints.len() == NUM_SMPLH_JOINTS
+    }
+}
+
+/// The body models of a release by gender, to pose each subject on the own body.
+#[derive(Clone)]
+pub struct Subjects {
+    male: BodyModel,
+    female: BodyModel,
+    hash: String,
+}
+
+/// The hash of the models stands for their numbers: it is part of what a plan is known by.
+impl std::fmt::Debug for Subjects {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Subjects({})", self.hash)
+    }
+}
+
+impl Subjects {
+    /// Reads the models for both genders below a folder: npz files that are called by the gender, or
+    /// lie in a folder that is, as in `smplh/female/model.npz` and `SMPLX_MALE.npz`.
+    ///
+    /// # Errors
+    /// There is none or more than one for a gender, or one cannot be read.
+    pub fn read(folder: &Path) -> Result<Self, Error> {
+        let mut files = Vec::new();
+        list_npz(folder, 0, &mut files)?;
+        let mut hasher = blake3::Hasher::new();
+        let mut model = |gender: &str| -> Result<BodyModel, Error> {
+            let found: Vec<&PathBuf> = files
+                .iter()
+                .filter(|file| gender_of(folder, file) == Some(gender))
+                .collect();
+            let [file] = found[..] else {
+                return Err(Error::BodyModel {
+                    path: folder.to_owned(),
+                    code: "E-BODY-KEYS",
+                    reason: format!(
+                        "found {} npz files for the {gender} body, expected one, such as \
+                         {gender}/model.npz",
+                        found.len()
+                    ),
+                });
+            };
+            let model = BodyModel::read(file)?;
+            let shapes = model.shapes.iter().flatten();
+            for number in model.joints.iter().chain(shapes).flat_map(DVec3::to_array) {
+                hasher.update(&number.to_le_bytes());
+            }
+            Ok(model)
+        };
+        let (male, female) = (model("male")?, model("female")?);
+        let hash = hasher.finalize().to_hex()[..HASH_DIGITS].to_owned();
+        Ok(Self { male, female, hash })
+    }
+
+    /// The rest skeleton of a subject of AMASS; none if the models are of another kind than the
+    /// parameters.
+    ///
+    /// # Source
+    /// HumanML3D's `raw_pose_processing` takes the male model for the gender `male` and the female
+    /// one for everything else, and ten betas.
+    pub fn body(&self, is_smplh: bool, gender: Option<&str>, betas: &[f64]) -> Option<Skeleton> {
+        let (model, name) = match gender {
+            Some("male") => (&self.male, "male subject"),
+            _ => (&self.female, "female subject"),
+        };
+        (model.is_smplh() == is_smplh).then(|| model.skeleton(name, betas))
+    }
+}
+
+/// The npz files of a folder and the folders in it, sorted.
+fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), Error> {
+    /// Releases keep their models in a folder for each gender.
+    const MAX_DEPTH: usize = 3;
+    let mut entries: Vec<PathBuf> = fs::read_dir(folder)
+        .map_err(Error::io("list", folder))?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<_, _>>()
+        .map_err(Error::io("list", folder))?;
+    entries.sort();
+    for path in entries {
+        if path.is_dir() {
+            if depth < MAX_DEPTH {
+                list_npz(&path, depth + 1, files)?;
+            }
+        } else if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("npz"))
+        {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+/// The gender a model is of by its name, or by that of the nearest folder that tells one.
+fn gender_of(root: &Path, file: &Path) -> Option<&'static str> {
+    let inside = file.strip_prefix(root).unwrap_or(file).with_extension("");
+    let mut names: Vec<String> = inside
+        .components()
+        .map(|part| part.as_os_str().to_string_lossy().to_lowercase())
+        .collect();
+    names.reverse();
+    names.iter().find_map(|name| {
+        name.split(|c: char| !c.is_alphabetic())
+            .find_map(|word| match word {
+                "male" | "m" => Some("male"),
+                "female" | "f" => Some("female"),
+                "neutral" | "n" => Some("neutral"),
+                _ => None,
+            })
+    })
+}
+
 fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
     let extension = path
         .extension()
@@ -96,43 +299,64 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
 
 /// The joints of a model: weighted means of its vertices.
 fn regress(file: File) -> Result<Vec<DVec3>, Rejected> {
-    let mut archive = Archive::open(file)?;
-    for key in ["J_regressor", "v_template", "kintree_table"] {
-        if !archive.has(key) {
+    let template = Template::read(&mut Archive::open(file)?)?;
+    Ok(template.means(&template.vertices))
+}
+
+/// The vertices of a model, and the joints as weighted means of them.
+struct Template {
+    vertices: Vec<DVec3>,
+    /// `[joints, vertices]`
+    weights: Vec<f64>,
+}
+
+impl Template {
+    fn read(archive: &mut Archive<File>) -> Result<Self, Rejected> {
+        for key in ["J_regressor", "v_template", "kintree_table"] {
+            if !archive.has(key) {
+                return Err(Rejected::read(
+                    "E-BODY-KEYS",
+                    format!(
+                        "found keys {}, expected J_regressor, v_template and kintree_table",
+                        archive.keys().join(", ")
+                    ),
+                ));
+            }
+        }
+        let mut array = |key: &str| {
+            let bytes = archive.member_within(key, MAX_ARRAY_LEN)?;
+            npy::read_numbers(key, &bytes)
+        };
+        let (regressor, tree) = (array("J_regressor")?, array("kintree_table")?);
+        let vertices = points("v_template", &array("v_template")?)?;
+        let [num_joints, num_vertices] = regressor.shape[..] else {
+            return Err(bad_shape("J_regressor", &regressor, "[joints, vertices]"));
+        };
+        if num_vertices != vertices.len() || num_vertices == 0 {
             return Err(Rejected::read(
-                "E-BODY-KEYS",
+                "E-BODY-SHAPE",
                 format!(
-                    "found keys {}, expected J_regressor, v_template and kintree_table",
-                    archive.keys().join(", ")
+                    "found J_regressor for {num_vertices} vertices, expected {} as v_template has",
+                    vertices.len()
                 ),
             ));
         }
+        check_tree(&tree, num_joints)?;
+        Ok(Self {
+            vertices,
+            weights: regressor.values,
+        })
     }
-    let mut array = |key: &str| {
-        let bytes = archive.member_within(key, MAX_ARRAY_LEN)?;
-        npy::read_numbers(key, &bytes)
-    };
-    let (regressor, tree) = (array("J_regressor")?, array("kintree_table")?);
-    let vertices = points("v_template", &array("v_template")?)?;
-    let [num_joints, num_vertices] = regressor.shape[..] else {
-        return Err(bad_shape("J_regressor", &regressor, "[joints, vertices]"));
-    };
-    if num_vertices != vertices.len() || num_vertices == 0 {
-        return Err(Rejected::read(
-            "E-BODY-SHAPE",
-            format!(
-                "found J_regressor for {num_vertices} vertices, expected {} as v_template has",
-                vertices.len()
-            ),
-        ));
+
+    /// The weighted mean of a vector of each vertex, by joint.
+    fn means(&self, of_vertices: &[DVec3]) -> Vec<DVec3> {
+        let weighted_mean = |weights: &[f64]| -> DVec3 {
+            let weighted = weights.iter().zip(of_vertices);
+            weighted.map(|(weight, vector)| *weight * *vector).sum()
+        };
+        let rows = self.weights.chunks_exact(self.vertices.len());
+        rows.map(weighted_mean).collect()
     }
-    check_tree(&tree, num_joints)?;
-    let weighted_mean = |weights: &[f64]| -> DVec3 {
-        let weighted = weights.iter().zip(&vertices);
-        weighted.map(|(weight, vertex)| *weight * *vertex).sum()
-    };
-    let rows = regressor.values.chunks_exact(num_vertices);
-    Ok(rows.map(weighted_mean).collect())
 }
 
 /// Where a joint of a model stands in SMPL-X.
@@ -244,9 +468,7 @@ fn bad_shape(name: &str, array: &Array, expected: &str) -> Rejected {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::path::PathBuf;
-
+pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
@@ -324,6 +546,62 @@ mod tests {
             .collect();
         let joints = skeleton("J_male.npy", &npy_f8(&[NUM_JOINTS, 3], &flat)).expect("joints");
         assert_eq!(joints.rest(54), neutral.rest(54));
+    }
+
+    /// Both bodies of SMPL-X; the first beta of the male one lifts the head, the second does nothing.
+    pub(crate) fn subjects() -> (tempfile::TempDir, Subjects) {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let num_vertices = 2 * NUM_JOINTS;
+        let shapes = |lift: f64| -> Vec<f64> {
+            (0..num_vertices * 3 * 2)
+                .map(|at| {
+                    let (vertex, axis, beta) = (at / 6, at / 2 % 3, at % 2);
+                    let is_head = vertex / 2 == HEAD && axis == 1 && beta == 0;
+                    if is_head { lift } else { 0.0 }
+                })
+                .collect()
+        };
+        for (path, lift) in [("male/model.npz", 0.05), ("SMPLX_FEMALE.npz", -0.02)] {
+            let mut members = smplx();
+            members.push(("shapedirs", npy_f8(&[num_vertices, 3, 2], &shapes(lift))));
+            let path = folder.path().join(path);
+            fs::create_dir_all(path.parent().expect("in a folder")).expect("made");
+            fs::write(path, npz(&members)).expect("written");
+        }
+        let subjects = Subjects::read(folder.path()).expect("two models");
+        (folder, subjects)
+    }
+
+    #[test]
+    fn a_subject_has_the_body_of_gender_and_betas() {
+        let (folder, subjects) = subjects();
+        let neutral = Skeleton::smplx_neutral();
+        let head_of = |gender: Option<&str>, betas: &[f64]| {
+            let body = subjects.body(false, gender, betas).expect("the same kind");
+            assert!((body.rest(4) - neutral.rest(4)).length() < 1e-12);
+            (body.rest(HEAD) - neutral.rest(HEAD)).y
+        };
+        for (gender, betas, lift) in [
+            (Some("male"), &[2.0, 9.0, 9.0][..], 0.1),
+            (Some("male"), &[], 0.0),
+            (Some("female"), &[1.0], -0.02),
+            (Some("neutral"), &[1.0], -0.02),
+            (None, &[0.5], -0.01),
+        ] {
+            assert!(
+                (head_of(gender, betas) - lift).abs() < 1e-12,
+                "{gender:?} {betas:?}"
+            );
+        }
+        assert!(
+            subjects.body(true, None, &[]).is_none(),
+            "SMPL-H parameters"
+        );
+        let again = Subjects::read(folder.path()).expect("two models");
+        assert_eq!(format!("{subjects:?}"), format!("{again:?}"));
+        fs::remove_file(folder.path().join("male/model.npz")).expect("removed");
+        let missing = Subjects::read(folder.path()).expect_err("one body is missing");
+        assert!(missing.to_string().contains("male/model.npz"), "{missing}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Where the floor is: files put it anywhere, the store has it at y = 0.
 
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Fps, Pose, Skeleton};
 use glam::DVec3;
 
@@ -23,12 +24,10 @@ const AIRBORNE_HEIGHT_M: f64 = 0.3;
 /// both foot joints. A clip that never touches it (no foot joint slower than 0.5 m/s within 5 cm of
 /// it) and keeps 0.3 m above the file's own zero is taken to be airborne, and stays where it is.
 pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
-    let feet: Vec<[DVec3; 4]> = poses
+    let feet: Vec<[DVec3; 4]> = skeleton
+        .points_of_poses::<NUM_BODY_JOINTS>(poses)
         .iter()
-        .map(|pose| {
-            let keypoints = skeleton.keypoints(pose);
-            FOOT_JOINTS.map(|joint| keypoints[joint])
-        })
+        .map(|joints| FOOT_JOINTS.map(|joint| joints[joint]))
         .collect();
     let shift = shift(&feet, fps);
     for pose in poses {

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS};
 use datasets_spec::table::Caption;
 use datasets_spec::{Fps, Joint, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
@@ -194,8 +194,9 @@ impl Cuts {
         &self,
         files: &Files,
         entry: &Entry,
-        skeleton: &Skeleton,
+        options: &ReadOptions,
     ) -> Result<SourceClip, Rejected> {
+        let skeleton = &options.skeleton;
         let is_mirrored = entry.mirrored_of.is_some();
         let id = entry.mirrored_of.as_ref().unwrap_or(&entry.id);
         let crop = self.crops.get(id).ok_or_else(|| {
@@ -207,9 +208,10 @@ impl Cuts {
             Parsed::Parameters(parameters) => *parameters,
             Parsed::NoMotion { reason } => return Err(Rejected::read("E-AMASS-KEYS", reason)),
         };
-        let mut clip = cut(&parameters, crop, skeleton)?;
+        let mut clip = cut(&parameters, crop, options)?;
         if is_mirrored {
             clip.motion = on_floor(mirror(&clip.motion), skeleton);
+            clip.body = clip.body.as_ref().map(mirrored_body);
         }
         clip.notes.extend(crop.note.iter().cloned());
         let (captions, note) = crop.captions(files, is_mirrored)?;
@@ -237,7 +239,7 @@ impl Release for Cuts {
     }
 
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome {
-        match self.read_clip(files, entry, &options.skeleton) {
+        match self.read_clip(files, entry, options) {
             Ok(clip) => Outcome::Clip(Box::new(clip)),
             Err(rejected) => Outcome::Rejected(rejected),
         }
@@ -297,7 +299,12 @@ fn frames_of(
 }
 
 /// Cuts a clip out of a recording.
-fn cut(parameters: &Parameters, crop: &Crop, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+fn cut(
+    parameters: &Parameters<'_>,
+    crop: &Crop,
+    options: &ReadOptions,
+) -> Result<SourceClip, Rejected> {
+    let skeleton = &options.skeleton;
     let fps = humanml3d::FPS;
     let stated = parameters.stated_fps;
     // Rounding the rate first would move every frame of a recording at 119.99 fps.
@@ -328,7 +335,8 @@ fn cut(parameters: &Parameters, crop: &Crop, skeleton: &Skeleton) -> Result<Sour
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     let last = frames.last().copied().unwrap_or(0);
     clip.source_frames = frames.first().copied().unwrap_or(0)..last + 1;
-    clip.notes = parameters.notes(skeleton);
+    clip.body = parameters.body(options);
+    clip.notes = parameters.notes(skeleton, clip.body.is_some());
     clip.notes.push(format!(
         "cut from {} of subset {}: every {stride}. frame of {stated} fps, frames {}..{} after a \
          lead-in of {}",
@@ -338,11 +346,13 @@ fn cut(parameters: &Parameters, crop: &Crop, skeleton: &Skeleton) -> Result<Sour
         row.start + frames.len(),
         crop.lead_in_frames
     ));
-    clip.notes.push(format!(
-        "the published joints and features are those of the subject's body; what is made of this \
-         clip is that of {}",
-        skeleton.name()
-    ));
+    if clip.body.is_none() {
+        clip.notes.push(format!(
+            "the published joints and features are those of the subject's body; what is made of \
+             this clip is that of {}",
+            skeleton.name()
+        ));
+    }
     let missing = wanted.map_or(0, |wanted| wanted.saturating_sub(frames.len()));
     if missing > END_TOLERANCE {
         clip.flags |= FLAG_FPS_DOUBTFUL;
@@ -391,8 +401,18 @@ pub(crate) fn mirror(motion: &Motion) -> Motion {
     mirrored
 }
 
+/// The mirror image of a body at rest: what [`mirror`] is to motions.
+fn mirrored_body(body: &Skeleton) -> Skeleton {
+    let mut joints: [DVec3; NUM_JOINTS] = std::array::from_fn(|joint| body.rest(joint));
+    for joint in Joint::ALL {
+        let [x, y, z] = body.rest(joint.mirrored().index()).to_array();
+        joints[joint.index()] = DVec3::new(-x, y, z);
+    }
+    Skeleton::new(body.name(), joints)
+}
+
 fn on_floor(mut motion: Motion, skeleton: &Skeleton) -> Motion {
-    let mut poses: Vec<_> = motion.poses().collect();
+    let mut poses: Vec<_> = motion.poses();
     let rise = floor::put_on_floor(&mut poses, motion.fps(), skeleton);
     for frame in 0..motion.len() {
         let [x, y, z] = motion.transl()[frame];
@@ -474,11 +494,14 @@ fn in_case_of(model: &str, word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
+    use std::sync::Arc;
 
     use proptest::prelude::*;
 
     use super::*;
+    use crate::feature::smpl_body;
     use crate::source::amass::tests::{clip_members, npz};
+    use crate::source::body_model::tests::subjects;
     use crate::source::npy::tests::npy_f8;
 
     fn row(start: usize, end: Option<usize>) -> IndexRow {
@@ -620,6 +643,52 @@ mod tests {
     }
 
     #[test]
+    fn features_are_those_of_the_own_body_where_models_are_given() {
+        let mut members = clip_members(240, 165);
+        members.push(("betas", npy_f8(&[2], &[2.0, 0.0])));
+        let tree = Tree::new(&[
+            ("KIT/3/kick_left_poses.npz", npz(&members)),
+            ("KIT/3/other_poses.npz", npz(&clip_members(240, 156))),
+            index(&[
+                "./pose_data/KIT/3/kick_left_poses.npy,0,20,000000.npy",
+                "./pose_data/KIT/3/other_poses.npy,0,20,000001.npy",
+            ]),
+        ]);
+        let (_folder, subjects) = subjects();
+        let options = ReadOptions {
+            subjects: Some(Arc::new(subjects)),
+            ..ReadOptions::default()
+        };
+        let release = tree.release();
+        let read = |id: &str| {
+            let mut entries = release.entries().iter();
+            let entry = entries.find(|entry| entry.id == id).expect("in the index");
+            match release.read(&tree.files(), entry, &options) {
+                Outcome::Clip(clip) => *clip,
+                _ => panic!("the clip is good"),
+            }
+        };
+        // The first beta of the male model lifts the head by 5 cm a unit.
+        let neutral = smpl_body(&Skeleton::smplx_neutral());
+        let tall = smpl_body(&{
+            let mut joints = std::array::from_fn(|joint| Skeleton::smplx_neutral().rest(joint));
+            joints[15].y += 0.1;
+            Skeleton::new("tall", joints)
+        });
+        let bodies = [read("000000"), read("M000000")].map(|clip| clip.body.expect("SMPL-X"));
+        assert!((bodies[0].offset(15).length() - tall.offset(15).length()).abs() < 1e-9);
+        assert!((bodies[0].offset(4) - neutral.offset(4)).length() < 1e-9);
+        let [x, y, z] = bodies[0].offset(16).to_array();
+        assert!((bodies[1].offset(17) - DVec3::new(-x, y, z)).length() < 1e-9);
+        let other = read("000001");
+        assert!(
+            other.body.is_none(),
+            "the models are of SMPL-X, the clip is SMPL-H"
+        );
+        assert!(other.notes.join("\n").contains("body shape ignored"));
+    }
+
+    #[test]
     fn the_world_is_turned_as_published() {
         // A body that stands in AMASS faces -y, and faces -z after (x, y, z) to (-x, z, y).
         let mut poses = vec![0.0; 40 * 156];
@@ -719,6 +788,32 @@ mod tests {
         #[test]
         fn any_text_is_swapped_without_panic(text in any::<String>()) {
             let _ = swap_sides(&text);
+        }
+
+        #[test]
+        fn a_mirrored_motion_on_a_mirrored_body_has_mirrored_joints(
+            angles in prop::collection::vec(prop::array::uniform3(-1.5f64..1.5), 22),
+            lift in prop::array::uniform3(-0.1f64..0.1),
+        ) {
+            let skeleton = Skeleton::smplx_neutral();
+            // A body like no other: one joint is moved.
+            let body = Skeleton::new("subject", std::array::from_fn(|joint| {
+                skeleton.rest(joint) + if joint == 16 { DVec3::from_array(lift) } else { DVec3::ZERO }
+            }));
+            let mut pose = datasets_spec::Pose::REST;
+            for (rotation, angles) in pose.rotations.iter_mut().zip(angles) {
+                *rotation = datasets_spec::rotation::from_axis_angle(DVec3::from_array(angles));
+            }
+            let motion = Motion::from_poses(Fps::STORE, &[pose]).expect("valid");
+            let joints = body.keypoints(&motion.pose(0));
+            let mirrored = mirrored_body(&body).keypoints(&mirror(&motion).pose(0));
+            // The pelvis moves with the mirrored body; everything else is as in the mirror.
+            let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
+            for joint in Joint::ALL {
+                let here = mirrored[joint.index()] - mirrored[0];
+                let there = joints[joint.mirrored().index()] - joints[0];
+                prop_assert!((here - reflect(there)).length() < 1e-5, "{joint:?}");
+            }
         }
 
         #[test]

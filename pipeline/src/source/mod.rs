@@ -27,6 +27,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use self::body_model::Subjects;
 use crate::retarget::UserMap;
 use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Caption, PartCaption};
@@ -151,8 +152,11 @@ impl RotationSource {
 /// A clip as read from one file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceClip {
-    /// The motion at the file's own rate: SMPL-X parameters, y up, metres, floor at y = 0.
+    /// The motion: SMPL-X parameters, y up, metres, floor at y = 0. At the file's own rate, or at
+    /// that of [`ReadOptions::rate`].
     pub motion: Motion,
+    /// The rate of the file.
+    pub source_fps: Fps,
     /// Where its rotations come from.
     pub rotation_source: RotationSource,
     /// Mean distance in metres between the joints of the motion and those of the file, the latter
@@ -180,16 +184,19 @@ pub struct SourceClip {
     pub edit_of: Option<EditOf>,
     /// Body-part masks the source comes with.
     pub masks: Vec<SourceMask>,
+    /// The body features are computed on, where it is not the store's.
+    pub body: Option<Skeleton>,
 }
 
 impl SourceClip {
     /// A clip of a whole file, with nothing said about it.
     pub fn new(motion: Motion, rotation_source: RotationSource) -> Self {
-        let num_frames = motion.len();
+        let (num_frames, source_fps) = (motion.len(), motion.fps());
         Self {
             motion,
             rotation_source,
             fit_error_m: None,
+            source_fps,
             source_frames: 0..num_frames,
             captions: Vec::new(),
             part_captions: Vec::new(),
@@ -201,6 +208,7 @@ impl SourceClip {
             markers: None,
             edit_of: None,
             masks: Vec::new(),
+            body: None,
         }
     }
 }
@@ -364,6 +372,11 @@ pub struct ReadOptions {
     pub skeleton: Skeleton,
     /// Joint names of the user, which win over those that are known.
     pub user_map: Option<UserMap>,
+    /// The rate at which clips are wanted, interpolated at exact times. Readers that can skip the
+    /// frames between do so; the others give the file's own rate.
+    pub rate: Option<Fps>,
+    /// Body models by gender, to compute features of AMASS on each subject's own body.
+    pub subjects: Option<Arc<Subjects>>,
 }
 
 impl Default for ReadOptions {
@@ -371,6 +384,8 @@ impl Default for ReadOptions {
         Self {
             skeleton: Skeleton::smplx_neutral(),
             user_map: None,
+            rate: None,
+            subjects: None,
         }
     }
 }
@@ -562,7 +577,7 @@ pub fn read_clip(
     }
     let read = match format {
         Format::Bvh => bvh::Bvh::parse(bytes).and_then(|bvh| crate::retarget::clip(&bvh, options)),
-        Format::Amass => match amass::read(path, bytes, skeleton) {
+        Format::Amass => match amass::read(path, bytes, options) {
             Ok(amass::Content::Clip(clip)) => Ok(*clip),
             Ok(amass::Content::NoMotion { reason }) => return Outcome::Skipped { reason },
             Err(rejected) => Err(rejected),

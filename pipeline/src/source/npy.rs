@@ -2,6 +2,8 @@
 //! never evaluated, pickled objects are refused, and a shape is held against the bytes that are
 //! there before anything is allocated.
 
+use std::borrow::Cow;
+
 use super::Rejected;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -183,6 +185,130 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Rejected> {
         shape: header.shape,
         values,
     })
+}
+
+/// The rows of an array of two dimensions, read where they lie.
+#[derive(Clone, Debug)]
+pub(crate) struct Rows<'a> {
+    bytes: Cow<'a, [u8]>,
+    data_start: usize,
+    kind: RowKind,
+    num_rows: usize,
+    width: usize,
+}
+
+/// How the numbers of [`Rows`] are written.
+#[derive(Clone, Copy, Debug)]
+enum RowKind {
+    F64,
+    F32,
+}
+
+impl<'a> Rows<'a> {
+    /// Takes an array of two dimensions.
+    ///
+    /// # Errors
+    /// As [`read_numbers`]; the shape where it is not of two dimensions.
+    pub(crate) fn new(
+        name: &str,
+        bytes: Cow<'a, [u8]>,
+    ) -> Result<Result<Self, Vec<usize>>, Rejected> {
+        let header = Header::parse(name, &bytes)?;
+        let [num_rows, width] = header.shape[..] else {
+            return Ok(Err(header.shape));
+        };
+        if width == 0 {
+            return Ok(Err(header.shape));
+        }
+        let kind = match (header.kind, header.item_len) {
+            (Kind::Float, 8) => Some(RowKind::F64),
+            (Kind::Float, 4) => Some(RowKind::F32),
+            _ => None,
+        };
+        let plain = !header.big_endian && (!header.fortran_order || num_rows == 1 || width == 1);
+        if let Some(kind) = kind.filter(|_| plain) {
+            return Ok(Ok(Self {
+                data_start: header.data_start,
+                bytes,
+                kind,
+                num_rows,
+                width,
+            }));
+        }
+        // Whatever else NumPy writes is brought into the common form first.
+        let array = read_numbers(name, &bytes)?;
+        Ok(Ok(Self {
+            bytes: Cow::Owned(array.values.iter().flat_map(|v| v.to_le_bytes()).collect()),
+            data_start: 0,
+            kind: RowKind::F64,
+            num_rows,
+            width,
+        }))
+    }
+
+    /// Number of rows.
+    pub(crate) fn len(&self) -> usize {
+        self.num_rows
+    }
+
+    /// Numbers of a row.
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Whether `len` numbers of a row from `column` on are finite and can be stored as `f32`.
+    ///
+    /// # Panics
+    /// If they do not exist.
+    pub(crate) fn is_finite(&self, row: usize, column: usize, len: usize) -> bool {
+        assert!(
+            column + len <= self.width,
+            "columns {column}.. of {}",
+            self.width
+        );
+        const LARGEST: f64 = f32::MAX as f64;
+        let first = row * self.width + column;
+        let data = &self.bytes[self.data_start..];
+        // All numbers at once: a search that may stop early looks at one after the other.
+        match self.kind {
+            RowKind::F64 => {
+                let (numbers, _) = data[8 * first..][..8 * len].as_chunks::<8>();
+                numbers.iter().fold(true, |all, number| {
+                    all & (f64::from_le_bytes(*number).abs() <= LARGEST)
+                })
+            }
+            RowKind::F32 => {
+                let (numbers, _) = data[4 * first..][..4 * len].as_chunks::<4>();
+                numbers.iter().fold(true, |all, number| {
+                    all & f32::from_le_bytes(*number).is_finite()
+                })
+            }
+        }
+    }
+
+    /// `N` numbers of a row from `column` on.
+    ///
+    /// # Panics
+    /// If they do not exist.
+    pub(crate) fn get<const N: usize>(&self, row: usize, column: usize) -> [f64; N] {
+        assert!(
+            column + N <= self.width,
+            "columns {column}.. of {}",
+            self.width
+        );
+        let first = row * self.width + column;
+        let data = &self.bytes[self.data_start..];
+        match self.kind {
+            RowKind::F64 => {
+                let (numbers, _) = data[8 * first..][..8 * N].as_chunks::<8>();
+                std::array::from_fn(|i| f64::from_le_bytes(numbers[i]))
+            }
+            RowKind::F32 => {
+                let (numbers, _) = data[4 * first..][..4 * N].as_chunks::<4>();
+                std::array::from_fn(|i| f64::from(f32::from_le_bytes(numbers[i])))
+            }
+        }
+    }
 }
 
 /// Reads the first item of an array of text, whatever its dimensions.

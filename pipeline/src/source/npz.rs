@@ -1,10 +1,11 @@
 //! Archives of NumPy's npz format, within bounds: nothing is unpacked further than its stated and
 //! allowed length, and nothing but the arrays asked for is unpacked at all.
 
+use std::borrow::Cow;
 use std::io::{Cursor, Read, Seek};
 
-use zip::ZipArchive;
 use zip::result::ZipError;
+use zip::{CompressionMethod, ZipArchive};
 
 use super::Rejected;
 use super::npy::{self, Array, Header};
@@ -35,6 +36,52 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
     pub(crate) fn in_memory(bytes: &'a [u8]) -> Result<Self, Rejected> {
         Self::open(Cursor::new(bytes))
+    }
+
+    /// The bytes of an array's npy file as [`Archive::member`] gives them, without a copy where they
+    /// are stored as they are, which is how AMASS has them. `bytes` are those of the archive.
+    ///
+    /// # Errors
+    /// As [`Archive::member`].
+    pub(crate) fn borrowed(
+        &mut self,
+        bytes: &'a [u8],
+        key: &str,
+    ) -> Result<Cow<'a, [u8]>, Rejected> {
+        let name = format!("{key}.npy");
+        let file = self
+            .zip
+            .by_name(&name)
+            .map_err(|error| member_error(&name, &error))?;
+        let stored = file.compression() == CompressionMethod::Stored
+            && !file.encrypted()
+            && file.size() == file.compressed_size()
+            && file.size() <= MAX_MEMBER_LEN;
+        let start = file
+            .data_start()
+            .and_then(|start| usize::try_from(start).ok());
+        let len = usize::try_from(file.size()).ok();
+        let member = start
+            .zip(len)
+            .filter(|_| stored)
+            .and_then(|(start, len)| bytes.get(start..)?.get(..len));
+        let (expected, start) = (file.crc32(), start.unwrap_or(0));
+        drop(file);
+        let Some(member) = member else {
+            return self.member(key).map(Cow::Owned);
+        };
+        let found = crc32fast::hash(member);
+        if found != expected {
+            return Err(Rejected::read(
+                "E-NPZ-TRUNCATED",
+                format!(
+                    "{name} has the checksum {:08x}, expected {expected:08x}; it is damaged",
+                    found
+                ),
+            )
+            .at(start));
+        }
+        Ok(Cow::Borrowed(member))
     }
 }
 

@@ -63,6 +63,7 @@ impl Parameters {
         let whole = self.unchanged(fps)?;
         let mut poses: Vec<Pose> = whole
             .poses()
+            .into_iter()
             .map(|mut pose| {
                 pose.rotations[0] = turn * pose.rotations[0];
                 pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;

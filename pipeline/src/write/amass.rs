@@ -37,7 +37,7 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     let num_frames = motion.len();
     let mut poses = Vec::with_capacity(num_frames * POSES_WIDTH);
     let mut trans = Vec::with_capacity(num_frames * 3);
-    for (frame, pose) in motion.poses().enumerate() {
+    for (frame, pose) in motion.poses().into_iter().enumerate() {
         let root = to_axis_angle(file_from_motion * pose.rotations[0]);
         poses.extend(root.to_array());
         poses.extend(motion.body_pose()[frame].map(f64::from));
@@ -162,7 +162,7 @@ mod tests {
         let (_, poses) = member(&bytes, "poses");
         let (_, trans) = member(&bytes, "trans");
         let upright = DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2);
-        for (frame, pose) in motion.poses().enumerate() {
+        for (frame, pose) in motion.poses().into_iter().enumerate() {
             let root = DVec3::from_slice(&poses[156 * frame..]);
             let root = upright * datasets_spec::rotation::from_axis_angle(root);
             assert!(datasets_spec::rotation::angle_between(root, pose.rotations[0]) < 1e-9);

@@ -93,7 +93,7 @@ fn golden_fit_is_no_worse_than_the_reference() {
             .collect();
         let fitted = fit_motion(&skeleton, &frames, Fps::STORE, &options).expect("finite");
         let mut squares = Vec::new();
-        for (pose, frame) in fitted.motion.poses().zip(&frames) {
+        for (pose, frame) in fitted.motion.poses().into_iter().zip(&frames) {
             let points = skeleton.keypoints(&pose);
             for &slot in &slots {
                 squares.extend((points[slot] - frame[slot]).to_array().map(|d| d * d));

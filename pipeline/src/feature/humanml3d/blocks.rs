@@ -4,6 +4,7 @@
 //! Positions are computed in `f64`. The rotations among the features depend on bone directions
 //! alone, which `f32` holds to 1e-7, and the features are stored in `f32`.
 
+use datasets_spec::lanes::{self, Kernel};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DVec2, DVec3};
@@ -59,6 +60,7 @@ impl Placement {
         }
     }
 
+    #[inline(always)]
     fn apply(&self, point: DVec3) -> DVec3 {
         let moved = point - self.origin;
         let [x, z] = self.turned([moved.x, moved.z]);
@@ -66,6 +68,7 @@ impl Placement {
     }
 
     /// A direction on the ground, after the turn.
+    #[inline(always)]
     pub(super) fn turned(&self, [x, z]: [f64; 2]) -> [f64; 2] {
         let (sine, cosine) = (self.turn.x, self.turn.y);
         [cosine * x + sine * z, cosine * z - sine * x]
@@ -110,19 +113,12 @@ impl Clip {
     ) -> Result<(), FeatureError> {
         for (index, block) in self.blocks.iter_mut().enumerate() {
             let source = *block;
-            let mut sound = [u64::MAX; LANES];
-            scale_by(&mut block[0], scale);
-            for joint in 1..NUM_BODY_JOINTS {
-                let parent = PARENTS[joint];
-                let (above, below) = block.split_at_mut(joint);
-                lay_bone(
-                    [&source[parent], &source[joint]],
-                    bones[joint],
-                    &above[parent],
-                    &mut below[0],
-                    &mut sound,
-                );
-            }
+            let sound = lanes::vectorised(LayBones {
+                source: &source,
+                bones,
+                scale,
+                block,
+            });
             check(&sound, &source, index * LANES)?;
         }
         Ok(())
@@ -192,29 +188,17 @@ impl Clip {
     /// The features of the clip where it is put, one frame fewer than it has.
     pub(super) fn features(&self, placement: Placement, headings: &Headings) -> Vec<Features> {
         let mut rows = vec![[0.0; HUMANML3D_WIDTH]; self.frames - 1];
-        let mut columns = [[0.0; LANES]; HUMANML3D_WIDTH];
-        let mut run = [[[0.0; LANES + 1]; 3]; NUM_BODY_JOINTS];
-        let mut turns = [[[[0.0; LANES]; 3]; 3]; NUM_BODY_JOINTS];
-        for (index, rows) in rows.chunks_mut(LANES).enumerate() {
-            self.place(index, placement, &mut run);
-            let (cosines, sines) = headings.block(index);
-            write_root(&run, cosines, sines, &mut columns);
-            headings.write_yaw_velocity(index, &mut columns[0]);
-            write_positions(&run, cosines, sines, &mut columns);
-            turn_root(cosines, sines, &mut turns[0]);
-            write_rotations(&run, &mut turns, &mut columns);
-            write_velocities(&run, cosines, sines, &mut columns);
-            write_contacts(&run, &mut columns);
-            for (lane, row) in rows.iter_mut().enumerate() {
-                for (value, column) in row.iter_mut().zip(&columns) {
-                    *value = column[lane];
-                }
-            }
-        }
+        lanes::vectorised(WriteFeatures {
+            clip: self,
+            placement,
+            headings,
+            rows: &mut rows,
+        });
         rows
     }
 
     /// Puts a block of the clip in place, and the frame after it.
+    #[inline(always)]
     fn place(&self, index: usize, placement: Placement, run: &mut Run) {
         let block = &self.blocks[index];
         let after = self.blocks.get(index + 1);
@@ -232,6 +216,73 @@ impl Clip {
     }
 }
 
+/// The bones of a block, each laid in its direction at the length it is to have. Gives all bits set
+/// for frames in which every bone has a direction.
+struct LayBones<'a> {
+    source: &'a Block,
+    bones: &'a [f64; NUM_BODY_JOINTS],
+    scale: f64,
+    block: &'a mut Block,
+}
+
+impl Kernel for LayBones<'_> {
+    type Output = [u64; LANES];
+
+    #[inline(always)]
+    fn run(self) -> [u64; LANES] {
+        let mut sound = [u64::MAX; LANES];
+        scale_by(&mut self.block[0], self.scale);
+        for joint in 1..NUM_BODY_JOINTS {
+            let parent = PARENTS[joint];
+            let (above, below) = self.block.split_at_mut(joint);
+            lay_bone(
+                [&self.source[parent], &self.source[joint]],
+                self.bones[joint],
+                &above[parent],
+                &mut below[0],
+                &mut sound,
+            );
+        }
+        sound
+    }
+}
+
+/// The features of a clip, into rows of frames.
+struct WriteFeatures<'a> {
+    clip: &'a Clip,
+    placement: Placement,
+    headings: &'a Headings,
+    rows: &'a mut [Features],
+}
+
+impl Kernel for WriteFeatures<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let mut columns = [[0.0; LANES]; HUMANML3D_WIDTH];
+        let mut run = [[[0.0; LANES + 1]; 3]; NUM_BODY_JOINTS];
+        let mut turns = [[[[0.0; LANES]; 3]; 3]; NUM_BODY_JOINTS];
+        for (index, rows) in self.rows.chunks_mut(LANES).enumerate() {
+            self.clip.place(index, self.placement, &mut run);
+            let (cosines, sines) = self.headings.block(index);
+            write_root(&run, cosines, sines, &mut columns);
+            self.headings.write_yaw_velocity(index, &mut columns[0]);
+            write_positions(&run, cosines, sines, &mut columns);
+            turn_root(cosines, sines, &mut turns[0]);
+            write_rotations(&run, &mut turns, &mut columns);
+            write_velocities(&run, cosines, sines, &mut columns);
+            write_contacts(&run, &mut columns);
+            for (lane, row) in rows.iter_mut().enumerate() {
+                for (value, column) in row.iter_mut().zip(&columns) {
+                    *value = column[lane];
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
 fn place_joint(joint: &Vectors<f64>, placement: Placement, run: &mut [[f64; LANES + 1]; 3]) {
     let DVec3 { x, y, z } = placement.origin;
     for lane in 0..LANES {
@@ -243,11 +294,13 @@ fn place_joint(joint: &Vectors<f64>, placement: Placement, run: &mut [[f64; LANE
     }
 }
 
+#[inline(always)]
 fn square([x, y, z]: [f64; 3]) -> f64 {
     x * x + y * y + z * z
 }
 
 /// All bits set if a bone of this squared length has a direction.
+#[inline(always)]
 fn is_sound(squared: f64) -> u64 {
     // Also false for a length that is no number. Directions are computed in f32.
     let sound = squared > SHORTEST_BONE_M * SHORTEST_BONE_M && squared < f64::from(f32::MAX);
@@ -273,6 +326,7 @@ fn check(sound: &[u64; LANES], block: &Block, start: usize) -> Result<(), Featur
     })
 }
 
+#[inline(always)]
 fn scale_by(vectors: &mut Vectors<f64>, factor: f64) {
     for value in vectors.iter_mut().flatten() {
         *value *= factor;
@@ -280,6 +334,7 @@ fn scale_by(vectors: &mut Vectors<f64>, factor: f64) {
 }
 
 /// Puts a joint where the bone from its parent leads if it has the given length.
+#[inline(always)]
 fn lay_bone(
     [from, to]: [&Vectors<f64>; 2],
     length: f64,
@@ -299,11 +354,13 @@ fn lay_bone(
 }
 
 /// A direction on the ground as seen with a heading.
+#[inline(always)]
 fn see(cosine: f64, sine: f64, x: f64, z: f64) -> [f64; 2] {
     [cosine * x + sine * z, cosine * z - sine * x]
 }
 
 /// The root's step, seen with the heading it leads to, and its height.
+#[inline(always)]
 fn write_root(
     run: &Run,
     cosines: &[f64; LANES + 1],
@@ -325,6 +382,7 @@ fn write_root(
     }
 }
 
+#[inline(always)]
 fn write_positions(
     run: &Run,
     cosines: &[f64; LANES + 1],
@@ -348,6 +406,7 @@ fn write_positions(
     }
 }
 
+#[inline(always)]
 fn write_velocities(
     run: &Run,
     cosines: &[f64; LANES + 1],
@@ -366,6 +425,7 @@ fn write_velocities(
     }
 }
 
+#[inline(always)]
 fn write_contacts(run: &Run, columns: &mut Columns) {
     for (column, joint) in columns[259..].iter_mut().zip(FEET) {
         for lane in 0..LANES {
@@ -380,6 +440,7 @@ fn write_contacts(run: &Run, columns: &mut Columns) {
 }
 
 /// The rotation of the root is that of the heading.
+#[inline(always)]
 fn turn_root(cosines: &[f64; LANES + 1], sines: &[f64; LANES + 1], root: &mut Turns) {
     for lane in 0..LANES {
         let (cosine, sine) = (cosines[lane] as f32, sines[lane] as f32);
@@ -394,6 +455,7 @@ fn turn_root(cosines: &[f64; LANES + 1], sines: &[f64; LANES + 1], root: &mut Tu
 /// The first two columns of each joint's rotation relative to the one before it in its chain, given
 /// the root's. A joint's rotation takes the rest axis of the bone that ends in it to where the bone
 /// points.
+#[inline(always)]
 fn write_rotations(run: &Run, turns: &mut [Turns; NUM_BODY_JOINTS], columns: &mut Columns) {
     let (columns, _) = columns[67..193].as_chunks_mut::<6>();
     for joint in 1..NUM_BODY_JOINTS {
@@ -413,6 +475,7 @@ fn write_rotations(run: &Run, turns: &mut [Turns; NUM_BODY_JOINTS], columns: &mu
     }
 }
 
+#[inline(always)]
 fn bone_directions(parent: &[[f64; LANES + 1]; 3], child: &[[f64; LANES + 1]; 3]) -> Vectors<f32> {
     let mut directions = [[0.0; LANES]; 3];
     for lane in 0..LANES {
@@ -431,6 +494,7 @@ fn bone_directions(parent: &[[f64; LANES + 1]; 3], child: &[[f64; LANES + 1]; 3]
 /// For the axis `a`, the direction `d` and `h = 1 / (1 + a . d)`, the column of another axis `e` is
 /// `e - (a + d) h (d . e)`. Where the two are more against than with each other, `h` is had from
 /// the part `v` of `d` across `a` instead, as `(1 - a . d) / |v|^2`, which loses no digits.
+#[inline(always)]
 fn turn_from_axis<const AXIS: usize>(sign: f32, directions: &Vectors<f32>, turns: &mut Turns) {
     /// A direction this near to the opposite of the axis is taken to lie this far from it, so that
     /// there is one axis to turn by half about.
@@ -460,6 +524,7 @@ fn turn_from_axis<const AXIS: usize>(sign: f32, directions: &Vectors<f32>, turns
 }
 
 /// Vectors as seen from within rotations: their transposes times the vectors.
+#[inline(always)]
 fn see_column(turns: &Turns, vectors: &Vectors<f32>, seen: &mut [[f32; LANES]]) {
     for (seen, axis) in seen.iter_mut().zip(turns) {
         for lane in 0..LANES {

@@ -1,5 +1,7 @@
 //! Where the root is taken to face in every frame.
 
+use datasets_spec::lanes::{self, Kernel};
+
 use super::blocks::LANES;
 
 /// Standard deviation in frames of the smoothing of the forward vector, and the reach of its
@@ -78,31 +80,48 @@ fn run(values: &[f64], index: usize) -> &[f64; LANES + 1] {
 
 /// A Gaussian over one coordinate of the frames, the ends repeated without end, for `count` frames.
 fn smoothed(values: &[[f64; 2]], coordinate: usize, count: usize) -> Vec<f64> {
-    let weights = weights();
     let last = values.len() - 1;
     let chunks = count.div_ceil(SMOOTHED_AT_ONCE);
     let padded: Vec<f64> = (0..chunks * SMOOTHED_AT_ONCE + 2 * SMOOTHING_REACH)
         .map(|index| values[index.saturating_sub(SMOOTHING_REACH).min(last)][coordinate])
         .collect();
-    let mut smoothed = Vec::with_capacity(chunks * SMOOTHED_AT_ONCE);
-    for chunk in 0..chunks {
-        let window = &padded[chunk * SMOOTHED_AT_ONCE..];
-        let window = &window[..SMOOTHED_AT_ONCE + 2 * SMOOTHING_REACH];
-        let mut sums = [0.0; SMOOTHED_AT_ONCE];
-        for (sum, value) in sums.iter_mut().zip(&window[SMOOTHING_REACH..]) {
-            *sum = weights[0] * value;
-        }
-        for (step, weight) in weights.iter().enumerate().skip(1) {
-            let before = &window[SMOOTHING_REACH - step..][..SMOOTHED_AT_ONCE];
-            let after = &window[SMOOTHING_REACH + step..][..SMOOTHED_AT_ONCE];
-            for lane in 0..SMOOTHED_AT_ONCE {
-                sums[lane] += weight * (before[lane] + after[lane]);
-            }
-        }
-        smoothed.extend_from_slice(&sums);
-    }
+    let mut smoothed = vec![[0.0; SMOOTHED_AT_ONCE]; chunks];
+    lanes::vectorised(Smooth {
+        padded: &padded,
+        weights: &weights(),
+        smoothed: &mut smoothed,
+    });
+    let mut smoothed = smoothed.into_flattened();
     smoothed.truncate(count);
     smoothed
+}
+
+struct Smooth<'a> {
+    padded: &'a [f64],
+    weights: &'a [f64; SMOOTHING_REACH + 1],
+    smoothed: &'a mut [[f64; SMOOTHED_AT_ONCE]],
+}
+
+impl Kernel for Smooth<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (chunk, sums) in self.smoothed.iter_mut().enumerate() {
+            let window = &self.padded[chunk * SMOOTHED_AT_ONCE..];
+            let window = &window[..SMOOTHED_AT_ONCE + 2 * SMOOTHING_REACH];
+            for (sum, value) in sums.iter_mut().zip(&window[SMOOTHING_REACH..]) {
+                *sum = self.weights[0] * value;
+            }
+            for (step, weight) in self.weights.iter().enumerate().skip(1) {
+                let before = &window[SMOOTHING_REACH - step..][..SMOOTHED_AT_ONCE];
+                let after = &window[SMOOTHING_REACH + step..][..SMOOTHED_AT_ONCE];
+                for lane in 0..SMOOTHED_AT_ONCE {
+                    sums[lane] += weight * (before[lane] + after[lane]);
+                }
+            }
+        }
+    }
 }
 
 /// The kernel from its centre to its reach.
