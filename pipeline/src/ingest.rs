@@ -493,7 +493,7 @@ fn splits_of<'a>(shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
     shards
         .iter()
         .flat_map(|(_, items)| items)
-        .map(|item| (item.entry.id.as_str(), item.split))
+        .filter_map(|item| Some((item.id.as_ref().ok()?.as_str(), item.split)))
         .collect()
 }
 
@@ -523,11 +523,14 @@ struct Planned {
     format: Format,
     /// Which release reads it; none for files that stand alone.
     release: Option<usize>,
+    /// What stands before the ids of the release, so that they are not those of another.
+    prefix: String,
 }
 
 /// A motion on its way into a shard.
 struct Item<'a> {
     entry: &'a Entry,
+    prefix: &'a str,
     format: Format,
     release: Option<usize>,
     split: Split,
@@ -566,8 +569,12 @@ impl Plan {
     /// Plans the motions of the releases, and returns the files that are theirs.
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
+        let mut taken = BTreeSet::new();
         for (index, release) in self.releases.iter().enumerate() {
             let format = release.format();
+            let prefix = prefix_of(release.as_ref(), &taken);
+            let ids = release.entries().iter();
+            taken.extend(ids.map(|entry| format!("{prefix}{}", entry.id)));
             claimed.extend(release.entries().iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
                 let files: BTreeSet<&str> =
@@ -580,6 +587,7 @@ impl Plan {
                     entry,
                     format,
                     release: Some(index),
+                    prefix: prefix.clone(),
                 }));
             }
             for (file, reason) in release.passed_over() {
@@ -642,6 +650,7 @@ impl Plan {
                     },
                     format,
                     release: None,
+                    prefix: String::new(),
                 });
             }
         }
@@ -709,6 +718,7 @@ impl Plan {
             take(item.format.as_str());
             take(&item.entry.file);
             take(&item.entry.key);
+            take(&item.prefix);
             take(&item.entry.id);
             take(item.entry.split.map_or("", Split::as_str));
         }
@@ -732,18 +742,24 @@ impl Plan {
         let mut seen = BTreeSet::new();
         for planned in &self.items {
             let entry = &planned.entry;
-            let id = MotionId::parse(&entry.id)
+            let full_id = format!("{}{}", planned.prefix, entry.id);
+            let id = MotionId::parse(&full_id)
                 .map_err(|error| error.to_string())
-                .and_then(|id| match seen.insert(&entry.id) {
+                .and_then(|id| match seen.insert(full_id) {
                     true => Ok(id),
                     false => Err(format!("another motion has the id {id} already")),
                 });
-            let clip = id.as_ref().map_or(entry.id.as_str(), MotionId::source_clip);
+            // Two releases of one clip fall into one split, whatever stands before their ids.
+            let own_id = MotionId::parse(&entry.id);
+            let clip = own_id
+                .as_ref()
+                .map_or(entry.id.as_str(), MotionId::source_clip);
             let split = entry
                 .split
                 .unwrap_or_else(|| Split::assign(clip, options.seed));
             by_split.entry(split).or_default().push(Item {
                 entry,
+                prefix: &planned.prefix,
                 format: planned.format,
                 release: planned.release,
                 split,
@@ -802,7 +818,7 @@ impl Plan {
                     notes.ingested.push(motion.id.as_str().to_owned());
                     notes
                         .pairs
-                        .extend(edit_of.map(|edit| staged_pair(edit, source, &motion.id)));
+                        .extend(edit_of.map(|edit| staged_pair(edit, item, source, &motion.id)));
                     let masks = masks.into_iter();
                     notes
                         .masks
@@ -1136,11 +1152,31 @@ fn part_names(parts: &[BodyPart]) -> Vec<String> {
     parts.iter().map(|part| part.name().to_owned()).collect()
 }
 
-fn staged_pair(edit: EditOf, source: &str, target: &MotionId) -> StagedPair {
+/// What to put before the ids of a release so that none of them is taken: nothing, its format, or
+/// its format and a number.
+fn prefix_of(release: &dyn Release, taken: &BTreeSet<String>) -> String {
+    let name = release.format().as_str();
+    let mut prefix = String::new();
+    let mut number = 1;
+    let is_taken = |prefix: &str| {
+        let mut ids = release.entries().iter();
+        ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
+    };
+    while is_taken(&prefix) {
+        prefix = match number {
+            1 => format!("{name}/"),
+            _ => format!("{name}-{number}/"),
+        };
+        number += 1;
+    }
+    prefix
+}
+
+fn staged_pair(edit: EditOf, item: &Item, source: &str, target: &MotionId) -> StagedPair {
     StagedPair {
         source: source.to_owned(),
         kind: edit.kind.to_owned(),
-        source_id: edit.source_id,
+        source_id: format!("{}{}", item.prefix, edit.source_id),
         target_id: target.as_str().to_owned(),
         style: edit.style,
         parts: part_names(&edit.parts),
@@ -1221,7 +1257,10 @@ fn clip_rows(
         source_path: entry.file.clone(),
         source_hash,
         license: clip.license.or_else(|| options.license.clone()),
-        mirrored_of: entry.mirrored_of.clone(),
+        mirrored_of: entry
+            .mirrored_of
+            .as_ref()
+            .map(|id| format!("{}{id}", item.prefix)),
         skeleton: options.read.skeleton.name().to_owned(),
         fps: motion.fps().get() as f32,
         fps_source: fps_source.get() as f32,

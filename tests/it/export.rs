@@ -115,6 +115,26 @@ fn humanml3d_joints_come_back() {
 }
 
 #[test]
+fn two_releases_that_use_the_same_names_are_one_dataset() {
+    let dir = corpus(CLIPS);
+    ingested(dir.path(), "corpus", "dataset");
+    let dataset = dir.path().join("dataset");
+    for folder in ["old", "new"] {
+        let out = dir.path().join("both").join(folder);
+        stance(&["export", arg(&dataset), "--to", "stance", "--out", arg(&out)]).expect_code(0);
+    }
+    let rows = ingested(dir.path(), "both", "again");
+    assert_eq!(rows.len(), 2 * CLIPS);
+    // What is one clip in two releases must not be trained on in one and tested in the other.
+    let prefixed: Vec<&String> = rows.keys().filter(|id| id.starts_with("stance/")).collect();
+    assert_eq!(prefixed.len(), CLIPS, "{:?}", rows.keys());
+    for id in prefixed {
+        assert!(rows[id].source_path.starts_with("old/"), "{id}");
+        assert_eq!(rows[id].split, rows[&id["stance/".len()..]].split, "{id}");
+    }
+}
+
+#[test]
 fn an_export_appears_whole_or_not_at_all() {
     let dir = corpus(4);
     ingested(dir.path(), "corpus", "dataset");
