@@ -271,8 +271,8 @@ pub(crate) fn interpolate(poses: &[Pose], at: &[(usize, f64)]) -> Vec<Pose> {
                         alpha[lane] = share;
                     }
                     let mut mixed = [[0.0; LANES]; 4];
-                    for at in 0..LANES {
-                        let turn = lanes::slerp(lane(&from, at), lane(&to, at), alpha[at]);
+                    for (at, &alpha) in alpha.iter().enumerate() {
+                        let turn = lanes::slerp(lane(&from, at), lane(&to, at), alpha);
                         set(&mut mixed, at, turn);
                     }
                     for (at, &place) in block.iter().enumerate() {
@@ -339,7 +339,7 @@ impl<T: Real> Rest<T> {
                 points[0][axis][at] = self.pelvis[axis] + transl[axis][at];
             }
         }
-        for slot in 1..K {
+        for (slot, &first_child) in FIRST_CHILD.iter().enumerate().take(K).skip(1) {
             let parent = parent_of(slot);
             let (above, below) = points.split_at_mut(slot);
             let offset = self.offsets[slot];
@@ -350,7 +350,7 @@ impl<T: Real> Rest<T> {
                 }
             }
             // Rotations of joints that nothing hangs from are of no use here.
-            if FIRST_CHILD[slot] < K {
+            if first_child < K {
                 let (above, below) = turns.split_at_mut(slot);
                 for at in 0..LANES {
                     let turn = lanes::product(lane(&above[parent], at), lane(&below[0], at));
@@ -409,9 +409,9 @@ pub(crate) fn keypoints_of<const K: usize>(
                         frames.transl(frame_of(first, at, frames.len())),
                     );
                 }
-                for joint in 0..NUM_BODY_JOINTS {
+                for (joint, turns) in turns.iter_mut().enumerate() {
                     if FIRST_CHILD[joint] < K {
-                        turns[joint] = frames.turns(first, joint);
+                        *turns = frames.turns(first, joint);
                     }
                 }
                 rest.place(&transl, &mut turns, &mut points);

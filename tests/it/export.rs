@@ -121,7 +121,15 @@ fn two_releases_that_use_the_same_names_are_one_dataset() {
     let dataset = dir.path().join("dataset");
     for folder in ["old", "new"] {
         let out = dir.path().join("both").join(folder);
-        stance(&["export", arg(&dataset), "--to", "stance", "--out", arg(&out)]).expect_code(0);
+        stance(&[
+            "export",
+            arg(&dataset),
+            "--to",
+            "stance",
+            "--out",
+            arg(&out),
+        ])
+        .expect_code(0);
     }
     let rows = ingested(dir.path(), "both", "again");
     assert_eq!(rows.len(), 2 * CLIPS);

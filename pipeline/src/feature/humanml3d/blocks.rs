@@ -232,8 +232,7 @@ impl Kernel for LayBones<'_> {
     fn run(self) -> [u64; LANES] {
         let mut sound = [u64::MAX; LANES];
         scale_by(&mut self.block[0], self.scale);
-        for joint in 1..NUM_BODY_JOINTS {
-            let parent = PARENTS[joint];
+        for (joint, &parent) in PARENTS.iter().enumerate().skip(1) {
             let (above, below) = self.block.split_at_mut(joint);
             lay_bone(
                 [&self.source[parent], &self.source[joint]],
