@@ -56,7 +56,7 @@ pub trait Real:
     const ONE: Self;
     /// 1/2.
     const HALF: Self;
-    /// Largest magnitude that [`Real::sin_cos`] reduces without loss.
+    /// Largest magnitude that [`Real::sin_cos_lane`] reduces without loss.
     const MAX_ANGLE: Self;
     /// Angle below which its sine is the angle: the square of half of it is less than rounding.
     const SMALL_ANGLE: Self;
