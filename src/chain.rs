@@ -10,25 +10,32 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::normalise::Normalizer;
-use datasets_spec::record::{EditRow, MaskRow, MotionRow, ScoreRow, TripletRow};
+use datasets_spec::record::{
+    EditRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
+};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Motion, MotionId, Progress, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Motion, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use eval::EncoderError;
 use eval::protocol::Protocol;
 use eval::score::MotionEncoder;
-use pipeline::compose::{ComposeConfig, Library, Stream, edit_items};
+use pipeline::compose::{ComposeConfig, Library, ReadOrder, Stream, WindowLoader, edit_items};
+use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::masks::{MaskConfig, automatic_masks};
+use pipeline::pairs::{PairConfig, style_pairs};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use train::checkpoint::Slot;
 use train::config::{Preset, TrainConfig};
 use train::fit::{Corpus, TrainReport, train_motionrefit};
+use train::j2s::{self, J2sConfig, J2sReport};
 use train::sample::{EditSettings, Editor};
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::{Session, edit};
 
 use crate::cli::Global;
+use crate::cmd::ingest as ingest_cmd;
 use crate::device::device;
+use crate::report;
 
 /// Name of an editor in the `edits` table and the result table. One of the size of the `tiny` preset
 /// is called so, lest its row be taken for the method's.
@@ -126,19 +133,96 @@ pub(crate) fn masks(
     )?)
 }
 
-/// The motions and masks of one split.
+/// How files become rows.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct IngestConfig {
+    fps: Fps,
+    resample: Resample,
+    license: Option<String>,
+}
+
+impl Default for IngestConfig {
+    fn default() -> Self {
+        Self {
+            fps: Fps::STORE,
+            resample: Resample::Exact,
+            license: None,
+        }
+    }
+}
+
+/// Ingests folders, or continues.
+pub(crate) fn ingested(
+    sources: &[PathBuf],
+    root: &Path,
+    config: &IngestConfig,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<IngestReport> {
+    let options = IngestOptions {
+        fps: Some(config.fps),
+        resample: config.resample,
+        license: config.license.clone(),
+        seed: global.seed(),
+        ..IngestOptions::default()
+    };
+    let done = ingest(sources, root, &options, &global.holder(), progress)?;
+    if done.accounting.quarantined > 0 && !global.json {
+        report::note(&ingest_cmd::summary(&done));
+    }
+    Ok(done)
+}
+
+/// Makes style pairs from the labels of a dataset and commits them beside those that its sources
+/// came with. Also gives the styled motions without a counterpart.
+pub(crate) fn pairs(
+    root: &Path,
+    config: &PairConfig,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<(Dataset, Vec<MotionId>)> {
+    let dataset = Dataset::open(root)?;
+    let inputs = (plan_of(&dataset, MotionRow::TABLE), config, global.seed());
+    let plan_hash = plan("pairs", &inputs)?;
+    let motions: Vec<MotionRow> = dataset.read(None)?;
+    let made = style_pairs(&motions, config, global.seed());
+    if plan_of(&dataset, PairRow::TABLE) == plan_hash {
+        return Ok((dataset, made.alone));
+    }
+    progress.begin("pairs", None);
+    let mut rows: Vec<PairRow> = dataset.read(None)?;
+    rows.retain(|row| row.source != pipeline::pairs::SOURCE);
+    rows.extend(made.rows);
+    progress.finish(&format!("{} pairs", rows.len()));
+    let split_of = |row: &PairRow| row.split;
+    let dataset = commit_rows(
+        root,
+        &rows,
+        Some(split_of),
+        &skeleton_of(&dataset)?,
+        &plan_hash,
+        &global.holder(),
+    )?;
+    Ok((dataset, made.alone))
+}
+
+/// The motions, masks and pairs of one split.
 pub(crate) fn library(dataset: &Dataset, split: Split) -> anyhow::Result<Arc<Library>> {
     let masks: Vec<MaskRow> = dataset.read(Some(split))?;
-    if masks.is_empty() {
+    let pairs: Vec<PairRow> = dataset.read(Some(split))?;
+    if masks.is_empty() && pairs.is_empty() {
         bail!(
-            "{} has no masks in split {split}; run: stance masks {}",
+            "{} has neither masks nor pairs in split {split}; run: stance masks {}",
             dataset.root().display(),
             dataset.root().display()
         );
     }
     let motions: Vec<MotionRow> = dataset.read(Some(split))?;
     let skeleton = skeleton_of(dataset)?;
-    Ok(Arc::new(Library::new(split, &motions, &masks, &skeleton)?))
+    Ok(Arc::new(Library::new(
+        split, &motions, &masks, &pairs, &skeleton,
+    )?))
 }
 
 /// The composer's stream over the training split, and the range fitted to its windows.
@@ -148,7 +232,7 @@ pub(crate) fn train_stream(
     seed: Seed,
 ) -> anyhow::Result<(Stream, Normalizer)> {
     let library = library(dataset, Split::Train)?;
-    let normalizer = library.fit_normalizer(config)?;
+    let normalizer = normalizer_of(dataset, &library, config)?;
     let stream = Stream::new(library, config.clone(), seed, &normalizer)?;
     Ok((stream, normalizer))
 }
@@ -162,8 +246,9 @@ pub(crate) fn triplets(
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<Dataset> {
+    let (stream, _) = train_stream(&Dataset::open(root)?, config, global.seed())?;
+    // Again: the stream may have stored its range there.
     let dataset = Dataset::open(root)?;
-    let (stream, _) = train_stream(&dataset, config, global.seed())?;
     let inputs = (&dataset.manifest().root_hash, config, global.seed(), count);
     let plan_hash = plan("triplets", &inputs)?;
     progress.begin("triplets", Some(count));
@@ -188,6 +273,93 @@ pub(crate) fn triplets(
     )?)
 }
 
+/// Records windows of the training stream as a dataset of their own, with the range they are in.
+pub(crate) fn windows(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<Dataset> {
+    let (stream, normalizer) = train_stream(&Dataset::open(root)?, config, global.seed())?;
+    let dataset = Dataset::open(root)?;
+    let inputs = (&dataset.manifest().root_hash, config, global.seed(), count);
+    let plan_hash = plan("windows", &inputs)?;
+    progress.begin("windows", Some(count));
+    let mut rows = Vec::new();
+    stream.for_each_recorded(count, |row, _, _| {
+        rows.push(row);
+        progress.advance(1);
+    });
+    progress.finish(&format!("{count} windows composed"));
+    let skeleton = dataset.skeleton()?;
+    let holder = global.holder();
+    let split_of = |row: &WindowRow| row.split;
+    commit_rows(out, &rows, Some(split_of), &skeleton, &plan_hash, &holder)?;
+    let settings = config.range_settings();
+    store_normalizer(out, &normalizer, &settings, &skeleton, &plan_hash, &holder)
+}
+
+/// Commits the range of model units beside what it was fitted to.
+fn store_normalizer(
+    root: &Path,
+    normalizer: &Normalizer,
+    settings: &str,
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+) -> anyhow::Result<Dataset> {
+    let mut rows: Vec<NormalizerRow> = Dataset::open(root)?.read(None)?;
+    rows.retain(|row| row.settings != settings);
+    rows.push(NormalizerRow::new(normalizer, settings, plan_hash));
+    rows.sort_by(|a, b| a.settings.cmp(&b.settings));
+    let plan_hash = plan(
+        "normalizers",
+        &(
+            plan_hash,
+            &rows.iter().map(|row| &row.id).collect::<Vec<_>>(),
+        ),
+    )?;
+    Ok(commit_rows(
+        root, &rows, None, skeleton, &plan_hash, holder,
+    )?)
+}
+
+/// The range of model units of a dataset: the one that is stored for its motions and these
+/// settings, or else fitted to the training split and stored.
+fn normalizer_of(
+    dataset: &Dataset,
+    library: &Library,
+    config: &ComposeConfig,
+) -> anyhow::Result<Normalizer> {
+    let settings = config.range_settings();
+    let motions = plan_of(dataset, MotionRow::TABLE);
+    let stored: Vec<NormalizerRow> = dataset.read(None)?;
+    let known = stored
+        .iter()
+        .find(|row| row.settings == settings && row.motions == motions);
+    if let Some(row) = known {
+        return row.normalizer().with_context(|| {
+            format!(
+                "the stored range of {} is damaged",
+                dataset.root().display()
+            )
+        });
+    }
+    let fitted = library.fit_normalizer(config)?;
+    let holder = format!("process {}", std::process::id());
+    store_normalizer(
+        dataset.root(),
+        &fitted,
+        &settings,
+        &dataset.skeleton()?,
+        motions,
+        &holder,
+    )?;
+    Ok(fitted)
+}
+
 fn with_session<T>(
     progress: &dyn Progress,
     act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
@@ -208,11 +380,12 @@ pub(crate) fn train_editor(
     run: &Path,
     config: &TrainConfig,
     compose: &ComposeConfig,
+    windows: Option<&Path>,
     seed: Seed,
     progress: &dyn Progress,
 ) -> anyhow::Result<TrainReport> {
+    let (train, normalizer) = train_stream(&Dataset::open(root)?, compose, seed)?;
     let dataset = Dataset::open(root)?;
-    let (train, normalizer) = train_stream(&dataset, compose, seed)?;
     // An ablation thins out what is trained on; what it is validated on stays the same.
     let whole = ComposeConfig {
         mcm_ratio: 1.0,
@@ -221,10 +394,19 @@ pub(crate) fn train_editor(
     };
     let val = Stream::new(library(&dataset, Split::Val)?, whole, seed, &normalizer)
         .context("the validation split cannot be composed; ingest more clips")?;
-    let masks: Vec<MaskRow> = dataset.read(Some(Split::Train))?;
-    let instructions: Vec<String> = masks.into_iter().map(|mask| mask.text).collect();
+    let recorded = match windows {
+        Some(folder) => Some(recorded_windows(folder, &normalizer, seed)?),
+        None => None,
+    };
+    let instructions = match &recorded {
+        Some(loader) => loader.instructions().to_vec(),
+        None => train.instructions(),
+    };
     let corpus = Corpus {
-        train: &train,
+        train: match &recorded {
+            Some(loader) => loader,
+            None => &train,
+        },
         val: &val,
         instructions: &instructions,
         normalizer,
@@ -235,6 +417,69 @@ pub(crate) fn train_editor(
         train_motionrefit(run, config, corpus, session)
     })?;
     Ok(report)
+}
+
+/// Opens recorded windows, which must be in the range that is stored with the dataset.
+fn recorded_windows(
+    folder: &Path,
+    normalizer: &Normalizer,
+    seed: Seed,
+) -> anyhow::Result<WindowLoader> {
+    let recorded = Dataset::open(folder)?;
+    let rows: Vec<NormalizerRow> = recorded.read(None)?;
+    let hash = normalizer.hash();
+    if rows.iter().all(|row| row.id != hash) {
+        bail!(
+            "the windows in {} were recorded in another range of model units than the dataset's; \
+             record them again: stance triplets DATASET --windows N --out FOLDER",
+            folder.display()
+        );
+    }
+    let order = ReadOrder::Shuffled(seed);
+    Ok(WindowLoader::open(&recorded, Split::Train, order)?)
+}
+
+/// Says so if a model was trained in another range of model units than is stored with a dataset: on
+/// data from elsewhere that is as it should be, on its own data the model is an old one.
+fn check_range(dataset: &Dataset, editor: &Editor) -> anyhow::Result<()> {
+    let stored: Vec<NormalizerRow> = dataset.read(None)?;
+    let hash = editor.normalizer().hash();
+    if !stored.is_empty() && stored.iter().all(|row| row.id != hash) {
+        report::note(&format!(
+            "the model was trained in range {}, {} stores {}; the model's own is used",
+            &hash[..8],
+            dataset.root().display(),
+            stored
+                .iter()
+                .map(|row| &row.id[..8.min(row.id.len())])
+                .collect::<Vec<_>>()
+                .join(", ")
+        ));
+    }
+    Ok(())
+}
+
+/// Trains the network from keypoints to rotations on the motions of the training split, and measures
+/// it on those of the validation split.
+pub(crate) fn train_j2s(
+    root: &Path,
+    run: &Path,
+    config: &J2sConfig,
+    progress: &dyn Progress,
+) -> anyhow::Result<J2sReport> {
+    let dataset = Dataset::open(root)?;
+    let motions = |split: Split| -> anyhow::Result<Vec<Motion>> {
+        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+        Ok(rows
+            .iter()
+            .map(MotionRow::motion)
+            .collect::<Result<_, _>>()?)
+    };
+    let (train, val) = (motions(Split::Train)?, motions(Split::Val)?);
+    let (skeleton, hash) = (dataset.skeleton()?, &dataset.manifest().root_hash);
+    Ok(with_session(progress, |session| {
+        j2s::train_j2s(run, config, [&train, &val], &skeleton, hash, session)
+    })?)
 }
 
 /// Trains the encoder that evaluation measures with, or continues its run.
@@ -321,6 +566,7 @@ pub(crate) fn edits(
 ) -> anyhow::Result<Dataset> {
     let dataset = Dataset::open(root)?;
     let editor = Editor::load(run, Slot::Best, &device())?;
+    check_range(&dataset, &editor)?;
     let inputs = (
         &dataset.manifest().root_hash,
         editor.hash(),

@@ -73,6 +73,7 @@ impl Global {
 pub(crate) enum Command {
     Demo(cmd::demo::Args),
     Run(cmd::run::Args),
+    Build(cmd::build::Args),
     Corpus(cmd::corpus::Args),
     Doctor(cmd::doctor::Args),
     Ingest(cmd::ingest::Args),
@@ -81,6 +82,7 @@ pub(crate) enum Command {
     Stats(cmd::stats::Args),
     Export(cmd::export::Args),
     Masks(cmd::masks::Args),
+    Pairs(cmd::pairs::Args),
     Triplets(cmd::triplets::Args),
     Train(cmd::train::Args),
     Edit(cmd::edit::Args),

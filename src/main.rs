@@ -31,6 +31,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
     let global = &cli.global;
     match &cli.command {
         Command::Demo(args) => cmd::demo::run(args, global),
+        Command::Build(args) => cmd::build::run(args, global),
         Command::Run(args) => cmd::run::run(args, global),
         Command::Corpus(args) => cmd::corpus::run(args, global),
         Command::Doctor(args) => cmd::doctor::run(args, global),
@@ -40,6 +41,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Stats(args) => cmd::stats::run(args, global),
         Command::Export(args) => cmd::export::run(args, global),
         Command::Masks(args) => cmd::masks::run(args, global),
+        Command::Pairs(args) => cmd::pairs::run(args, global),
         Command::Triplets(args) => cmd::triplets::run(args, global),
         Command::Train(args) => cmd::train::run(args, global),
         Command::Edit(args) => cmd::edit::run(args, global),

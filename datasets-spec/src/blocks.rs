@@ -433,3 +433,74 @@ pub(crate) fn keypoints_of<const K: usize>(
     });
     out
 }
+
+/// Numbers of a frame as planes: translation and 22 rotation vectors.
+pub(crate) const PARAMETERS: usize = 3 + 3 * NUM_BODY_JOINTS;
+
+/// The keypoints of frames whose numbers lie in planes: `parameters` is `[69, T]`, `points` becomes
+/// `[84, T]`.
+pub(crate) fn keypoint_planes(
+    rest: &Rest<f32>,
+    num_frames: usize,
+    parameters: &[f32],
+    points: &mut [f32],
+) {
+    struct Place<'a> {
+        rest: &'a Rest<f32>,
+        num_frames: usize,
+        parameters: &'a [f32],
+        points: &'a mut [f32],
+    }
+
+    impl Place<'_> {
+        /// A vector of 16 frames, of which the last `first` to `num_frames` may be fewer.
+        #[inline(always)]
+        fn vector(&self, plane: usize, first: usize) -> Vectors<f32> {
+            let mut out = [[0.0; LANES]; 3];
+            for (axis, out) in out.iter_mut().enumerate() {
+                let row = &self.parameters[(plane + axis) * self.num_frames..][..self.num_frames];
+                match row[first..].first_chunk::<LANES>() {
+                    Some(whole) => *out = *whole,
+                    None => out[..row.len() - first].copy_from_slice(&row[first..]),
+                }
+            }
+            out
+        }
+    }
+
+    impl Kernel for Place<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let mut placed = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
+            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
+            for first in (0..self.num_frames).step_by(LANES) {
+                for (joint, turns) in turns.iter_mut().enumerate() {
+                    if FIRST_CHILD[joint] < NUM_KEYPOINTS {
+                        *turns = quaternions(&self.vector(3 + 3 * joint, first));
+                    }
+                }
+                self.rest
+                    .place(&self.vector(0, first), &mut turns, &mut placed);
+                let len = LANES.min(self.num_frames - first);
+                for (plane, values) in placed.as_flattened().iter().enumerate() {
+                    let row = &mut self.points[plane * self.num_frames + first..];
+                    match row.first_chunk_mut::<LANES>() {
+                        Some(whole) if len == LANES => *whole = *values,
+                        _ => row[..len].copy_from_slice(&values[..len]),
+                    }
+                }
+            }
+        }
+    }
+
+    assert_eq!(parameters.len(), PARAMETERS * num_frames);
+    assert_eq!(points.len(), 3 * NUM_KEYPOINTS * num_frames);
+    lanes::vectorised(Place {
+        rest,
+        num_frames,
+        parameters,
+        points,
+    });
+}

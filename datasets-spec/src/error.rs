@@ -121,6 +121,22 @@ pub enum Error {
         /// Version read by this program.
         supported: &'static str,
     },
+    /// A range of model units is not the one it says it is.
+    #[error("a range of model units hashes to {found}, stated is {stated}; fit it again")]
+    NormalizerHash {
+        /// The hash stated.
+        stated: String,
+        /// The hash of the numbers.
+        found: String,
+    },
+    /// A file cannot be read page by page.
+    #[error("{} cannot be read page by page ({problem}); record it again", path.display())]
+    Pages {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
     /// A file differs from what the manifest records.
     #[error("{} does not match its manifest ({detail}); restore the file or ingest again", path.display())]
     Corrupt {

@@ -10,7 +10,10 @@
 //! anatomy (see [`fit_pose`]); the damped steps never move them.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+
+pub use crate::adam::{AdamFit, AdamFitted, Parameters};
 
 use crate::canonical::{KeypointFrame, kabsch};
 use crate::motion::{Motion, Pose};
@@ -159,6 +162,26 @@ pub fn fit_motion(
         motion: Motion::from_poses(fps, &poses)?,
         error_m,
     })
+}
+
+/// Fits motions to many keypoint sequences, each as [`fit_motion`] does, on all threads.
+///
+/// # Errors
+/// That of the first sequence, in their order, that cannot be fitted.
+///
+/// # Panics
+/// As [`fit_motion`].
+pub fn fit_motions(
+    skeleton: &Skeleton,
+    clips: &[&[KeypointFrame]],
+    fps: Fps,
+    options: &FitOptions,
+) -> Result<Vec<FittedMotion>, Error> {
+    let fitted: Vec<Result<FittedMotion, Error>> = clips
+        .par_iter()
+        .map(|frames| fit_motion(skeleton, frames, fps, options))
+        .collect();
+    fitted.into_iter().collect()
 }
 
 /// The keypoint tree by joint.

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec3};
 
-use crate::blocks;
+use crate::blocks::{self, Rest};
 use crate::motion::{Keypoints, Motion, Pose};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
@@ -111,6 +111,57 @@ impl Skeleton {
     }
 }
 
+/// Forward kinematics of many frames in single precision, with a plane for every number: the form
+/// networks are trained in.
+///
+/// Over a chain of eight joints the error is about a micrometre.
+#[derive(Clone, Debug)]
+pub struct PlaneKinematics {
+    rest: Rest<f32>,
+}
+
+impl PlaneKinematics {
+    /// Numbers of a frame of parameters: translation, root and 21 body rotations.
+    pub const PARAMETERS: usize = blocks::PARAMETERS;
+    /// Numbers of a frame of keypoints.
+    pub const POINTS: usize = 3 * NUM_KEYPOINTS;
+
+    /// Kinematics of a body.
+    pub fn new(skeleton: &Skeleton) -> Self {
+        Self {
+            rest: Rest::of(skeleton),
+        }
+    }
+
+    /// The keypoints in metres of parameters in metres and radians.
+    ///
+    /// # Shapes
+    /// `parameters` is `[69, T]`: x, y and z of the translation, then of the rotation vector of each
+    /// of the 22 body joints. `points` becomes `[84, T]`.
+    ///
+    /// # Panics
+    /// If the slices do not have these lengths.
+    pub fn keypoints(&self, num_frames: usize, parameters: &[f32], points: &mut [f32]) {
+        blocks::keypoint_planes(&self.rest, num_frames, parameters, points);
+    }
+}
+
+/// The frames of a motion as planes, `[69, T]`, for [`PlaneKinematics::keypoints`].
+pub fn parameter_planes(motion: &Motion) -> Vec<f32> {
+    let num_frames = motion.len();
+    let mut planes = vec![0.0; PlaneKinematics::PARAMETERS * num_frames];
+    for frame in 0..num_frames {
+        let columns = motion.transl()[frame]
+            .iter()
+            .chain(&motion.global_orient()[frame])
+            .chain(&motion.body_pose()[frame]);
+        for (plane, value) in columns.enumerate() {
+            planes[plane * num_frames + frame] = *value;
+        }
+    }
+    planes
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::FRAC_PI_2;
@@ -148,6 +199,41 @@ mod tests {
                 }),
             }
         })
+    }
+
+    #[test]
+    fn planes_agree_with_frames() {
+        let skeleton = Skeleton::smplx_neutral();
+        for num_frames in [1, 15, 16, 17, 50] {
+            let poses: Vec<Pose> = (0..num_frames)
+                .map(|frame| Pose {
+                    transl: DVec3::new(0.1, 0.9, 0.02) * f64::from(frame),
+                    rotations: std::array::from_fn(|joint| {
+                        let angle = 0.3 * f64::from(frame) + joint as f64;
+                        from_axis_angle(DVec3::new(angle.sin(), angle.cos(), 0.7))
+                    }),
+                })
+                .collect();
+            let motion = Motion::from_poses(crate::Fps::STORE, &poses).expect("finite");
+            let num_frames = motion.len();
+            let mut points = vec![0.0; PlaneKinematics::POINTS * num_frames];
+            let planes = parameter_planes(&motion);
+            PlaneKinematics::new(&skeleton).keypoints(num_frames, &planes, &mut points);
+            let expected = skeleton.motion_keypoints(&motion);
+            for (frame, expected) in expected.points.iter().enumerate() {
+                let single = skeleton.keypoints(&motion.pose(frame));
+                for (a, b) in expected.iter().zip(&single) {
+                    assert!((*a - *b).length() < 1e-12);
+                }
+                for (slot, expected) in expected.iter().enumerate() {
+                    for axis in 0..3 {
+                        let found = points[(3 * slot + axis) * num_frames + frame];
+                        // A chain of eight rotations in f32, up to 50 m from the origin.
+                        assert!((f64::from(found) - expected[axis]).abs() < 2e-5);
+                    }
+                }
+            }
+        }
     }
 
     proptest! {

@@ -6,6 +6,7 @@
 //!
 //! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
 
+mod adam;
 mod blocks;
 pub mod canonical;
 mod card;

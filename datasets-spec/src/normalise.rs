@@ -44,17 +44,30 @@ impl Normalizer {
             max: [0.0; 3],
         };
         for (i, axis) in axes.iter_mut().enumerate() {
-            axis.sort_by(f64::total_cmp);
-            let last = axis.len().checked_sub(1)?;
-            let cut = (1.0 - Self::KEPT_SHARE) / 2.0 * last as f64;
-            normalizer.min[i] = axis[cut.round() as usize];
-            normalizer.max[i] = axis[last - cut.round() as usize];
-            if normalizer.max[i] - normalizer.min[i] < 1e-3 {
-                normalizer.min[i] -= 5e-4;
-                normalizer.max[i] += 5e-4;
-            }
+            (normalizer.min[i], normalizer.max[i]) = central_range(axis)?;
         }
         Some(normalizer)
+    }
+
+    /// Fits one range for all axes to the central 95 % of all coordinates, as the files of the
+    /// release look to have been made. `None` if there is no frame.
+    pub fn fit_shared<'a>(frames: impl IntoIterator<Item = &'a KeypointFrame>) -> Option<Self> {
+        let points = frames.into_iter().flatten();
+        let mut values: Vec<f64> = points.flat_map(|point| point.to_array()).collect();
+        let (min, max) = central_range(&mut values)?;
+        Some(Self {
+            min: [min; 3],
+            max: [max; 3],
+        })
+    }
+
+    /// BLAKE3 of the ranges, in hexadecimal.
+    pub fn hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        for end in self.min.iter().chain(&self.max) {
+            hasher.update(&end.to_le_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
     }
 
     /// Metres to model units.
@@ -82,6 +95,19 @@ impl Normalizer {
             }))
         })
     }
+}
+
+/// The range that keeps the central share of some values; at least a millimetre wide.
+fn central_range(values: &mut [f64]) -> Option<(f64, f64)> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    let cut = ((1.0 - Normalizer::KEPT_SHARE) / 2.0 * last as f64).round() as usize;
+    let (min, max) = (values[cut], values[last - cut]);
+    Some(if max - min < 1e-3 {
+        (min - 5e-4, max + 5e-4)
+    } else {
+        (min, max)
+    })
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! follow from it, and `datasets-spec/README.md` is held equal to them by a test.
 
 use crate::motion::BODY_POSE_WIDTH;
+use crate::normalise::{FRAME_WIDTH, Normalizer};
 use crate::table::{Caption, PartCaption, Quality, Row, table};
 use crate::{Error, Fps, Motion, MotionId, Split};
 
@@ -184,6 +185,10 @@ table! {
         pub source_start: i32 ["frame"],
         /// First frame taken of the target
         pub target_start: i32 ["frame"],
+        /// First frame taken of the motion blended under both sides
+        pub donor_start: i32 ["frame", newer],
+        /// How the motions of a pair were brought into step: none or time-warp
+        pub alignment: String ["", newer],
         /// Joints taken whole
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
@@ -212,6 +217,87 @@ table! {
         pub edited_global_orient: Frames<3> ["rad"],
         /// Body rotations of the edited motion, axis-angle
         pub edited_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+    }
+}
+
+table! {
+    /// A range of model units, fitted to the training split.
+    pub struct NormalizerRow = "normalizers" {
+        /// BLAKE3 of the range, hexadecimal: what checkpoints know it by
+        pub id: String [""],
+        /// Settings of the windows it was fitted to
+        pub settings: String [""],
+        /// Plan of the motions it was fitted to, hexadecimal
+        pub motions: String [""],
+        /// Position along x that becomes -1
+        pub min_x: f64 ["m"],
+        /// Position along y that becomes -1
+        pub min_y: f64 ["m"],
+        /// Position along z that becomes -1
+        pub min_z: f64 ["m"],
+        /// Position along x that becomes 1
+        pub max_x: f64 ["m"],
+        /// Position along y that becomes 1
+        pub max_y: f64 ["m"],
+        /// Position along z that becomes 1
+        pub max_z: f64 ["m"],
+    }
+}
+
+impl NormalizerRow {
+    /// The row of a range.
+    pub fn new(normalizer: &Normalizer, settings: &str, motions: &str) -> Self {
+        let ([min_x, min_y, min_z], [max_x, max_y, max_z]) = (normalizer.min, normalizer.max);
+        Self {
+            id: normalizer.hash(),
+            settings: settings.to_owned(),
+            motions: motions.to_owned(),
+            min_x,
+            min_y,
+            min_z,
+            max_x,
+            max_y,
+            max_z,
+        }
+    }
+
+    /// The range.
+    ///
+    /// # Errors
+    /// It is not the one the id is of.
+    pub fn normalizer(&self) -> Result<Normalizer, Error> {
+        let normalizer = Normalizer {
+            min: [self.min_x, self.min_y, self.min_z],
+            max: [self.max_x, self.max_y, self.max_z],
+        };
+        if normalizer.hash() == self.id {
+            Ok(normalizer)
+        } else {
+            Err(Error::NormalizerHash {
+                stated: self.id.clone(),
+                found: normalizer.hash(),
+            })
+        }
+    }
+}
+
+table! {
+    /// A recorded training window.
+    pub struct WindowRow = "windows", pages of 64 rows {
+        /// Split all motions of the window come from
+        pub split: Split [""],
+        /// Epoch of the stream
+        pub epoch: u64 [""],
+        /// Place in the epoch
+        pub item: u64 [""],
+        /// Where the window starts in the motion its instruction speaks of, as a share of its length
+        pub progress: f32 [""],
+        /// What turns the original into the edited window
+        pub instruction: String [""],
+        /// Window of the original, frame by frame, in model units
+        pub original: Frames<FRAME_WIDTH> [""],
+        /// Window of the edited motion, frame by frame, in model units
+        pub edited: Frames<FRAME_WIDTH> [""],
     }
 }
 
@@ -369,6 +455,8 @@ pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
         (MarkerRow::TABLE, MarkerRow::columns()),
         (HumanMl3dRow::TABLE, HumanMl3dRow::columns()),
         (TripletRow::TABLE, TripletRow::columns()),
+        (WindowRow::TABLE, WindowRow::columns()),
+        (NormalizerRow::TABLE, NormalizerRow::columns()),
         (EditRow::TABLE, EditRow::columns()),
         (ScoreRow::TABLE, ScoreRow::columns()),
         (QuarantineRow::TABLE, QuarantineRow::columns()),

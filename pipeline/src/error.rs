@@ -7,6 +7,18 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// A dataset holds no recorded windows of a split.
+    #[error(
+        "{} holds no recorded windows of split {split}; run: stance triplets DATASET --windows N --out {}",
+        path.display(),
+        path.display()
+    )]
+    NoWindows {
+        /// The dataset.
+        path: PathBuf,
+        /// The split asked for.
+        split: datasets_spec::Split,
+    },
     /// A source folder or file does not exist.
     #[error("no such file or folder: {}; check the path", path.display())]
     MissingSource {

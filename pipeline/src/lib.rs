@@ -20,6 +20,7 @@ mod golden;
 pub mod ingest;
 pub mod markers;
 pub mod masks;
+pub mod pairs;
 pub mod reference;
 pub mod retarget;
 pub mod sidecar;

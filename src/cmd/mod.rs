@@ -1,5 +1,6 @@
 //! One module per verb: its arguments and what it calls.
 
+pub(crate) mod build;
 pub(crate) mod corpus;
 pub(crate) mod demo;
 pub(crate) mod doctor;
@@ -9,6 +10,7 @@ pub(crate) mod export;
 pub(crate) mod ingest;
 pub(crate) mod inspect;
 pub(crate) mod masks;
+pub(crate) mod pairs;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod stats;

@@ -54,6 +54,16 @@ fn parse_zoom(text: &str) -> Result<f32, String> {
     }
 }
 
+/// Writes a drawing as what the ending of the path says: svg or png.
+pub(crate) fn write_picture(path: &Path, svg: &str, zoom: f32) -> anyhow::Result<()> {
+    let bytes = match path.extension().and_then(|extension| extension.to_str()) {
+        Some("svg") => svg.as_bytes().to_vec(),
+        Some("png") => raster::png(svg, zoom)?,
+        _ => bail!("{} must end in .svg or .png", path.display()),
+    };
+    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = Skeleton::smplx_neutral();
     let rows: Vec<Row> = args

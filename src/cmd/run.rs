@@ -6,24 +6,24 @@ use anyhow::{Context, bail};
 use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
-use datasets_spec::{BodyPart, Dataset, Fps, Resample, Seed, Split};
+use datasets_spec::{BodyPart, Dataset, Seed, Split};
 use eval::draw::plot::{Bars, Curve, Plot, Scale};
 use eval::draw::strip::Row;
 use eval::format;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Report, Strip};
 use pipeline::compose::ComposeConfig;
-use pipeline::ingest::{IngestOptions, IngestReport, ingest};
+use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;
+use pipeline::pairs::PairConfig;
 use serde::{Deserialize, Serialize};
 use train::config::TrainConfig;
 use train::fit::TrainReport;
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, Judged, Scores};
+use crate::chain::{self, EditConfig, IngestConfig, Judged, Scores};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
-use crate::cmd::ingest as ingest_cmd;
 use crate::exit::Exit;
 use crate::report;
 
@@ -56,6 +56,8 @@ pub(crate) struct RunConfig {
     ingest: IngestConfig,
     #[serde(default)]
     masks: MaskConfig,
+    /// Style pairs from labels; none without this section.
+    pairs: Option<PairConfig>,
     #[serde(default)]
     compose: ComposeConfig,
     /// Values in place of the preset's for the editor.
@@ -68,25 +70,6 @@ pub(crate) struct RunConfig {
     pub(crate) edit: EditConfig,
     #[serde(default)]
     eval: Protocol,
-}
-
-/// How files become rows.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct IngestConfig {
-    fps: Fps,
-    resample: Resample,
-    license: Option<String>,
-}
-
-impl Default for IngestConfig {
-    fn default() -> Self {
-        Self {
-            fps: Fps::STORE,
-            resample: Resample::Exact,
-            license: None,
-        }
-    }
 }
 
 fn default_preset() -> String {
@@ -107,6 +90,7 @@ impl RunConfig {
             triplets: default_triplets(),
             ingest: IngestConfig::default(),
             masks: MaskConfig::default(),
+            pairs: None,
             compose: ComposeConfig::default(),
             train: toml::Table::new(),
             encoder: toml::Table::new(),
@@ -202,21 +186,19 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     let bars = global.bars();
     let seed = global.seed();
 
-    let options = IngestOptions {
-        fps: Some(config.ingest.fps),
-        resample: config.ingest.resample,
-        license: config.ingest.license.clone(),
-        seed,
-        ..IngestOptions::default()
-    };
-    let holder = global.holder();
-    let ingested = ingest(&config.sources, &places.dataset, &options, &holder, &bars)
-        .context("stage ingest")?;
-    if ingested.accounting.quarantined > 0 && !global.json {
-        report::note(&ingest_cmd::summary(&ingested));
-    }
-    let dataset = chain::masks(&places.dataset, &config.masks, Judged::Keep, global, &bars)
+    let ingested = chain::ingested(
+        &config.sources,
+        &places.dataset,
+        &config.ingest,
+        global,
+        &bars,
+    )
+    .context("stage ingest")?;
+    chain::masks(&places.dataset, &config.masks, Judged::Keep, global, &bars)
         .context("stage masks")?;
+    if let Some(pairs) = &config.pairs {
+        chain::pairs(&places.dataset, pairs, global, &bars).context("stage pairs")?;
+    }
     chain::triplets(
         &places.dataset,
         &places.triplets,
@@ -226,6 +208,8 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &bars,
     )
     .context("stage triplets")?;
+    // The range of model units is stored with the dataset by now.
+    let dataset = Dataset::open(&places.dataset)?;
     let encoder = chain::train_encoder(&places.dataset, &places.encoder, &plan.encoder, &bars)
         .context("stage train tmr")?;
     let editor = chain::train_editor(
@@ -233,6 +217,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &places.editor,
         &plan.train,
         &config.compose,
+        None,
         seed,
         &bars,
     )

@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::ValueEnum;
-use pipeline::compose::ComposeConfig;
 use train::config::TrainConfig;
 use train::fit::TrainReport;
+use train::j2s::{J2sConfig, J2sPreset};
 use train::tmr::TmrConfig;
 
 use crate::chain;
 use crate::cli::Global;
+use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::report;
 
@@ -37,6 +38,11 @@ pub(crate) struct Args {
     /// Steps to train, in place of the preset's
     #[arg(long)]
     steps: Option<u64>,
+    #[command(flatten)]
+    compose: ComposeArgs,
+    /// Train on windows recorded by `stance triplets --windows` in place of composing them
+    #[arg(long, value_name = "FOLDER")]
+    windows: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -45,10 +51,16 @@ enum Model {
     Motionrefit,
     /// The encoder of motions and texts that evaluation measures with
     Tmr,
+    /// The network from keypoints to rotations, in preset paper or official, measured beside the
+    /// fits that follow it
+    J2s,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let own = args.config.as_deref().map(read_table).transpose()?;
+    if let Model::J2s = args.model {
+        return train_j2s(args, own.as_ref(), global);
+    }
     let preset = chain::preset(&args.preset)?;
     let bars = global.bars();
     let seed = global.seed();
@@ -57,9 +69,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let mut config = chain::overlay(&TrainConfig::preset(preset), own.as_ref())?;
             config.seed = seed.0;
             config.num_steps = args.steps.unwrap_or(config.num_steps);
-            let compose = ComposeConfig::default();
-            chain::train_editor(&args.dataset, &args.out, &config, &compose, seed, &bars)?
+            let compose = args.compose.config()?;
+            let windows = args.windows.as_deref();
+            let (root, out) = (&args.dataset, &args.out);
+            chain::train_editor(root, out, &config, &compose, windows, seed, &bars)?
         }
+        Model::J2s => unreachable!("handled above"),
         Model::Tmr => {
             let mut config = chain::overlay(&TmrConfig::preset(preset), own.as_ref())?;
             config.seed = seed.0;
@@ -72,6 +87,40 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     } else {
         report::text(&summary(&done, &args.out));
     }
+    Ok(Exit::Done)
+}
+
+fn train_j2s(args: &Args, own: Option<&toml::Table>, global: &Global) -> anyhow::Result<Exit> {
+    let preset = match args.preset.as_str() {
+        "paper" | "tiny" => J2sPreset::Paper,
+        "official" => J2sPreset::Official,
+        other => bail!("j2s has no preset {other:?}; known are paper and official"),
+    };
+    let mut config = chain::overlay(&J2sConfig::preset(preset), own)?;
+    config.seed = global.seed().0;
+    config.num_steps = args.steps.unwrap_or(config.num_steps);
+    let report = chain::train_j2s(&args.dataset, &args.out, &config, &global.bars())?;
+    if global.json {
+        report::json(&report)?;
+        return Ok(Exit::Done);
+    }
+    let mut lines = vec![
+        format!(
+            "{} steps, loss {:.5} -> {:.5}; in {}",
+            config.num_steps,
+            report.loss[0],
+            report.loss[1],
+            args.out.display()
+        ),
+        "way back                  keypoints mm  rotations deg    frames/s".to_owned(),
+    ];
+    lines.extend(report.ways.iter().map(|way| {
+        format!(
+            "{:<25} {:>12.3} {:>14.2} {:>11.0}",
+            way.name, way.error_mm, way.error_deg, way.frames_per_sec
+        )
+    }));
+    report::text(&lines.join("\n"));
     Ok(Exit::Done)
 }
 

@@ -1,36 +1,229 @@
 //! `stance triplets`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use datasets_spec::Dataset;
-use datasets_spec::record::TripletRow;
-use datasets_spec::table::Row;
-use pipeline::compose::ComposeConfig;
+use datasets_spec::record::{TripletRow, WindowRow};
+use datasets_spec::table::Row as _;
+use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
+use eval::draw::strip::{Row, Style, strip};
+use eval::metric::foot_score::{Floor, foot_score};
+use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
 use serde::Serialize;
 
 use crate::chain;
 use crate::cli::Global;
+use crate::cmd::render;
 use crate::exit::Exit;
 use crate::report;
 
-/// Record the composer's training stream, or rebuild one of its triplets.
+/// Record the composer's training stream, count it, or rebuild one of its triplets.
 ///
 /// A triplet is an original motion, an instruction, and the edited motion MotionCutMix makes of
 /// them. Training composes them on the fly; what is recorded here is the same stream.
 #[derive(clap::Args, Debug)]
+#[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Option<Action>,
     /// Dataset folder with motions and masks
-    dataset: PathBuf,
+    #[arg(required = true)]
+    dataset: Option<PathBuf>,
     /// Folder to record to
     #[arg(long, required_unless_present = "explain")]
     out: Option<PathBuf>,
-    /// Triplets to record
+    /// Whole-clip triplets to record
     #[arg(long, default_value_t = 64)]
     count: u64,
+    /// Record this many training windows instead
+    #[arg(long, value_name = "N", conflicts_with = "count")]
+    windows: Option<u64>,
+    #[command(flatten)]
+    compose: ComposeArgs,
     /// Rebuild the triplet with this id and say what it is made of
-    #[arg(long, value_name = "ID", conflicts_with = "out")]
+    #[arg(long, value_name = "ID", conflicts_with_all = ["out", "windows"])]
     explain: Option<String>,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Stats(StatsArgs),
+}
+
+/// How edits are composed.
+#[derive(clap::Args, Debug)]
+pub(crate) struct ComposeArgs {
+    /// Settings of the composer in TOML, as in section [compose] of `stance build`
+    #[arg(long, value_name = "TOML")]
+    compose: Option<PathBuf>,
+    /// Paraphrases and templates of instructions in TOML
+    #[arg(long, value_name = "TOML")]
+    phrases: Option<PathBuf>,
+}
+
+impl ComposeArgs {
+    /// The settings.
+    pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
+        let mut config = match &self.compose {
+            Some(path) => parsed(path)?,
+            None => ComposeConfig::default(),
+        };
+        if let Some(path) = &self.phrases {
+            config.phrases = parsed(path)?;
+        }
+        Ok(config)
+    }
+}
+
+fn parsed<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text).with_context(|| format!("in {}", path.display()))
+}
+
+/// Count what the settings can give and what blending does, and draw a sheet of triplets.
+#[derive(clap::Args, Debug)]
+struct StatsArgs {
+    /// Dataset folder with motions and masks
+    dataset: PathBuf,
+    /// Triplets composed to be counted
+    #[arg(long, default_value_t = 512)]
+    count: u64,
+    /// Picture of twelve triplets to draw: .svg or .png
+    #[arg(long, value_name = "FILE")]
+    sheet: Option<PathBuf>,
+    #[command(flatten)]
+    compose: ComposeArgs,
+}
+
+/// The `--json` document of `stats`.
+#[derive(Serialize)]
+struct Counted {
+    #[serde(flatten)]
+    stream: StreamStats,
+    recorded: TripletStats,
+    /// Mean foot score before and after the edit.
+    foot_score: [f64; 2],
+}
+
+fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
+    let config = args.compose.config()?;
+    let dataset = Dataset::open(&args.dataset)?;
+    let (stream, _) = chain::train_stream(&dataset, &config, global.seed())?;
+    let skeleton = dataset.skeleton()?;
+    let triplets = stream.first_triplets(args.count.max(1));
+    let foot_scores: Vec<[Option<f64>; 2]> = triplets
+        .iter()
+        .map(|triplet| {
+            [&triplet.original, &triplet.edited].map(|motion| {
+                let feet: Vec<[_; 4]> = skeleton
+                    .points_of_frames::<12>(motion, 0..motion.len())
+                    .iter()
+                    .map(|joints| [7, 8, 10, 11].map(|foot| joints[foot]))
+                    .collect();
+                foot_score(&feet, motion.fps(), Floor::At(0.0))
+            })
+        })
+        .collect();
+    let mean = |side: usize| {
+        let known: Vec<f64> = foot_scores.iter().filter_map(|both| both[side]).collect();
+        known.iter().sum::<f64>() / known.len().max(1) as f64
+    };
+    let counted = Counted {
+        stream: stream.stats(),
+        recorded: triplet_stats(&triplets, &skeleton),
+        foot_score: [mean(0), mean(1)],
+    };
+    if let Some(path) = &args.sheet {
+        let sheet = sheet(&stream, &skeleton);
+        render::write_picture(path, &sheet, 1.0)?;
+        report::note(&format!("sheet in {}", path.display()));
+    }
+    if global.json {
+        report::json(&counted)?;
+    } else {
+        report::text(&table(&counted));
+    }
+    Ok(Exit::Done)
+}
+
+/// Twelve triplets below each other: the original, what the edit takes from, the edit with a hard
+/// mask alone and with its soft ring, whose joints have a halo.
+fn sheet(stream: &Stream, skeleton: &Skeleton) -> String {
+    const TRIPLETS: usize = 12;
+    const COLUMNS: usize = 2;
+    let style = Style {
+        width: 900.0,
+        num_figures: 7,
+        ..Style::default()
+    };
+    let mut panels = Vec::new();
+    for triplet in stream.sample_for_sheet(TRIPLETS) {
+        let hard_only = stream.with_hard_mask(&triplet);
+        let row = |label: &str, motion: &Motion, halo: JointSet| Row {
+            highlighted: halo,
+            ..Row::new(label, motion, skeleton)
+        };
+        let mask = triplet.mask;
+        let target = stream.taken(&triplet);
+        let rows = [
+            row("original", &triplet.original, JointSet::EMPTY),
+            row("target", &target, mask.hard()),
+            row("hard mask", &hard_only, mask.hard()),
+            row("soft mask", &triplet.edited, mask.hard().union(mask.soft())),
+        ];
+        let title = format!(
+            "{} · {} · weight {:.2}",
+            triplet.kind, triplet.instruction, triplet.alpha
+        );
+        panels.push((title, strip(&rows, &style)));
+    }
+    eval::draw::strip::sheet(&panels, COLUMNS, style.width)
+}
+
+fn table(counted: &Counted) -> String {
+    let (stream, recorded) = (&counted.stream, &counted.recorded);
+    let mut lines = vec![format!(
+        "split {}: {} motions to draw partners from, {} windows an epoch, {} instructions",
+        stream.split, stream.base, stream.windows, stream.instructions
+    )];
+    for (kind, count) in &stream.annotated {
+        lines.push(format!(
+            "  {kind:<14} {count:>7} annotated {:>12} distinct pairs",
+            stream.distinct_pairs[kind]
+        ));
+    }
+    lines.push(format!("in {} triplets:", recorded.triplets));
+    for (name, [before, after]) in [
+        ("mean speed m/s", recorded.mean_speed),
+        ("max speed m/s", recorded.max_speed),
+        ("foot score", counted.foot_score),
+    ] {
+        lines.push(format!(
+            "  {name:<16} {before:>7.3} before {after:>7.3} after the edit"
+        ));
+    }
+    lines.push("  weight of soft joints".to_owned());
+    let most = recorded.alphas.iter().copied().max().unwrap_or(1).max(1);
+    for (bin, &count) in recorded.alphas.iter().enumerate() {
+        let from = bin as f64 / recorded.alphas.len() as f64;
+        lines.push(format!(
+            "    {from:.1} {count:>6} {}",
+            "#".repeat(40 * count / most)
+        ));
+    }
+    lines.push("  masks".to_owned());
+    let masks = recorded.masks.iter();
+    lines.extend(masks.map(|(mask, count)| format!("    {count:>6} {mask}")));
+    const SHOWN: usize = 12;
+    lines.push("  instructions".to_owned());
+    let instructions = recorded.instructions.iter().take(SHOWN);
+    lines.extend(instructions.map(|(text, count)| format!("    {count:>6} {text}")));
+    let hidden = recorded.instructions.len().saturating_sub(SHOWN);
+    if hidden > 0 {
+        lines.push(format!("           and {hidden} others"));
+    }
+    lines.join("\n")
 }
 
 /// The `--json` document of `--explain`.
@@ -52,9 +245,13 @@ struct Explained {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let config = ComposeConfig::default();
+    if let Some(Action::Stats(args)) = &args.action {
+        return stats(args, global);
+    }
+    let root = args.dataset.as_deref().context("DATASET is missing")?;
+    let config = args.compose.config()?;
     if let Some(id) = &args.explain {
-        let dataset = Dataset::open(&args.dataset)?;
+        let dataset = Dataset::open(root)?;
         let (stream, _) = chain::train_stream(&dataset, &config, global.seed())?;
         let triplet = stream.explain(id)?;
         let explained = Explained {
@@ -81,7 +278,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     let out = args.out.as_deref().context("--out is missing")?;
     let bars = global.bars();
-    let recorded = chain::triplets(&args.dataset, out, args.count, &config, global, &bars)?;
+    if let Some(count) = args.windows {
+        let recorded = chain::windows(root, out, count, &config, global, &bars)?;
+        let manifest = recorded.manifest();
+        let rows = manifest.rows(WindowRow::TABLE, None);
+        if global.json {
+            let root_hash = &manifest.root_hash;
+            report::json(&serde_json::json!({ "windows": rows, "root_hash": root_hash }))?;
+        } else {
+            report::text(&format!("{rows} windows in {}", out.display()));
+        }
+        return Ok(Exit::Done);
+    }
+    let recorded = chain::triplets(root, out, args.count, &config, global, &bars)?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(TripletRow::TABLE, None);
     if global.json {

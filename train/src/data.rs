@@ -6,8 +6,8 @@ use std::thread::Scope;
 use datasets_spec::Seed;
 use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::normalise::FRAME_WIDTH;
-use pipeline::compose::Stream;
 pub use pipeline::compose::WindowBatch;
+use pipeline::compose::{Stream, WindowLoader};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
@@ -54,6 +54,24 @@ impl WindowSource for Stream {
     ) -> Result<(), Error> {
         Stream::fill(self, epoch, first_item, num_items, batch);
         Ok(())
+    }
+}
+
+impl WindowSource for WindowLoader {
+    fn epoch_len(&self) -> u64 {
+        WindowLoader::epoch_len(self)
+    }
+
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        Ok(WindowLoader::fill(
+            self, epoch, first_item, num_items, batch,
+        )?)
     }
 }
 

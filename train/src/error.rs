@@ -14,6 +14,9 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
+    /// Recorded windows cannot be read.
+    #[error("recorded windows cannot be read")]
+    Windows(#[from] pipeline::Error),
     /// A run folder holds a run with other settings.
     #[error(
         "{} holds a run whose {field} differs; continue it with its own config.json or choose another folder",

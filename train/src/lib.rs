@@ -16,6 +16,7 @@ pub mod edit;
 mod error;
 pub mod features;
 pub mod fit;
+pub mod j2s;
 pub mod metrics;
 pub mod model;
 pub mod sample;

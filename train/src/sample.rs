@@ -147,6 +147,11 @@ impl Editor {
         &self.record
     }
 
+    /// The range of model units the model was trained in.
+    pub fn normalizer(&self) -> &Normalizer {
+        &self.record.config.normalizer
+    }
+
     /// What identifies the weights: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash

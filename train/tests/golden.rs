@@ -17,6 +17,7 @@ use train::config::{NetworkConfig, Preset, TrainConfig};
 use train::data::NoisyBatch;
 use train::diffusion::{Prediction, Schedule, ScheduleName, guide, training_loss};
 use train::features::smpl135;
+use train::j2s::{J2sPreset, PoseNet, official_upsampling};
 use train::model::denoiser::{Denoiser, progress_indices};
 use train::model::position::sinusoid;
 use train::model::tmr::{
@@ -434,4 +435,152 @@ fn golden_evaluator_features() {
     // The reference chains matrices in f32.
     let difference = max_difference(features.as_flattened(), &golden.f32s("out.evaluator135"));
     assert!(difference < 5e-6, "{difference}");
+}
+
+fn pose_net(golden: &Golden, preset: J2sPreset) -> PoseNet {
+    let (prefix, width) = match preset {
+        J2sPreset::Official => ("weights.bn.", 64),
+        J2sPreset::Paper => ("weights.ln.", 48),
+    };
+    let device = Device::flex();
+    PoseNet::from_safetensors(
+        preset,
+        width,
+        golden.bytes(),
+        prefix,
+        &golden.0.path,
+        &device,
+    )
+    .expect("loads by name")
+}
+
+#[test]
+fn golden_j2s_mlp() {
+    let golden = Golden::read("j2s_mlp");
+    for (preset, input, output) in [
+        (J2sPreset::Official, "in.bn.x", "out.bn.y"),
+        (J2sPreset::Paper, "in.ln.x", "out.ln.y"),
+    ] {
+        let net = pose_net(&golden, preset);
+        let found = net.raw(golden.f32s(input), 16, &Device::flex());
+        let expected = golden.f32s(output);
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!(
+                (found - expected).abs() < 2e-5,
+                "{preset:?}: {found}, recorded {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn golden_j2s_pipeline() {
+    use datasets_spec::Skeleton;
+    use datasets_spec::fit::AdamFit;
+    use datasets_spec::skeleton::{FIT_KEYPOINTS, NUM_JOINTS, NUM_KEYPOINTS};
+    use glam::DMat3;
+
+    let golden = Golden::read("j2s_pipeline");
+    let net = pose_net(&Golden::read("j2s_mlp"), J2sPreset::Official);
+    let rest: [DVec3; NUM_JOINTS] = {
+        let (values, _) = golden.values("in.rest_joints");
+        let points: Vec<DVec3> = values.chunks_exact(3).map(DVec3::from_slice).collect();
+        points.try_into().expect("55 joints")
+    };
+    let skeleton = Skeleton::new("recorded", rest);
+    let (values, _) = golden.values("in.joints");
+    let rows: Vec<Vec<f64>> = values.chunks_exact(72).map(<[f64]>::to_vec).collect();
+    let upsampled = official_upsampling(&rows);
+    let (expected, _) = golden.values("out.upsampled");
+    for (found, expected) in upsampled.iter().flatten().zip(&expected) {
+        assert!((found - expected).abs() < 1e-5);
+    }
+    let frames: Vec<[DVec3; NUM_KEYPOINTS]> = upsampled
+        .iter()
+        .map(|row| {
+            let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
+            for (&slot, point) in FIT_KEYPOINTS.iter().zip(row.chunks_exact(3)) {
+                frame[slot] = DVec3::from_slice(point);
+            }
+            frame
+        })
+        .collect();
+    let first = net.poses(&frames, &skeleton, &Device::flex());
+    let (matrices, _) = golden.values("out.init_matrices");
+    for (pose, expected) in first.iter().zip(matrices.chunks_exact(22 * 9)) {
+        for (rotation, expected) in pose.rotations.iter().zip(expected.chunks_exact(9)) {
+            let found = DMat3::from_quat(*rotation).transpose().to_cols_array();
+            for (found, expected) in found.iter().zip(expected) {
+                assert!(
+                    (found - expected).abs() < 1e-4,
+                    "{found}, recorded {expected}"
+                );
+            }
+        }
+    }
+    let fitted = AdamFit::official().fit(&skeleton, &frames, &AdamFit::parameters_of(&first));
+    let (recorded, _) = golden.values("out.final_world_mse");
+    assert!(
+        fitted.mse <= 1.5 * recorded[0],
+        "{} {}",
+        fitted.mse,
+        recorded[0]
+    );
+}
+
+#[test]
+fn a_pose_network_learns_and_is_loaded_again() {
+    use datasets_spec::{Fps, Motion, NoProgress, Skeleton};
+    use train::Session;
+    use train::j2s::{J2sConfig, train_j2s};
+
+    let poses: Vec<Pose> = (0..64)
+        .map(|frame| {
+            let mut pose = Pose::REST;
+            for (joint, turn) in pose.rotations.iter_mut().enumerate().skip(1) {
+                let swing = 0.4 * (0.3 * f64::from(frame) + joint as f64).sin();
+                *turn = rotation::from_axis_angle(DVec3::X * swing);
+            }
+            pose
+        })
+        .collect();
+    let motion = [Motion::from_poses(Fps::STORE, &poses).expect("finite")];
+    let dir = tempfile::tempdir().expect("a folder");
+    for preset in [J2sPreset::Paper, J2sPreset::Official] {
+        let config = J2sConfig {
+            num_steps: 60,
+            batch_size: 64,
+            width: 64,
+            ..J2sConfig::preset(preset)
+        };
+        let session = Session {
+            device: &Device::flex(),
+            progress: &NoProgress,
+            stop: &std::sync::atomic::AtomicBool::new(false),
+            clock: &|| std::time::Duration::ZERO,
+        };
+        let run = dir.path().join(format!("{preset:?}"));
+        let skeleton = Skeleton::smplx_neutral();
+        let report = train_j2s(
+            &run,
+            &config,
+            [&motion, &motion],
+            &skeleton,
+            "hash",
+            &session,
+        );
+        let report = report.expect("trained");
+        assert!(report.loss[1] < 0.8 * report.loss[0], "{:?}", report.loss);
+        let by_name = |name: &str| {
+            let way = report.ways.iter().find(|way| way.name == name);
+            way.expect("measured").error_mm
+        };
+        assert!(by_name("network, Adam") < by_name("network"));
+        assert!(by_name("network, second order") < by_name("network, Adam"));
+        let path = run.join("model.safetensors");
+        let bytes = std::fs::read(&path).expect("written");
+        let device = Device::flex();
+        PoseNet::from_safetensors(preset, 64, bytes, "", &path, &device).expect("its own file");
+    }
 }

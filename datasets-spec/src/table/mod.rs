@@ -1,6 +1,8 @@
 //! Tables: how row structs become Arrow batches and back, and how batches become Parquet files.
 
 mod cell;
+mod pages;
+mod positioned;
 mod shard;
 
 use std::sync::Arc;
@@ -12,13 +14,15 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 
 pub use cell::Cell;
+pub use pages::FramePages;
 pub use shard::{
-    ColumnDescription, ShardDescription, describe, read_rows, read_rows_at, write_rows,
+    ColumnDescription, ShardDescription, ShardReader, describe, read_column, read_rows,
+    read_rows_at, write_rows,
 };
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
-pub const SCHEMA_VERSION: &str = "1.1.0";
+pub const SCHEMA_VERSION: &str = "1.2.0";
 
 /// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
 /// of the whole clip (HumanML3D's convention).
@@ -104,6 +108,9 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Name of the table.
     const TABLE: &'static str;
 
+    /// Rows that are read together. One, unless the rows are small and read by the thousand.
+    const PAGE_ROWS: usize = 1;
+
     /// The columns, in order.
     fn columns() -> Vec<Column>;
 
@@ -160,7 +167,7 @@ macro_rules! table {
     };
     (
         $(#[doc = $struct_doc:literal])*
-        pub struct $name:ident = $table:literal {
+        pub struct $name:ident = $table:literal $(, pages of $page_rows:literal rows)? {
             $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal $(, $since:ident)?], )*
         }
     ) => {
@@ -172,6 +179,7 @@ macro_rules! table {
 
         impl $crate::table::Row for $name {
             const TABLE: &'static str = $table;
+            const PAGE_ROWS: usize = 1 $(* $page_rows)?;
 
             fn columns() -> Vec<$crate::table::Column> {
                 vec![$( $crate::table::Column {

@@ -1,24 +1,28 @@
 //! Parquet files of rows.
 
+use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
-use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
 };
+use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::reader::ChunkReader;
 use parquet::schema::types::ColumnPath;
 
-use super::{Row, SCHEMA_VERSION};
+use super::positioned::Positioned;
+use super::{Cell, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 
-/// Clips in a row group: about 30 MB of motion, well under the limits of table viewers.
-const ROW_GROUP_ROWS: usize = 256;
+/// Pages in a row group: of motion, whose pages are clips, about 30 MB, well under the limits of
+/// table viewers.
+const ROW_GROUP_PAGES: usize = 256;
 /// Zstandard level. On byte-split motion, level 3 takes half as long again and is not a percent
 /// smaller.
 const ZSTD_LEVEL: i32 = 1;
@@ -50,6 +54,7 @@ fn frame_leaves(schema: &Schema) -> Vec<ColumnPath> {
 
 fn properties(
     schema: &Schema,
+    page_rows: usize,
     facts: &[(&str, String)],
 ) -> Result<WriterProperties, parquet::errors::ParquetError> {
     let mut key_values = vec![KeyValue::new(
@@ -64,14 +69,14 @@ fn properties(
     let mut builder = WriterProperties::builder()
         .set_created_by(concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned())
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(ZSTD_LEVEL)?))
-        .set_max_row_group_row_count(Some(ROW_GROUP_ROWS))
+        .set_max_row_group_row_count(Some(ROW_GROUP_PAGES * page_rows))
         .set_key_value_metadata(Some(key_values));
     let leaves = frame_leaves(schema);
     if !leaves.is_empty() {
         // One clip a page, so that a reader fetches any clip by its page and decodes nothing else.
         builder = builder
-            .set_data_page_row_count_limit(1)
-            .set_write_batch_size(1)
+            .set_data_page_row_count_limit(page_rows)
+            .set_write_batch_size(page_rows)
             .set_data_page_size_limit(PAGE_BYTES);
     }
     for leaf in leaves {
@@ -96,9 +101,9 @@ pub fn write_rows<R: Row, W: Write + Send>(
 ) -> Result<W, Error> {
     let schema = R::schema();
     let wrap = || Error::parquet("write", path);
-    let properties = properties(&schema, facts).map_err(wrap())?;
+    let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
     let mut writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
-    for chunk in rows.chunks(ROW_GROUP_ROWS) {
+    for chunk in rows.chunks(ROW_GROUP_PAGES * R::PAGE_ROWS) {
         writer.write(&R::encode(chunk)?).map_err(wrap())?;
     }
     writer.into_inner().map_err(wrap())
@@ -114,7 +119,7 @@ fn open(path: &Path) -> Result<(Bytes, ArrowReaderMetadata), Error> {
 }
 
 /// Refuses files of a newer major version; an older reader would misread them.
-fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
+pub(super) fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
     let found = metadata
         .metadata()
         .file_metadata()
@@ -144,24 +149,89 @@ pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
     read_selected(path, bytes, metadata, None)
 }
 
-/// Reads the rows at the given places, in file order. Only their pages are decoded.
+/// Reads the rows at the given places, in file order. Only their pages are read and decoded.
 ///
 /// # Errors
 /// As [`read_rows`].
 pub fn read_rows_at<R: Row>(path: &Path, rows: &[usize]) -> Result<Vec<R>, Error> {
+    ShardReader::open(path)?.rows_at(rows)
+}
+
+/// A file that stays open for rows to be read at any place.
+#[derive(Debug)]
+pub struct ShardReader {
+    path: PathBuf,
+    file: Positioned,
+    metadata: ArrowReaderMetadata,
+}
+
+impl ShardReader {
+    /// Opens a file and reads its footer and page index.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not Parquet, or is of a newer version.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let file = File::open(path)
+            .and_then(Positioned::new)
+            .map_err(Error::io("open", path))?;
+        let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
+        let metadata =
+            ArrowReaderMetadata::load(&file, options).map_err(Error::parquet("read", path))?;
+        check_version(path, &metadata)?;
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            metadata,
+        })
+    }
+
+    /// Rows of the file.
+    pub fn num_rows(&self) -> usize {
+        usize::try_from(self.metadata.metadata().file_metadata().num_rows()).unwrap_or(0)
+    }
+
+    /// Reads the rows at the given places, in file order; places behind the end are passed over.
+    ///
+    /// # Errors
+    /// The file cannot be read or holds something else.
+    pub fn rows_at<R: Row>(&self, rows: &[usize]) -> Result<Vec<R>, Error> {
+        let total = self.num_rows();
+        let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
+        wanted.sort_unstable();
+        wanted.dedup();
+        let ranges = wanted.into_iter().map(|row| row..row + 1);
+        let selection = RowSelection::from_consecutive_ranges(ranges, total);
+        let file = self.file.clone();
+        read_selected(&self.path, file, self.metadata.clone(), Some(selection))
+    }
+}
+
+/// Reads one column of a file, and no other.
+///
+/// # Errors
+/// As [`read_rows`].
+pub fn read_column<R: Row, T: Cell>(path: &Path, name: &'static str) -> Result<Vec<T>, Error> {
     let (bytes, metadata) = open(path)?;
-    let total = usize::try_from(metadata.metadata().file_metadata().num_rows()).unwrap_or(0);
-    let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
-    wanted.sort_unstable();
-    wanted.dedup();
-    let ranges = wanted.into_iter().map(|row| row..row + 1);
-    let selection = RowSelection::from_consecutive_ranges(ranges, total);
-    read_selected(path, bytes, metadata, Some(selection))
+    let wrap = || Error::parquet("read", path);
+    let mask = ProjectionMask::columns(metadata.parquet_schema(), [name]);
+    let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
+        .with_projection(mask)
+        .build()
+        .map_err(wrap())?;
+    let mut values = Vec::new();
+    for batch in reader {
+        let batch = batch.map_err(|source| Error::Arrow {
+            table: R::TABLE,
+            source,
+        })?;
+        values.extend(decode_column::<T>(R::TABLE, name, &batch)?);
+    }
+    Ok(values)
 }
 
 fn read_selected<R: Row>(
     path: &Path,
-    bytes: Bytes,
+    bytes: impl ChunkReader + 'static,
     metadata: ArrowReaderMetadata,
     selection: Option<RowSelection>,
 ) -> Result<Vec<R>, Error> {

@@ -220,6 +220,44 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
     svg
 }
 
+/// Drawings with titles, in columns of one width in pixels.
+pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String {
+    const TITLE_HEIGHT: f64 = 30.0;
+    let columns = columns.max(1);
+    let height_of = |svg: &str| -> f64 {
+        let stated = svg.split_once("height=\"").map_or("", |(_, rest)| rest);
+        let number = stated.split_once('"').map_or("", |(number, _)| number);
+        number.parse().unwrap_or(0.0)
+    };
+    let rows: Vec<f64> = panels
+        .chunks(columns)
+        .map(|row| {
+            let tallest = row.iter().map(|(_, svg)| height_of(svg));
+            TITLE_HEIGHT + tallest.fold(0.0, f64::max)
+        })
+        .collect();
+    let mut svg = String::new();
+    open(
+        &mut svg,
+        width * columns as f64,
+        rows.iter().sum(),
+        &format!("{} motion strips", panels.len()),
+    );
+    let mut top = 0.0;
+    for (row, height) in panels.chunks(columns).zip(&rows) {
+        for (column, (title, panel)) in row.iter().enumerate() {
+            let left = column as f64 * width;
+            let at = DVec2::new(left + MARGIN, top + TITLE_HEIGHT - 10.0);
+            text(&mut svg, at, "start", 13.0, "", title);
+            let place = format!("<svg x=\"{left}\" y=\"{}\" ", top + TITLE_HEIGHT);
+            svg.push_str(&panel.replacen("<svg ", &place, 1));
+        }
+        top += height;
+    }
+    svg.push_str("</svg>");
+    svg
+}
+
 /// Size of one panel of [`moment`] in pixels.
 const PANEL: DVec2 = DVec2::new(240.0, 250.0);
 /// Pixels to a metre in a panel: raised arms of a standing figure fit.

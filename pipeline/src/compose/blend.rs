@@ -1,11 +1,11 @@
 //! Spatial blending: a source motion that takes some joints of a target.
 
-use datasets_spec::rotation::{from_axis_angle, slerp, to_axis_angle};
+use datasets_spec::rotation::{from_axis_angle, slerp, slerp_official, to_axis_angle};
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{BlendMask, Motion, Pose};
 use glam::Vec3;
 
-use super::Error;
+use super::{Error, SlerpRule};
 
 /// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`,
 /// the others stay with the source. The translation goes with a hard pelvis.
@@ -40,7 +40,7 @@ pub fn blend_pose(
 
 /// Blends two motions of equal length and rate, all soft joints by the same `alpha`.
 ///
-/// Stored numbers are copied, not recomputed: hard joints are bit for bit those of the target, and
+/// With [`SlerpRule::Exact`], stored numbers are copied, not recomputed: hard joints are bit for bit those of the target, and
 /// joints outside the mask those of the source. An `alpha` of exactly 0 or 1 copies as well.
 ///
 /// # Errors
@@ -53,6 +53,7 @@ pub fn blend_motion(
     target: &Motion,
     mask: BlendMask,
     alpha: f64,
+    rule: SlerpRule,
 ) -> Result<Motion, Error> {
     if source.len() != target.len() || source.fps() != target.fps() {
         return Err(Error::OutOfStep {
@@ -72,7 +73,7 @@ pub fn blend_motion(
                 source.axis_angle(frame, joint),
                 target.axis_angle(frame, joint),
             );
-            blended.set_axis_angle(frame, joint, blend_axis_angle(from, to, alpha));
+            blended.set_axis_angle(frame, joint, blend_axis_angle(from, to, alpha, rule));
         }
         if mask.moves_root() {
             blended.set_transl(frame, target.transl()[frame]);
@@ -81,14 +82,21 @@ pub fn blend_motion(
     Ok(blended)
 }
 
-fn blend_axis_angle(from: [f32; 3], to: [f32; 3], alpha: f64) -> [f32; 3] {
+fn blend_axis_angle(from: [f32; 3], to: [f32; 3], alpha: f64, rule: SlerpRule) -> [f32; 3] {
+    let quaternion = |v: [f32; 3]| from_axis_angle(Vec3::from_array(v).as_dvec3());
+    if rule == SlerpRule::Official {
+        let [from, to] = [from, to].map(|v| quaternion(v).as_quat());
+        let mixed = slerp_official(from, to, alpha as f32)
+            .as_dquat()
+            .normalize();
+        return to_axis_angle(mixed).as_vec3().to_array();
+    }
     if alpha == 0.0 {
         return from;
     }
     if alpha == 1.0 {
         return to;
     }
-    let quaternion = |v: [f32; 3]| from_axis_angle(Vec3::from_array(v).as_dvec3());
     to_axis_angle(slerp(quaternion(from), quaternion(to), alpha))
         .as_vec3()
         .to_array()
@@ -98,6 +106,7 @@ fn blend_axis_angle(from: [f32; 3], to: [f32; 3], alpha: f64) -> [f32; 3] {
 mod tests {
     use datasets_spec::motion::BODY_POSE_WIDTH;
     use datasets_spec::{BodyPart, Fps, Joint, JointSet};
+    use glam::DVec3;
     use proptest::prelude::*;
 
     use super::*;
@@ -140,7 +149,7 @@ mod tests {
         fn an_empty_mask_gives_the_source_and_a_full_one_the_target(
             source in motion(), target in motion(), alpha in 0.0..=1.0f64,
         ) {
-            let blend = |mask| blend_motion(&source, &target, mask, alpha).expect("in step");
+            let blend = |mask| blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             prop_assert_eq!(&blend(BlendMask::EMPTY), &source);
             prop_assert_eq!(&blend(BlendMask::FULL), &target);
         }
@@ -149,7 +158,7 @@ mod tests {
         fn joints_outside_the_mask_and_hard_joints_are_copied_bit_for_bit(
             source in motion(), target in motion(), mask in mask(), alpha in 0.0..=1.0f64,
         ) {
-            let blended = blend_motion(&source, &target, mask, alpha).expect("in step");
+            let blended = blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             for frame in 0..FRAMES {
                 let root = if mask.moves_root() { &target } else { &source };
                 prop_assert_eq!(blended.transl()[frame], root.transl()[frame]);
@@ -169,7 +178,7 @@ mod tests {
             source in motion(), target in motion(), mask in mask(),
         ) {
             let hard_only = BlendMask::new(mask.hard(), JointSet::EMPTY).expect("disjoint");
-            let blend = |mask, alpha| blend_motion(&source, &target, mask, alpha).expect("in step");
+            let blend = |mask, alpha| blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             prop_assert_eq!(blend(mask, 0.0), blend(hard_only, 0.5));
             // Softly blended in whole, a pelvis takes the orientation and leaves the translation.
             let whole = blend(mask, 1.0);
@@ -185,7 +194,7 @@ mod tests {
         fn motions_blend_as_their_poses_do(
             source in motion(), target in motion(), mask in mask(), alpha in 0.0..=1.0f64,
         ) {
-            let blended = blend_motion(&source, &target, mask, alpha).expect("in step");
+            let blended = blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             for frame in 0..FRAMES {
                 let pose = blend_pose(
                     &source.pose(frame), &target.pose(frame), mask, &[alpha; NUM_BODY_JOINTS],
@@ -202,13 +211,39 @@ mod tests {
     }
 
     #[test]
+    fn the_official_rule_averages_what_is_nearly_equal() {
+        let pose = |angle: f64| {
+            let mut pose = Pose::REST;
+            pose.rotations[18] = from_axis_angle(DVec3::X * angle);
+            Motion::from_poses(Fps::STORE, &[pose]).expect("finite")
+        };
+        let mask = BlendMask::new(JointSet::EMPTY, JointSet::of(&[18])).expect("disjoint");
+        let angle = |to: f64, alpha: f64, rule: SlerpRule| {
+            let blended = blend_motion(&pose(0.0), &pose(to), mask, alpha, rule).expect("in step");
+            f64::from(blended.axis_angle(0, 18)[0])
+        };
+        // A thousandth of a radian apart: the release takes the middle for any weight.
+        assert!((angle(1e-3, 0.9, SlerpRule::Official) - 5e-4).abs() < 1e-6);
+        assert!((angle(1e-3, 0.9, SlerpRule::Exact) - 9e-4).abs() < 1e-6);
+        for rule in [SlerpRule::Official, SlerpRule::Exact] {
+            assert!((angle(1.0, 0.3, rule) - 0.3).abs() < 1e-6, "{rule:?}");
+        }
+    }
+
+    #[test]
     fn motions_out_of_step_are_refused() {
         let still =
             |frames, fps| Motion::from_poses(fps, &vec![Pose::REST; frames]).expect("valid");
         let mask = BodyPart::LeftArm.mask();
         for (frames, fps) in [(4, Fps::STORE), (5, Fps::MODEL)] {
             assert!(matches!(
-                blend_motion(&still(5, Fps::STORE), &still(frames, fps), mask, 0.5),
+                blend_motion(
+                    &still(5, Fps::STORE),
+                    &still(frames, fps),
+                    mask,
+                    0.5,
+                    SlerpRule::Exact
+                ),
                 Err(Error::OutOfStep {
                     source_frames: 5,
                     ..

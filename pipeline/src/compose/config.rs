@@ -5,11 +5,11 @@ use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_ADVANCE, WINDOW_FRAM
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::Error;
+use super::{Error, Phrases};
 
 /// Version of the composition rules. It changes whenever the same settings, seed and library would
 /// give other motions, and is part of every recipe hash.
-pub const COMPOSE_VERSION: u32 = 1;
+pub const COMPOSE_VERSION: u32 = 2;
 
 /// How edits are composed. The default is the published method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,9 +24,24 @@ pub struct ComposeConfig {
     ///
     /// Source: the annotated data size of the paper's ablation.
     pub annotated_ratio: f64,
-    /// Whether each mask meets one partner, one crop and one alpha once and for all instead of new
-    /// ones for each item: training without MotionCutMix.
+    /// Whether each mask and each pair meets one partner once and for all instead of new ones for
+    /// each item: training without MotionCutMix. Partners are then composed by the rule of SINC:
+    /// whole parts, none of them soft, from the middle of the longer motion.
     pub fixed_pairs: bool,
+    /// Kinds of edits that are composed, of those there is data for.
+    pub kinds: Vec<EditKind>,
+    /// Probability that a pair is shown as it is, without a donor under both of its motions.
+    ///
+    /// Source: 0 in the release, whose README trains on blended motions alone.
+    pub plain_pairs: f64,
+    /// How the two motions of a pair are brought into step.
+    pub alignment: Alignment,
+    /// How soft joints are interpolated.
+    pub slerp: SlerpRule,
+    /// How the range of model units is fitted.
+    pub range: RangeRule,
+    /// How instructions are worded.
+    pub phrases: Phrases,
     /// Frames of a window at the model's rate, the two fixed ones included.
     pub window: usize,
     /// Rate of the model in frames per second. The stored rate must be a whole multiple of it.
@@ -43,6 +58,12 @@ impl Default for ComposeConfig {
             mcm_ratio: 1.0,
             annotated_ratio: 1.0,
             fixed_pairs: false,
+            kinds: EditKind::ALL.to_vec(),
+            plain_pairs: 0.0,
+            alignment: Alignment::None,
+            slerp: SlerpRule::Exact,
+            range: RangeRule::PerAxis,
+            phrases: Phrases::default(),
             window: WINDOW_FRAMES,
             fps: Fps::MODEL,
             alpha: AlphaDistribution::Uniform {
@@ -52,6 +73,81 @@ impl Default for ComposeConfig {
             anchor: Anchor::Pelvis,
         }
     }
+}
+
+/// What an edit changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EditKind {
+    /// A body part does something else (paper: semantic, release: regen).
+    Semantic,
+    /// A body part moves in another style (release: style_transfer).
+    Style,
+    /// A body part moves a little differently (release: adjustment).
+    FineGrained,
+}
+
+impl EditKind {
+    /// All kinds, in the order of the paper's tables.
+    pub const ALL: [EditKind; 3] = [Self::Semantic, Self::Style, Self::FineGrained];
+
+    /// The name used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Semantic => "semantic",
+            Self::Style => "style",
+            Self::FineGrained => "fine-grained",
+        }
+    }
+
+    /// The kind of this name.
+    pub fn parse(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.as_str() == name)
+    }
+}
+
+/// How the motions of a pair that were captured separately are brought into step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Alignment {
+    /// Not at all: of the longer motion a stretch of the length of the shorter is taken.
+    #[default]
+    None,
+    /// The motion before the edit is warped in time until its poses meet those of the one after it.
+    TimeWarp,
+}
+
+impl Alignment {
+    /// The name used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::TimeWarp => "time-warp",
+        }
+    }
+}
+
+/// How two rotations are interpolated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SlerpRule {
+    /// Spherical interpolation.
+    #[default]
+    Exact,
+    /// That of the released code, which averages nearly equal and nearly opposite rotations
+    /// whatever the weight is.
+    Official,
+}
+
+/// How the range of model units is fitted to the central 95 % of the training windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RangeRule {
+    /// Each axis has a range of its own (`paper`).
+    #[default]
+    PerAxis,
+    /// All axes share one range, as the released normalisation files look.
+    Scalar,
 }
 
 /// Where the weight of soft joints is drawn from, once per composed motion (paper Sec. 4.2:
@@ -95,6 +191,21 @@ impl ComposeConfig {
                 });
             }
         }
+        if !(0.0..=1.0).contains(&self.plain_pairs) {
+            return Err(Error::Config {
+                key: "plain_pairs",
+                expected: "from 0 to 1",
+                got: self.plain_pairs,
+            });
+        }
+        if self.kinds.is_empty() {
+            return Err(Error::Config {
+                key: "kinds",
+                expected: "at least one of semantic, style, fine-grained",
+                got: 0.0,
+            });
+        }
+        self.phrases.check()?;
         if self.window <= FIXED_FRAMES {
             return Err(Error::Config {
                 key: "window",
@@ -147,6 +258,18 @@ impl ComposeConfig {
         (self.window - FIXED_FRAMES) * stride
     }
 
+    /// The settings that the range of model units depends on, in words.
+    pub fn range_settings(&self) -> String {
+        format!(
+            "{} frames at {} fps, anchor {:?}, range {:?}",
+            self.window,
+            self.fps.get(),
+            self.anchor,
+            self.range
+        )
+        .to_lowercase()
+    }
+
     /// BLAKE3 of the settings and [`COMPOSE_VERSION`], in hexadecimal: what, with the library and
     /// the seed, determines every composed motion.
     pub fn recipe_hash(&self) -> String {
@@ -176,6 +299,8 @@ mod tests {
         assert_eq!(check(|c| c.mcm_ratio = 0.0), "mcm_ratio");
         assert_eq!(check(|c| c.annotated_ratio = f64::NAN), "annotated_ratio");
         assert_eq!(check(|c| c.window = 2), "window");
+        assert_eq!(check(|c| c.plain_pairs = 1.5), "plain_pairs");
+        assert_eq!(check(|c| c.kinds.clear()), "kinds");
         let backwards = |c: &mut ComposeConfig| {
             c.alpha = AlphaDistribution::Uniform {
                 low: 0.8,

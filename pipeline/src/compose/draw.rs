@@ -87,6 +87,25 @@ pub(super) struct Crop {
 }
 
 impl Crop {
+    /// All of two motions of equal length.
+    pub(super) fn whole(num_frames: usize) -> Self {
+        Self {
+            source_start: 0,
+            target_start: 0,
+            num_frames,
+        }
+    }
+
+    /// The middle of the longer motion, as SINC crops.
+    pub(super) fn centred(source_frames: usize, target_frames: usize) -> Self {
+        let num_frames = source_frames.min(target_frames);
+        Self {
+            source_start: (source_frames - num_frames) / 2,
+            target_start: (target_frames - num_frames) / 2,
+            num_frames,
+        }
+    }
+
     /// Draws where the shorter motion lies in the longer.
     pub(super) fn draw(source_frames: usize, target_frames: usize, rng: &mut Rng) -> Self {
         let num_frames = source_frames.min(target_frames);

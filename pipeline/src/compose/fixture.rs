@@ -1,7 +1,7 @@
 //! Synthetic motions and masks for the tests of the composer.
 
 use datasets_spec::canonical::WINDOW_FRAMES;
-use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::rotation::from_axis_angle;
 use datasets_spec::table::Quality;
 use datasets_spec::{
@@ -109,5 +109,21 @@ pub(crate) fn rows(split: Split, num_clips: usize) -> (Vec<MotionRow>, Vec<MaskR
 /// A library of those motions.
 pub(crate) fn library(split: Split, num_clips: usize) -> Library {
     let (motions, masks) = rows(split, num_clips);
-    Library::new(split, &motions, &masks, &Skeleton::smplx_neutral()).expect("valid rows")
+    Library::new(split, &motions, &masks, &[], &Skeleton::smplx_neutral()).expect("valid rows")
+}
+
+/// The row of a pair of the clips of [`rows`] that are numbered so.
+pub(crate) fn pair_row(kind: &str, split: Split, source: usize, target: usize) -> PairRow {
+    let id = |number: usize| MotionId::parse(&format!("clip{number}")).expect("valid id");
+    PairRow {
+        id: format!("{kind}-{source}-{target}"),
+        split,
+        source: "synthetic".to_owned(),
+        kind: kind.to_owned(),
+        source_id: id(source),
+        target_id: id(target),
+        style: Some("old".to_owned()),
+        parts: Vec::new(),
+        instruction: String::new(),
+    }
 }

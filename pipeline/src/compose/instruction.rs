@@ -1,7 +1,12 @@
 //! Instructions in the phrasing of the release, made from whatever a source says of a clip.
 
+use std::collections::BTreeMap;
+
 use datasets_spec::BodyPart;
 use datasets_spec::table::Caption;
+use serde::{Deserialize, Serialize};
+
+use super::Error;
 
 /// What captions call the person who moves.
 const SUBJECTS: [&str; 14] = [
@@ -28,6 +33,78 @@ const AUXILIARIES: [&str; 7] = ["is", "are", "was", "has", "been", "being", "wer
 /// An edit instruction in the phrasing of the release: "The person is waving with their left arm."
 pub fn instruction(action: &str, part: BodyPart) -> String {
     format!("The person is {action} with their {}.", part.phrase())
+}
+
+/// The edit instruction of a style pair in the phrasing of the release, before the part is named:
+/// "Replace a person with an angry look".
+pub fn style_instruction(style: &str) -> String {
+    let style = style.replace(['_', '-'], " ").to_lowercase();
+    let article = if style.starts_with(['a', 'e', 'i', 'o', 'u']) {
+        "an"
+    } else {
+        "a"
+    };
+    format!("Replace a person with {article} {style} look")
+}
+
+/// How instructions are worded. The default is the phrasing of the release without variation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Phrases {
+    /// How the instruction of a pair is extended by the part that is edited, in templates of which
+    /// one is drawn for each item: `{instruction}` stands for the instruction without its full stop,
+    /// `{part}` for the part.
+    pub of_parts: Vec<String>,
+    /// Other words for instructions, by the instruction as it is in the dataset. One of them or the
+    /// instruction itself is drawn for each item.
+    pub paraphrases: BTreeMap<String, Vec<String>>,
+}
+
+impl Default for Phrases {
+    fn default() -> Self {
+        Self {
+            of_parts: vec!["{instruction} using their {part}.".to_owned()],
+            paraphrases: BTreeMap::new(),
+        }
+    }
+}
+
+impl Phrases {
+    /// Checks the templates.
+    ///
+    /// # Errors
+    /// There is none, or one leaves out the instruction or the part.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        let whole =
+            |template: &String| template.contains("{instruction}") && template.contains("{part}");
+        if self.of_parts.is_empty() || !self.of_parts.iter().all(whole) {
+            return Err(Error::Template);
+        }
+        Ok(())
+    }
+
+    /// All wordings of an instruction, the one of the dataset first; of a part where one is given.
+    pub(super) fn wordings(&self, instruction: &str, part: Option<BodyPart>) -> Vec<String> {
+        let others = self.paraphrases.get(instruction).into_iter().flatten();
+        let texts = std::iter::once(instruction).chain(others.map(String::as_str));
+        let Some(part) = part else {
+            return texts.map(str::to_owned).collect();
+        };
+        let part = part.phrase();
+        texts
+            .flat_map(|text| {
+                let bare = text.trim().trim_end_matches('.');
+                self.of_parts.iter().map({
+                    let part = &part;
+                    move |template| {
+                        template
+                            .replace("{instruction}", bare)
+                            .replace("{part}", part)
+                    }
+                })
+            })
+            .collect()
+    }
 }
 
 /// What a clip shows as the continuation of "The person is ...": "walking forward". Taken from the

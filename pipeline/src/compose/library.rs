@@ -1,14 +1,16 @@
 //! The motions and masks of one split, ready to be composed.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use datasets_spec::canonical::{KeypointFrame, canonicalise, window_starts};
 use datasets_spec::normalise::Normalizer;
-use datasets_spec::record::{MaskRow, MotionRow};
-use datasets_spec::{BlendMask, Fps, JointSet, Motion, MotionId, Pose, Skeleton, Split};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Pose, Skeleton, Split};
 use rayon::prelude::*;
 
-use super::{ComposeConfig, Error};
+use super::config::{Alignment, EditKind, RangeRule};
+use super::{ComposeConfig, Error, align, style_instruction};
 
 /// Most windows a normalisation range is fitted on. The quantiles of 13 million coordinates per
 /// axis are known to about 1e-4 of the distribution; more windows would only take memory.
@@ -22,6 +24,8 @@ pub(super) struct Clip {
     pub(super) origin: usize,
     pub(super) action: Option<String>,
     pub(super) motion: Motion,
+    /// Whether it may be drawn as a partner: motions made from others here may not.
+    pub(super) in_base: bool,
 }
 
 /// An accepted (motion, mask, text).
@@ -31,6 +35,22 @@ pub(super) struct Annotation {
     /// Index of the clip.
     pub(super) clip: usize,
     pub(super) mask: BlendMask,
+    pub(super) instruction: String,
+}
+
+/// A motion, another one of the same body doing the same otherwise, and what tells them apart.
+#[derive(Clone, Debug)]
+pub(super) struct Pair {
+    pub(super) id: String,
+    pub(super) kind: EditKind,
+    /// Index of the clip before the edit, as it is in the dataset.
+    pub(super) captured: usize,
+    /// Index of the clip before the edit, in step with the one after it.
+    pub(super) source: usize,
+    /// Index of the clip after the edit.
+    pub(super) target: usize,
+    /// Halves of the body that may be edited.
+    pub(super) halves: Vec<BodyPart>,
     pub(super) instruction: String,
 }
 
@@ -45,6 +65,8 @@ pub struct Library {
     skeleton: Skeleton,
     pub(super) clips: Vec<Clip>,
     pub(super) annotations: Vec<Annotation>,
+    pub(super) pairs: Vec<Pair>,
+    alignment: Alignment,
 }
 
 impl Library {
@@ -52,11 +74,12 @@ impl Library {
     ///
     /// # Errors
     /// A row is of another split, skeleton or rate, appears twice, or is not usable; or a mask
-    /// belongs to a motion that is not among the rows.
+    /// or pair belongs to a motion that is not among the rows.
     pub fn new(
         split: Split,
         motions: &[MotionRow],
         masks: &[MaskRow],
+        pairs: &[PairRow],
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
         let same_split = |table, id: &str, found| {
@@ -99,6 +122,7 @@ impl Library {
                 origin: 0,
                 action: row.action.clone(),
                 motion,
+                in_base: true,
             };
             if clips.insert(row.id.clone(), clip).is_some() {
                 return Err(Error::Duplicate {
@@ -126,12 +150,25 @@ impl Library {
                 });
             }
         }
+        let mut known_pairs = BTreeMap::new();
+        for row in pairs {
+            same_split("pairs", &row.id, row.split)?;
+            let pair = pair(row, &clips)?;
+            if known_pairs.insert(row.id.clone(), pair).is_some() {
+                return Err(Error::Duplicate {
+                    table: "pairs",
+                    id: row.id.clone(),
+                });
+            }
+        }
         Ok(Self {
             split,
             fps: fps.unwrap_or(Fps::STORE),
             skeleton: skeleton.clone(),
             clips,
             annotations: annotations.into_values().collect(),
+            pairs: known_pairs.into_values().collect(),
+            alignment: Alignment::None,
         })
     }
 
@@ -160,6 +197,44 @@ impl Library {
         self.annotations.len()
     }
 
+    /// Number of pairs.
+    pub fn num_pairs(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// The library with the motions of its pairs in step.
+    pub(super) fn aligned(self: Arc<Self>, alignment: Alignment) -> Arc<Self> {
+        if alignment == self.alignment {
+            return self;
+        }
+        let mut library = Self::clone(&self);
+        library.clips.retain(|clip| clip.in_base);
+        for pair in &mut library.pairs {
+            pair.source = pair.captured;
+        }
+        if alignment == Alignment::TimeWarp {
+            let warped: Vec<Clip> = library
+                .pairs
+                .par_iter()
+                .map(|pair| {
+                    let (source, target) =
+                        (&library.clips[pair.captured], &library.clips[pair.target]);
+                    Clip {
+                        motion: align::warped(&source.motion, &target.motion, &library.skeleton),
+                        in_base: false,
+                        ..source.clone()
+                    }
+                })
+                .collect();
+            for (pair, clip) in library.pairs.iter_mut().zip(warped) {
+                pair.source = library.clips.len();
+                library.clips.push(clip);
+            }
+        }
+        library.alignment = alignment;
+        Arc::new(library)
+    }
+
     /// Fits the range of model units to the canonical windows of the library's motions, at most
     /// 10,000 of them, evenly spaced over all.
     ///
@@ -180,6 +255,7 @@ impl Library {
             .clips
             .iter()
             .enumerate()
+            .filter(|(_, clip)| clip.in_base)
             .flat_map(|(clip, Clip { motion, .. })| {
                 window_starts(motion.len(), span, config.advance(stride))
                     .into_iter()
@@ -203,10 +279,77 @@ impl Library {
                     .collect::<Vec<_>>()
             })
             .collect();
-        Normalizer::fit(&frames).ok_or(Error::NoItem {
+        let fitted = match config.range {
+            RangeRule::PerAxis => Normalizer::fit(&frames),
+            RangeRule::Scalar => Normalizer::fit_shared(&frames),
+        };
+        fitted.ok_or(Error::NoItem {
             split: self.split,
             frames: span,
         })
+    }
+}
+
+fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
+    let find = |id: &MotionId| {
+        clips
+            .binary_search_by(|clip| clip.id.cmp(id))
+            .map_err(|_| Error::UnknownMotion {
+                table: "pair",
+                row: row.id.clone(),
+                motion: id.clone(),
+            })
+    };
+    let (source, target) = (find(&row.source_id)?, find(&row.target_id)?);
+    let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
+        pair: row.id.clone(),
+        found: row.kind.clone(),
+    })?;
+    let instruction = match (row.instruction.trim(), &row.style) {
+        ("", Some(style)) => style_instruction(style),
+        ("", None) => {
+            return Err(Error::EmptyText {
+                table: "pair",
+                row: row.id.clone(),
+            });
+        }
+        (text, _) => text.to_owned(),
+    };
+    let parts: Vec<BodyPart> = row
+        .parts
+        .iter()
+        .map(|name| name.parse())
+        .collect::<Result<_, _>>()
+        .map_err(|source| Error::Pair {
+            pair: row.id.clone(),
+            source,
+        })?;
+    Ok(Pair {
+        id: row.id.clone(),
+        kind,
+        captured: source,
+        source,
+        target,
+        halves: halves_of(&parts),
+        instruction,
+    })
+}
+
+/// The halves of the body that a pair may be edited in: those its parts belong to, both if it names
+/// none.
+fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
+    let both = [BodyPart::LowerBody, BodyPart::UpperBody];
+    let named = parts
+        .iter()
+        .fold(JointSet::EMPTY, |all, part| all.union(part.mask().hard()));
+    let touched: Vec<BodyPart> = both
+        .into_iter()
+        .filter(|half| !half.mask().hard().intersection(named).is_empty())
+        .collect();
+    if touched.is_empty() {
+        both.to_vec()
+    } else {
+        touched
     }
 }
 
@@ -218,7 +361,8 @@ fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
     let clip = clips
         .binary_search_by(|clip| clip.id.cmp(&row.motion_id))
         .map_err(|_| Error::UnknownMotion {
-            mask: row.id.clone(),
+            table: "mask",
+            row: row.id.clone(),
             motion: row.motion_id.clone(),
         })?;
     let hard = JointSet::try_from(row.hard_joints.clone()).map_err(unusable)?;
@@ -231,7 +375,8 @@ fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
     }
     if row.text.trim().is_empty() {
         return Err(Error::EmptyText {
-            mask: row.id.clone(),
+            table: "mask",
+            row: row.id.clone(),
         });
     }
     Ok(Annotation {

@@ -8,21 +8,31 @@
 //! # Source
 //! Paper Sec. 4.2 (blending) and 4.3 (MotionCutMix).
 
+mod align;
 mod blend;
 mod config;
+mod coordinator;
 mod draw;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod instruction;
 mod library;
+mod loader;
+mod sinc;
+mod stats;
 mod stream;
 mod triplet;
 mod window;
 
 pub use blend::{blend_motion, blend_pose};
-pub use config::{AlphaDistribution, COMPOSE_VERSION, ComposeConfig};
-pub use instruction::{action_phrase, instruction};
+pub use config::{
+    Alignment, AlphaDistribution, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule, SlerpRule,
+};
+pub use coordinator::CoordinatorBatch;
+pub use instruction::{Phrases, action_phrase, instruction, style_instruction};
 pub use library::Library;
+pub use loader::{ReadOrder, WindowLoader};
+pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
 pub use triplet::{Triplet, edit_items};
 
@@ -78,13 +88,15 @@ pub enum Error {
         /// Their id.
         id: String,
     },
-    /// A mask belongs to a motion that is not there.
+    /// A mask or pair belongs to a motion that is not there.
     #[error(
-        "mask {mask:?} belongs to motion {motion}, which is not in the library; pass the motions of the mask's split"
+        "{table} {row:?} belongs to motion {motion}, which is not in the library; pass all motions of its split"
     )]
     UnknownMotion {
-        /// Id of the mask.
-        mask: String,
+        /// What names the motion.
+        table: &'static str,
+        /// Its id.
+        row: String,
         /// The motion it names.
         motion: MotionId,
     },
@@ -94,12 +106,35 @@ pub enum Error {
         /// Id of the mask.
         mask: String,
     },
-    /// A mask has no instruction.
-    #[error("mask {mask:?} has no text; annotate it again")]
+    /// A mask or pair has no instruction.
+    #[error("{table} {row:?} has no text; annotate it again")]
     EmptyText {
-        /// Id of the mask.
-        mask: String,
+        /// What has no text.
+        table: &'static str,
+        /// Its id.
+        row: String,
     },
+    /// A pair is of a kind that is not known.
+    #[error("pair {pair:?} is of kind {found:?}; known are semantic, style and fine-grained")]
+    PairKind {
+        /// Id of the pair.
+        pair: String,
+        /// The kind found.
+        found: String,
+    },
+    /// A pair row names something that does not exist.
+    #[error("pair {pair:?} is not usable")]
+    Pair {
+        /// Id of the pair.
+        pair: String,
+        /// What is wrong with it.
+        source: datasets_spec::Error,
+    },
+    /// A template cannot be filled in.
+    #[error(
+        "phrases.of_parts must hold templates with {{instruction}} and {{part}} in each; correct the phrases"
+    )]
+    Template,
     /// A motion row does not hold a motion.
     #[error("motion {motion} is not usable")]
     Motion {

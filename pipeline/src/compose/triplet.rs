@@ -1,15 +1,14 @@
 //! Whole-clip triplets: recorded items of a stream, and the fixed items systems are evaluated on.
 
+use std::sync::Arc;
+
 use datasets_spec::record::TripletRow;
-use datasets_spec::{BlendMask, Fps, Motion, MotionId, Seed, Split};
+use datasets_spec::{BlendMask, Fps, JointSet, Motion, MotionId, Seed, Split};
 use rand::RngExt;
 
 use super::library::Clip;
-use super::stream::Pairing;
-use super::{ComposeConfig, Error, Library, Stream, blend_motion};
-
-/// Kind of the edits composed here.
-const SEMANTIC: &str = "semantic";
+use super::stream::{Pairing, Subject};
+use super::{Alignment, ComposeConfig, Error, Library, Stream, blend_motion};
 
 /// Windows an evaluation item should cover: the paper edits clips of several segments, and the
 /// released demo uses at least three.
@@ -23,7 +22,7 @@ pub struct Triplet {
     pub id: String,
     /// The split of all motions in it.
     pub split: Split,
-    /// What the edit changes: `semantic`.
+    /// What the edit changes: [`super::EditKind`].
     pub kind: &'static str,
     /// What turns the original into the edited motion.
     pub instruction: String,
@@ -37,6 +36,11 @@ pub struct Triplet {
     pub source_start: usize,
     /// First stored frame taken of the target.
     pub target_start: usize,
+    /// First stored frame taken of the donor; 0 without one.
+    pub donor_start: usize,
+    /// How the motions of a pair were brought into step; with `time-warp`, the source's start
+    /// counts frames of the warped motion.
+    pub alignment: &'static str,
     /// What the edit takes.
     pub mask: BlendMask,
     /// Weight of the target on soft joints.
@@ -55,18 +59,20 @@ pub struct Triplet {
 
 impl Stream {
     /// Composes the whole-clip triplet of an item: the partner, the mask and the alpha that
-    /// [`Stream::fill`] uses for the same item, on all frames the two clips share.
+    /// [`Stream::fill`] uses for the same item, on all frames the clips share.
     ///
     /// # Panics
     /// If the item is not in the epoch.
     pub fn triplet(&self, epoch: u64, item: u64) -> Triplet {
+        let pairing = self.pairing(epoch, item);
         let place = Place {
             id: self.triplet_id(epoch, item),
             seed: self.seed,
             epoch,
             recipe_hash: self.recipe_hash.clone(),
+            instruction: self.instruction_of(epoch, item, &pairing).to_owned(),
         };
-        self.library.compose(place, &self.pairing(epoch, item))
+        self.library.compose(place, &pairing, &self.config)
     }
 
     /// Composes a recorded triplet again, bit for bit, from its id alone.
@@ -77,7 +83,7 @@ impl Stream {
         let unknown = || Error::TripletId {
             id: id.to_owned(),
             expected: format!(
-                "{}-{SEMANTIC}-EPOCH-ITEM with ITEM below {}",
+                "{}-KIND-EPOCH-ITEM with ITEM below {}",
                 self.library.split(),
                 self.epoch_len()
             ),
@@ -92,40 +98,78 @@ impl Stream {
         Ok(self.triplet(epoch, item))
     }
 
+    /// What the edit of one of this stream's triplets takes from: the stretch of the target.
+    ///
+    /// # Panics
+    /// If the triplet is another stream's.
+    pub fn taken(&self, triplet: &Triplet) -> Motion {
+        self.stretch(&triplet.target_id, triplet.target_start, triplet)
+    }
+
+    /// The edited motion as it were without soft joints.
+    ///
+    /// # Panics
+    /// If the triplet is another stream's.
+    pub fn with_hard_mask(&self, triplet: &Triplet) -> Motion {
+        let under = match triplet.donor_ids.first() {
+            Some(donor) => self.stretch(donor, triplet.donor_start, triplet),
+            None => triplet.original.clone(),
+        };
+        let mask = BlendMask::new(triplet.mask.hard(), JointSet::EMPTY).expect("nothing is soft");
+        let taken = self.taken(triplet);
+        blend_motion(&under, &taken, mask, 0.0, self.config.slerp)
+            .expect("stretches of one triplet are in step")
+    }
+
+    fn stretch(&self, id: &MotionId, start: usize, triplet: &Triplet) -> Motion {
+        let clips = &self.library.clips;
+        let clip = clips.iter().find(|clip| clip.in_base && clip.id == *id);
+        let motion = &clip.expect("a motion of this stream's library").motion;
+        motion
+            .crop(start..start + triplet.original.len())
+            .expect("a triplet lies inside its motions")
+    }
+
     fn triplet_id(&self, epoch: u64, item: u64) -> String {
-        format!("{}-{SEMANTIC}-{epoch}-{item}", self.library.split())
+        let kind = self.kind(epoch, item).as_str();
+        format!("{}-{kind}-{epoch}-{item}", self.library.split())
     }
 }
 
 /// Composes a list of items to evaluate systems on, the same for the same arguments.
 ///
-/// Every usable annotation is a target before any is used again, in an order drawn from the seed.
-/// Partners are clips of other actions, where actions are known, and long enough for three windows,
-/// where such clips exist.
+/// Every usable annotation and pair is a target before any is used again, in an order drawn from the
+/// seed. Partners are clips of other actions, where actions are known, and long enough for three
+/// windows, where such clips exist.
 ///
 /// # Errors
-/// A setting is out of range, no annotated motion is as long as a window, or one has no partner.
+/// A setting is out of range, no annotated motion or pair is as long as a window, or one has no
+/// partner.
 pub fn edit_items(
-    library: &Library,
+    library: &Arc<Library>,
     config: &ComposeConfig,
     seed: Seed,
     count: usize,
 ) -> Result<Vec<Triplet>, Error> {
     config.check()?;
+    let library = Arc::clone(library).aligned(config.alignment);
     let stride = config.stride(library.fps())?;
     let span = config.span(stride);
-    let frames_of = |clip: usize| library.clips[clip].motion.len();
-    let base: Vec<usize> = (0..library.clips.len())
-        .filter(|&c| frames_of(c) >= span)
+    let whole = ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        ..config.clone()
+    };
+    let base = library.base(&whole, seed, span);
+    let mut targets: Vec<(u64, Subject)> = library
+        .subjects(&whole, seed, span)
+        .into_iter()
+        .map(|subject| {
+            let id = library.subject_id(subject);
+            (seed.draw_u64(&["evaluation order", id]), subject)
+        })
         .collect();
-    let mut targets: Vec<(u64, usize)> = library
-        .annotations
-        .iter()
-        .enumerate()
-        .filter(|(_, annotation)| frames_of(annotation.clip) >= span)
-        .map(|(index, annotation)| (seed.draw_u64(&["evaluation order", &annotation.id]), index))
-        .collect();
-    targets.sort_unstable();
+    targets.sort_unstable_by_key(|target| target.0);
     if targets.is_empty() {
         return Err(Error::NoItem {
             split: library.split(),
@@ -136,55 +180,60 @@ pub fn edit_items(
     let preferred = span + (PREFERRED_WINDOWS - 1) * config.advance(stride);
     (0..count)
         .map(|item| {
-            let annotation = targets[item % targets.len()].1;
+            let subject = targets[item % targets.len()].1;
             let round = (item / targets.len()).to_string();
-            let id = &library.annotations[annotation].id;
+            let id = library.subject_id(subject);
             let mut rng = seed.rng(&["evaluation item", id, &round]);
-            let partners = library.partners(&base, annotation, preferred)?;
-            let source = partners[rng.random_range(0..partners.len())];
+            let partners = library.partners(&base, subject, preferred)?;
+            let partner = partners[rng.random_range(0..partners.len())];
+            let pairing = library.paired(partner, subject, config, &mut rng);
             let place = Place {
-                id: format!("{}-{SEMANTIC}-{item:05}", library.split()),
+                id: format!(
+                    "{}-{}-{item:05}",
+                    library.split(),
+                    library.kind_of(subject).as_str()
+                ),
                 seed,
                 epoch: 0,
                 recipe_hash: recipe_hash.clone(),
+                instruction: library.first_wording(&pairing, config),
             };
-            let pairing = library.paired(source, annotation, config, &mut rng);
-            Ok(library.compose(place, &pairing))
+            Ok(library.compose(place, &pairing, config))
         })
         .collect()
 }
 
-/// What a triplet is called and where it comes from.
+/// What a triplet is called, what it says and where it comes from.
 struct Place {
     id: String,
     seed: Seed,
     epoch: u64,
     recipe_hash: String,
+    instruction: String,
 }
 
 impl Library {
-    /// The clips of the base that suit an annotation best: of another action and as long as
-    /// `preferred` or the target, else of another action, else any other.
+    /// The clips of the base that suit a target best: of another action and as long as `preferred`
+    /// or the target, else of another action, else any other.
     fn partners(
         &self,
         base: &[usize],
-        annotation: usize,
+        subject: Subject,
         preferred: usize,
     ) -> Result<Vec<usize>, Error> {
-        let target = self.annotations[annotation].clip;
-        let target_clip = &self.clips[target];
+        let target = &self.clips[self.target_of(subject)];
         let other: Vec<usize> = base
             .iter()
             .copied()
-            .filter(|&clip| self.may_pair(clip, target))
+            .filter(|&clip| self.may_meet(clip, subject))
             .collect();
-        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target_clip.action;
+        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
         let other_action: Vec<usize> = other
             .iter()
             .copied()
             .filter(|&clip| !same_action(&self.clips[clip]))
             .collect();
-        let needed = preferred.min(target_clip.motion.len());
+        let needed = preferred.min(self.frames_of(subject));
         let long: Vec<usize> = other_action
             .iter()
             .copied()
@@ -194,34 +243,78 @@ impl Library {
             .into_iter()
             .find(|partners| !partners.is_empty())
             .ok_or_else(|| Error::NoPartner {
-                motion: target_clip.id.clone(),
+                motion: target.id.clone(),
             })
     }
 
-    fn compose(&self, place: Place, pairing: &Pairing) -> Triplet {
-        let annotation = &self.annotations[pairing.annotation];
-        let (source, target) = (&self.clips[pairing.source], &self.clips[annotation.clip]);
-        let crop = pairing.crop;
-        let cut = |clip: &Clip, start: usize| {
-            clip.motion
-                .crop(start..start + crop.num_frames)
+    /// The instruction as it is in the dataset, extended by the part by the first template.
+    fn first_wording(&self, pairing: &Pairing, config: &ComposeConfig) -> String {
+        let wordings = self.wordings(pairing.subject, pairing.half, config);
+        wordings.into_iter().next().unwrap_or_default()
+    }
+
+    fn compose(&self, place: Place, pairing: &Pairing, config: &ComposeConfig) -> Triplet {
+        let cut = |clip: usize, start: usize, len: usize| {
+            let motion = &self.clips[clip].motion;
+            motion
+                .crop(start..start + len)
                 .expect("a crop is drawn inside both motions")
         };
-        let original = cut(source, crop.source_start);
-        let taken = cut(target, crop.target_start);
-        let edited = blend_motion(&original, &taken, annotation.mask, pairing.alpha)
-            .expect("crops of one library have one length and rate");
+        let mask = match pairing.partner {
+            Some(_) => self.mask_of(pairing.subject, pairing.half, config),
+            None => BlendMask::EMPTY,
+        };
+        let blend = |under: &Motion, over: &Motion| {
+            blend_motion(under, over, mask, pairing.alpha, config.slerp)
+                .expect("crops of one library have one length and rate")
+        };
+        let (crop, donor) = (pairing.crop, pairing.donor);
+        let id_of = |clip: usize| self.clips[clip].id.clone();
+        let target = self.target_of(pairing.subject);
+        let (source_id, starts, original, edited, donors) = match (pairing.subject, pairing.partner)
+        {
+            (Subject::Annotation(_), partner) => {
+                let source = partner.expect("a semantic edit has a source");
+                let original = cut(source, crop.source_start, crop.num_frames);
+                let taken = cut(target, crop.target_start, crop.num_frames);
+                let edited = blend(&original, &taken);
+                let starts = (crop.source_start, crop.target_start);
+                (id_of(source), starts, original, edited, Vec::new())
+            }
+            (Subject::Pair(pair), partner) => {
+                let shift = donor.target_start;
+                let starts = (crop.source_start + shift, crop.target_start + shift);
+                let before = cut(self.pairs[pair].source, starts.0, donor.num_frames);
+                let after = cut(target, starts.1, donor.num_frames);
+                let source_id = id_of(self.pairs[pair].captured);
+                match partner {
+                    None => (source_id, starts, before, after, Vec::new()),
+                    Some(clip) => {
+                        let under = cut(clip, donor.source_start, donor.num_frames);
+                        let (original, edited) = (blend(&under, &before), blend(&under, &after));
+                        (source_id, starts, original, edited, vec![id_of(clip)])
+                    }
+                }
+            }
+        };
+        let is_pair = matches!(pairing.subject, Subject::Pair(_));
         Triplet {
             id: place.id,
             split: self.split(),
-            kind: SEMANTIC,
-            instruction: annotation.instruction.clone(),
-            source_id: source.id.clone(),
-            target_id: target.id.clone(),
-            donor_ids: Vec::new(),
-            source_start: crop.source_start,
-            target_start: crop.target_start,
-            mask: annotation.mask,
+            kind: self.kind_of(pairing.subject).as_str(),
+            instruction: place.instruction,
+            source_id,
+            target_id: id_of(target),
+            donor_ids: donors,
+            source_start: starts.0,
+            target_start: starts.1,
+            donor_start: donor.source_start,
+            alignment: if is_pair {
+                config.alignment.as_str()
+            } else {
+                Alignment::None.as_str()
+            },
+            mask,
             alpha: pairing.alpha,
             seed: place.seed,
             epoch: place.epoch,
@@ -254,6 +347,8 @@ impl Triplet {
             donor_ids: self.donor_ids.iter().map(MotionId::to_string).collect(),
             source_start: frames(self.source_start),
             target_start: frames(self.target_start),
+            donor_start: frames(self.donor_start),
+            alignment: self.alignment.to_owned(),
             hard_joints: self.mask.hard().names(),
             soft_joints: self.mask.soft().names(),
             alpha: self.alpha as f32,
@@ -274,12 +369,10 @@ impl Triplet {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use datasets_spec::Skeleton;
 
     use super::*;
-    use crate::compose::fixture;
+    use crate::compose::{EditKind, fixture};
 
     const CLIPS: usize = 9;
 
@@ -306,6 +399,90 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_pair_keeps_its_donor_on_both_sides_bit_for_bit() {
+        let (motions, masks) = fixture::rows(Split::Train, CLIPS);
+        let pairs = [fixture::pair_row("style", Split::Train, 5, 6)];
+        let skeleton = Skeleton::smplx_neutral();
+        let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        for fixed_pairs in [false, true] {
+            let config = ComposeConfig {
+                kinds: vec![EditKind::Style],
+                fixed_pairs,
+                ..ComposeConfig::default()
+            };
+            let normalizer = library.fit_normalizer(&config).expect("long enough");
+            let stream = Stream::new(Arc::clone(&library), config, Seed(8), &normalizer);
+            let stream = stream.expect("a stream");
+            let motion_of = |id: &MotionId| {
+                let row = motions.iter().find(|row| row.id == *id).expect("a clip");
+                row.motion().expect("valid")
+            };
+            for (epoch, item) in (0..10).flat_map(|e| (0..stream.epoch_len()).map(move |i| (e, i)))
+            {
+                let triplet = stream.triplet(epoch, item);
+                assert_eq!(stream.explain(&triplet.id).expect("its own id"), triplet);
+                let frames = triplet.original.len();
+                let cut = |id: &MotionId, start: usize| {
+                    motion_of(id).crop(start..start + frames).expect("inside")
+                };
+                let donor = cut(&triplet.donor_ids[0], triplet.donor_start);
+                let source = cut(&triplet.source_id, triplet.source_start);
+                let target = cut(&triplet.target_id, triplet.target_start);
+                let mask = triplet.mask;
+                for frame in 0..frames {
+                    for (side, own) in [(&triplet.original, &source), (&triplet.edited, &target)] {
+                        for joint in 0..22 {
+                            let found = side.axis_angle(frame, joint);
+                            if mask.hard().contains(joint) {
+                                assert_eq!(found, own.axis_angle(frame, joint));
+                            } else if !mask.soft().contains(joint) {
+                                assert_eq!(found, donor.axis_angle(frame, joint));
+                            }
+                        }
+                        let root = if mask.moves_root() { own } else { &donor };
+                        assert_eq!(side.transl()[frame], root.transl()[frame]);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pairs_with_motions_of_other_splits_are_refused() {
+        let skeleton = Skeleton::smplx_neutral();
+        let (motions, _) = fixture::rows(Split::Train, CLIPS);
+        let train = fixture::pair_row("style", Split::Train, 1, 2);
+        let library = |split, pair: &datasets_spec::record::PairRow| {
+            Library::new(split, &motions, &[], std::slice::from_ref(pair), &skeleton)
+        };
+        assert!(library(Split::Train, &train).is_ok());
+        let test = fixture::pair_row("style", Split::Test, 1, 2);
+        assert!(matches!(
+            library(Split::Train, &test),
+            Err(Error::OtherSplit { .. })
+        ));
+        let mut foreign = train.clone();
+        foreign.target_id = MotionId::parse("clip-of-test").expect("valid");
+        assert!(matches!(
+            library(Split::Train, &foreign),
+            Err(Error::UnknownMotion { .. })
+        ));
+        let mut unsaid = train.clone();
+        unsaid.style = None;
+        assert!(matches!(
+            library(Split::Train, &unsaid),
+            Err(Error::EmptyText { .. })
+        ));
+        let mut odd = train;
+        odd.kind = "regen".to_owned();
+        assert!(matches!(
+            library(Split::Train, &odd),
+            Err(Error::PairKind { .. })
+        ));
     }
 
     #[test]
@@ -361,10 +538,11 @@ mod tests {
     fn evaluation_items_cover_the_annotations_before_repeating() {
         let library = fixture::library(Split::Test, CLIPS);
         let config = ComposeConfig::default();
-        let items = edit_items(&library, &config, Seed(3), 13).expect("enough clips");
+        let items =
+            edit_items(&Arc::new(library.clone()), &config, Seed(3), 13).expect("enough clips");
         assert_eq!(
             items,
-            edit_items(&library, &config, Seed(3), 13).expect("enough clips")
+            edit_items(&Arc::new(library.clone()), &config, Seed(3), 13).expect("enough clips")
         );
         let num_masks = library.num_masks();
         let mut targets: Vec<&MotionId> = items.iter().map(|item| &item.target_id).collect();
@@ -393,7 +571,7 @@ mod tests {
         let (motions, masks) = fixture::rows(Split::Train, 4);
         let (test_motions, test_masks) = fixture::rows(Split::Test, 4);
         assert!(matches!(
-            Library::new(Split::Test, &motions, &[], &skeleton),
+            Library::new(Split::Test, &motions, &[], &[], &skeleton),
             Err(Error::OtherSplit {
                 table: "motions",
                 expected: Split::Test,
@@ -401,12 +579,12 @@ mod tests {
             })
         ));
         assert!(matches!(
-            Library::new(Split::Train, &motions, &test_masks, &skeleton),
+            Library::new(Split::Train, &motions, &test_masks, &[], &skeleton),
             Err(Error::OtherSplit { table: "masks", .. })
         ));
         let mixed = [motions.clone(), test_motions.clone()].concat();
-        assert!(Library::new(Split::Train, &mixed, &masks, &skeleton).is_err());
-        let library = Library::new(Split::Test, &test_motions, &test_masks, &skeleton);
+        assert!(Library::new(Split::Train, &mixed, &masks, &[], &skeleton).is_err());
+        let library = Library::new(Split::Test, &test_motions, &test_masks, &[], &skeleton);
         assert!(matches!(
             library
                 .expect("one split")
@@ -422,12 +600,12 @@ mod tests {
         let with_motion = |change: &dyn Fn(&mut datasets_spec::record::MotionRow)| {
             let mut motions = motions.clone();
             change(&mut motions[1]);
-            Library::new(Split::Train, &motions, &masks, &skeleton).expect_err("broken")
+            Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect_err("broken")
         };
         let with_mask = |change: &dyn Fn(&mut datasets_spec::record::MaskRow)| {
             let mut masks = masks.clone();
             change(&mut masks[0]);
-            Library::new(Split::Train, &motions, &masks, &skeleton).expect_err("broken")
+            Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect_err("broken")
         };
         let id = |text: &str| MotionId::parse(text).expect("valid");
         assert!(matches!(

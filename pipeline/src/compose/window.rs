@@ -9,12 +9,15 @@
 use std::f32::consts::FRAC_PI_2;
 
 use datasets_spec::canonical::Anchor;
+use datasets_spec::lanes::{self, Kernel};
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
 use datasets_spec::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
 };
-use datasets_spec::{BlendMask, Motion};
+use datasets_spec::{BlendMask, Motion, rotation};
 use glam::{DMat3, Quat};
+
+use super::SlerpRule;
 
 /// Frames processed together: a window of the published length.
 const LANES: usize = 16;
@@ -51,13 +54,15 @@ pub(super) struct Thinned {
 impl Thinned {
     /// Prepares a motion.
     pub(super) fn new(motion: &Motion, stride: usize, skeleton: &Skeleton) -> Self {
+        let poses = motion.poses();
+        let keypoints = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
         let mut frames = Vec::with_capacity(motion.len());
         let mut phase_bounds = vec![0];
         for phase in 0..stride {
             frames.extend((phase..motion.len()).step_by(stride).map(|frame| {
-                let pose = motion.pose(frame);
+                let pose = &poses[frame];
                 let mut points = [0.0; FRAME_WIDTH + 2 * MARGIN];
-                for (slot, point) in skeleton.keypoints(&pose).into_iter().enumerate() {
+                for (slot, point) in keypoints[frame].into_iter().enumerate() {
                     points[place(slot)..place(slot) + 3]
                         .copy_from_slice(&point.as_vec3().to_array());
                 }
@@ -88,12 +93,13 @@ impl Thinned {
 }
 
 /// Where the three numbers of a point start among the padded points.
+#[inline(always)]
 fn place(slot: usize) -> usize {
     MARGIN + 3 * slot
 }
 
 /// A joint's rotation in up to 16 frames; the last frame fills the rest.
-#[inline]
+#[inline(always)]
 fn rotations(frames: &[Frame], joint: usize) -> Quats {
     let mut out = [[0.0; LANES]; QUAT];
     for lane in 0..LANES {
@@ -106,7 +112,7 @@ fn rotations(frames: &[Frame], joint: usize) -> Quats {
 }
 
 /// A point in up to 16 frames; the last frame fills the rest.
-#[inline]
+#[inline(always)]
 fn points(frames: &[Frame], slot: usize) -> Points {
     let mut out = [[0.0; LANES]; 3];
     for lane in 0..LANES {
@@ -139,11 +145,12 @@ pub(super) struct BlendPlan {
     points: Vec<usize>,
     /// Points of the owner that computed points hang from.
     anchors: Vec<usize>,
+    slerp: SlerpRule,
 }
 
 impl BlendPlan {
     /// Plans the blend with a mask.
-    pub(super) fn new(mask: BlendMask) -> Self {
+    pub(super) fn new(mask: BlendMask, slerp: SlerpRule) -> Self {
         let origins: [Origin; NUM_BODY_JOINTS] = std::array::from_fn(|joint| {
             if mask.hard().contains(joint) {
                 Origin::Target
@@ -185,11 +192,22 @@ impl BlendPlan {
             joints: (0..NUM_BODY_JOINTS).filter(|&j| needed[j]).collect(),
             points,
             anchors,
+            slerp,
+        }
+    }
+
+    /// The rotations of a soft joint.
+    #[inline(always)]
+    fn mixed(&self, from: &Quats, to: &Quats, alpha: f32) -> Quats {
+        match self.slerp {
+            SlerpRule::Exact => slerp(from, to, alpha),
+            SlerpRule::Official => official(from, to, alpha),
         }
     }
 }
 
 /// The parent of a keypoint; the pelvis is its own.
+#[inline(always)]
 fn parent_of(slot: usize) -> usize {
     usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }
@@ -225,11 +243,12 @@ impl Composer {
 
     /// Writes the canonical, normalised keypoints of frames, `[W, 84]`.
     pub(super) fn original(&self, frames: &[Frame], out: &mut [f32]) {
-        let first = &frames[0];
-        let placement = self.placement(&first.points, first.rotations[0]);
-        for (frame, out) in frames.iter().zip(out.as_chunks_mut::<FRAME_WIDTH>().0) {
-            placement.apply(&frame.points, out);
-        }
+        lanes::vectorised(Compose {
+            composer: self,
+            source: frames,
+            blend: None,
+            out,
+        });
     }
 
     /// Writes the canonical, normalised keypoints of a blend, `[W, 84]`. The window is canonical by
@@ -242,12 +261,39 @@ impl Composer {
         alpha: f32,
         out: &mut [f32],
     ) {
+        lanes::vectorised(Compose {
+            composer: self,
+            source,
+            blend: Some((target, plan, alpha)),
+            out,
+        });
+    }
+
+    #[inline(always)]
+    fn write_original(&self, frames: &[Frame], out: &mut [f32]) {
+        let first = &frames[0];
+        let placement = self.placement(&first.points, first.rotations[0]);
+        for (frame, out) in frames.iter().zip(out.as_chunks_mut::<FRAME_WIDTH>().0) {
+            placement.apply(&frame.points, out);
+        }
+    }
+
+    #[inline(always)]
+    fn write_blended(
+        &self,
+        source: &[Frame],
+        target: &[Frame],
+        plan: &BlendPlan,
+        alpha: f32,
+        out: &mut [f32],
+    ) {
         let owner = match plan.owner {
             Origin::Target => target,
             Origin::Source | Origin::Both => source,
         };
         let root = match plan.origins[0] {
-            Origin::Both => slerp(&rotations(source, 0), &rotations(target, 0), alpha)
+            Origin::Both => plan
+                .mixed(&rotations(source, 0), &rotations(target, 0), alpha)
                 .map(|component| component[0]),
             Origin::Source | Origin::Target => owner[0].rotations[0],
         };
@@ -272,6 +318,7 @@ impl Composer {
     }
 
     /// Forward kinematics of up to 16 frames for the points the plan asks for.
+    #[inline(always)]
     fn moved_points(
         &self,
         source: &[Frame],
@@ -289,7 +336,9 @@ impl Composer {
             let local = match plan.origins[joint] {
                 Origin::Source => rotations(source, joint),
                 Origin::Target => rotations(target, joint),
-                Origin::Both => slerp(&rotations(source, joint), &rotations(target, joint), alpha),
+                Origin::Both => {
+                    plan.mixed(&rotations(source, joint), &rotations(target, joint), alpha)
+                }
             };
             global[joint] = if joint == 0 {
                 local
@@ -305,9 +354,10 @@ impl Composer {
     }
 
     /// The placement of a window by the points and the root rotation of its first frame.
+    #[inline(always)]
     fn placement(&self, points: &PaddedPoints, root: [f32; QUAT]) -> Placement {
         let root = Quat::from_array(root).as_dquat().normalize();
-        let yaw = datasets_spec::rotation::yaw(DMat3::from_quat(root));
+        let yaw = rotation::yaw(DMat3::from_quat(root));
         let (sine, cosine) = yaw.sin_cos();
         let (x, z) = (f64::from(points[place(0)]), f64::from(points[place(0) + 2]));
         let shift = [
@@ -338,6 +388,29 @@ impl Composer {
     }
 }
 
+/// A window to be written: of frames, or of a blend with others.
+struct Compose<'a> {
+    composer: &'a Composer,
+    source: &'a [Frame],
+    blend: Option<(&'a [Frame], &'a BlendPlan, f32)>,
+    out: &'a mut [f32],
+}
+
+impl Kernel for Compose<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.blend {
+            None => self.composer.write_original(self.source, self.out),
+            Some((target, plan, alpha)) => {
+                let composer = self.composer;
+                composer.write_blended(self.source, target, plan, alpha, self.out);
+            }
+        }
+    }
+}
+
 /// Turns, shifts and scales the points of a frame. A point's x and z mix, which are two numbers
 /// apart: spread over the 84 numbers of a frame, this is three products with neighbouring numbers.
 struct Placement {
@@ -348,7 +421,7 @@ struct Placement {
 }
 
 impl Placement {
-    #[inline]
+    #[inline(always)]
     fn apply(&self, points: &PaddedPoints, out: &mut [f32; FRAME_WIDTH]) {
         for i in 0..FRAME_WIDTH {
             out[i] = self.own[i] * points[i + MARGIN]
@@ -359,7 +432,7 @@ impl Placement {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn product(a: &Quats, b: &Quats) -> Quats {
     let ([ax, ay, az, aw], [bx, by, bz, bw]) = (a, b);
     let mut out = [[0.0; LANES]; QUAT];
@@ -374,7 +447,7 @@ fn product(a: &Quats, b: &Quats) -> Quats {
 
 /// Points at an offset fixed to turning joints: `p + q v q*`, written as
 /// `p + v + 2 w (u x v) + 2 u x (u x v)` with `q = (u, w)`.
-#[inline]
+#[inline(always)]
 fn attached(points: &Points, rotations: &Quats, [vx, vy, vz]: [f32; 3]) -> Points {
     let [qx, qy, qz, qw] = rotations;
     let mut out = *points;
@@ -393,7 +466,7 @@ fn attached(points: &Points, rotations: &Quats, [vx, vy, vz]: [f32; 3]) -> Point
 }
 
 /// Spherical interpolation along the shorter arc.
-#[inline]
+#[inline(always)]
 fn slerp(from: &Quats, to: &Quats, alpha: f32) -> Quats {
     let mut out = [[0.0; LANES]; QUAT];
     for i in 0..LANES {
@@ -415,11 +488,26 @@ fn slerp(from: &Quats, to: &Quats, alpha: f32) -> Quats {
     out
 }
 
+/// [`rotation::slerp_official`] in every lane; made unit again, which the release leaves to the
+/// conversion to axis-angle.
+#[inline(never)]
+fn official(from: &Quats, to: &Quats, alpha: f32) -> Quats {
+    let mut out = [[0.0; LANES]; QUAT];
+    for lane in 0..LANES {
+        let at = |planes: &Quats| Quat::from_array(planes.map(|plane| plane[lane]));
+        let mixed = rotation::slerp_official(at(from), at(to), alpha).normalize();
+        for (plane, value) in out.iter_mut().zip(mixed.to_array()) {
+            plane[lane] = value;
+        }
+    }
+    out
+}
+
 /// The square of the arc cosine on [0, 1], smooth at 1 unlike the arc cosine itself, to 4e-7.
 ///
 /// # Source
 /// Abramowitz and Stegun 4.4.46: `acos(x) = sqrt(1 - x) P(x)`.
-#[inline]
+#[inline(always)]
 fn arc_cosine_squared(x: f32) -> f32 {
     const P: [f32; 8] = [
         FRAC_PI_2,
@@ -437,7 +525,7 @@ fn arc_cosine_squared(x: f32) -> f32 {
 
 /// `sin(t) / t` for `t` up to a right angle, given `t` squared: the series up to `t^10`, whose next
 /// term is 4e-8 there.
-#[inline]
+#[inline(always)]
 fn sinc_of_square(square: f32) -> f32 {
     const S: [f32; 6] = [
         1.0,
@@ -518,7 +606,13 @@ mod tests {
                 composer.original(from, &mut out);
                 check_close(&out, &reference(sources, anchor, &skeleton));
                 let to = target_frames.window(target_start, window);
-                composer.blended(from, to, &BlendPlan::new(mask), alpha, &mut out);
+                composer.blended(
+                    from,
+                    to,
+                    &BlendPlan::new(mask, SlerpRule::Exact),
+                    alpha,
+                    &mut out,
+                );
                 check_close(&out, &reference(blended, anchor, &skeleton));
             }
         }
@@ -526,10 +620,18 @@ mod tests {
 
     #[test]
     fn only_what_a_mask_touches_is_computed() {
-        assert!(BlendPlan::new(BlendMask::EMPTY).points.is_empty());
-        assert!(BlendPlan::new(BlendMask::FULL).points.is_empty());
+        assert!(
+            BlendPlan::new(BlendMask::EMPTY, SlerpRule::Exact)
+                .points
+                .is_empty()
+        );
+        assert!(
+            BlendPlan::new(BlendMask::FULL, SlerpRule::Exact)
+                .points
+                .is_empty()
+        );
         // Shoulder, elbow, wrist and two knuckles, reached by way of spine and collar.
-        let plan = BlendPlan::new(BodyPart::LeftArm.mask());
+        let plan = BlendPlan::new(BodyPart::LeftArm.mask(), SlerpRule::Exact);
         assert_eq!(plan.points, [16, 18, 20, 24, 25]);
         assert_eq!(plan.joints, [0, 3, 6, 9, 13, 16, 18, 20]);
         assert_eq!(plan.anchors, [13]);

@@ -1,6 +1,6 @@
 //! Blending and fitting against scipy and the released code.
 
-use datasets_spec::fit::{FitOptions, fit_motion};
+use datasets_spec::fit::{AdamFit, FitOptions, Parameters, fit_motion};
 use datasets_spec::rotation::from_axis_angle;
 use datasets_spec::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{BlendMask, Fps, Joint, JointSet, Pose, Skeleton};
@@ -54,6 +54,61 @@ fn golden_blend() {
     }
     golden.check("out.matrices", &matrices, 1e-10);
     golden.check("out.transl", &transl, 0.0);
+}
+
+#[test]
+fn golden_fit_by_adam_goes_the_recorded_way() {
+    let golden = Golden::load("j2s_adam_fit");
+    let rest: [DVec3; NUM_JOINTS] = golden
+        .get("in.rest_joints")
+        .points()
+        .try_into()
+        .expect("55 rest joints");
+    let skeleton = Skeleton::new("recorded", rest);
+    let shift = golden.get("in.pelvis_shift").points()[0];
+    let start: Vec<Parameters> = golden
+        .get("in.init_pose")
+        .rows(3 * NUM_BODY_JOINTS)
+        .map(|pose| std::array::from_fn(|at| if at < 3 { 0.0 } else { pose[at - 3] }))
+        .collect();
+    for (case, fit) in [
+        ("official24", AdamFit::official()),
+        ("paper28", AdamFit::paper()),
+    ] {
+        let indices = golden.get(&format!("in.{case}.indices")).integers();
+        let joints = golden.get(&format!("in.{case}.joints")).points();
+        let frames: Vec<[DVec3; NUM_KEYPOINTS]> = joints
+            .chunks_exact(indices.len())
+            .map(|points| {
+                let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
+                for (&joint, &point) in indices.iter().zip(points) {
+                    let is_it = |&known: &usize| known as i64 == joint;
+                    let slot = KEYPOINT_JOINTS.iter().position(is_it).expect("a keypoint");
+                    assert!(fit.counts[slot]);
+                    frame[slot] = point + shift;
+                }
+                frame
+            })
+            .collect();
+        let fitted = fit.fit(&skeleton, &frames, &start);
+        let recorded = golden
+            .get(&format!("out.{case}.loss_history"))
+            .values
+            .clone();
+        for (step, (found, recorded)) in fitted.history.iter().zip(&recorded).enumerate() {
+            // The recorded run is in f32; its own rerun in f64 differs by 4e-6.
+            assert!(
+                (found / recorded - 1.0).abs() < 1e-3,
+                "{case} step {step}: {found}, recorded {recorded}"
+            );
+        }
+        let recorded = golden.get(&format!("out.{case}.final_mse")).values[0];
+        assert!(
+            fitted.mse <= 1.2 * recorded,
+            "{case}: {} {recorded}",
+            fitted.mse
+        );
+    }
 }
 
 #[test]

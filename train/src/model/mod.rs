@@ -2,6 +2,7 @@
 
 pub mod denoiser;
 pub mod motionrefit;
+pub mod pose_net;
 pub mod position;
 pub mod text;
 pub mod tmr;

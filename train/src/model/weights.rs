@@ -81,6 +81,21 @@ pub fn from_safetensors<M: Module + ModuleSnapshot>(
     prefix: &str,
     path: &Path,
 ) -> Result<(), Error> {
+    from_safetensors_named(network, bytes, prefix, path, &[])
+}
+
+/// [`from_safetensors`] of a network whose names differ from PyTorch's in further ways: (pattern in
+/// PyTorch's name without the prefix, ours).
+///
+/// # Errors
+/// As [`from_safetensors`].
+pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
+    network: &mut M,
+    bytes: Vec<u8>,
+    prefix: &str,
+    path: &Path,
+    names: &[(&str, &str)],
+) -> Result<(), Error> {
     let mut store =
         SafetensorsStore::from_bytes(Some(bytes)).with_from_adapter(PyTorchToBurnAdapter);
     if !prefix.is_empty() {
@@ -88,6 +103,9 @@ pub fn from_safetensors<M: Module + ModuleSnapshot>(
     }
     for (theirs, ours, _, _) in RENAMES {
         store = store.with_key_remapping(theirs, ours);
+    }
+    for (theirs, ours) in names {
+        store = store.with_key_remapping(*theirs, *ours);
     }
     store
         .apply_to(network)

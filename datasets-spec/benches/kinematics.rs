@@ -1,0 +1,124 @@
+//! From parameters to keypoints and back, beside what the machine can do in the same run.
+//!
+//! `cargo bench --bench kinematics`; one thread. Rates are frames a second.
+
+use std::hint::black_box;
+
+use datasets_spec::fit::{AdamFit, FitOptions, fit_motion};
+use datasets_spec::kinematics::{PlaneKinematics, parameter_planes};
+use datasets_spec::rotation::from_axis_angle;
+use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
+use divan::Bencher;
+use divan::counter::{BytesCount, ItemsCount};
+use glam::DVec3;
+use rand::RngExt;
+
+const NUM_FRAMES: usize = 4096;
+
+fn main() {
+    divan::main();
+}
+
+/// A body whose joints all swing at rates of their own, as far as those of people do.
+fn motion(num_frames: usize) -> Motion {
+    let mut rng = Seed(1).rng(&["bench", "kinematics"]);
+    let mut vector = |size: f64| DVec3::from_array([0; 3].map(|_| rng.random_range(-size..size)));
+    let swings: Vec<[DVec3; 2]> = (0..22).map(|_| [vector(0.6), vector(5.0)]).collect();
+    let poses: Vec<Pose> = (0..num_frames)
+        .map(|frame| {
+            let time = frame as f64 / 20.0;
+            let swing = |[size, rate]: [DVec3; 2]| size * (rate * time).map(f64::sin);
+            Pose {
+                transl: DVec3::new(time.sin(), 0.9, time.cos()),
+                rotations: std::array::from_fn(|joint| from_axis_angle(swing(swings[joint]))),
+            }
+        })
+        .collect();
+    Motion::from_poses(Fps::STORE, &poses).expect("finite")
+}
+
+#[divan::bench]
+fn keypoints_in_planes(bencher: Bencher) {
+    let planes = parameter_planes(&motion(NUM_FRAMES));
+    let kinematics = PlaneKinematics::new(&Skeleton::smplx_neutral());
+    let mut points = vec![0.0; PlaneKinematics::POINTS * NUM_FRAMES];
+    bencher
+        .counter(ItemsCount::new(NUM_FRAMES))
+        .bench_local(|| {
+            kinematics.keypoints(NUM_FRAMES, black_box(&planes), &mut points);
+            black_box(&points);
+        });
+}
+
+#[divan::bench]
+fn keypoints_in_f64(bencher: Bencher) {
+    let (motion, skeleton) = (motion(NUM_FRAMES), Skeleton::smplx_neutral());
+    bencher
+        .counter(ItemsCount::new(NUM_FRAMES))
+        .bench_local(|| skeleton.motion_keypoints(black_box(&motion)));
+}
+
+/// Frames of the fits: the published one takes its time.
+const NUM_FITTED: usize = 64;
+
+#[divan::bench]
+fn fit_second_order(bencher: Bencher) {
+    let (motion, skeleton) = (motion(NUM_FITTED), Skeleton::smplx_neutral());
+    let points = skeleton.motion_keypoints(&motion).points;
+    let options = FitOptions::default();
+    bencher
+        .counter(ItemsCount::new(NUM_FITTED))
+        .bench_local(|| fit_motion(&skeleton, black_box(&points), Fps::STORE, &options));
+}
+
+#[divan::bench]
+fn fit_adam(bencher: Bencher) {
+    let (motion, skeleton) = (motion(NUM_FITTED), Skeleton::smplx_neutral());
+    let points = skeleton.motion_keypoints(&motion).points;
+    let start = AdamFit::parameters_of(&vec![Pose::REST; NUM_FITTED]);
+    let fit = AdamFit::paper();
+    bencher
+        .counter(ItemsCount::new(NUM_FITTED))
+        .bench_local(|| fit.fit(&skeleton, black_box(&points), &start));
+}
+
+/// What the machine can do, measured in the same run.
+mod calibration {
+    use super::*;
+
+    const COPIED: usize = 16 << 20;
+    const SIDE: usize = 512;
+
+    /// Bytes read and written.
+    #[divan::bench]
+    fn copy(bencher: Bencher) {
+        let from = vec![1.0f32; COPIED];
+        let mut to = vec![0.0f32; COPIED];
+        bencher
+            .counter(BytesCount::new(2 * size_of_val(from.as_slice())))
+            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
+    }
+
+    /// A plain product of two square matrices, in floating-point operations a second.
+    #[divan::bench]
+    fn matrix_product(bencher: Bencher) {
+        let (a, b) = (vec![1.0f32; SIDE * SIDE], vec![0.5f32; SIDE * SIDE]);
+        let mut product = vec![0.0f32; SIDE * SIDE];
+        bencher
+            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
+            .bench_local(|| {
+                product.fill(0.0);
+                for (row, out) in black_box(&a)
+                    .chunks_exact(SIDE)
+                    .zip(product.chunks_exact_mut(SIDE))
+                {
+                    for (factor, line) in row.iter().zip(black_box(&b).chunks_exact(SIDE)) {
+                        for (sum, value) in out.iter_mut().zip(line) {
+                            *sum += factor * value;
+                        }
+                    }
+                }
+                black_box(&product);
+            });
+    }
+}

@@ -1,0 +1,258 @@
+//! Frames read page by page, for readers that take rows in an order of their own.
+//!
+//! What the general reader spends on nesting levels and row objects is several times the cost of the
+//! numbers; for rows of one known length the levels say nothing. A page is read where it lies,
+//! unpacked, and its bytes are put together.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
+use parquet::basic::Encoding;
+use parquet::column::page::{Page, PageReader};
+use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
+use parquet::file::page_index::offset_index::PageLocation;
+use parquet::file::serialized_reader::SerializedPageReader;
+
+use super::positioned::Positioned;
+use super::shard::check_version;
+use crate::Error;
+use crate::lanes::{self, Kernel};
+
+/// The pages of some frame columns of a file, all of which must break at the same rows.
+#[derive(Debug)]
+pub struct FramePages {
+    path: PathBuf,
+    file: Arc<Positioned>,
+    metadata: Arc<ParquetMetaData>,
+    /// Leaf column of each column asked for.
+    leaves: Vec<usize>,
+    pages: Vec<PagePlace>,
+}
+
+/// Rows that are read together.
+#[derive(Clone, Debug)]
+struct PagePlace {
+    row_group: usize,
+    /// Which of the row group's pages it is.
+    index: usize,
+    num_rows: usize,
+}
+
+impl FramePages {
+    /// Opens a file for the frame columns of these names.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not Parquet, is of a newer version, lacks a column, or has no
+    /// page index.
+    pub fn open(path: &Path, columns: &[&str]) -> Result<Self, Error> {
+        let file = File::open(path)
+            .and_then(Positioned::new)
+            .map_err(Error::io("open", path))?;
+        let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Required);
+        let loaded =
+            ArrowReaderMetadata::load(&file, options).map_err(Error::parquet("read", path))?;
+        check_version(path, &loaded)?;
+        let metadata = Arc::clone(loaded.metadata());
+        let bad = |problem: String| Error::Pages {
+            path: path.to_owned(),
+            problem,
+        };
+        let schema = metadata.file_metadata().schema_descr();
+        let leaves: Vec<usize> = columns
+            .iter()
+            .map(|name| {
+                (0..schema.num_columns())
+                    .find(|&leaf| {
+                        schema
+                            .column(leaf)
+                            .path()
+                            .parts()
+                            .first()
+                            .is_some_and(|p| p == name)
+                    })
+                    .ok_or_else(|| bad(format!("there is no column {name}")))
+            })
+            .collect::<Result<_, _>>()?;
+        let mut pages = Vec::new();
+        for row_group in 0..metadata.num_row_groups() {
+            let total = metadata.row_group(row_group).num_rows();
+            let locations = leaves
+                .iter()
+                .map(|&leaf| locations(&metadata, row_group, leaf))
+                .collect::<Option<Vec<_>>>()
+                .ok_or_else(|| bad("there is no page index".to_owned()))?;
+            let first_rows = |column: &[PageLocation]| -> Vec<i64> {
+                column.iter().map(|page| page.first_row_index).collect()
+            };
+            let mut starts = locations.first().map_or(Vec::new(), |l| first_rows(l));
+            if locations.iter().any(|column| first_rows(column) != starts) {
+                return Err(bad(
+                    "the columns break into pages at different rows".to_owned()
+                ));
+            }
+            starts.push(total);
+            pages.extend(
+                starts
+                    .windows(2)
+                    .enumerate()
+                    .map(|(index, ends)| PagePlace {
+                        row_group,
+                        index,
+                        num_rows: usize::try_from(ends[1] - ends[0]).unwrap_or(0),
+                    }),
+            );
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            file: Arc::new(file),
+            metadata,
+            leaves,
+            pages,
+        })
+    }
+
+    /// Rows of each page, in file order.
+    pub fn rows_of_pages(&self) -> impl ExactSizeIterator<Item = usize> + '_ {
+        self.pages.iter().map(|page| page.num_rows)
+    }
+
+    /// Numbers of a row of a column, by its first page; 0 if there is no page.
+    ///
+    /// # Errors
+    /// The page cannot be read.
+    pub fn row_len(&self, column: usize) -> Result<usize, Error> {
+        let Some(first) = self.pages.first() else {
+            return Ok(0);
+        };
+        let (bytes, levels_len) = self.unpack(0, column)?;
+        Ok(bytes.len().saturating_sub(levels_len) / 4 / first.num_rows.max(1))
+    }
+
+    /// Reads rows of a column of a page: those there is room for. `rows` has an entry for each row
+    /// of the page.
+    ///
+    /// # Errors
+    /// The page cannot be read, or its rows are of other lengths than the room.
+    ///
+    /// # Panics
+    /// If page or column do not exist, or `rows` is of another length than the page.
+    pub fn read(
+        &self,
+        page: usize,
+        column: usize,
+        rows: &mut [Option<&mut [f32]>],
+    ) -> Result<(), Error> {
+        assert_eq!(rows.len(), self.pages[page].num_rows);
+        let (bytes, levels_len) = self.unpack(page, column)?;
+        let values = &bytes[levels_len..];
+        let count = values.len() / 4;
+        let row_len = count / rows.len().max(1);
+        let fits = |row: &Option<&mut [f32]>| row.as_ref().is_none_or(|room| room.len() == row_len);
+        if values.len() != 4 * row_len * rows.len() || !rows.iter().all(fits) {
+            return Err(Error::Pages {
+                path: self.path.clone(),
+                problem: "the rows of a page are not of the length asked for".to_owned(),
+            });
+        }
+        let (low, rest) = values.split_at(count);
+        let (second, rest) = rest.split_at(count);
+        let (third, high) = rest.split_at(count);
+        for (row, room) in rows.iter_mut().enumerate() {
+            if let Some(room) = room {
+                let range = row * row_len..(row + 1) * row_len;
+                lanes::vectorised(PutTogether {
+                    bytes: [low, second, third, high].map(|stream| &stream[range.clone()]),
+                    out: room,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The bytes of a page, and how many of them are levels.
+    fn unpack(&self, page: usize, column: usize) -> Result<(Bytes, usize), Error> {
+        let bad = |problem: &str| Error::Pages {
+            path: self.path.clone(),
+            problem: problem.to_owned(),
+        };
+        let wrap = || Error::parquet("read", &self.path);
+        let place = &self.pages[page];
+        let leaf = self.leaves[column];
+        let group = self.metadata.row_group(place.row_group);
+        let places = locations(&self.metadata, place.row_group, leaf).unwrap_or_default();
+        // All places, of which those before are passed over without being read: with a part of
+        // them, the reader takes what lies before for a dictionary.
+        let mut reader = SerializedPageReader::new(
+            Arc::clone(&self.file),
+            group.column(leaf),
+            usize::try_from(group.num_rows()).unwrap_or(0),
+            Some(places.to_vec()),
+        )
+        .map_err(wrap())?;
+        for _ in 0..place.index {
+            reader.skip_next_page().map_err(wrap())?;
+        }
+        let (bytes, levels_len, encoding) = loop {
+            let page = reader.get_next_page().map_err(wrap())?;
+            match page.ok_or_else(|| bad("a page is missing"))? {
+                Page::DictionaryPage { .. } => {}
+                Page::DataPage { buf, encoding, .. } => {
+                    // Repetition levels and definition levels, each after its length.
+                    let mut at = 0;
+                    for _ in 0..2 {
+                        let len = buf.get(at..).and_then(|rest| rest.first_chunk::<4>());
+                        let len = len.ok_or_else(|| bad("a page is cut off"))?;
+                        at += 4 + u32::from_le_bytes(*len) as usize;
+                    }
+                    break (buf, at, encoding);
+                }
+                Page::DataPageV2 {
+                    buf,
+                    encoding,
+                    def_levels_byte_len,
+                    rep_levels_byte_len,
+                    ..
+                } => {
+                    let levels = def_levels_byte_len as usize + rep_levels_byte_len as usize;
+                    break (buf, levels, encoding);
+                }
+            }
+        };
+        if encoding != Encoding::BYTE_STREAM_SPLIT || levels_len > bytes.len() {
+            return Err(bad("a page is not split into streams of bytes"));
+        }
+        Ok((bytes, levels_len))
+    }
+}
+
+/// Where the pages of a column lie.
+fn locations(metadata: &ParquetMetaData, row_group: usize, leaf: usize) -> Option<&[PageLocation]> {
+    let index = metadata.offset_index()?.get(row_group)?.get(leaf)?;
+    Some(index.page_locations())
+}
+
+/// Numbers from streams of their bytes, the lowest first.
+struct PutTogether<'a> {
+    bytes: [&'a [u8]; 4],
+    out: &'a mut [f32],
+}
+
+impl Kernel for PutTogether<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [low, second, third, high] = self.bytes;
+        let streams = low.iter().zip(second).zip(third.iter().zip(high));
+        for (out, ((low, second), (third, high))) in self.out.iter_mut().zip(streams) {
+            let bits = u32::from(*low)
+                | u32::from(*second) << 8
+                | u32::from(*third) << 16
+                | u32::from(*high) << 24;
+            *out = f32::from_bits(bits);
+        }
+    }
+}

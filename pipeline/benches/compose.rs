@@ -1,0 +1,190 @@
+//! Composing training windows, and reading recorded ones, beside what the machine can do in the
+//! same run.
+//!
+//! `RAYON_NUM_THREADS=1 cargo bench --bench compose`; one thread. Rates are windows a second, each an
+//! original and an edited one.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
+use datasets_spec::{Dataset, NoProgress, Seed, Split};
+use divan::Bencher;
+use divan::counter::{BytesCount, ItemsCount};
+use pipeline::compose::{
+    ComposeConfig, CoordinatorBatch, EditKind, Library, ReadOrder, Stream, WindowBatch,
+    WindowLoader,
+};
+use pipeline::corpus::{CorpusOptions, write_corpus};
+use pipeline::ingest::{IngestOptions, ingest};
+use pipeline::masks::{MaskConfig, automatic_masks};
+
+/// Windows of a batch.
+const BATCH: usize = 1024;
+const CLIPS: usize = 200;
+
+fn main() {
+    divan::main();
+}
+
+/// The built-in corpus, ingested, with its automatic masks and pairs of neighbouring clips.
+fn library() -> Arc<Library> {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (corpus, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
+    let options = CorpusOptions {
+        clips: CLIPS,
+        ..CorpusOptions::default()
+    };
+    write_corpus(&corpus, &options, &NoProgress).expect("written");
+    ingest(
+        &[corpus],
+        &out,
+        &IngestOptions::default(),
+        "bench",
+        &NoProgress,
+    )
+    .expect("ingested");
+    let dataset = Dataset::open(&out).expect("a dataset");
+    let all: Vec<MotionRow> = dataset.read(None).expect("rows");
+    let skeleton = dataset.skeleton().expect("a skeleton");
+    let masks = automatic_masks(&all, &skeleton, &MaskConfig::default()).expect("masks");
+    let of_train = |split: Split| split == Split::Train;
+    let motions: Vec<MotionRow> = all.into_iter().filter(|row| of_train(row.split)).collect();
+    let masks: Vec<MaskRow> = masks
+        .into_iter()
+        .filter(|row| of_train(row.split))
+        .collect();
+    let pairs: Vec<PairRow> = motions
+        .windows(2)
+        .map(|pair| PairRow {
+            id: pair[0].id.to_string(),
+            split: Split::Train,
+            source: "bench".to_owned(),
+            kind: "style".to_owned(),
+            source_id: pair[0].id.clone(),
+            target_id: pair[1].id.clone(),
+            style: Some("old".to_owned()),
+            parts: Vec::new(),
+            instruction: String::new(),
+        })
+        .collect();
+    let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+    Arc::new(library.expect("valid rows"))
+}
+
+fn stream(kind: EditKind) -> Stream {
+    let library = library();
+    let config = ComposeConfig {
+        kinds: vec![kind],
+        ..ComposeConfig::default()
+    };
+    let normalizer = library.fit_normalizer(&config).expect("long enough");
+    Stream::new(library, config, Seed(0), &normalizer).expect("a stream")
+}
+
+fn fill(bencher: Bencher, kind: EditKind) {
+    let stream = stream(kind);
+    let count = BATCH.min(stream.epoch_len() as usize);
+    let mut batch = WindowBatch::default();
+    let mut epoch = 0;
+    bencher.counter(ItemsCount::new(count)).bench_local(|| {
+        epoch += 1;
+        stream.fill(epoch, 0, count, &mut batch);
+        black_box(&batch);
+    });
+}
+
+#[divan::bench]
+fn semantic_windows(bencher: Bencher) {
+    fill(bencher, EditKind::Semantic);
+}
+
+#[divan::bench]
+fn style_windows(bencher: Bencher) {
+    fill(bencher, EditKind::Style);
+}
+
+#[divan::bench]
+fn coordinator_windows(bencher: Bencher) {
+    let stream = stream(EditKind::Semantic);
+    let mut batch = CoordinatorBatch::default();
+    let mut first = 0;
+    bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
+        stream.fill_coordinator(0, first, BATCH, &mut batch);
+        first += BATCH as u64;
+        black_box(&batch);
+    });
+}
+
+/// Windows recorded for the readers.
+const RECORDED: u64 = 16 * BATCH as u64;
+
+fn read(bencher: Bencher, order: ReadOrder) {
+    let stream = stream(EditKind::Semantic);
+    let mut rows = Vec::new();
+    stream.for_each_recorded(RECORDED, |row, _, _| rows.push(row));
+    let dir = tempfile::tempdir().expect("a folder");
+    let split_of: fn(&WindowRow) -> Split = |row| row.split;
+    let skeleton = stream.library().skeleton();
+    let dataset = commit_rows(dir.path(), &rows, Some(split_of), skeleton, "plan", "bench");
+    let dataset = dataset.expect("committed");
+    let loader = WindowLoader::open(&dataset, Split::Train, order).expect("windows");
+    let mut batch = WindowBatch::default();
+    let mut at = 0;
+    bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
+        let (epoch, first) = (at / RECORDED, at % RECORDED);
+        loader.fill(epoch, first, BATCH, &mut batch).expect("read");
+        at += BATCH as u64;
+        black_box(&batch);
+    });
+}
+
+#[divan::bench]
+fn recorded_windows_shuffled(bencher: Bencher) {
+    read(bencher, ReadOrder::Shuffled(Seed(1)));
+}
+
+#[divan::bench]
+fn recorded_windows_in_order(bencher: Bencher) {
+    read(bencher, ReadOrder::Sequential);
+}
+
+/// What the machine can do, measured in the same run.
+mod calibration {
+    use super::*;
+
+    const COPIED: usize = 16 << 20;
+    const SIDE: usize = 512;
+
+    /// Bytes read and written.
+    #[divan::bench]
+    fn copy(bencher: Bencher) {
+        let from = vec![1.0f32; COPIED];
+        let mut to = vec![0.0f32; COPIED];
+        bencher
+            .counter(BytesCount::new(2 * size_of_val(from.as_slice())))
+            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
+    }
+
+    /// A plain product of two square matrices, in floating-point operations a second.
+    #[divan::bench]
+    fn matrix_product(bencher: Bencher) {
+        let (a, b) = (vec![1.0f32; SIDE * SIDE], vec![0.5f32; SIDE * SIDE]);
+        let mut product = vec![0.0f32; SIDE * SIDE];
+        bencher
+            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
+            .bench_local(|| {
+                product.fill(0.0);
+                let rows = black_box(&a).chunks_exact(SIDE);
+                for (row, out) in rows.zip(product.chunks_exact_mut(SIDE)) {
+                    for (factor, line) in row.iter().zip(black_box(&b).chunks_exact(SIDE)) {
+                        for (sum, value) in out.iter_mut().zip(line) {
+                            *sum += factor * value;
+                        }
+                    }
+                }
+                black_box(&product);
+            });
+    }
+}

@@ -1,0 +1,120 @@
+//! What the body-part coordinator learns from: natural segments, and segments put together from
+//! several.
+
+use datasets_spec::BodyPart;
+use rand::RngExt;
+use rayon::prelude::*;
+
+use super::Stream;
+use super::stream::item_rng;
+use super::window::BlendPlan;
+
+/// Windows and whether they were composed. The buffers are reused from call to call.
+///
+/// # Shapes
+/// `B` windows of `W` frames at the model's rate, `[B, W, 84]` in model units.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CoordinatorBatch {
+    /// The windows, `[B, W, 84]`.
+    pub windows: Vec<f32>,
+    /// 1 for a composed window, 0 for a natural one, `[B]`.
+    pub composed: Vec<f32>,
+}
+
+impl Stream {
+    /// Draws windows for the coordinator: every item of even number is a segment of the motion base
+    /// as it is, every odd one puts a part of one segment on another, of which neither is a copy of
+    /// the other. All draws derive from seed, epoch and item.
+    ///
+    /// # Panics
+    /// If the base holds one motion alone and its copies, of which nothing can be composed.
+    ///
+    /// # Source
+    /// Paper Sec. 4.4: half of the data are unmodified segments, half composed from different ones.
+    pub fn fill_coordinator(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut CoordinatorBatch,
+    ) {
+        let window = self.window_len();
+        batch.windows.resize(num_items * window, 0.0);
+        batch.composed.resize(num_items, 0.0);
+        assert!(
+            self.base
+                .iter()
+                .any(|&clip| self.library.may_pair(clip, self.base[0])),
+            "a segment can only be composed from two motions"
+        );
+        let seed = self.epoch_seed(epoch).derive(&["coordinator"]);
+        let plans: Vec<BlendPlan> = BodyPart::ALL
+            .map(|part| BlendPlan::new(part.mask(), self.config.slerp))
+            .to_vec();
+        batch
+            .windows
+            .par_chunks_mut(window)
+            .zip(&mut batch.composed)
+            .enumerate()
+            .for_each(|(place, (out, composed))| {
+                let item = first_item + place as u64;
+                let mut rng = item_rng(seed, item);
+                let mut draw = |other_than: Option<usize>| loop {
+                    let clip = self.base[rng.random_range(0..self.base.len())];
+                    if other_than.is_none_or(|other| self.library.may_pair(clip, other)) {
+                        let last = self.library.clips[clip].motion.len() - self.span;
+                        break (clip, rng.random_range(0..=last));
+                    }
+                };
+                let (clip, start) = draw(None);
+                let segment = self.window_of(clip, start);
+                *composed = (item % 2) as f32;
+                if item.is_multiple_of(2) {
+                    self.composer.original(segment, out);
+                    return;
+                }
+                let (other, other_start) = draw(Some(clip));
+                let plan = &plans[rng.random_range(0..plans.len())];
+                let alpha = self.config.alpha.draw(&mut rng) as f32;
+                let taken = self.window_of(other, other_start);
+                self.composer.blended(segment, taken, plan, alpha, out);
+            });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use datasets_spec::{Seed, Split};
+
+    use super::*;
+    use crate::compose::{ComposeConfig, fixture};
+
+    fn batch(threads: usize, first: u64, count: usize) -> CoordinatorBatch {
+        let config = ComposeConfig::default();
+        let library = fixture::library(Split::Train, 9);
+        let normalizer = library.fit_normalizer(&config).expect("long enough");
+        let stream =
+            Stream::new(Arc::new(library), config, Seed(5), &normalizer).expect("a stream");
+        let mut batch = CoordinatorBatch::default();
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool")
+            .install(|| stream.fill_coordinator(2, first, count, &mut batch));
+        batch
+    }
+
+    #[test]
+    fn half_are_natural_and_threads_and_batches_do_not_matter() {
+        let whole = batch(1, 0, 40);
+        assert_eq!(whole, batch(3, 0, 40));
+        assert_eq!(whole.composed.iter().sum::<f32>(), 20.0);
+        let part = batch(2, 10, 6);
+        let window = whole.windows.len() / 40;
+        assert_eq!(part.windows, whole.windows[10 * window..16 * window]);
+        assert_eq!(part.composed, whole.composed[10..16]);
+        assert!(whole.windows.iter().all(|value| value.is_finite()));
+    }
+}

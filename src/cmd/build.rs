@@ -1,0 +1,187 @@
+//! `stance build`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
+use datasets_spec::table::Row;
+use pipeline::compose::ComposeConfig;
+use pipeline::export::{Layout, export};
+use pipeline::masks::MaskConfig;
+use pipeline::pairs::PairConfig;
+use serde::{Deserialize, Serialize};
+
+use crate::chain::{self, IngestConfig, Judged};
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Build a whole dataset from your own folders: motions, masks, pairs, splits and triplets.
+///
+/// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
+/// paths are relative to the file. Interrupted and run again, it continues.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Configuration file
+    #[arg(long)]
+    config: PathBuf,
+    /// Files and folders to ingest, in place of those of the configuration
+    #[arg(long, num_args = 1..)]
+    sources: Vec<PathBuf>,
+    /// Folder for everything, in place of that of the configuration
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// The configuration file.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BuildConfig {
+    sources: Vec<PathBuf>,
+    out: PathBuf,
+    /// Triplets recorded.
+    #[serde(default = "default_triplets")]
+    triplets: u64,
+    /// Layouts written beside the dataset.
+    #[serde(default)]
+    export: Vec<String>,
+    #[serde(default)]
+    ingest: IngestConfig,
+    #[serde(default)]
+    masks: MaskConfig,
+    /// Style pairs from labels; none without this section.
+    pairs: Option<PairConfig>,
+    #[serde(default)]
+    compose: ComposeConfig,
+}
+
+fn default_triplets() -> u64 {
+    256
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document {
+    dataset: PathBuf,
+    triplets: PathBuf,
+    exports: Vec<PathBuf>,
+    accounting: datasets_spec::manifest::Accounting,
+    motions: u64,
+    masks: u64,
+    pairs: u64,
+    alone: usize,
+    recorded: u64,
+    root_hash: String,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let config = read(args)?;
+    let bars = global.bars();
+    let root = config.out.join("dataset");
+    let ingested = chain::ingested(&config.sources, &root, &config.ingest, global, &bars)
+        .context("stage ingest")?;
+    chain::masks(&root, &config.masks, Judged::Keep, global, &bars).context("stage masks")?;
+    let alone = match &config.pairs {
+        Some(pairs) => {
+            chain::pairs(&root, pairs, global, &bars)
+                .context("stage pairs")?
+                .1
+        }
+        None => Vec::new(),
+    };
+    let triplets = config.out.join("triplets");
+    let recorded = chain::triplets(
+        &root,
+        &triplets,
+        config.triplets,
+        &config.compose,
+        global,
+        &bars,
+    )
+    .context("stage triplets")?;
+    let dataset = datasets_spec::Dataset::open(&root)?;
+    let mut exports = Vec::new();
+    for name in &config.export {
+        let layout = Layout::ALL
+            .into_iter()
+            .find(|layout| layout.as_str() == name)
+            .with_context(|| {
+                let known = Layout::ALL.map(Layout::as_str).join(", ");
+                format!("[export] names {name:?}, which is none of {known}")
+            })?;
+        let out = config.out.join(name);
+        // An export is whole or not there, and depends on the dataset alone.
+        if !out.exists() {
+            export(&dataset, layout, &out, &bars)
+                .with_context(|| format!("stage export {name}"))?;
+        }
+        exports.push(out);
+    }
+    let manifest = dataset.manifest();
+    let document = Document {
+        dataset: root,
+        triplets,
+        exports,
+        accounting: ingested.accounting.clone(),
+        motions: manifest.rows(MotionRow::TABLE, None),
+        masks: manifest.rows(MaskRow::TABLE, None),
+        pairs: manifest.rows(PairRow::TABLE, None),
+        alone: alone.len(),
+        recorded: recorded.manifest().rows(TripletRow::TABLE, None),
+        root_hash: manifest.root_hash.clone(),
+    };
+    if global.json {
+        report::json(&document)?;
+    } else {
+        report::text(&summary(&document));
+    }
+    Ok(if ingested.accounting.quarantined > 0 {
+        Exit::Quarantined
+    } else {
+        Exit::Done
+    })
+}
+
+fn read(args: &Args) -> anyhow::Result<BuildConfig> {
+    let text = std::fs::read_to_string(&args.config)
+        .with_context(|| format!("cannot read {}", args.config.display()))?;
+    let mut config: BuildConfig =
+        toml::from_str(&text).with_context(|| format!("in {}", args.config.display()))?;
+    let base = args.config.parent().unwrap_or(Path::new("."));
+    for path in config.sources.iter_mut().chain([&mut config.out]) {
+        *path = base.join(&*path);
+    }
+    if !args.sources.is_empty() {
+        config.sources.clone_from(&args.sources);
+    }
+    if let Some(out) = &args.out {
+        config.out.clone_from(out);
+    }
+    if config.sources.is_empty() {
+        bail!("{} names no sources", args.config.display());
+    }
+    Ok(config)
+}
+
+fn summary(document: &Document) -> String {
+    let accounting = &document.accounting;
+    let mut lines = vec![
+        format!(
+            "{} sources = {} ingested + {} quarantined + {} skipped",
+            accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+        ),
+        format!("motions   {:>8}", document.motions),
+        format!("masks     {:>8}", document.masks),
+        format!(
+            "pairs     {:>8}   {} styled motions have no counterpart in their split",
+            document.pairs, document.alone
+        ),
+        format!("triplets  {:>8}", document.recorded),
+        format!("dataset   {}", document.dataset.display()),
+        format!("recorded  {}", document.triplets.display()),
+    ];
+    let exports = document.exports.iter();
+    lines.extend(exports.map(|path| format!("export    {}", path.display())));
+    lines.push(format!("root hash {}", document.root_hash));
+    lines.join("\n")
+}

@@ -1,0 +1,78 @@
+//! `stance pairs`
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use datasets_spec::Split;
+use datasets_spec::record::PairRow;
+use datasets_spec::table::Row;
+use pipeline::pairs::PairConfig;
+use serde::Serialize;
+
+use crate::chain;
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Make style pairs from labels: one action, as it is and in a style.
+///
+/// Every motion with a style meets one without, of the same action, folder and split. Pairs that a
+/// source came with stay beside them.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Style labels of motions as they are before an edit
+    #[arg(long, value_name = "STYLE", num_args = 1.., default_values_t = PairConfig::default().neutral)]
+    neutral: Vec<String>,
+    /// Most pairs made of one styled motion
+    #[arg(long, value_name = "N", default_value_t = PairConfig::default().per_motion)]
+    per_motion: usize,
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document {
+    pairs: u64,
+    alone: usize,
+    splits: BTreeMap<&'static str, u64>,
+    styles: BTreeMap<String, u64>,
+    root_hash: String,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let config = PairConfig {
+        neutral: args.neutral.clone(),
+        per_motion: args.per_motion,
+    };
+    let (dataset, alone) = chain::pairs(&args.dataset, &config, global, &global.bars())?;
+    let manifest = dataset.manifest();
+    let mut styles = BTreeMap::new();
+    for pair in dataset.read::<PairRow>(None)? {
+        *styles.entry(pair.style.unwrap_or(pair.kind)).or_default() += 1;
+    }
+    let document = Document {
+        pairs: manifest.rows(PairRow::TABLE, None),
+        alone: alone.len(),
+        splits: Split::ALL
+            .into_iter()
+            .map(|split| (split.as_str(), manifest.rows(PairRow::TABLE, Some(split))))
+            .collect(),
+        styles,
+        root_hash: manifest.root_hash.clone(),
+    };
+    if global.json {
+        report::json(&document)?;
+    } else {
+        let mut lines = vec![format!(
+            "{} pairs; {} styled motions have no counterpart in their split",
+            document.pairs, document.alone
+        )];
+        let splits = document.splits.iter();
+        lines.extend(splits.map(|(split, count)| format!("  {split:<12} {count:>6}")));
+        let styles = document.styles.iter();
+        lines.extend(styles.map(|(style, count)| format!("  {style:<12} {count:>6}")));
+        report::text(&lines.join("\n"));
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,507 @@
+//! From keypoints to SMPL-X parameters: a network gives a first pose, a fit the last one.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
+use burn::tensor::{Device, Tensor, TensorData};
+use burn_store::ModuleSnapshot;
+use datasets_spec::canonical::KeypointFrame;
+use datasets_spec::fit::{AdamFit, FitOptions, Parameters, fit_pose};
+use datasets_spec::rotation::{from_axis_angle, from_six_d_rows, to_axis_angle, to_six_d_rows};
+use datasets_spec::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
+use datasets_spec::{Motion, Pose, Seed};
+use glam::{DMat3, DQuat, DVec3};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::model::pose_net::{
+    OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_NAMES, PAPER_OUTPUT, PaperPoseNet,
+};
+use crate::model::weights::{draw, from_safetensors_named, to_safetensors};
+use crate::{Error, Session};
+
+/// Which of the two published networks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum J2sPreset {
+    /// That of the paper: 84-512-512-66 with layer norm.
+    Paper,
+    /// That of the released code: 72-64-64-132 with batch norm.
+    Official,
+}
+
+/// How a network is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct J2sConfig {
+    /// The network.
+    pub preset: J2sPreset,
+    /// Width of its hidden layers.
+    pub width: usize,
+    /// Steps of AdamW.
+    pub num_steps: u64,
+    /// Poses of a step.
+    pub batch_size: usize,
+    /// Learning rate at the start; it falls to zero along a line.
+    pub learning_rate: f64,
+    /// Standard deviation in metres of the noise on training points: what a network is given are
+    /// the points another one made.
+    pub noise_m: f64,
+    /// Seed of weights and draws.
+    pub seed: u64,
+}
+
+impl J2sConfig {
+    /// The settings of a preset. Neither publication tells how the network was trained.
+    pub fn preset(preset: J2sPreset) -> Self {
+        Self {
+            preset,
+            width: match preset {
+                J2sPreset::Paper => 512,
+                J2sPreset::Official => 64,
+            },
+            num_steps: 2_000,
+            batch_size: 512,
+            learning_rate: 1e-3,
+            noise_m: 0.005,
+            seed: 0,
+        }
+    }
+}
+
+/// A network of either kind.
+#[derive(Debug)]
+pub enum PoseNet {
+    /// That of the paper.
+    Paper(PaperPoseNet),
+    /// That of the released code.
+    Official(OfficialPoseNet),
+}
+
+/// Errors of a way back to parameters, on poses it was not trained on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WayBack {
+    /// What was done.
+    pub name: &'static str,
+    /// Mean distance of the keypoints in millimetres.
+    pub error_mm: f64,
+    /// Mean angle between the body's rotations, given and found, in degrees.
+    pub error_deg: f64,
+    /// Frames a second on all threads.
+    pub frames_per_sec: f64,
+}
+
+/// What training came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct J2sReport {
+    /// The settings.
+    pub config: J2sConfig,
+    /// Root hash of the dataset.
+    pub dataset_hash: String,
+    /// Loss of the first and of the last steps, averaged over a twentieth of them.
+    pub loss: [f64; 2],
+    /// How near each way comes.
+    pub ways: Vec<WayBack>,
+}
+
+/// Trains a network on poses of motions and measures it on others.
+///
+/// A sample is a pose of a random frame, turned about the vertical at random, and its keypoints
+/// relative to the pelvis with noise. The loss is the mean squared error of the rotations in the
+/// network's own form.
+///
+/// # Errors
+/// There is no motion in one of the lists, the loss is no number, or the run folder cannot be
+/// written.
+pub fn train_j2s(
+    run_dir: &Path,
+    config: &J2sConfig,
+    motions: [&[Motion]; 2],
+    skeleton: &Skeleton,
+    dataset_hash: &str,
+    session: &Session<'_>,
+) -> Result<J2sReport, Error> {
+    let [train, val] = motions;
+    for (motions, what) in [
+        (train, "training split of the pose network"),
+        (val, "validation split of the pose network"),
+    ] {
+        if motions.is_empty() {
+            return Err(Error::Empty { what });
+        }
+    }
+    let device = session.device.clone().autodiff();
+    let seed = Seed(config.seed);
+    let (net, loss) = match config.preset {
+        J2sPreset::Paper => {
+            let net = draw(
+                PaperPoseNet::new(config.width, &device),
+                seed.derive(&["weights"]),
+            );
+            let forward = |net: &PaperPoseNet, points| net.forward(points);
+            let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
+            (PoseNet::Paper(net.valid()), loss)
+        }
+        J2sPreset::Official => {
+            let net = draw(
+                OfficialPoseNet::new(config.width, &device),
+                seed.derive(&["weights"]),
+            );
+            let forward = |net: &OfficialPoseNet, points| net.forward(points);
+            let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
+            (PoseNet::Official(net.valid()), loss)
+        }
+    };
+    let report = J2sReport {
+        config: config.clone(),
+        dataset_hash: dataset_hash.to_owned(),
+        loss,
+        ways: measure(&net, val, skeleton, config, session),
+    };
+    std::fs::create_dir_all(run_dir).map_err(Error::io("create", run_dir))?;
+    let weights = run_dir.join("model.safetensors");
+    let bytes = net.to_safetensors(&weights)?;
+    write(&weights, &bytes)?;
+    let document = serde_json::to_vec_pretty(&report).expect("plain numbers and names serialise");
+    write(&run_dir.join("report.json"), &document)?;
+    Ok(report)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let staged = path.with_extension("part");
+    std::fs::write(&staged, bytes)
+        .and_then(|()| std::fs::rename(&staged, path))
+        .map_err(Error::io("write", path))
+}
+
+fn optimise<M: Module>(
+    mut net: M,
+    forward: impl Fn(&M, Tensor<2>) -> Tensor<2>,
+    config: &J2sConfig,
+    motions: &[Motion],
+    skeleton: &Skeleton,
+    device: &Device,
+    session: &Session<'_>,
+) -> Result<(M, [f64; 2]), Error> {
+    let mut optimizer: ModuleOptimizer = AdamWConfig::new().with_weight_decay(0.0).init();
+    let seed = Seed(config.seed).derive(&["poses"]);
+    let mut losses = Vec::new();
+    session.progress.begin("train j2s", Some(config.num_steps));
+    for step in 0..config.num_steps {
+        if session.is_stopped() {
+            break;
+        }
+        let poses = draw_poses(motions, config.batch_size, seed.rng_of(step));
+        let (points, wanted) = samples(
+            &poses,
+            config,
+            skeleton,
+            Some(seed.derive(&["noise"]).rng_of(step)),
+        );
+        let points = tensor(points, config.batch_size, device);
+        let wanted = tensor(wanted, config.batch_size, device);
+        let away = forward(&net, points) - wanted;
+        let loss = (away.clone() * away).mean();
+        let value: f32 = loss.clone().into_scalar();
+        if !value.is_finite() {
+            return Err(Error::Diverged { step });
+        }
+        losses.push(f64::from(value));
+        let gradients = GradientsParams::from_grads(loss.backward(), &net);
+        let rate = config.learning_rate * (1.0 - step as f64 / config.num_steps as f64);
+        net = optimizer.step(rate, net, gradients);
+        session.progress.advance(1);
+        if step % 50 == 0 {
+            session.progress.message(&format!("loss {value:.4}"));
+        }
+    }
+    let some = (losses.len() / 20).max(1).min(losses.len().max(1));
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
+    let ends = [
+        &losses[..some.min(losses.len())],
+        &losses[losses.len().saturating_sub(some)..],
+    ];
+    session.progress.finish(&format!("{} steps", losses.len()));
+    Ok((net, ends.map(mean)))
+}
+
+fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
+    let columns = numbers.len() / rows.max(1);
+    Tensor::from_data(TensorData::new(numbers, [rows, columns]), device)
+}
+
+/// Poses of random frames, turned about the vertical at random.
+fn draw_poses(motions: &[Motion], count: usize, mut rng: datasets_spec::Rng) -> Vec<Pose> {
+    (0..count)
+        .map(|_| {
+            let motion = &motions[rng.random_range(0..motions.len())];
+            let mut pose = motion.pose(rng.random_range(0..motion.len()));
+            let turn = DQuat::from_rotation_y(rng.random_range(0.0..std::f64::consts::TAU));
+            pose.rotations[0] = turn * pose.rotations[0];
+            pose
+        })
+        .collect()
+}
+
+/// What a network sees of poses and what it is to give.
+fn samples(
+    poses: &[Pose],
+    config: &J2sConfig,
+    skeleton: &Skeleton,
+    noise: Option<datasets_spec::Rng>,
+) -> (Vec<f32>, Vec<f32>) {
+    let mut frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(poses);
+    if let Some(mut rng) = noise {
+        let mut normal = || config.noise_m * rng.sample::<f64, _>(StandardNormal);
+        for point in frames.iter_mut().flatten() {
+            *point += DVec3::new(normal(), normal(), normal());
+        }
+    }
+    let wanted = poses.iter().flat_map(|pose| {
+        pose.rotations.into_iter().flat_map(|rotation| -> Vec<f32> {
+            match config.preset {
+                J2sPreset::Paper => to_axis_angle(rotation).as_vec3().to_array().to_vec(),
+                J2sPreset::Official => to_six_d_rows(DMat3::from_quat(rotation))
+                    .map(|v| v as f32)
+                    .to_vec(),
+            }
+        })
+    });
+    (inputs(&frames, config.preset), wanted.collect())
+}
+
+/// Keypoints relative to the pelvis, as a network sees them.
+fn inputs(frames: &[KeypointFrame], preset: J2sPreset) -> Vec<f32> {
+    let slots: Vec<usize> = match preset {
+        J2sPreset::Paper => (0..NUM_KEYPOINTS).collect(),
+        J2sPreset::Official => FIT_KEYPOINTS.to_vec(),
+    };
+    frames
+        .iter()
+        .flat_map(|frame| {
+            slots
+                .iter()
+                .flat_map(|&slot| (frame[slot] - frame[0]).as_vec3().to_array())
+        })
+        .collect()
+}
+
+impl PoseNet {
+    /// Loads a network from safetensors under the names it is published or recorded with, or those
+    /// it is saved with here.
+    ///
+    /// # Errors
+    /// The file is malformed, or a tensor is missing or of another shape.
+    pub fn from_safetensors(
+        preset: J2sPreset,
+        width: usize,
+        bytes: Vec<u8>,
+        prefix: &str,
+        path: &Path,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        fn load<M: Module + ModuleSnapshot>(
+            mut net: M,
+            bytes: Vec<u8>,
+            prefix: &str,
+            path: &Path,
+            names: &[(&str, &str)],
+        ) -> Result<M, Error> {
+            from_safetensors_named(&mut net, bytes, prefix, path, names)?;
+            Ok(net)
+        }
+        Ok(match preset {
+            J2sPreset::Paper => {
+                let net = PaperPoseNet::new(width, device);
+                Self::Paper(load(net, bytes, prefix, path, &PAPER_NAMES)?)
+            }
+            J2sPreset::Official => {
+                let net = OfficialPoseNet::new(width, device);
+                Self::Official(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?)
+            }
+        })
+    }
+
+    fn to_safetensors(&self, path: &Path) -> Result<Vec<u8>, Error> {
+        match self {
+            Self::Paper(net) => to_safetensors(net, path),
+            Self::Official(net) => to_safetensors(net, path),
+        }
+    }
+
+    fn preset(&self) -> J2sPreset {
+        match self {
+            Self::Paper(_) => J2sPreset::Paper,
+            Self::Official(_) => J2sPreset::Official,
+        }
+    }
+
+    /// What the network makes of rows of points.
+    ///
+    /// # Shapes
+    /// `[T, 84]` give `[T, 66]`, or `[T, 72]` give `[T, 132]`.
+    pub fn raw(&self, points: Vec<f32>, num_frames: usize, device: &Device) -> Vec<f32> {
+        let points = tensor(points, num_frames, device);
+        let out = match self {
+            Self::Paper(net) => net.forward(points),
+            Self::Official(net) => net.forward(points),
+        };
+        out.into_data().try_to_vec().expect("floats")
+    }
+
+    /// Poses of keypoint frames in metres: the rotations are the network's, the pelvis is where it
+    /// is.
+    pub fn poses(
+        &self,
+        frames: &[KeypointFrame],
+        skeleton: &Skeleton,
+        device: &Device,
+    ) -> Vec<Pose> {
+        let numbers = self.raw(inputs(frames, self.preset()), frames.len(), device);
+        let width = match self {
+            Self::Paper(_) => PAPER_OUTPUT,
+            Self::Official(_) => OFFICIAL_OUTPUT,
+        };
+        frames
+            .iter()
+            .zip(numbers.chunks_exact(width))
+            .map(|(frame, numbers)| {
+                let row = numbers.chunks_exact(width / NUM_BODY_JOINTS);
+                let mut rotations = [DQuat::IDENTITY; NUM_BODY_JOINTS];
+                for (rotation, numbers) in rotations.iter_mut().zip(row) {
+                    let at = |i: usize| f64::from(numbers[i]);
+                    *rotation = match self {
+                        Self::Paper(_) => from_axis_angle(DVec3::new(at(0), at(1), at(2))),
+                        Self::Official(_) => {
+                            DQuat::from_mat3(&from_six_d_rows(std::array::from_fn(at)))
+                        }
+                    };
+                }
+                Pose {
+                    transl: frame[0] - skeleton.rest(0),
+                    rotations,
+                }
+            })
+            .collect()
+    }
+}
+
+/// How the first poses are refined.
+#[derive(Clone, Debug)]
+pub enum Refinement {
+    /// Not at all.
+    None,
+    /// Gradient descent, as published.
+    Adam(AdamFit),
+    /// Second-order steps.
+    SecondOrder(FitOptions),
+}
+
+/// Poses of keypoint frames in metres: those of the network, refined.
+pub fn solve(
+    net: &PoseNet,
+    refinement: &Refinement,
+    frames: &[KeypointFrame],
+    skeleton: &Skeleton,
+    device: &Device,
+) -> Vec<Pose> {
+    let first = net.poses(frames, skeleton, device);
+    match refinement {
+        Refinement::None => first,
+        Refinement::Adam(fit) => {
+            let start: Vec<Parameters> = AdamFit::parameters_of(&first);
+            // The steps of a frame do not depend on its neighbours, but for the guard of the root.
+            let fitted: Vec<Vec<Pose>> = frames
+                .par_chunks(16)
+                .zip(start.par_chunks(16))
+                .map(|(frames, start)| fit.fit(skeleton, frames, start).poses())
+                .collect();
+            fitted.into_iter().flatten().collect()
+        }
+        Refinement::SecondOrder(options) => frames
+            .par_iter()
+            .zip(&first)
+            .map(|(frame, first)| fit_pose(skeleton, frame, Some(first), options).pose)
+            .collect(),
+    }
+}
+
+/// The upsampling of the released code: `2T` frames on the span of `T`, which is not twice the rate.
+///
+/// # Shapes
+/// `T` rows give `2T`.
+pub fn official_upsampling(rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let last = rows.len().saturating_sub(1);
+    let count = 2 * rows.len();
+    (0..count)
+        .map(|at| {
+            let place = last as f64 * at as f64 / (count - 1).max(1) as f64;
+            let before = (place.floor() as usize).min(last.saturating_sub(1));
+            let after = (before + 1).min(last);
+            let share = place - before as f64;
+            let pairs = rows[before].iter().zip(&rows[after]);
+            pairs.map(|(a, b)| a + share * (b - a)).collect()
+        })
+        .collect()
+}
+
+fn measure(
+    net: &PoseNet,
+    motions: &[Motion],
+    skeleton: &Skeleton,
+    config: &J2sConfig,
+    session: &Session<'_>,
+) -> Vec<WayBack> {
+    const POSES: usize = 512;
+    let poses = draw_poses(
+        motions,
+        POSES,
+        Seed(config.seed).derive(&["measure"]).rng_of(0),
+    );
+    let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
+    let adam = match config.preset {
+        J2sPreset::Paper => AdamFit::paper(),
+        J2sPreset::Official => AdamFit::official(),
+    };
+    let second_order = FitOptions::default();
+    let ways: [(&'static str, Option<Refinement>); 4] = [
+        ("network", Some(Refinement::None)),
+        ("network, Adam", Some(Refinement::Adam(adam))),
+        (
+            "network, second order",
+            Some(Refinement::SecondOrder(second_order.clone())),
+        ),
+        ("geometry, second order", None),
+    ];
+    ways.into_iter()
+        .map(|(name, refinement)| {
+            let begun = session.secs();
+            let found: Vec<Pose> = match &refinement {
+                Some(refinement) => solve(net, refinement, &frames, skeleton, session.device),
+                None => frames
+                    .par_iter()
+                    .map(|frame| fit_pose(skeleton, frame, None, &second_order).pose)
+                    .collect(),
+            };
+            let secs = session.secs() - begun;
+            let placed = skeleton.points_of_poses::<NUM_KEYPOINTS>(&found);
+            let pairs = frames.iter().flatten().zip(placed.iter().flatten());
+            let error: f64 = pairs.map(|(a, b)| a.distance(*b)).sum();
+            let turned = poses.iter().zip(&found).flat_map(|(a, b)| {
+                a.rotations
+                    .into_iter()
+                    .zip(b.rotations)
+                    .map(|(a, b)| datasets_spec::rotation::angle_between(a, b))
+            });
+            WayBack {
+                name,
+                error_mm: 1e3 * error / (POSES * NUM_KEYPOINTS) as f64,
+                error_deg: turned.sum::<f64>().to_degrees() / (POSES * NUM_BODY_JOINTS) as f64,
+                frames_per_sec: POSES as f64 / secs.max(1e-9),
+            }
+        })
+        .collect()
+}
