@@ -7,7 +7,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
-use datasets_spec::table::{Quality, ShardReader, read_rows, read_rows_at, write_rows};
+use datasets_spec::table::{ClipReader, Quality, read_rows, read_rows_at, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Pose, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
@@ -141,18 +141,18 @@ fn read_one_motion(bencher: Bencher) {
 
 /// A random clip of a file that is already open.
 #[divan::bench]
-fn read_one_motion_of_open_file(bencher: Bencher) {
+fn read_random_clip(bencher: Bencher) {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("shard.parquet");
     let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
     std::fs::write(&path, bytes).expect("written");
-    let reader = ShardReader::open(&path).expect("a shard");
+    let reader = ClipReader::open(&path).expect("a shard");
     let mut clip = 0;
     bencher
         .counter(ItemsCount::new(NUM_FRAMES))
         .bench_local(|| {
             clip = (clip + 37) % NUM_CLIPS;
-            reader.rows_at::<MotionRow>(black_box(&[clip]))
+            reader.motion(black_box(clip))
         });
 }
 

@@ -758,6 +758,33 @@ mod tests {
     }
 
     #[test]
+    fn single_clips_are_read_as_they_were_written() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let path = dir.path().join("shard.parquet");
+        let rows: Vec<MotionRow> = (0..40).map(row).collect();
+        let bytes = crate::table::write_rows(Vec::new(), &path, &rows, &[]).expect("written");
+        std::fs::write(&path, bytes).expect("written");
+        let reader = crate::table::ClipReader::open(&path).expect("a shard");
+        assert_eq!(reader.ids().len(), rows.len());
+        // On several threads: they share the file and nothing else.
+        std::thread::scope(|scope| {
+            for start in 0..4 {
+                let (reader, rows, path) = (&reader, &rows, &path);
+                scope.spawn(move || {
+                    for at in (0..rows.len()).map(|i| (i * 7 + start) % rows.len()) {
+                        assert_eq!(reader.ids()[at], rows[at].id);
+                        let motion = reader.motion(at).expect("read");
+                        assert_eq!(motion, rows[at].motion().expect("valid"));
+                        let one: Vec<MotionRow> =
+                            crate::table::read_rows_at(path, &[at]).expect("read");
+                        assert_eq!(one[0], rows[at]);
+                    }
+                });
+            }
+        });
+    }
+
+    #[test]
     fn rows_come_back_bit_for_bit_and_bytes_repeat() {
         let (a, b) = (
             tempfile::tempdir().expect("dir"),

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 
 pub use cell::Cell;
-pub use pages::FramePages;
+pub use pages::{ClipReader, FramePages};
 pub use shard::{
     ColumnDescription, ShardDescription, ShardReader, describe, read_column, read_rows,
     read_rows_at, write_rows,

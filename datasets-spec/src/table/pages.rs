@@ -17,9 +17,10 @@ use parquet::file::page_index::offset_index::PageLocation;
 use parquet::file::serialized_reader::SerializedPageReader;
 
 use super::positioned::Positioned;
-use super::shard::check_version;
-use crate::Error;
+use super::shard::{check_version, read_column};
 use crate::lanes::{self, Kernel};
+use crate::record::MotionRow;
+use crate::{Error, Fps, Motion, MotionId};
 
 /// The pages of some frame columns of a file, all of which must break at the same rows.
 #[derive(Debug)]
@@ -172,6 +173,25 @@ impl FramePages {
         Ok(())
     }
 
+    /// The numbers of a column of a page, row after row.
+    ///
+    /// # Errors
+    /// The page cannot be read.
+    ///
+    /// # Panics
+    /// If page or column do not exist.
+    pub fn numbers(&self, page: usize, column: usize) -> Result<Vec<f32>, Error> {
+        let (bytes, levels_len) = self.unpack(page, column)?;
+        let count = (bytes.len() - levels_len) / 4;
+        let mut numbers = vec![0.0; count];
+        let streams = &bytes[levels_len..];
+        lanes::vectorised(PutTogether {
+            bytes: [0, 1, 2, 3].map(|stream| &streams[stream * count..(stream + 1) * count]),
+            out: &mut numbers,
+        });
+        Ok(numbers)
+    }
+
     /// The bytes of a page, and how many of them are levels.
     fn unpack(&self, page: usize, column: usize) -> Result<(Bytes, usize), Error> {
         let bad = |problem: &str| Error::Pages {
@@ -225,6 +245,60 @@ impl FramePages {
             return Err(bad("a page is not split into streams of bytes"));
         }
         Ok((bytes, levels_len))
+    }
+}
+
+/// The clips of a shard of motions, read one at a time in any order.
+#[derive(Debug)]
+pub struct ClipReader {
+    pages: FramePages,
+    path: PathBuf,
+    ids: Vec<MotionId>,
+    fps: Vec<f32>,
+}
+
+impl ClipReader {
+    /// Opens a shard and reads the names of its clips.
+    ///
+    /// # Errors
+    /// As [`FramePages::open`], or the names cannot be read.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        Ok(Self {
+            pages: FramePages::open(path, &["transl", "global_orient", "body_pose"])?,
+            ids: read_column::<MotionRow, MotionId>(path, "id")?,
+            fps: read_column::<MotionRow, f32>(path, "fps")?,
+            path: path.to_owned(),
+        })
+    }
+
+    /// The ids of the clips, in file order.
+    pub fn ids(&self) -> &[MotionId] {
+        &self.ids
+    }
+
+    /// The motion at a place of the file. Nothing but its own pages is read.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds no motion there.
+    ///
+    /// # Panics
+    /// If there is no such place.
+    pub fn motion(&self, row: usize) -> Result<Motion, Error> {
+        let rows: Vec<usize> = self.pages.rows_of_pages().collect();
+        if rows.len() != self.ids.len() || rows.iter().any(|rows| *rows != 1) {
+            return Err(Error::Pages {
+                path: self.path.clone(),
+                problem: "its clips are not one to a page".to_owned(),
+            });
+        }
+        let [transl, orient, body] = [0, 1, 2].map(|column| self.pages.numbers(row, column));
+        let (transl, orient, body) = (transl?, orient?, body?);
+        Motion::new(
+            Fps::new(f64::from(self.fps[row]))?,
+            transl.as_chunks().0.to_vec(),
+            orient.as_chunks().0.to_vec(),
+            body.as_chunks().0.to_vec(),
+        )
     }
 }
 
