@@ -2,9 +2,11 @@
 //! same run.
 //!
 //! `RAYON_NUM_THREADS=1 cargo bench --bench compose`; one thread. Rates are windows a second, each an
-//! original and an edited one.
+//! original and an edited one. The readers read windows recorded from the built-in corpus, or those
+//! of the dataset that `STANCE_BENCH_WINDOWS` names.
 
 use std::hint::black_box;
+use std::path::Path;
 use std::sync::Arc;
 
 use datasets_spec::dataset::commit_rows;
@@ -120,22 +122,30 @@ fn coordinator_windows(bencher: Bencher) {
 /// Windows recorded for the readers.
 const RECORDED: u64 = 16 * BATCH as u64;
 
-fn read(bencher: Bencher, order: ReadOrder) {
+/// The dataset of recorded windows that STANCE_BENCH_WINDOWS names, or one of the corpus.
+fn recorded(dir: &Path) -> Dataset {
+    if let Some(root) = std::env::var_os("STANCE_BENCH_WINDOWS") {
+        return Dataset::open(Path::new(&root)).expect("recorded windows");
+    }
     let stream = stream(EditKind::Semantic);
     let mut rows = Vec::new();
     stream.for_each_recorded(RECORDED, |row, _, _| rows.push(row));
-    let dir = tempfile::tempdir().expect("a folder");
     let split_of: fn(&WindowRow) -> Split = |row| row.split;
     let skeleton = stream.library().skeleton();
-    let dataset = commit_rows(dir.path(), &rows, Some(split_of), skeleton, "plan", "bench");
-    let dataset = dataset.expect("committed");
+    commit_rows(dir, &rows, Some(split_of), skeleton, "plan", "bench").expect("committed")
+}
+
+fn read(bencher: Bencher, order: ReadOrder) {
+    let dir = tempfile::tempdir().expect("a folder");
+    let dataset = recorded(dir.path());
     let loader = WindowLoader::open(&dataset, Split::Train, order).expect("windows");
     let mut batch = WindowBatch::default();
+    let batches = loader.epoch_len() / BATCH as u64;
     let mut at = 0;
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
-        let (epoch, first) = (at / RECORDED, at % RECORDED);
+        let (epoch, first) = (at / batches, at % batches * BATCH as u64);
         loader.fill(epoch, first, BATCH, &mut batch).expect("read");
-        at += BATCH as u64;
+        at += 1;
         black_box(&batch);
     });
 }

@@ -53,7 +53,7 @@ enum Action {
 /// How edits are composed.
 #[derive(clap::Args, Debug)]
 pub(crate) struct ComposeArgs {
-    /// Settings of the composer in TOML, as in section [compose] of `stance build`
+    /// Settings of the composer in TOML, as in section `compose` of the file of `stance build`
     #[arg(long, value_name = "TOML")]
     compose: Option<PathBuf>,
     /// Paraphrases and templates of instructions in TOML

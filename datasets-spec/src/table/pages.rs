@@ -4,13 +4,14 @@
 //! numbers; for rows of one known length the levels say nothing. A page is read where it lies,
 //! unpacked, and its bytes are put together.
 
+use std::cell::RefCell;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
-use parquet::basic::Encoding;
+use parquet::basic::{Compression, Encoding};
 use parquet::column::page::{Page, PageReader};
 use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
 use parquet::file::page_index::offset_index::PageLocation;
@@ -128,8 +129,8 @@ impl FramePages {
         let Some(first) = self.pages.first() else {
             return Ok(0);
         };
-        let (bytes, levels_len) = self.unpack(0, column)?;
-        Ok(bytes.len().saturating_sub(levels_len) / 4 / first.num_rows.max(1))
+        let rows = first.num_rows.max(1);
+        self.with_page(0, column, |values| values.len() / 4 / rows)
     }
 
     /// Reads rows of a column of a page: those there is room for. `rows` has an entry for each row
@@ -147,30 +148,33 @@ impl FramePages {
         rows: &mut [Option<&mut [f32]>],
     ) -> Result<(), Error> {
         assert_eq!(rows.len(), self.pages[page].num_rows);
-        let (bytes, levels_len) = self.unpack(page, column)?;
-        let values = &bytes[levels_len..];
-        let count = values.len() / 4;
-        let row_len = count / rows.len().max(1);
-        let fits = |row: &Option<&mut [f32]>| row.as_ref().is_none_or(|room| room.len() == row_len);
-        if values.len() != 4 * row_len * rows.len() || !rows.iter().all(fits) {
-            return Err(Error::Pages {
+        let fits = self.with_page(page, column, |values| {
+            let count = values.len() / 4;
+            let row_len = count / rows.len().max(1);
+            let has_room =
+                |row: &Option<&mut [f32]>| row.as_ref().is_none_or(|room| room.len() == row_len);
+            if values.len() != 4 * row_len * rows.len() || !rows.iter().all(has_room) {
+                return false;
+            }
+            for (row, room) in rows.iter_mut().enumerate() {
+                if let Some(room) = room {
+                    let at = |stream: usize| &values[stream * count + row * row_len..][..row_len];
+                    lanes::vectorised(PutTogether {
+                        bytes: [0, 1, 2, 3].map(at),
+                        out: room,
+                    });
+                }
+            }
+            true
+        })?;
+        if fits {
+            Ok(())
+        } else {
+            Err(Error::Pages {
                 path: self.path.clone(),
                 problem: "the rows of a page are not of the length asked for".to_owned(),
-            });
+            })
         }
-        let (low, rest) = values.split_at(count);
-        let (second, rest) = rest.split_at(count);
-        let (third, high) = rest.split_at(count);
-        for (row, room) in rows.iter_mut().enumerate() {
-            if let Some(room) = room {
-                let range = row * row_len..(row + 1) * row_len;
-                lanes::vectorised(PutTogether {
-                    bytes: [low, second, third, high].map(|stream| &stream[range.clone()]),
-                    out: room,
-                });
-            }
-        }
-        Ok(())
     }
 
     /// The numbers of a column of a page, row after row.
@@ -181,15 +185,46 @@ impl FramePages {
     /// # Panics
     /// If page or column do not exist.
     pub fn numbers(&self, page: usize, column: usize) -> Result<Vec<f32>, Error> {
-        let (bytes, levels_len) = self.unpack(page, column)?;
-        let count = (bytes.len() - levels_len) / 4;
-        let mut numbers = vec![0.0; count];
-        let streams = &bytes[levels_len..];
-        lanes::vectorised(PutTogether {
-            bytes: [0, 1, 2, 3].map(|stream| &streams[stream * count..(stream + 1) * count]),
-            out: &mut numbers,
-        });
-        Ok(numbers)
+        self.with_page(page, column, |values| {
+            let count = values.len() / 4;
+            let mut numbers = vec![0.0; count];
+            lanes::vectorised(PutTogether {
+                bytes: [0, 1, 2, 3].map(|stream| &values[stream * count..][..count]),
+                out: &mut numbers,
+            });
+            numbers
+        })
+    }
+
+    /// Calls `take` with the values of a page: four streams of bytes, the lowest first.
+    fn with_page<T>(
+        &self,
+        page: usize,
+        column: usize,
+        take: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, Error> {
+        let place = &self.pages[page];
+        let leaf = self.leaves[column];
+        let chunk = self.metadata.row_group(place.row_group).column(leaf);
+        let places = locations(&self.metadata, place.row_group, leaf).unwrap_or_default();
+        let location = &places[place.index];
+        let is_zstd = matches!(chunk.compression(), Compression::ZSTD(_));
+        let len = usize::try_from(location.compressed_page_size).unwrap_or(0);
+        UNPACKER.with_borrow_mut(|unpacker| {
+            if is_zstd && len <= MAX_PAGE_LEN {
+                let at = u64::try_from(location.offset).unwrap_or(u64::MAX);
+                unpacker.packed.resize(len, 0);
+                self.file
+                    .read_exact_at(&mut unpacker.packed, at)
+                    .map_err(Error::io("read", &self.path))?;
+                if let Some(values) = unpacker.values() {
+                    return Ok(take(values));
+                }
+            }
+            // Pages of other forms, and bad ones, are the general reader's business.
+            let (bytes, levels_len) = self.unpack(page, column)?;
+            Ok(take(&bytes[levels_len..]))
+        })
     }
 
     /// The bytes of a page, and how many of them are levels.
@@ -306,6 +341,102 @@ impl ClipReader {
 fn locations(metadata: &ParquetMetaData, row_group: usize, leaf: usize) -> Option<&[PageLocation]> {
     let index = metadata.offset_index()?.get(row_group)?.get(leaf)?;
     Some(index.page_locations())
+}
+
+/// Longest page that is unpacked in place, in bytes: far longer than any this crate writes.
+const MAX_PAGE_LEN: usize = 256 << 20;
+
+thread_local! {
+    static UNPACKER: RefCell<Unpacker> = RefCell::default();
+}
+
+/// What a thread unpacks pages with. The general reader makes a new decompressor for every page it
+/// is asked for, which takes as long as the page.
+#[derive(Default)]
+struct Unpacker {
+    zstd: Option<zstd::bulk::Decompressor<'static>>,
+    packed: Vec<u8>,
+    plain: Vec<u8>,
+}
+
+impl Unpacker {
+    /// The values of a data page of version 1 in the form this crate writes; none for any other.
+    fn values(&mut self) -> Option<&[u8]> {
+        let header = PageHeader::parse(&self.packed)?;
+        if header.plain_len > MAX_PAGE_LEN {
+            return None;
+        }
+        if self.zstd.is_none() {
+            self.zstd = zstd::bulk::Decompressor::new().ok();
+        }
+        self.plain.resize(header.plain_len, 0);
+        let unpacked = self
+            .zstd
+            .as_mut()?
+            .decompress_to_buffer(self.packed.get(header.start..)?, &mut self.plain[..])
+            .ok()?;
+        let mut values = self.plain.get(..unpacked)?;
+        // Repetition levels and definition levels, each after its length.
+        for _ in 0..2 {
+            let (len, rest) = values.split_first_chunk::<4>()?;
+            values = rest.get(u32::from_le_bytes(*len) as usize..)?;
+        }
+        Some(values)
+    }
+}
+
+/// What of a page's header is needed.
+struct PageHeader {
+    start: usize,
+    plain_len: usize,
+}
+
+impl PageHeader {
+    /// Reads the header of a byte-split data page of version 1; none for another one.
+    ///
+    /// # Source
+    /// `PageHeader` of parquet.thrift in the compact protocol: the fields type, uncompressed and
+    /// compressed length are numbers and come first, then the header of the data page, whose first
+    /// fields are the number of values and the encoding.
+    fn parse(page: &[u8]) -> Option<Self> {
+        const NUMBER: u8 = 0x15;
+        const DATA_PAGE_HEADER: u8 = 0x2c;
+        const BYTE_STREAM_SPLIT: u64 = 9;
+        let mut at = 0;
+        let mut byte = || {
+            let byte = page.get(at).copied();
+            at += 1;
+            byte
+        };
+        let number = |byte: &mut dyn FnMut() -> Option<u8>| -> Option<u64> {
+            if byte()? != NUMBER {
+                return None;
+            }
+            let mut value = 0u64;
+            for shift in (0..35).step_by(7) {
+                let part = byte()?;
+                value |= u64::from(part & 0x7f) << shift;
+                if part & 0x80 == 0 {
+                    // Zigzag: even for what is not negative.
+                    return value.is_multiple_of(2).then_some(value / 2);
+                }
+            }
+            None
+        };
+        let kind = number(&mut byte)?;
+        let plain_len = number(&mut byte)?;
+        let packed_len = number(&mut byte)?;
+        let is_data = kind == 0 && byte()? == DATA_PAGE_HEADER;
+        let _num_values = number(&mut byte)?;
+        let encoding = number(&mut byte)?;
+        if !is_data || encoding != BYTE_STREAM_SPLIT {
+            return None;
+        }
+        Some(Self {
+            start: page.len().checked_sub(usize::try_from(packed_len).ok()?)?,
+            plain_len: usize::try_from(plain_len).ok()?,
+        })
+    }
 }
 
 /// Numbers from streams of their bytes, the lowest first.

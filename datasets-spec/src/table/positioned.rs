@@ -25,6 +25,18 @@ impl Positioned {
         })
     }
 
+    /// Fills a buffer from a place of the file.
+    pub(super) fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()> {
+        let mut done = 0;
+        while done < buffer.len() {
+            match self.read_at(&mut buffer[done..], at + done as u64)? {
+                0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+                read => done += read,
+            }
+        }
+        Ok(())
+    }
+
     fn read_at(&self, buffer: &mut [u8], at: u64) -> io::Result<usize> {
         #[cfg(unix)]
         return std::os::unix::fs::FileExt::read_at(&*self.file, buffer, at);
@@ -72,13 +84,7 @@ impl ChunkReader for Positioned {
             )));
         }
         let mut buffer = vec![0; length];
-        let mut done = 0;
-        while done < length {
-            match self.read_at(&mut buffer[done..], start + done as u64)? {
-                0 => return Err(ParquetError::EOF("the file became shorter".to_owned())),
-                read => done += read,
-            }
-        }
+        self.read_exact_at(&mut buffer, start)?;
         Ok(buffer.into())
     }
 }

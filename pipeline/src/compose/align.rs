@@ -95,7 +95,7 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
             let place = column.checked_sub(before.0)?;
             before.1.get(place).copied()
         };
-        for column in first..end {
+        for (column, frame) in from.iter().enumerate().take(end).skip(first) {
             let candidates = [
                 (Step::Both, column.checked_sub(1).and_then(above)),
                 (Step::To, above(column)),
@@ -108,7 +108,7 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
                     if next.1 < best.1 { next } else { best }
                 });
             let cost = if row == 0 && column == 0 { 0.0 } else { cost };
-            costs.push(cost + apart(&from[column], target));
+            costs.push(cost + apart(frame, target));
             row_steps.push(step);
         }
         steps.push(row_steps);

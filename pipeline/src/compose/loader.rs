@@ -48,6 +48,9 @@ struct PageRef {
     num_rows: usize,
 }
 
+/// Rows of a page, and where in memory they go.
+type Room<'a> = Vec<(usize, &'a mut [f32])>;
+
 /// Where a page's windows go.
 struct Placed {
     page: usize,
@@ -184,14 +187,14 @@ impl WindowLoader {
         // Every window of the batch is written by one page: hand each page its own.
         let mut windows: Vec<Option<&mut [f32]>> =
             numbers.chunks_exact_mut(self.window).map(Some).collect();
-        let jobs: Vec<(&Placed, Vec<(usize, &mut [f32])>)> = placed
+        let jobs: Vec<(&Placed, Room<'_>)> = placed
             .iter()
             .map(|page| {
                 let mine = page.rows.iter().map(|&(row, place)| {
                     let window = windows[place].take();
                     (row, window.expect("every place is filled once"))
                 });
-                (page, mine.collect())
+                (page, mine.collect::<Room<'_>>())
             })
             .collect();
         jobs.into_par_iter().try_for_each(|(page, mut mine)| {

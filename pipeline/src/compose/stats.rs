@@ -153,8 +153,8 @@ fn speed(motion: &Motion, skeleton: &Skeleton) -> (f64, f64) {
     let joints = skeleton.points_of_frames::<NUM_BODY_JOINTS>(motion, 0..motion.len());
     let (mut sum, mut highest) = (0.0, 0.0f64);
     for pair in joints.windows(2) {
-        for joint in 0..NUM_BODY_JOINTS {
-            let speed = pair[0][joint].distance(pair[1][joint]) * motion.fps().get();
+        for (before, after) in pair[0].iter().zip(&pair[1]) {
+            let speed = before.distance(*after) * motion.fps().get();
             sum += speed;
             highest = highest.max(speed);
         }
