@@ -78,7 +78,7 @@ pub enum PoseNet {
     /// That of the paper.
     Paper(PaperPoseNet),
     /// That of the released code.
-    Official(OfficialPoseNet),
+    Official(Box<OfficialPoseNet>),
 }
 
 /// Errors of a way back to parameters, on poses it was not trained on.
@@ -152,7 +152,7 @@ pub fn train_j2s(
             );
             let forward = |net: &OfficialPoseNet, points| net.forward(points);
             let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
-            (PoseNet::Official(net.valid()), loss)
+            (PoseNet::Official(Box::new(net.valid())), loss)
         }
     };
     let report = J2sReport {
@@ -320,7 +320,7 @@ impl PoseNet {
             }
             J2sPreset::Official => {
                 let net = OfficialPoseNet::new(width, device);
-                Self::Official(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?)
+                Self::Official(Box::new(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?))
             }
         })
     }
@@ -328,7 +328,7 @@ impl PoseNet {
     fn to_safetensors(&self, path: &Path) -> Result<Vec<u8>, Error> {
         match self {
             Self::Paper(net) => to_safetensors(net, path),
-            Self::Official(net) => to_safetensors(net, path),
+            Self::Official(net) => to_safetensors(&**net, path),
         }
     }
 
@@ -397,7 +397,7 @@ pub enum Refinement {
     /// Gradient descent, as published.
     Adam(AdamFit),
     /// Second-order steps.
-    SecondOrder(FitOptions),
+    SecondOrder(Box<FitOptions>),
 }
 
 /// Poses of keypoint frames in metres: those of the network, refined.
@@ -472,7 +472,7 @@ fn measure(
         ("network, Adam", Some(Refinement::Adam(adam))),
         (
             "network, second order",
-            Some(Refinement::SecondOrder(second_order.clone())),
+            Some(Refinement::SecondOrder(Box::new(second_order.clone()))),
         ),
         ("geometry, second order", None),
     ];
