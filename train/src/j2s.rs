@@ -76,7 +76,7 @@ impl J2sConfig {
 #[derive(Debug)]
 pub enum PoseNet {
     /// That of the paper.
-    Paper(PaperPoseNet),
+    Paper(Box<PaperPoseNet>),
     /// That of the released code.
     Official(Box<OfficialPoseNet>),
 }
@@ -143,7 +143,7 @@ pub fn train_j2s(
             );
             let forward = |net: &PaperPoseNet, points| net.forward(points);
             let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
-            (PoseNet::Paper(net.valid()), loss)
+            (PoseNet::Paper(Box::new(net.valid())), loss)
         }
         J2sPreset::Official => {
             let net = draw(
@@ -316,7 +316,7 @@ impl PoseNet {
         Ok(match preset {
             J2sPreset::Paper => {
                 let net = PaperPoseNet::new(width, device);
-                Self::Paper(load(net, bytes, prefix, path, &PAPER_NAMES)?)
+                Self::Paper(Box::new(load(net, bytes, prefix, path, &PAPER_NAMES)?))
             }
             J2sPreset::Official => {
                 let net = OfficialPoseNet::new(width, device);
@@ -327,7 +327,7 @@ impl PoseNet {
 
     fn to_safetensors(&self, path: &Path) -> Result<Vec<u8>, Error> {
         match self {
-            Self::Paper(net) => to_safetensors(net, path),
+            Self::Paper(net) => to_safetensors(&**net, path),
             Self::Official(net) => to_safetensors(&**net, path),
         }
     }
