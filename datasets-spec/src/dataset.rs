@@ -234,7 +234,20 @@ pub struct Transaction {
     root: PathBuf,
     store: Arc<dyn Store>,
     base: Option<Manifest>,
-    _lock: File,
+    _lock: Lock,
+}
+
+/// The lock of a dataset while it is changed.
+#[derive(Debug)]
+struct Lock(File);
+
+impl Drop for Lock {
+    /// Lets go of the lock and does not merely close the file: a process that is being started
+    /// elsewhere in this one holds a copy of the handle, and with it the lock, until it begins.
+    fn drop(&mut self) {
+        // What cannot be unlocked is closed right after.
+        let _closed = self.0.unlock();
+    }
 }
 
 /// Rows of a shard written by [`commit_rows`]: a few hundred MB of motion at most.
@@ -334,7 +347,7 @@ impl Transaction {
                 .map_err(Error::io("create folder", &folder))?;
         }
         let path = root.join(META).join(LOCK);
-        let mut lock = File::options()
+        let lock = File::options()
             .read(true)
             .write(true)
             .create(true)
@@ -354,9 +367,11 @@ impl Transaction {
             }
             Err(TryLockError::Error(error)) => return Err(Error::io("lock", &path)(error)),
         }
-        lock.set_len(0)
-            .and_then(|()| lock.rewind())
-            .and_then(|()| writeln!(lock, "{holder}"))
+        let mut lock = Lock(lock);
+        lock.0
+            .set_len(0)
+            .and_then(|()| lock.0.rewind())
+            .and_then(|()| writeln!(lock.0, "{holder}"))
             .map_err(Error::io("write", &path))?;
         let transaction = Self {
             base: newest_manifest(store.as_ref(), root)?,

@@ -3,9 +3,9 @@
 use crate::util::stance;
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 11] = [
-    "demo", "run", "corpus", "ingest", "inspect", "masks", "triplets", "train", "edit", "eval",
-    "render",
+const VERBS: [&str; 17] = [
+    "demo", "run", "build", "corpus", "doctor", "ingest", "inspect", "verify", "stats", "export",
+    "masks", "pairs", "triplets", "train", "edit", "eval", "render",
 ];
 
 #[test]

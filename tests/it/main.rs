@@ -2,6 +2,7 @@
 //! binary, a module per topic.
 
 mod chain;
+mod compose;
 mod export;
 mod golden;
 mod help;

@@ -370,6 +370,7 @@ impl Triplet {
 #[cfg(test)]
 mod tests {
     use datasets_spec::Skeleton;
+    use proptest::prelude::*;
 
     use super::*;
     use crate::compose::{EditKind, fixture};
@@ -398,6 +399,39 @@ mod tests {
                     triplet.to_row()
                 );
             }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn a_triplet_of_any_seed_is_explained(
+            seed in any::<u64>(), epoch in any::<u32>(), at in any::<prop::sample::Index>(),
+            alignment in prop::sample::select(vec![Alignment::None, Alignment::TimeWarp]),
+            fixed_pairs in any::<bool>(), plain_pairs in 0.0..1.0f64,
+        ) {
+            let (motions, masks) = fixture::rows(Split::Train, CLIPS);
+            let pairs = [fixture::pair_row("style", Split::Train, 5, 6)];
+            let skeleton = Skeleton::smplx_neutral();
+            let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+            let library = Arc::new(library.expect("valid rows"));
+            let config = ComposeConfig {
+                alignment,
+                fixed_pairs,
+                plain_pairs,
+                ..ComposeConfig::default()
+            };
+            let normalizer = library.fit_normalizer(&config).expect("long enough");
+            let stream = || {
+                let library = Arc::clone(&library);
+                Stream::new(library, config.clone(), Seed(seed), &normalizer).expect("a stream")
+            };
+            let recorded = stream();
+            let item = at.index(recorded.epoch_len() as usize) as u64;
+            let triplet = recorded.triplet(epoch.into(), item);
+            let explained = stream().explain(&triplet.id).expect("its own id");
+            prop_assert_eq!(explained.to_row(), triplet.to_row());
+            prop_assert_eq!(explained, triplet);
         }
     }
 

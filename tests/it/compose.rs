@@ -1,0 +1,170 @@
+//! From captures in styles to a dataset that a model can be trained from.
+
+use std::fs;
+
+use datasets_spec::record::{NormalizerRow, PairRow, TripletRow, WindowRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Split};
+use serde::Deserialize;
+
+use crate::util::{arg, corpus, stance};
+
+/// One take of 26 actions in six styles.
+const CLIPS: usize = 156;
+
+#[derive(Deserialize)]
+struct Built {
+    motions: u64,
+    pairs: u64,
+    recorded: u64,
+    root_hash: String,
+}
+
+#[test]
+fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
+    let dir = corpus(CLIPS);
+    let config = dir.path().join("build.toml");
+    fs::write(
+        &config,
+        r#"
+            sources = ["corpus"]
+            out = "built"
+            triplets = 40
+            export = ["stance"]
+            [pairs]
+            [compose]
+            alignment = "time-warp"
+            plain_pairs = 0.2
+        "#,
+    )
+    .expect("writes");
+    let build = ["--json", "build", "--config", arg(&config)];
+    let built: Built = stance(&build).expect_code(0).json();
+    assert_eq!((built.motions, built.recorded), (CLIPS as u64, 40));
+    assert!(built.pairs > 15, "{}", built.pairs);
+    let again: Built = stance(&build).expect_code(0).json();
+    assert_eq!(again.root_hash, built.root_hash, "nothing is left to do");
+
+    let out = dir.path().join("built");
+    let dataset = Dataset::open(&out.join("dataset")).expect("a dataset");
+    let triplets: Vec<TripletRow> = Dataset::open(&out.join("triplets"))
+        .expect("recorded")
+        .read(None)
+        .expect("rows");
+    let splits: std::collections::BTreeMap<String, Split> = dataset
+        .read::<datasets_spec::record::MotionRow>(None)
+        .expect("rows")
+        .into_iter()
+        .map(|row| (row.id.to_string(), row.split))
+        .collect();
+    for triplet in &triplets {
+        let motions = [triplet.source_id.to_string(), triplet.target_id.to_string()];
+        for motion in motions.iter().chain(&triplet.donor_ids) {
+            assert_eq!(splits[motion], triplet.split, "{}", triplet.id);
+        }
+        let warped = triplet.alignment == "time-warp";
+        assert_eq!(warped, triplet.kind == "style", "{}", triplet.id);
+    }
+    assert!(triplets.iter().any(|triplet| triplet.kind == "style"));
+    assert!(triplets.iter().any(|triplet| triplet.kind == "semantic"));
+
+    // What is exported is read as a release, pairs included.
+    let (release, back) = (out.join("stance"), dir.path().join("back"));
+    stance(&["ingest", arg(&release), "--out", arg(&back)]).expect_code(0);
+    let back = Dataset::open(&back).expect("a dataset");
+    let styles = |dataset: &Dataset| {
+        let rows: Vec<PairRow> = dataset.read(None).expect("rows");
+        let mut styles: Vec<Option<String>> = rows.into_iter().map(|row| row.style).collect();
+        styles.sort();
+        styles
+    };
+    assert_eq!(styles(&back), styles(&dataset));
+}
+
+#[test]
+fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
+    let dir = corpus(48);
+    let at = |name: &str| dir.path().join(name);
+    let (dataset, windows, run) = (at("dataset"), at("windows"), at("run"));
+    stance(&["ingest", arg(&at("corpus")), "--out", arg(&dataset)]).expect_code(0);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let record = |out: &std::path::Path, more: &[&str]| {
+        let args = [
+            "triplets",
+            arg(&dataset),
+            "--windows",
+            "200",
+            "--out",
+            arg(out),
+        ];
+        stance(&[&args, more].concat()).expect_code(0);
+        Dataset::open(out).expect("recorded")
+    };
+    let recorded = record(&windows, &[]);
+    assert_eq!(recorded.manifest().rows(WindowRow::TABLE, None), 200);
+    let range = |dataset: &Dataset| -> String {
+        let rows: Vec<NormalizerRow> = dataset.read(None).expect("rows");
+        let [row] = &rows[..] else {
+            panic!("{rows:?}");
+        };
+        row.normalizer().expect("sound");
+        row.id.clone()
+    };
+    assert_eq!(
+        range(&recorded),
+        range(&Dataset::open(&dataset).expect("a dataset"))
+    );
+    let config = at("train.toml");
+    fs::write(&config, "batch_size = 16\n").expect("writes");
+    let train = |windows: &std::path::Path, run: &std::path::Path| {
+        stance(&[
+            "train",
+            "motionrefit",
+            arg(&dataset),
+            "--out",
+            arg(run),
+            "--steps",
+            "3",
+            "--config",
+            arg(&config),
+            "--windows",
+            arg(windows),
+        ])
+    };
+    train(&windows, &run).expect_code(0);
+
+    // Windows in another range of model units are refused.
+    let scalar = at("scalar.toml");
+    fs::write(&scalar, "range = \"scalar\"\n").expect("writes");
+    let other = at("other");
+    record(&other, &["--compose", arg(&scalar)]);
+    let refused = train(&other, &at("run2")).expect_code(1);
+    assert!(
+        refused.stderr.contains("another range"),
+        "{}",
+        refused.stderr
+    );
+
+    let sheet = at("sheet.svg");
+    let args = [
+        "--json",
+        "triplets",
+        "stats",
+        arg(&dataset),
+        "--sheet",
+        arg(&sheet),
+    ];
+    let stats: serde_json::Value = stance(&args).expect_code(0).json();
+    assert!(
+        stats["distinct_pairs"]["semantic"]
+            .as_u64()
+            .expect("a number")
+            > 100
+    );
+    let drawn = fs::read_to_string(sheet).expect("a sheet");
+    assert_eq!(
+        drawn.matches("<svg ").count(),
+        13,
+        "twelve strips in one picture"
+    );
+}
