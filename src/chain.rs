@@ -2,13 +2,14 @@
 //! wrote, hand it to the library that does the work, commit what comes back.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::{Context, bail};
-use datasets_spec::dataset::commit_rows;
+use datasets_spec::dataset::{commit_made, commit_rows};
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
     EditRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
@@ -287,16 +288,26 @@ pub(crate) fn windows(
     let inputs = (&dataset.manifest().root_hash, config, global.seed(), count);
     let plan_hash = plan("windows", &inputs)?;
     progress.begin("windows", Some(count));
-    let mut rows = Vec::new();
-    stream.for_each_recorded(count, |row, _, _| {
-        rows.push(row);
-        progress.advance(1);
-    });
-    progress.finish(&format!("{count} windows composed"));
     let skeleton = dataset.skeleton()?;
     let holder = global.holder();
-    let split_of = |row: &WindowRow| row.split;
-    commit_rows(out, &rows, Some(split_of), &skeleton, &plan_hash, &holder)?;
+    let make = |windows: Range<u64>| {
+        let mut rows = Vec::new();
+        stream.for_each_recorded(windows, |row: WindowRow, _, _| {
+            rows.push(row);
+            progress.advance(1);
+        });
+        rows
+    };
+    commit_made(
+        out,
+        Split::Train,
+        count,
+        make,
+        &skeleton,
+        &plan_hash,
+        &holder,
+    )?;
+    progress.finish(&format!("{count} windows recorded"));
     let settings = config.range_settings();
     store_normalizer(out, &normalizer, &settings, &skeleton, &plan_hash, &holder)
 }

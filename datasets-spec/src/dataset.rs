@@ -308,6 +308,52 @@ pub fn commit_rows<R: Row>(
     })
 }
 
+/// Commits a table of one split whose rows are made shard by shard, so that few are held at a time.
+/// If the folder already holds this table by the same plan, nothing is made. `make` gets the places
+/// of the rows it is to give.
+///
+/// # Errors
+/// The folder is locked or cannot be written.
+pub fn commit_made<R: Row>(
+    root: &Path,
+    split: Split,
+    num_rows: u64,
+    mut make: impl FnMut(std::ops::Range<u64>) -> Vec<R>,
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+) -> Result<Dataset, Error> {
+    let transaction = Transaction::begin(root, holder)?;
+    let recorded = transaction.base().and_then(|base| base.plans.get(R::TABLE));
+    if recorded.is_some_and(|recorded| recorded == plan_hash) {
+        drop(transaction);
+        return Dataset::open(root);
+    }
+    let facts = [
+        ("skeleton", skeleton.name().to_owned()),
+        ("plan_hash", plan_hash.to_owned()),
+    ];
+    let shard_rows = SHARD_ROWS as u64;
+    let of = num_rows.div_ceil(shard_rows).max(1);
+    let mut entries = Vec::new();
+    for index in 0..of {
+        let rows = make(index * shard_rows..num_rows.min((index + 1) * shard_rows));
+        let name = ShardName {
+            table: R::TABLE,
+            split: Some(split),
+            index: index as usize,
+            of: of as usize,
+        };
+        entries.push(transaction.write_shard(&name, &rows, &facts)?);
+    }
+    transaction.commit(Commit {
+        tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
+        plan_hash: plan_hash.to_owned(),
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    })
+}
+
 /// What a commit adds to the dataset.
 #[derive(Clone, Debug, Default)]
 pub struct Commit {

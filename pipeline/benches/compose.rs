@@ -129,7 +129,7 @@ fn recorded(dir: &Path) -> Dataset {
     }
     let stream = stream(EditKind::Semantic);
     let mut rows = Vec::new();
-    stream.for_each_recorded(RECORDED, |row, _, _| rows.push(row));
+    stream.for_each_recorded(0..RECORDED, |row, _, _| rows.push(row));
     let split_of: fn(&WindowRow) -> Split = |row| row.split;
     let skeleton = stream.library().skeleton();
     commit_rows(dir, &rows, Some(split_of), skeleton, "plan", "bench").expect("committed")

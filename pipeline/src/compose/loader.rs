@@ -294,7 +294,7 @@ mod tests {
         let stream = stream.expect("a stream");
         let mut whole = WindowBatch::default();
         let mut rows = Vec::new();
-        stream.for_each_recorded(count as u64, |row, batch, at| {
+        stream.for_each_recorded(0..count as u64, |row, batch, at| {
             let window = stream.window_len();
             whole
                 .original

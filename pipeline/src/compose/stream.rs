@@ -290,21 +290,21 @@ impl Stream {
             });
     }
 
-    /// Composes the first `count` windows of the stream, epoch after epoch, as the rows they are
-    /// recorded as. `take` gets each row, the batch it is of and its place there.
+    /// Composes windows of the stream, epoch after epoch, as the rows they are recorded as. `take`
+    /// gets each row, the batch it is of and its place there.
     pub fn for_each_recorded(
         &self,
-        count: u64,
+        windows: std::ops::Range<u64>,
         mut take: impl FnMut(WindowRow, &WindowBatch, usize),
     ) {
         /// Windows composed at a time.
         const AT_ONCE: u64 = 4096;
         let window = self.window_len();
         let mut batch = WindowBatch::default();
-        let mut done = 0;
-        while done < count {
+        let mut done = windows.start;
+        while done < windows.end {
             let (epoch, first) = (done / self.num_items, done % self.num_items);
-            let len = AT_ONCE.min(count - done).min(self.num_items - first);
+            let len = AT_ONCE.min(windows.end - done).min(self.num_items - first);
             self.fill(epoch, first, len as usize, &mut batch);
             for at in 0..len as usize {
                 let frames = |numbers: &[f32]| {
