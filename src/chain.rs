@@ -4,11 +4,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
+use datasets_spec::canonical::WINDOW_FRAMES;
 use datasets_spec::dataset::{commit_made, commit_rows};
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
@@ -25,27 +26,39 @@ use pipeline::masks::{MaskConfig, automatic_masks};
 use pipeline::pairs::{PairConfig, style_pairs};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 use train::checkpoint::Slot;
-use train::config::{Preset, TrainConfig};
+use train::config::{GuidanceConfig, Preset, TrainConfig};
+use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
 use train::fit::{Corpus, TrainReport, train_motionrefit};
 use train::j2s::{self, J2sConfig, J2sReport};
-use train::sample::{EditSettings, Editor};
+use train::sample::{EditSettings, EditTimes, Editor};
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::{Session, edit};
 
 use crate::cli::Global;
 use crate::cmd::ingest as ingest_cmd;
-use crate::device::device;
+use crate::device::{device, devices};
+use crate::exit::Exit;
 use crate::report;
 
 /// Name of an editor in the `edits` table and the result table. One of the size of the `tiny` preset
-/// is called so, lest its row be taken for the method's.
-fn system_name(config: &TrainConfig) -> &'static str {
-    if config.model == TrainConfig::preset(Preset::Tiny).model {
-        "MotionReFit tiny"
+/// is called so, lest its row be taken for the method's, and one with a coordinator is told from one
+/// without.
+fn system_name(editor: &Editor) -> String {
+    let model = editor.record().config.train.model;
+    let size = if model == TrainConfig::preset(Preset::Tiny).model {
+        " tiny"
     } else {
-        "MotionReFit"
-    }
+        ""
+    };
+    let guide = if editor.has_coordinator() {
+        " + coordinator"
+    } else {
+        ""
+    };
+    format!("MotionReFit{size}{guide}")
 }
 
 /// The skeleton a dataset's motions drive.
@@ -371,18 +384,70 @@ fn normalizer_of(
     Ok(fitted)
 }
 
-fn with_session<T>(
+/// Set by the first interrupt: what is being trained is saved and ends.
+static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+
+/// Whether an interrupt has ended the work.
+pub(crate) fn is_stopped() -> bool {
+    STOP.load(Ordering::Relaxed)
+}
+
+/// Turns the first interrupt into a request to save and end; a second one ends at once.
+fn listen_for_interrupts() {
+    static LISTENING: Once = Once::new();
+    LISTENING.call_once(|| {
+        for signal in [SIGINT, SIGTERM] {
+            let second = Exit::Interrupted.code().into();
+            // Registered first, so that it sees the flag before this signal sets it. Without a
+            // handler a signal ends the program at once, which loses no more than the steps since
+            // the last checkpoint.
+            let _ = flag::register_conditional_shutdown(signal, second, Arc::clone(&STOP));
+            let _ = flag::register(signal, Arc::clone(&STOP));
+        }
+    });
+}
+
+pub(crate) fn with_session<T>(
     progress: &dyn Progress,
     act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
 ) -> Result<T, train::Error> {
+    listen_for_interrupts();
     let begun = Instant::now();
-    let device = device();
     act(&Session {
-        device: &device,
+        device: &device(),
+        more_devices: &devices()[1..],
         progress,
-        stop: &AtomicBool::new(false),
+        stop: &STOP,
         clock: &|| begun.elapsed(),
     })
+}
+
+/// What the editor is trained on besides a dataset.
+pub(crate) struct TrainInputs<'a> {
+    /// How edits are composed.
+    pub(crate) compose: &'a ComposeConfig,
+    /// Windows recorded before, in place of composing them.
+    pub(crate) windows: Option<&'a Path>,
+}
+
+/// The composer's settings without those that an ablation thins the training data by: what a model
+/// is validated on stays the same.
+fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
+    ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        ..compose.clone()
+    }
+}
+
+/// The composer's settings with the model's window, unless they say otherwise themselves; then the
+/// model refuses what does not fit it.
+fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
+    let own = compose.window;
+    ComposeConfig {
+        window: if own == WINDOW_FRAMES { window } else { own },
+        ..compose.clone()
+    }
 }
 
 /// Trains the editor on the composer's stream, or continues its run.
@@ -390,22 +455,17 @@ pub(crate) fn train_editor(
     root: &Path,
     run: &Path,
     config: &TrainConfig,
-    compose: &ComposeConfig,
-    windows: Option<&Path>,
+    inputs: &TrainInputs<'_>,
     seed: Seed,
     progress: &dyn Progress,
 ) -> anyhow::Result<TrainReport> {
+    let compose = &with_window(inputs.compose, config.window);
     let (train, normalizer) = train_stream(&Dataset::open(root)?, compose, seed)?;
     let dataset = Dataset::open(root)?;
-    // An ablation thins out what is trained on; what it is validated on stays the same.
-    let whole = ComposeConfig {
-        mcm_ratio: 1.0,
-        annotated_ratio: 1.0,
-        ..compose.clone()
-    };
-    let val = Stream::new(library(&dataset, Split::Val)?, whole, seed, &normalizer)
+    let val = library(&dataset, Split::Val)?;
+    let val = Stream::new(val, unthinned(compose), seed, &normalizer)
         .context("the validation split cannot be composed; ingest more clips")?;
-    let recorded = match windows {
+    let recorded = match inputs.windows {
         Some(folder) => Some(recorded_windows(folder, &normalizer, seed)?),
         None => None,
     };
@@ -420,14 +480,43 @@ pub(crate) fn train_editor(
         },
         val: &val,
         instructions: &instructions,
+        vectors: None,
         normalizer,
         skeleton: &dataset.manifest().skeleton,
         dataset_hash: &dataset.manifest().root_hash,
+        compose: &serde_json::to_string(&(compose, seed))?,
     };
     let report = with_session(progress, |session| {
         train_motionrefit(run, config, corpus, session)
     })?;
     Ok(report)
+}
+
+/// Trains the coordinator on segments of the motions an editor is trained on, or continues its run.
+pub(crate) fn train_coordinator(
+    root: &Path,
+    run: &Path,
+    config: &CoordinatorConfig,
+    compose: &ComposeConfig,
+    seed: Seed,
+    progress: &dyn Progress,
+) -> anyhow::Result<TrainReport> {
+    let compose = &with_window(compose, config.window);
+    let (train, normalizer) = train_stream(&Dataset::open(root)?, compose, seed)?;
+    let dataset = Dataset::open(root)?;
+    let val = library(&dataset, Split::Val)?;
+    let val = Stream::new(val, unthinned(compose), seed, &normalizer)
+        .context("the validation split cannot be composed; ingest more clips")?;
+    let segments = Segments {
+        train: &train,
+        val: &val,
+        normalizer,
+        skeleton: &dataset.manifest().skeleton,
+        dataset_hash: &dataset.manifest().root_hash,
+    };
+    Ok(with_session(progress, |session| {
+        coordinator::train_coordinator(run, config, segments, session)
+    })?)
 }
 
 /// Opens recorded windows, which must be in the range that is stored with the dataset.
@@ -543,6 +632,10 @@ pub(crate) struct EditConfig {
     pub(crate) guidance: Option<f64>,
     /// Windows generated at a time.
     pub(crate) max_batch: usize,
+    /// How strongly a coordinator guides; none is what the editor's settings say.
+    pub(crate) coordinator_strength: Option<f64>,
+    /// Last steps a coordinator guides; none is what the editor's settings say.
+    pub(crate) coordinator_steps: Option<usize>,
 }
 
 impl Default for EditConfig {
@@ -551,32 +644,79 @@ impl Default for EditConfig {
             count: 128,
             guidance: None,
             max_batch: 64,
+            coordinator_strength: None,
+            coordinator_steps: None,
         }
     }
 }
 
 /// The settings the editor samples with.
 pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) -> EditSettings {
-    let trained_for = editor.record().config.train.diffusion.guidance;
+    let trained = &editor.record().config.train;
     EditSettings {
         seed,
-        guidance: config.guidance.unwrap_or(trained_for),
+        guidance: config.guidance.unwrap_or(trained.diffusion.guidance),
+        coordinator: GuidanceConfig {
+            target: trained.coordinator.target,
+            strength: config
+                .coordinator_strength
+                .unwrap_or(trained.coordinator.strength),
+            num_steps: config
+                .coordinator_steps
+                .unwrap_or(trained.coordinator.num_steps),
+        },
         max_batch: config.max_batch,
     }
 }
 
-/// Edits a split's items and commits originals, targets and edits as a dataset of their own.
+/// Where an editor is loaded from.
+#[derive(Clone, Debug)]
+pub(crate) struct EditorSource<'a> {
+    /// Its run folder.
+    pub(crate) run: &'a Path,
+    /// Which of its checkpoints.
+    pub(crate) slot: Slot,
+    /// Run folder of the coordinator that guides it.
+    pub(crate) coordinator: Option<&'a Path>,
+}
+
+impl<'a> EditorSource<'a> {
+    /// The best checkpoint of a run, unguided.
+    pub(crate) fn best(run: &'a Path) -> Self {
+        Self {
+            run,
+            slot: Slot::Best,
+            coordinator: None,
+        }
+    }
+
+    /// Loads the editor.
+    pub(crate) fn load(&self) -> anyhow::Result<Editor> {
+        let device = device();
+        let editor = Editor::load(self.run, self.slot, &device)?;
+        match self.coordinator {
+            Some(run) => {
+                let coordinator = TrainedCoordinator::load(run, Slot::Best, &device)?;
+                Ok(editor.with_coordinator(coordinator)?)
+            }
+            None => Ok(editor),
+        }
+    }
+}
+
+/// Edits a split's items and commits originals, targets and edits as a dataset of their own. The
+/// times are missing where the edits were there already.
 pub(crate) fn edits(
     root: &Path,
-    run: &Path,
+    source: &EditorSource<'_>,
     out: &Path,
     split: Split,
     config: &EditConfig,
     global: &Global,
     progress: &dyn Progress,
-) -> anyhow::Result<Dataset> {
+) -> anyhow::Result<(Dataset, Option<EditTimes>)> {
     let dataset = Dataset::open(root)?;
-    let editor = Editor::load(run, Slot::Best, &device())?;
+    let editor = source.load()?;
     check_range(&dataset, &editor)?;
     let inputs = (
         &dataset.manifest().root_hash,
@@ -589,7 +729,7 @@ pub(crate) fn edits(
     if let Ok(done) = Dataset::open_unverified(out)
         && plan_of(&done, EditRow::TABLE) == plan_hash
     {
-        return Ok(Dataset::open(out)?);
+        return Ok((Dataset::open(out)?, None));
     }
     let skeleton = skeleton_of(&dataset)?;
     let library = library(&dataset, split)?;
@@ -601,23 +741,20 @@ pub(crate) fn edits(
         config.count,
     )?;
     let settings = edit_settings(&editor, config, global.seed());
-    let rows = edit::edit_items(
-        &editor,
-        system_name(&editor.record().config.train),
-        &items,
-        &skeleton,
-        &settings,
-        progress,
-    )?;
+    let system = system_name(&editor);
+    let (rows, times) = with_session(progress, |session| {
+        edit::edit_items(&editor, &system, &items, &skeleton, &settings, session)
+    })?;
     let split_of = |row: &EditRow| row.split;
-    Ok(commit_rows(
+    let done = commit_rows(
         out,
         &rows,
         Some(split_of),
         &skeleton,
         &plan_hash,
         &global.holder(),
-    )?)
+    )?;
+    Ok((done, Some(times)))
 }
 
 /// The trained encoder as evaluation asks for it.
@@ -743,7 +880,8 @@ fn merge(base: &mut toml::Value, own: &toml::Value) {
 pub(crate) fn preset(name: &str) -> anyhow::Result<Preset> {
     match name {
         "tiny" => Ok(Preset::Tiny),
+        "paper" => Ok(Preset::Paper),
         "official" => Ok(Preset::Official),
-        other => bail!("unknown preset {other:?}; known: tiny, official"),
+        other => bail!("unknown preset {other:?}; known: tiny, paper, official"),
     }
 }

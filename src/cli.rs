@@ -4,6 +4,7 @@ use clap::{Parser, Subcommand};
 use datasets_spec::Seed;
 
 use crate::cmd;
+use crate::device;
 use crate::progress::Bars;
 
 /// Human-motion data from raw files to a published result table, for text-guided motion editing.
@@ -23,6 +24,12 @@ pub(crate) struct Global {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    /// What models run on
+    #[arg(long, global = true, value_enum, default_value_t)]
+    device: device::Kind,
+    /// Cards to train on together
+    #[arg(long, global = true, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    devices: u16,
     /// Seed of every draw
     #[arg(long, global = true, default_value_t = 0)]
     seed: u64,
@@ -40,6 +47,7 @@ pub(crate) struct Global {
 impl Global {
     /// Applies the options that concern the whole process.
     pub(crate) fn start(&self) -> anyhow::Result<()> {
+        device::choose(self.device, self.devices.into())?;
         if let Some(threads) = self.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads.into())

@@ -11,6 +11,8 @@ pub(crate) enum Exit {
     Failed,
     /// Finished, some items quarantined.
     Quarantined,
+    /// Ended by an interrupt, with what was done saved (128 and the number of the signal).
+    Interrupted,
     /// Locked by another run (the `EX_TEMPFAIL` of sysexits).
     Locked,
 }
@@ -27,17 +29,37 @@ impl Exit {
                 Some(pipeline::Error::Spec(datasets_spec::Error::Locked { .. }))
             )
         });
-        if locked { Self::Locked } else { Self::Failed }
+        let stopped = error.chain().any(|cause| {
+            matches!(
+                cause.downcast_ref::<train::Error>(),
+                Some(train::Error::Stopped { .. })
+            )
+        });
+        if locked {
+            Self::Locked
+        } else if stopped {
+            Self::Interrupted
+        } else {
+            Self::Failed
+        }
+    }
+}
+
+impl Exit {
+    /// The number.
+    pub(crate) fn code(self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::Failed => 1,
+            Self::Quarantined => 3,
+            Self::Locked => 75,
+            Self::Interrupted => 130,
+        }
     }
 }
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> ExitCode {
-        ExitCode::from(match exit {
-            Exit::Done => 0,
-            Exit::Failed => 1,
-            Exit::Quarantined => 3,
-            Exit::Locked => 75,
-        })
+        ExitCode::from(exit.code())
     }
 }

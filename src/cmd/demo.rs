@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use datasets_spec::Seed;
 use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
-use train::config::{Preset, TrainConfig};
+use train::config::{Preset, RunLength, TrainConfig};
 use train::tmr::TmrConfig;
 
 use crate::cli::Global;
@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
 fn shorten(train: &mut TrainConfig, encoder: &mut TmrConfig) {
     debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
-    train.num_steps = QUICK_STEPS;
+    train.length = RunLength::of_steps(QUICK_STEPS);
     train.val_every = QUICK_STEPS / 2;
     train.val_windows = 64;
     train.log_every = QUICK_STEPS / 8;

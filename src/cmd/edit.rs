@@ -1,31 +1,52 @@
 //! `stance edit`
 
+use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, MotionRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Motion, Seed, Skeleton, Split};
+use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
+use pipeline::write::replace_file;
 use train::checkpoint::Slot;
-use train::edit::edit_motion;
-use train::sample::Editor;
+use train::edit::{Edited, edit_motion};
+use train::history::EditHistory;
+use train::sample::{EditSettings, EditTimes, Editor, TimedInstruction};
 
-use crate::chain::{self, EditConfig};
+use crate::chain::{self, EditConfig, EditorSource};
 use crate::cli::Global;
-use crate::device::device;
 use crate::exit::Exit;
 use crate::report;
 
 /// Edit motions by instruction with a trained editor.
 ///
 /// Either all items of a split, into a table that `stance eval` scores; or one motion, from a file
-/// or a dataset, into an AMASS npz, a BVH or an SVG strip.
+/// or a dataset. Several --text are laid over each other, each on what the one before made. --during
+/// asks for something of some frames alone. --history keeps the edits of one motion, to go on from
+/// and to take back.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Run folder of the editor
     run: PathBuf,
+    /// Checkpoint to edit with: best, last or epoch-N
+    #[arg(long, default_value = "best")]
+    checkpoint: Slot,
+    /// Run folder of a coordinator, which keeps the parts of the body together
+    #[arg(long, value_name = "RUN")]
+    coordinator: Option<PathBuf>,
+    /// How strongly the coordinator guides [default: what the editor's settings say]
+    #[arg(long, value_name = "FACTOR", requires = "coordinator")]
+    coordinator_strength: Option<f64>,
+    /// Last diffusion steps the coordinator guides [default: what the editor's settings say]
+    #[arg(long, value_name = "N", requires = "coordinator")]
+    coordinator_steps: Option<usize>,
+    /// Guidance weight [default: the one the editor was trained for]
+    #[arg(long)]
+    guidance: Option<f64>,
     /// Dataset folder, for a whole split or a stored clip
     #[arg(long)]
     dataset: Option<PathBuf>,
@@ -35,29 +56,62 @@ pub(crate) struct Args {
     /// Items of the split to edit
     #[arg(long, default_value_t = EditConfig::default().count)]
     count: usize,
-    /// One motion: a BVH or npz file, or the id of a clip of --dataset
-    #[arg(long, requires = "text")]
+    /// One motion: a file of any format that is ingested, or the id of a clip of --dataset
+    #[arg(long)]
     motion: Option<String>,
-    /// What is asked for, such as "The person is waving with their left arm."
-    #[arg(long, requires = "motion")]
-    text: Option<String>,
-    /// Guidance weight [default: the one the editor was trained for]
+    /// What is asked for, such as "The person is waving with their left arm."; several are laid over
+    /// each other
     #[arg(long)]
-    guidance: Option<f64>,
-    /// Folder for a split; for one motion a file ending in .npz, .bvh or .svg
+    text: Vec<String>,
+    /// What is asked of some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
+    /// outside all ranges stay as they are
+    #[arg(long, value_name = "FIRST:END TEXT", conflicts_with = "text")]
+    during: Vec<String>,
+    /// File that keeps the edits of one motion; without --text the instructions are read line by line
+    #[arg(long, value_name = "FILE")]
+    history: Option<PathBuf>,
+    /// Take the last edit of --history back
+    #[arg(long, requires = "history", conflicts_with_all = ["text", "during", "redo"])]
+    undo: bool,
+    /// Make the edit of --history that was taken back again
+    #[arg(long, requires = "history", conflicts_with_all = ["text", "during"])]
+    redo: bool,
+    /// Print where the time went
     #[arg(long)]
-    out: PathBuf,
+    profile: bool,
+    /// Where to write: for a split a folder; for one motion .npz, .bvh, .glb, a strip as .svg or
+    /// .png, an animation as .gif, or a folder for a table
+    #[arg(long)]
+    out: Vec<PathBuf>,
+}
+
+impl Args {
+    fn source(&self) -> EditorSource<'_> {
+        EditorSource {
+            run: &self.run,
+            slot: self.checkpoint,
+            coordinator: self.coordinator.as_deref(),
+        }
+    }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = EditConfig {
         count: args.count,
         guidance: args.guidance,
+        coordinator_strength: args.coordinator_strength,
+        coordinator_steps: args.coordinator_steps,
         ..EditConfig::default()
     };
-    match (&args.motion, &args.text) {
-        (Some(motion), Some(text)) => one(args, motion, text, &config, global),
-        _ => split(args, &config, global),
+    if let Some(history) = &args.history {
+        return interactive(args, history, &config, global);
+    }
+    let is_asked = !args.text.is_empty() || !args.during.is_empty();
+    match &args.motion {
+        Some(motion) if is_asked => one(args, motion, &config, global),
+        Some(_) => bail!("say what is asked for: --text, or --during for some frames"),
+        None if is_asked => bail!("name the motion to edit: --motion FILE, or an id of --dataset"),
+        None => split(args, &config, global),
     }
 }
 
@@ -65,58 +119,423 @@ fn split(args: &Args, config: &EditConfig, global: &Global) -> anyhow::Result<Ex
     let Some(dataset) = &args.dataset else {
         bail!("pass --dataset to edit a split, or --motion and --text to edit one motion");
     };
+    let [out] = args.out.as_slice() else {
+        bail!("a split is edited into one folder; pass --out once");
+    };
     let bars = global.bars();
-    let done = chain::edits(
-        dataset, &args.run, &args.out, args.split, config, global, &bars,
-    )?;
+    let source = args.source();
+    let (done, times) = chain::edits(dataset, &source, out, args.split, config, global, &bars)?;
     let rows = done.manifest().rows(EditRow::TABLE, None);
     if global.json {
         report::json(&serde_json::json!({
             "edits": rows,
             "root_hash": done.manifest().root_hash,
+            "times": times,
         }))?;
-    } else {
-        report::text(&format!("{rows} rows in {}", args.out.display()));
+        return Ok(Exit::Done);
+    }
+    report::text(&format!("{rows} rows in {}", out.display()));
+    if args.profile {
+        report::text(&match times {
+            Some(times) => profile(&times),
+            None => "the edits were there already; edit into another folder to time it".to_owned(),
+        });
     }
     Ok(Exit::Done)
 }
 
-fn one(
-    args: &Args,
-    motion: &str,
-    text: &str,
-    config: &EditConfig,
-    global: &Global,
-) -> anyhow::Result<Exit> {
-    let skeleton = Skeleton::smplx_neutral();
-    let original = match &args.dataset {
-        Some(dataset) => stored_clip(dataset, motion)?,
-        None => foreign_clip(Path::new(motion), &skeleton)?,
+/// Where the time went, in the columns of the paper's Table A4.
+fn profile(times: &EditTimes) -> String {
+    let windows = times.num_windows.max(1) as f64;
+    let parts =
+        [times.diffusion_secs, times.coordinator_secs, times.fit_secs].map(|secs| secs / windows);
+    let total: f64 = parts.iter().sum();
+    let [diffusion, coordinator, fit] = parts;
+    format!(
+        "seconds a window, of {} windows\n\
+         window    diffusion sampling  body part coordinator  SMPL-X optimization    total      FPS\n\
+         {:>2}-frame {diffusion:>19.4} {coordinator:>22.4} {fit:>20.4} {total:>8.4} {:>8.2}",
+        times.num_windows,
+        times.window,
+        times.window as f64 / total.max(1e-9)
+    )
+}
+
+/// What is asked for, one edit after another.
+fn asked(args: &Args, motion: &Motion) -> anyhow::Result<Vec<Vec<TimedInstruction>>> {
+    if !args.during.is_empty() {
+        let timed = args.during.iter().map(|text| parse_timed(text));
+        return Ok(vec![timed.collect::<anyhow::Result<_>>()?]);
+    }
+    Ok(args
+        .text
+        .iter()
+        .map(|text| vec![whole(text, motion)])
+        .collect())
+}
+
+fn whole(text: &str, motion: &Motion) -> TimedInstruction {
+    TimedInstruction {
+        frames: 0..motion.len(),
+        text: text.to_owned(),
+    }
+}
+
+/// Reads `FIRST:END TEXT`.
+fn parse_timed(asked: &str) -> anyhow::Result<TimedInstruction> {
+    let parse = || {
+        let (range, text) = asked.split_once(' ')?;
+        let (first, end) = range.split_once(':')?;
+        let frames = first.parse().ok()?..end.parse().ok()?;
+        let text = text.trim().to_owned();
+        (!text.is_empty()).then_some(TimedInstruction { frames, text })
     };
-    let editor = Editor::load(&args.run, Slot::Best, &device())?;
-    let settings = chain::edit_settings(&editor, config, global.seed());
+    parse().with_context(|| {
+        format!("{asked:?} is not FIRST:END TEXT, such as \"0:40 The person is waving.\"")
+    })
+}
+
+/// Makes one edit after another, each of what the one before made.
+fn layered(
+    editor: &Editor,
+    id: &str,
+    motion: &Motion,
+    layers: &[Vec<TimedInstruction>],
+    settings: &EditSettings,
+    global: &Global,
+) -> anyhow::Result<Edited> {
+    let skeleton = Skeleton::smplx_neutral();
     let bars = global.bars();
-    let (edited, fit_error_m) = edit_motion(
-        &editor, motion, &original, text, &skeleton, &settings, &bars,
-    )?;
-    write(&args.out, &original, &edited, text, &skeleton)?;
+    let mut times = EditTimes::default();
+    let mut edited: Option<Edited> = None;
+    for (number, layer) in layers.iter().enumerate() {
+        let source = edited.as_ref().map_or(motion, |edited| &edited.motion);
+        let layer: Vec<TimedInstruction> = layer
+            .iter()
+            .map(|asked| TimedInstruction {
+                // An edit covers whole windows alone, so that the next has fewer frames.
+                frames: asked.frames.start..asked.frames.end.min(source.len()),
+                text: asked.text.clone(),
+            })
+            .collect();
+        // The first layer draws the noise an edit of its own would.
+        let id = match number {
+            0 => id.to_owned(),
+            _ => format!("{id} layer {number}"),
+        };
+        let made = chain::with_session(&bars, |session| {
+            edit_motion(editor, &id, source, &layer, &skeleton, settings, session)
+        })?;
+        times += made.times;
+        edited = Some(made);
+    }
+    let edited = edited.context("nothing was asked for")?;
+    Ok(Edited { times, ..edited })
+}
+
+fn opened(args: &Args, motion: &str) -> anyhow::Result<Motion> {
+    match &args.dataset {
+        Some(dataset) => stored_clip(dataset, motion),
+        None => foreign_clip(Path::new(motion), &Skeleton::smplx_neutral()),
+    }
+}
+
+fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::Result<Exit> {
+    if args.out.is_empty() {
+        bail!("say where to write: --out FILE");
+    }
+    let original = opened(args, id)?;
+    let layers = asked(args, &original)?;
+    let editor = args.source().load()?;
+    let seed = global.seed();
+    let settings = chain::edit_settings(&editor, config, seed);
+    let edited = layered(&editor, id, &original, &layers, &settings, global)?;
+    let texts: Vec<&str> = layers
+        .iter()
+        .flatten()
+        .map(|asked| asked.text.as_str())
+        .collect();
+    let shown = Shown {
+        id,
+        original: &original,
+        edited: &edited,
+        text: &texts.join(" / "),
+        editor: editor.hash(),
+        seed,
+    };
+    for out in &args.out {
+        shown.write(out, global)?;
+    }
+    say(args, &edited, global)
+}
+
+/// Says what came out.
+fn say(args: &Args, edited: &Edited, global: &Global) -> anyhow::Result<Exit> {
     if global.json {
         report::json(&serde_json::json!({
             "out": args.out,
-            "frames": edited.len(),
+            "frames": edited.motion.len(),
             "fps": Fps::STORE.get(),
-            "fit_error_m": fit_error_m,
+            "fit_error_m": edited.fit_error_m,
+            "times": edited.times,
         }))?;
-    } else {
-        report::text(&format!(
-            "{} frames at {} in {}, fitted to {:.1} cm",
-            edited.len(),
-            Fps::STORE,
-            args.out.display(),
-            100.0 * fit_error_m
-        ));
+        return Ok(Exit::Done);
+    }
+    let places: Vec<String> = args
+        .out
+        .iter()
+        .map(|out| out.display().to_string())
+        .collect();
+    report::text(&format!(
+        "{} frames at {}, fitted to {:.1} cm{}",
+        edited.motion.len(),
+        Fps::STORE,
+        100.0 * edited.fit_error_m,
+        if places.is_empty() {
+            String::new()
+        } else {
+            format!("; in {}", places.join(", "))
+        }
+    ));
+    if args.profile {
+        report::text(&profile(&edited.times));
     }
     Ok(Exit::Done)
+}
+
+/// What a line typed into an interactive edit asks for.
+enum Line {
+    Edit(Vec<TimedInstruction>),
+    Undo,
+    Redo,
+    Save(PathBuf),
+    Quit,
+}
+
+fn parse_line(line: &str, motion: &Motion) -> anyhow::Result<Option<Line>> {
+    let line = line.trim();
+    Ok(match line {
+        "" => None,
+        ":undo" => Some(Line::Undo),
+        ":redo" => Some(Line::Redo),
+        ":quit" => Some(Line::Quit),
+        _ => match line.strip_prefix(":save ") {
+            Some(path) => Some(Line::Save(path.trim().into())),
+            None if line.starts_with(':') => {
+                bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
+            }
+            None if line.starts_with(|first: char| first.is_ascii_digit()) => {
+                Some(Line::Edit(vec![parse_timed(line)?]))
+            }
+            None => Some(Line::Edit(vec![whole(line, motion)])),
+        },
+    })
+}
+
+/// Goes on with the history of one motion, or begins it.
+fn interactive(
+    args: &Args,
+    path: &Path,
+    config: &EditConfig,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let mut history = match (&args.motion, path.exists()) {
+        (Some(_), true) => bail!(
+            "{} exists already; leave --motion out to go on with it, or name another file",
+            path.display()
+        ),
+        (Some(motion), false) => EditHistory::open(motion.as_str(), &opened(args, motion)?),
+        (None, true) => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            EditHistory::from_json(&text).with_context(|| format!("in {}", path.display()))?
+        }
+        (None, false) => bail!("{} does not exist; begin it with --motion", path.display()),
+    };
+    let mut session = Interactive {
+        args,
+        path,
+        config,
+        global,
+        editor: None,
+        times: EditTimes::default(),
+    };
+    let from_lines = !args.undo && !args.redo && args.text.is_empty() && args.during.is_empty();
+    if args.undo && !history.undo() {
+        bail!("{} has no edit to take back", path.display());
+    }
+    if args.redo && !history.redo() {
+        bail!("{} has no edit that was taken back", path.display());
+    }
+    if from_lines && args.out.is_empty() {
+        session.save(&history)?;
+        session.read_lines(&mut history)?;
+    } else {
+        for layer in asked(args, &history.current()?)? {
+            session.edit(&mut history, layer)?;
+        }
+        session.save(&history)?;
+    }
+    for out in &args.out {
+        session.write(&history, out)?;
+    }
+    session.say(&history)?;
+    if args.profile && !global.json {
+        report::text(&profile(&session.times));
+    }
+    Ok(Exit::Done)
+}
+
+struct Interactive<'a> {
+    args: &'a Args,
+    path: &'a Path,
+    config: &'a EditConfig,
+    global: &'a Global,
+    /// Loaded when the first edit asks for it.
+    editor: Option<Editor>,
+    times: EditTimes,
+}
+
+impl Interactive<'_> {
+    fn edit(
+        &mut self,
+        history: &mut EditHistory,
+        instructions: Vec<TimedInstruction>,
+    ) -> anyhow::Result<()> {
+        let editor = match self.editor.take() {
+            Some(editor) => editor,
+            None => self.args.source().load()?,
+        };
+        let editor = self.editor.insert(editor);
+        // Every edit of a history draws noise of its own.
+        let count = history.edits().len().to_string();
+        let seed = self.global.seed().derive(&["history", &count]);
+        let settings = chain::edit_settings(editor, self.config, seed);
+        let (id, current) = (history.id(), history.current()?);
+        let layer = [instructions];
+        let edited = layered(editor, id, &current, &layer, &settings, self.global)?;
+        self.times += edited.times;
+        let [instructions] = layer;
+        history.push(
+            instructions,
+            seed.0,
+            settings.guidance,
+            editor.hash(),
+            &edited,
+        );
+        Ok(())
+    }
+
+    fn save(&self, history: &EditHistory) -> anyhow::Result<()> {
+        replace_file(self.path, history.to_json().as_bytes())
+            .with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    fn write(&self, history: &EditHistory, out: &Path) -> anyhow::Result<()> {
+        let texts: Vec<&str> = history
+            .edits()
+            .iter()
+            .flat_map(|edit| &edit.instructions)
+            .map(|asked| asked.text.as_str())
+            .collect();
+        let last = history.edits().last();
+        let edited = Edited {
+            motion: history.current()?,
+            fit_error_m: last.map_or(0.0, |edit| edit.fit_error_m),
+            times: EditTimes::default(),
+        };
+        Shown {
+            id: history.id(),
+            original: &history.original()?,
+            edited: &edited,
+            text: &texts.join(" / "),
+            editor: last.map_or("", |edit| &edit.editor),
+            seed: Seed(last.map_or(0, |edit| edit.seed)),
+        }
+        .write(out, self.global)
+    }
+
+    /// Reads instructions until they end. What a line cannot do is said, and the next is read.
+    fn read_lines(&mut self, history: &mut EditHistory) -> anyhow::Result<()> {
+        let input = std::io::stdin();
+        if input.is_terminal() {
+            report::note(
+                "one instruction a line, or FIRST:END TEXT; :undo, :redo, :save FILE, :quit",
+            );
+        }
+        for line in input.lock().lines() {
+            let line = line.context("cannot read instructions")?;
+            match self.follow(history, &line) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) if input.is_terminal() => report::error(&error),
+                Err(error) => return Err(error.context(format!("at the line {line:?}"))),
+            }
+        }
+        Ok(())
+    }
+
+    /// Does what a line says; false ends.
+    fn follow(&mut self, history: &mut EditHistory, line: &str) -> anyhow::Result<bool> {
+        match parse_line(line, &history.current()?)? {
+            None => return Ok(true),
+            Some(Line::Quit) => return Ok(false),
+            Some(Line::Save(path)) => {
+                self.write(history, &path)?;
+                report::note(&format!("in {}", path.display()));
+            }
+            Some(Line::Undo) if !history.undo() => report::note("no edit to take back"),
+            Some(Line::Redo) if !history.redo() => report::note("no edit was taken back"),
+            Some(Line::Undo | Line::Redo) => {}
+            Some(Line::Edit(instructions)) => self.edit(history, instructions)?,
+        }
+        self.save(history)?;
+        Ok(true)
+    }
+
+    fn say(&self, history: &EditHistory) -> anyhow::Result<()> {
+        let current = history.current()?;
+        if self.global.json {
+            return report::json(&serde_json::json!({
+                "history": self.path,
+                "motion": history.id(),
+                "edits": history
+                    .edits()
+                    .iter()
+                    .map(|edit| serde_json::json!({
+                        "instructions": edit.instructions,
+                        "seed": edit.seed,
+                        "guidance": edit.guidance,
+                        "fit_error_m": edit.fit_error_m,
+                    }))
+                    .collect::<Vec<_>>(),
+                "undone": history.num_undone(),
+                "frames": current.len(),
+                "out": self.args.out,
+            }));
+        }
+        let mut lines = vec![format!(
+            "{}: {} frames, {} edits, {} taken back; in {}",
+            history.id(),
+            current.len(),
+            history.edits().len(),
+            history.num_undone(),
+            self.path.display()
+        )];
+        for (number, edit) in history.edits().iter().enumerate() {
+            for asked in &edit.instructions {
+                lines.push(format!(
+                    "{:>3}  {}:{}  {}",
+                    number + 1,
+                    asked.frames.start,
+                    asked.frames.end,
+                    asked.text
+                ));
+            }
+        }
+        report::text(&lines.join("\n"));
+        Ok(())
+    }
 }
 
 /// A clip of a dataset by its id.
@@ -192,24 +611,80 @@ pub(crate) fn read_foreign(
     Ok((format, outcomes))
 }
 
-fn write(
-    out: &Path,
-    original: &Motion,
-    edited: &Motion,
-    text: &str,
-    skeleton: &Skeleton,
-) -> anyhow::Result<()> {
-    let bytes = match out.extension().and_then(|extension| extension.to_str()) {
-        Some("npz") => pipeline::write::amass::encode(edited, skeleton)?,
-        Some("bvh") => pipeline::write::bvh::encode(edited, skeleton).into_bytes(),
-        Some("svg") => {
-            let rows = [
-                strip::Row::new("original", original, skeleton),
-                strip::Row::new(text, edited, skeleton),
-            ];
-            strip::strip(&rows, &Style::default()).into_bytes()
-        }
-        _ => bail!("{} must end in .npz, .bvh or .svg", out.display()),
-    };
-    std::fs::write(out, bytes).with_context(|| format!("cannot write {}", out.display()))
+/// An edit as it is written.
+struct Shown<'a> {
+    id: &'a str,
+    original: &'a Motion,
+    edited: &'a Edited,
+    text: &'a str,
+    editor: &'a str,
+    seed: Seed,
+}
+
+impl Shown<'_> {
+    fn write(&self, out: &Path, global: &Global) -> anyhow::Result<()> {
+        let skeleton = &Skeleton::smplx_neutral();
+        let edited = &self.edited.motion;
+        let rows = || {
+            [
+                strip::Row::new("original", self.original, skeleton),
+                strip::Row::new(self.text, edited, skeleton),
+            ]
+        };
+        let style = Style::default();
+        let bytes = match out.extension().and_then(|extension| extension.to_str()) {
+            Some("npz") => pipeline::write::amass::encode(edited, skeleton)?,
+            Some("bvh") => pipeline::write::bvh::encode(edited, skeleton).into_bytes(),
+            Some("glb") => pipeline::write::gltf::encode(edited, skeleton)?,
+            Some("svg") => strip::strip(&rows(), &style).into_bytes(),
+            Some("png") => raster::png(&strip::strip(&rows(), &style), 2.0)?,
+            Some("gif") => raster::gif(&rows(), &style, 1.0)?,
+            None => return self.table(out, skeleton, global),
+            Some(other) => bail!(
+                "{} ends in .{other}; known are .npz, .bvh, .glb, .svg, .png, .gif, and a folder",
+                out.display()
+            ),
+        };
+        replace_file(out, &bytes).with_context(|| format!("cannot write {}", out.display()))
+    }
+
+    /// Writes original and edit as rows of the `edits` table.
+    fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
+        let row = |system: &str, hash: &str, motion: &Motion, fit_error_m| EditRow {
+            id: self.id.to_owned(),
+            split: Split::Test,
+            system: system.to_owned(),
+            checkpoint_hash: hash.to_owned(),
+            source_id: self.id.to_owned(),
+            target_id: String::new(),
+            instruction: self.text.to_owned(),
+            kind: "free".to_owned(),
+            seed: self.seed.0,
+            fps: motion.fps().get() as f32,
+            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            fit_error_m,
+        };
+        let rows = [
+            row(EditRow::SOURCE, "", self.original, None),
+            row(
+                "MotionReFit",
+                self.editor,
+                &self.edited.motion,
+                Some(self.edited.fit_error_m),
+            ),
+        ];
+        let plan = blake3::hash(format!("{} {} {:?}", self.id, self.text, rows[1]).as_bytes());
+        commit_rows(
+            out,
+            &rows,
+            Some(|row: &EditRow| row.split),
+            skeleton,
+            &plan.to_hex(),
+            &global.holder(),
+        )?;
+        Ok(())
+    }
 }

@@ -21,7 +21,7 @@ use train::config::TrainConfig;
 use train::fit::TrainReport;
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, IngestConfig, Judged, Scores};
+use crate::chain::{self, EditConfig, EditorSource, IngestConfig, Judged, Scores, TrainInputs};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
 use crate::exit::Exit;
@@ -212,19 +212,27 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&places.dataset)?;
     let encoder = chain::train_encoder(&places.dataset, &places.encoder, &plan.encoder, &bars)
         .context("stage train tmr")?;
+    if chain::is_stopped() {
+        return Ok(stopped());
+    }
     let editor = chain::train_editor(
         &places.dataset,
         &places.editor,
         &plan.train,
-        &config.compose,
-        None,
+        &TrainInputs {
+            compose: &config.compose,
+            windows: None,
+        },
         seed,
         &bars,
     )
     .context("stage train motionrefit")?;
-    let edits = chain::edits(
+    if chain::is_stopped() {
+        return Ok(stopped());
+    }
+    let (edits, _) = chain::edits(
         &places.dataset,
-        &places.editor,
+        &EditorSource::best(&places.editor),
         &places.edits,
         Split::Test,
         &config.edit,
@@ -265,6 +273,12 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     } else {
         Exit::Done
     })
+}
+
+/// Says that an interrupt ended the run between two stages.
+fn stopped() -> Exit {
+    report::note("stopped and saved; the same command goes on from here");
+    Exit::Interrupted
 }
 
 /// What the stages came to.

@@ -4,7 +4,8 @@
 //! RUN/config.json               what the run was asked to do
 //! RUN/metrics.jsonl             one line every few steps
 //! RUN/checkpoint/last/          weights, optimiser and place in the run
-//! RUN/checkpoint/best/          the same at the lowest validation loss
+//! RUN/checkpoint/best/          weights at the lowest validation loss
+//! RUN/checkpoint/epoch-50/      weights after so many epochs, where the settings keep them
 //! RUN/checkpoint/*/manifest.json  length and BLAKE3 of every file
 //! ```
 //!
@@ -32,21 +33,41 @@ pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
 
 /// A checkpoint of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {
     /// The newest.
     Last,
     /// The one with the lowest validation loss.
     Best,
+    /// The one kept after so many epochs.
+    Epoch(u64),
 }
 
 impl Slot {
     /// Name of the folder.
-    pub fn as_str(self) -> &'static str {
+    pub fn name(self) -> String {
         match self {
-            Self::Last => "last",
-            Self::Best => "best",
+            Self::Last => "last".to_owned(),
+            Self::Best => "best".to_owned(),
+            Self::Epoch(epoch) => format!("epoch-{epoch}"),
+        }
+    }
+}
+
+impl std::str::FromStr for Slot {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "last" => Ok(Self::Last),
+            "best" => Ok(Self::Best),
+            _ => name
+                .strip_prefix("epoch-")
+                .and_then(|epoch| epoch.parse().ok())
+                .map(Self::Epoch)
+                .ok_or_else(|| {
+                    format!("{name:?} is no checkpoint; known are best, last and epoch-N")
+                }),
         }
     }
 }
@@ -143,12 +164,18 @@ impl Run {
         })
     }
 
+    /// The folder.
+    pub(crate) fn dir(&self) -> &Path {
+        &self.dir
+    }
+
     /// Replaces a checkpoint.
     pub(crate) fn write(&self, slot: Slot, files: &Files) -> Result<(), Error> {
         let parent = self.dir.join("checkpoint");
-        let place = parent.join(slot.as_str());
-        let new = parent.join(format!(".{}.new", slot.as_str()));
-        let old = parent.join(format!(".{}.old", slot.as_str()));
+        let name = slot.name();
+        let place = parent.join(&name);
+        let new = parent.join(format!(".{name}.new"));
+        let old = parent.join(format!(".{name}.old"));
         remove_dir(&new)?;
         fs::create_dir_all(&new).map_err(Error::io("create", &new))?;
         for (name, bytes) in files {
@@ -229,8 +256,8 @@ impl Run {
 /// Reads and checks a checkpoint of a run. `None` if there is none yet.
 pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     let parent = run_dir.join("checkpoint");
-    let place = parent.join(slot.as_str());
-    let old = parent.join(format!(".{}.old", slot.as_str()));
+    let place = parent.join(slot.name());
+    let old = parent.join(format!(".{}.old", slot.name()));
     let place = if place.exists() {
         place
     } else if old.exists() {
@@ -317,7 +344,7 @@ pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Re
     read(run_dir, slot)?.ok_or_else(|| Error::NotARun {
         path: run_dir.to_owned(),
         kind,
-        reason: format!("it holds no checkpoint {:?}", slot.as_str()),
+        reason: format!("it holds no checkpoint {:?}", slot.name()),
     })
 }
 

@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
 use datasets_spec::Seed;
-use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::normalise::FRAME_WIDTH;
 pub use pipeline::compose::WindowBatch;
 use pipeline::compose::{Stream, WindowLoader};
@@ -15,9 +15,6 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
-/// Numbers of a window: 16 frames of 84.
-pub const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
-
 /// Batches prepared ahead of the trainer: one being taken and one ready.
 const PREFETCHED_BATCHES: usize = 2;
 
@@ -26,6 +23,9 @@ const PREFETCHED_BATCHES: usize = 2;
 pub trait WindowSource: Sync {
     /// Items of an epoch.
     fn epoch_len(&self) -> u64;
+
+    /// Numbers of a window: its frames times 84.
+    fn window_len(&self) -> usize;
 
     /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
     ///
@@ -45,6 +45,10 @@ impl WindowSource for Stream {
         Stream::epoch_len(self)
     }
 
+    fn window_len(&self) -> usize {
+        Stream::window_len(self)
+    }
+
     fn fill(
         &self,
         epoch: u64,
@@ -62,6 +66,10 @@ impl WindowSource for WindowLoader {
         WindowLoader::epoch_len(self)
     }
 
+    fn window_len(&self) -> usize {
+        WindowLoader::window_len(self)
+    }
+
     fn fill(
         &self,
         epoch: u64,
@@ -75,21 +83,73 @@ impl WindowSource for WindowLoader {
     }
 }
 
-/// `B` windows with everything a training step draws.
+/// Vectors of texts that a frozen encoder has made before.
+pub trait TextVectors: Sync + std::fmt::Debug {
+    /// Numbers of a vector.
+    fn width(&self) -> usize;
+
+    /// The vector of a text, if it was made.
+    fn get(&self, text: &str) -> Option<&[f32]>;
+
+    /// What identifies the encoder.
+    fn encoder_hash(&self) -> &str;
+}
+
+/// How instructions become what a network is given.
+#[derive(Clone, Copy, Debug)]
+pub enum Texts<'a> {
+    /// The numbers of their words.
+    Words(&'a Vocabulary),
+    /// The vectors of a frozen encoder.
+    Vectors(&'a dyn TextVectors),
+}
+
+/// Instructions as a network is given them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TextBatch {
+    /// The numbers of their words.
+    Words(TokenBatch),
+    /// The vectors of a frozen encoder, `[B, d]`.
+    Vectors(Vec<f32>),
+}
+
+impl Texts<'_> {
+    /// What a network is given of texts.
+    ///
+    /// # Errors
+    /// A text has no vector.
+    pub fn batch<'a>(&self, texts: impl Iterator<Item = &'a str>) -> Result<TextBatch, Error> {
+        match self {
+            Self::Words(vocabulary) => Ok(TextBatch::Words(vocabulary.encode_batch(texts))),
+            Self::Vectors(vectors) => {
+                let mut values = Vec::new();
+                for text in texts {
+                    let vector = vectors.get(text).ok_or_else(|| Error::NoVector {
+                        text: text.to_owned(),
+                    })?;
+                    values.extend_from_slice(vector);
+                }
+                Ok(TextBatch::Vectors(values))
+            }
+        }
+    }
+}
+
+/// `B` windows of `W` frames with everything a training step draws.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoisyBatch {
-    /// Normalised original windows, `[B, 16, 84]`.
+    /// Normalised original windows, `[B, W, 84]`.
     pub original: Vec<f32>,
-    /// Normalised edited windows, `[B, 16, 84]`.
+    /// Normalised edited windows, `[B, W, 84]`.
     pub edited: Vec<f32>,
-    /// Standard normal noise, zero on the fixed frames, `[B, 16, 84]`.
+    /// Standard normal noise, zero on the fixed frames, `[B, W, 84]`.
     pub noise: Vec<f32>,
     /// Diffusion step of each window, `[B]`.
     pub timesteps: Vec<usize>,
     /// Position of each window in its edited motion, `[B]`.
     pub progress: Vec<f32>,
-    /// Instructions as tokens.
-    pub tokens: TokenBatch,
+    /// Instructions.
+    pub texts: TextBatch,
     /// 1 where the instruction is shown to the network, 0 where it is dropped, `[B]`.
     pub text_kept: Vec<f32>,
 }
@@ -100,6 +160,11 @@ impl NoisyBatch {
     pub fn len(&self) -> usize {
         self.timesteps.len()
     }
+
+    /// Frames of a window.
+    pub fn window(&self) -> usize {
+        self.original.len() / (self.len().max(1) * FRAME_WIDTH)
+    }
 }
 
 /// How the diffusion steps of a batch are chosen.
@@ -107,15 +172,17 @@ impl NoisyBatch {
 pub(crate) enum Timesteps {
     /// Uniformly, each window for itself.
     Random,
-    /// Spread evenly over the schedule, which makes a validation comparable between runs.
-    Spread,
+    /// Spread evenly over the schedule by so many windows from the first on, which makes a
+    /// validation comparable between runs.
+    Spread(usize),
 }
 
 /// Turns items of a source into batches. Everything drawn for an item depends on the seed and the
 /// item's place in the run alone.
+#[derive(Clone, Copy)]
 pub(crate) struct Drawer<'a> {
     pub(crate) source: &'a dyn WindowSource,
-    pub(crate) vocabulary: &'a Vocabulary,
+    pub(crate) texts: Texts<'a>,
     pub(crate) seed: Seed,
     pub(crate) num_timesteps: usize,
     pub(crate) timesteps: Timesteps,
@@ -126,9 +193,10 @@ impl Drawer<'_> {
     /// The windows `first..first + num_windows` of the run, epochs following one another.
     pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
         let windows = self.windows(first, num_windows)?;
-        let mut noise = vec![0.0f32; num_windows * WINDOW_NUMBERS];
+        let window_len = self.source.window_len();
+        let mut noise = vec![0.0f32; num_windows * window_len];
         let drawn: Vec<(usize, f32)> = noise
-            .par_chunks_mut(WINDOW_NUMBERS)
+            .par_chunks_mut(window_len)
             .enumerate()
             .map(|(index, noise)| {
                 let mut rng = self
@@ -136,8 +204,9 @@ impl Drawer<'_> {
                     .rng(&["window", &(first + index as u64).to_string()]);
                 let timestep = match self.timesteps {
                     Timesteps::Random => rng.random_range(0..self.num_timesteps),
-                    Timesteps::Spread => {
-                        (2 * index + 1) * self.num_timesteps / (2 * num_windows).max(1)
+                    Timesteps::Spread(total) => {
+                        let place = (first as usize + index) % total;
+                        (2 * place + 1) * self.num_timesteps / (2 * total)
                     }
                 };
                 let text_kept = if rng.random_bool(self.text_dropout) {
@@ -153,9 +222,9 @@ impl Drawer<'_> {
             .collect();
         let (timesteps, text_kept) = drawn.into_iter().unzip();
         Ok(NoisyBatch {
-            tokens: self
-                .vocabulary
-                .encode_batch(windows.instructions.iter().map(String::as_str)),
+            texts: self
+                .texts
+                .batch(windows.instructions.iter().map(String::as_str))?,
             original: windows.original,
             edited: windows.edited,
             noise,
@@ -181,7 +250,8 @@ impl Drawer<'_> {
             let missing = (num_windows - whole.progress.len()) as u64;
             let num_items = missing.min(epoch_len - first_item) as usize;
             self.source.fill(epoch, first_item, num_items, &mut part)?;
-            check_shape(&part, epoch, first_item, num_items)?;
+            let window_len = self.source.window_len();
+            check_shape(&part, epoch, first_item, num_items, window_len)?;
             whole.original.append(&mut part.original);
             whole.edited.append(&mut part.edited);
             whole.progress.append(&mut part.progress);
@@ -196,10 +266,11 @@ fn check_shape(
     epoch: u64,
     first_item: u64,
     num_items: usize,
+    window_len: usize,
 ) -> Result<(), Error> {
     for (field, got, expected) in [
-        ("original", batch.original.len(), num_items * WINDOW_NUMBERS),
-        ("edited", batch.edited.len(), num_items * WINDOW_NUMBERS),
+        ("original", batch.original.len(), num_items * window_len),
+        ("edited", batch.edited.len(), num_items * window_len),
         ("progress", batch.progress.len(), num_items),
         ("instructions", batch.instructions.len(), num_items),
     ] {
@@ -240,12 +311,19 @@ pub(crate) fn prefetch<'scope, T: Send + 'scope>(
 mod tests {
     use super::*;
 
+    /// Numbers of a window of 16 frames.
+    const WINDOW_NUMBERS: usize = 16 * FRAME_WIDTH;
+
     /// Windows that hold their own epoch and item number.
     struct Counting(u64);
 
     impl WindowSource for Counting {
         fn epoch_len(&self) -> u64 {
             self.0
+        }
+
+        fn window_len(&self) -> usize {
+            WINDOW_NUMBERS
         }
 
         fn fill(
@@ -272,7 +350,7 @@ mod tests {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let drawer = Drawer {
             source: &Counting(3),
-            vocabulary: &vocabulary,
+            texts: Texts::Words(&vocabulary),
             seed: Seed(1),
             num_timesteps: 10,
             timesteps: Timesteps::Random,
@@ -303,10 +381,10 @@ mod tests {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let drawer = Drawer {
             source: &Counting(64),
-            vocabulary: &vocabulary,
+            texts: Texts::Words(&vocabulary),
             seed: Seed(2),
             num_timesteps: 10,
-            timesteps: Timesteps::Spread,
+            timesteps: Timesteps::Spread(64),
             text_dropout: 0.0,
         };
         let batch = drawer.draw(0, 64).expect("drawn");
@@ -319,7 +397,7 @@ mod tests {
                 .map(|&v| f64::from(v) * f64::from(v))
                 .sum::<f64>();
         }
-        let count = (64 * (WINDOW_FRAMES - FIXED_FRAMES) * FRAME_WIDTH) as f64;
+        let count = (64 * (16 - FIXED_FRAMES) * FRAME_WIDTH) as f64;
         // Four standard deviations of the mean square of that many normal numbers.
         assert!((square / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
         assert_eq!(batch.timesteps.first(), Some(&0));

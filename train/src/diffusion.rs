@@ -1,7 +1,7 @@
 //! Noise schedule, forward noising, reverse step, guidance and loss.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
@@ -202,7 +202,14 @@ impl Schedule {
         noise: Tensor<3>,
     ) -> Tensor<3> {
         let timesteps = vec![timestep; x_t.dims()[0]];
-        let mean = self.posterior_mean(x0, x_t, &timesteps);
+        self.add_noise(self.posterior_mean(x0, x_t, &timesteps), timestep, noise)
+    }
+
+    /// Adds noise of the posterior variance to the mean of the posterior, except at the last step.
+    ///
+    /// # Shapes
+    /// All `[B, W, D]`.
+    pub fn add_noise(&self, mean: Tensor<3>, timestep: usize, noise: Tensor<3>) -> Tensor<3> {
         if timestep == 0 {
             return mean;
         }
@@ -273,9 +280,10 @@ pub fn training_loss(
     config: &DiffusionConfig,
 ) -> Tensor<1> {
     let device = text.device();
+    let window = batch.window();
     let windows = |values: &[f32]| -> Tensor<3> {
         Tensor::from_data(
-            TensorData::new(values.to_vec(), [batch.len(), WINDOW_FRAMES, FRAME_WIDTH]),
+            TensorData::new(values.to_vec(), [batch.len(), window, FRAME_WIDTH]),
             &device,
         )
     };
@@ -292,7 +300,7 @@ pub fn training_loss(
         Prediction::Change => x0 - original.clone(),
     };
     let predicted = denoiser.forward(x_t, &batch.timesteps, text, &batch.progress, original);
-    let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, WINDOW_FRAMES - FIXED_FRAMES);
+    let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
     config.loss.mean(free(predicted), free(target))
 }
 

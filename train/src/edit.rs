@@ -4,12 +4,12 @@ use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::fit::{FitOptions, fit_motion};
 use datasets_spec::record::EditRow;
 use datasets_spec::resample::double_rate;
-use datasets_spec::{Fps, Motion, Progress, Resample, Skeleton};
+use datasets_spec::{Fps, Motion, Resample, Skeleton};
 use pipeline::compose::Triplet;
 use rayon::prelude::*;
 
-use crate::Error;
-use crate::sample::{EditItem, EditSettings, Editor};
+use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
+use crate::{Error, Session};
 
 /// Weight in m^2/rad^2 that calms unobservable twists of a body fitted to generated points: well
 /// below the square of the centimetre by which such points miss any body.
@@ -17,7 +17,8 @@ const GENERATED_SMOOTHNESS: f64 = 1e-4;
 
 /// Edits the original of every item and returns three rows an item: the original (`source`), the
 /// ground truth (`target`) and what the editor made of the original (`system`). All three are at
-/// 20 fps and equally long: whole windows of the original, as far as they reach.
+/// 20 fps and equally long: whole windows of the original, as far as they reach. Beside them comes
+/// where the time went.
 ///
 /// # Errors
 /// An original is shorter than a window, or a generated motion is not finite.
@@ -30,9 +31,9 @@ pub fn edit_items(
     items: &[Triplet],
     skeleton: &Skeleton,
     settings: &EditSettings,
-    progress: &dyn Progress,
-) -> Result<Vec<EditRow>, Error> {
-    let normalizer = editor.record().config.normalizer;
+    session: &Session<'_>,
+) -> Result<(Vec<EditRow>, EditTimes), Error> {
+    let record = &editor.record().config;
     let prepared: Vec<EditItem> = items
         .iter()
         .map(|item| {
@@ -41,43 +42,67 @@ pub fn edit_items(
                 &item.original,
                 &item.instruction,
                 skeleton,
-                &normalizer,
+                record,
             )
         })
         .collect::<Result<_, _>>()?;
-    let edited = editor.edit_batch(&prepared, skeleton, settings, progress)?;
-    progress.begin("fit", Some(items.len() as u64));
+    let mut times = EditTimes::default();
+    let edited = editor.edit_batch(&prepared, skeleton, settings, session, &mut times)?;
+    let begun = session.secs();
+    session.progress.begin("fit", Some(items.len() as u64));
     let rows: Vec<[EditRow; 3]> = items
         .par_iter()
         .zip(&edited)
         .map(|(item, frames)| {
             let rows = item_rows(editor, system, item, frames, skeleton, settings);
-            progress.advance(1);
+            session.progress.advance(1);
             rows
         })
         .collect::<Result<_, _>>()?;
-    progress.finish(&format!("{} edited motions fitted", items.len()));
-    Ok(rows.into_iter().flatten().collect())
+    times.fit_secs += session.secs() - begun;
+    session
+        .progress
+        .finish(&format!("{} edited motions fitted", items.len()));
+    Ok((rows.into_iter().flatten().collect(), times))
 }
 
-/// Edits one motion, of any rate. The result is at 20 fps and covers whole windows; with it comes
-/// the mean distance in metres between the generated points and the fitted body.
+/// An edited motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edited {
+    /// The motion, at 20 fps, over whole windows.
+    pub motion: Motion,
+    /// Mean distance in metres between the generated points and the fitted body.
+    pub fit_error_m: f32,
+    /// Where the time went.
+    pub times: EditTimes,
+}
+
+/// Edits one motion, of any rate, by instructions for parts of it or for the whole.
 ///
 /// # Errors
-/// The motion is shorter than a window, or the generated motion is not finite.
+/// The motion is shorter than a window, an instruction fits no window, or the generated motion is
+/// not finite.
 pub fn edit_motion(
     editor: &Editor,
     id: &str,
     motion: &Motion,
-    instruction: &str,
+    instructions: &[TimedInstruction],
     skeleton: &Skeleton,
     settings: &EditSettings,
-    progress: &dyn Progress,
-) -> Result<(Motion, f32), Error> {
-    let normalizer = editor.record().config.normalizer;
-    let item = EditItem::new(id, motion, instruction, skeleton, &normalizer)?;
-    let edited = editor.edit_batch(&[item], skeleton, settings, progress)?;
-    fit_edited(id, &edited[0], skeleton)
+    session: &Session<'_>,
+) -> Result<Edited, Error> {
+    let mut times = EditTimes::default();
+    let record = &editor.record().config;
+    let item = EditItem::timed(id, motion, instructions, skeleton, record)?;
+    let edited = editor.edit_batch(&[item], skeleton, settings, session, &mut times)?;
+    let begun = session.secs();
+    let (motion, fit_error_m) = fit_edited(id, &edited[0], skeleton)?;
+    times.fit_secs += session.secs() - begun;
+    Ok(Edited {
+        motion,
+        fit_error_m,
+        times,
+    })
 }
 
 fn fit_edited(

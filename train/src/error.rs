@@ -86,6 +86,28 @@ pub enum Error {
         /// Values expected.
         expected: usize,
     },
+    /// A text has no vector of the frozen encoder the model listens to.
+    #[error(
+        "no vector was made of the text {text:?}; give the folder of the text encoder with --clip"
+    )]
+    NoVector {
+        /// The text.
+        text: String,
+    },
+    /// Two models that are to work together were made for different things.
+    #[error("{what} does not fit the editor: {problem}")]
+    Misfit {
+        /// What does not fit.
+        what: &'static str,
+        /// In what it differs.
+        problem: String,
+    },
+    /// The work was stopped from outside before it was done.
+    #[error("{what} was stopped before it was done")]
+    Stopped {
+        /// What was stopped.
+        what: &'static str,
+    },
     /// The loss became NaN or infinite.
     #[error(
         "loss is not finite at step {step}; lower the learning rate and continue from the last checkpoint"

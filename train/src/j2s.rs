@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use burn::module::Module;
-use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
 use datasets_spec::canonical::KeypointFrame;
@@ -17,11 +16,23 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::checkpoint::{Files, Run, RunRecord, take};
+use crate::config::{Decay, OptimizerConfig};
+use crate::learn::{Course, Task, learn};
 use crate::model::pose_net::{
-    OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_NAMES, PAPER_OUTPUT, PaperPoseNet,
+    OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
+    PAPER_OUTPUT, PaperPoseNet,
 };
-use crate::model::weights::{draw, from_safetensors_named, to_safetensors};
+use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
 use crate::{Error, Session};
+
+/// Kind of run.
+const KIND: &str = "j2s";
+
+const WEIGHTS: &str = "model.safetensors";
+
+/// Poses of a validation.
+const VAL_POSES: usize = 512;
 
 /// Which of the two published networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,6 +42,16 @@ pub enum J2sPreset {
     Paper,
     /// That of the released code: 72-64-64-132 with batch norm.
     Official,
+}
+
+impl J2sPreset {
+    /// Numbers of a frame the network sees.
+    fn input(self) -> usize {
+        match self {
+            Self::Paper => PAPER_INPUT,
+            Self::Official => OFFICIAL_INPUT,
+        }
+    }
 }
 
 /// How a network is trained.
@@ -101,7 +122,7 @@ pub struct J2sReport {
     pub config: J2sConfig,
     /// Root hash of the dataset.
     pub dataset_hash: String,
-    /// Loss of the first and of the last steps, averaged over a twentieth of them.
+    /// Loss of the first and of the last twentieth of the steps.
     pub loss: [f64; 2],
     /// How near each way comes.
     pub ways: Vec<WayBack>,
@@ -133,36 +154,35 @@ pub fn train_j2s(
             return Err(Error::Empty { what });
         }
     }
-    let device = session.device.clone().autodiff();
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(KIND, dataset_hash, skeleton.name(), config),
+    )?;
     let seed = Seed(config.seed);
-    let (net, loss) = match config.preset {
+    let device = session.device.clone().autodiff();
+    let (net, done) = match config.preset {
         J2sPreset::Paper => {
-            let net = draw(
-                PaperPoseNet::new(config.width, &device),
-                seed.derive(&["weights"]),
-            );
-            let forward = |net: &PaperPoseNet, points| net.forward(points);
-            let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
-            (PoseNet::Paper(Box::new(net.valid())), loss)
+            let net = PaperPoseNet::new(config.width, &device);
+            let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
+            let net = draw(net, seed.derive(&["weights"]));
+            let (net, done) = learn(&task, net, &task.course(), &run, session)?;
+            (PoseNet::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
-            let net = draw(
-                OfficialPoseNet::new(config.width, &device),
-                seed.derive(&["weights"]),
-            );
-            let forward = |net: &OfficialPoseNet, points| net.forward(points);
-            let (net, loss) = optimise(net, forward, config, train, skeleton, &device, session)?;
-            (PoseNet::Official(Box::new(net.valid())), loss)
+            let net = OfficialPoseNet::new(config.width, &device);
+            let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
+            let net = draw(net, seed.derive(&["weights"]));
+            let (net, done) = learn(&task, net, &task.course(), &run, session)?;
+            (PoseNet::Official(Box::new(net)), done)
         }
     };
     let report = J2sReport {
         config: config.clone(),
         dataset_hash: dataset_hash.to_owned(),
-        loss,
+        loss: [done.first_loss, done.last_loss].map(|loss| loss.unwrap_or(f64::NAN)),
         ways: measure(&net, val, skeleton, config, session),
     };
-    std::fs::create_dir_all(run_dir).map_err(Error::io("create", run_dir))?;
-    let weights = run_dir.join("model.safetensors");
+    let weights = run_dir.join(WEIGHTS);
     let bytes = net.to_safetensors(&weights)?;
     write(&weights, &bytes)?;
     let document = serde_json::to_vec_pretty(&report).expect("plain numbers and names serialise");
@@ -177,55 +197,93 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
         .map_err(Error::io("write", path))
 }
 
-fn optimise<M: Module>(
-    mut net: M,
-    forward: impl Fn(&M, Tensor<2>) -> Tensor<2>,
-    config: &J2sConfig,
-    motions: &[Motion],
-    skeleton: &Skeleton,
-    device: &Device,
-    session: &Session<'_>,
-) -> Result<(M, [f64; 2]), Error> {
-    let mut optimizer: ModuleOptimizer = AdamWConfig::new().with_weight_decay(0.0).init();
-    let seed = Seed(config.seed).derive(&["poses"]);
-    let mut losses = Vec::new();
-    session.progress.begin("train j2s", Some(config.num_steps));
-    for step in 0..config.num_steps {
-        if session.is_stopped() {
-            break;
-        }
-        let poses = draw_poses(motions, config.batch_size, seed.rng_of(step));
-        let (points, wanted) = samples(
-            &poses,
+struct PoseTask<'a, M> {
+    forward: fn(&M, Tensor<2>) -> Tensor<2>,
+    config: &'a J2sConfig,
+    train: &'a [Motion],
+    skeleton: &'a Skeleton,
+    seed: Seed,
+    /// What the network sees and is to give on poses it is not trained on.
+    val: (Vec<f32>, Vec<f32>),
+}
+
+impl<'a, M: Module> PoseTask<'a, M> {
+    fn new(
+        forward: fn(&M, Tensor<2>) -> Tensor<2>,
+        config: &'a J2sConfig,
+        motions: [&'a [Motion]; 2],
+        skeleton: &'a Skeleton,
+    ) -> Self {
+        let [train, val] = motions;
+        let seed = Seed(config.seed).derive(&["poses"]);
+        let poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
+        Self {
+            forward,
             config,
+            train,
             skeleton,
-            Some(seed.derive(&["noise"]).rng_of(step)),
-        );
-        let points = tensor(points, config.batch_size, device);
-        let wanted = tensor(wanted, config.batch_size, device);
-        let away = forward(&net, points) - wanted;
-        let loss = (away.clone() * away).mean();
-        let value: f32 = loss.clone().into_scalar();
-        if !value.is_finite() {
-            return Err(Error::Diverged { step });
-        }
-        losses.push(f64::from(value));
-        let gradients = GradientsParams::from_grads(loss.backward(), &net);
-        let rate = config.learning_rate * (1.0 - step as f64 / config.num_steps as f64);
-        net = optimizer.step(rate, net, gradients);
-        session.progress.advance(1);
-        if step % 50 == 0 {
-            session.progress.message(&format!("loss {value:.4}"));
+            seed,
+            val: samples(&poses, config, skeleton, None),
         }
     }
-    let some = (losses.len() / 20).max(1).min(losses.len().max(1));
-    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
-    let ends = [
-        &losses[..some.min(losses.len())],
-        &losses[losses.len().saturating_sub(some)..],
-    ];
-    session.progress.finish(&format!("{} steps", losses.len()));
-    Ok((net, ends.map(mean)))
+
+    fn course(&self) -> Course {
+        let num_steps = self.config.num_steps;
+        Course {
+            stage: "train j2s".to_owned(),
+            samples: "poses",
+            optimizer: OptimizerConfig {
+                learning_rate: self.config.learning_rate,
+                decay: Decay::Linear,
+                warmup_steps: 0,
+                weight_decay: 0.0,
+                max_gradient_norm: None,
+                average: None,
+            },
+            batch_size: self.config.batch_size,
+            num_steps,
+            // Twenty lines and ten validations a run, however long it is.
+            log_every: num_steps.div_ceil(20),
+            val_every: num_steps.div_ceil(10),
+            keep_every: 0,
+            steps_per_epoch: 1,
+            seed: self.seed,
+        }
+    }
+}
+
+impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
+    type Model = M;
+    type Batch = (Vec<f32>, Vec<f32>);
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
+        let poses = draw_poses(self.train, self.config.batch_size, self.seed.rng_of(step));
+        let noise = self.seed.derive(&["noise"]).rng_of(step);
+        Ok(vec![(
+            1.0,
+            samples(&poses, self.config, self.skeleton, Some(noise)),
+        )])
+    }
+
+    fn loss(&self, net: &M, (points, wanted): &Self::Batch, device: &Device) -> Tensor<1> {
+        let rows = points.len() / self.config.preset.input();
+        let points = tensor(points.clone(), rows, device);
+        let away = (self.forward)(net, points) - tensor(wanted.clone(), rows, device);
+        away.square().mean()
+    }
+
+    fn validate(&self, net: &M, device: &Device) -> f32 {
+        self.loss(net, &self.val, device).into_scalar()
+    }
+
+    fn save(&self, net: &M, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(WEIGHTS.to_owned(), to_safetensors(net, run_dir)?)].into())
+    }
+
+    fn load(&self, net: &mut M, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        let bytes = take(files, WEIGHTS, run_dir)?;
+        from_safetensors(net, bytes, "", &run_dir.join(WEIGHTS))
+    }
 }
 
 fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {

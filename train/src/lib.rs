@@ -10,13 +10,16 @@
 
 pub mod checkpoint;
 pub mod config;
+pub mod coordinator;
 pub mod data;
 pub mod diffusion;
 pub mod edit;
 mod error;
 pub mod features;
 pub mod fit;
+pub mod history;
 pub mod j2s;
+mod learn;
 pub mod metrics;
 pub mod model;
 pub mod sample;

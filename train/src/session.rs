@@ -12,6 +12,8 @@ use datasets_spec::Progress;
 pub struct Session<'a> {
     /// Device tensors live on, without automatic differentiation.
     pub device: &'a Device,
+    /// Further devices of the same kind, which share the parts of a training step.
+    pub more_devices: &'a [Device],
     /// Receives the progress.
     pub progress: &'a dyn Progress,
     /// Ends the run after the current step and a checkpoint, once set.

@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use burn::module::Module;
-use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::{Motion, Pose, Seed};
 use rand::RngExt;
@@ -13,14 +11,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
-use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, TextConfig, positive};
-use crate::data::prefetch;
+use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, WordsConfig, positive};
 use crate::diffusion::Loss;
 use crate::features::{FEATURE_WIDTH, FeatureStats, encoder_poses, face_forward, smpl135};
-use crate::fit::{
-    MetricsLine, Speed, TrainReport, TrainState, ValidationLine, adamw, load_progress, mean,
-    report, save_progress,
-};
+use crate::learn::{Course, Task, TrainReport, learn};
 use crate::model::tmr::{Tmr, TmrSizes, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::vocabulary::{TokenBatch, Vocabulary};
@@ -41,7 +35,7 @@ pub struct TmrConfig {
     /// Width of a word vector.
     pub word_width: usize,
     /// Vocabulary.
-    pub text: TextConfig,
+    pub text: WordsConfig,
     /// Frames of the store from one frame of the encoder to the next.
     pub frame_stride: usize,
     /// Shortest crop shown in training, in frames of the encoder.
@@ -91,7 +85,7 @@ impl TmrConfig {
     /// because there is no time for the reconstruction to shape the space.
     pub fn preset(preset: Preset) -> Self {
         match preset {
-            Preset::Official => Self {
+            Preset::Paper | Preset::Official => Self {
                 model: NetworkConfig {
                     width: 256,
                     num_layers: 6,
@@ -100,7 +94,7 @@ impl TmrConfig {
                     dropout: 0.1,
                 },
                 word_width: 256,
-                text: TextConfig {
+                text: WordsConfig {
                     num_buckets: 64,
                     max_words: 64,
                 },
@@ -119,6 +113,8 @@ impl TmrConfig {
                     decay: Decay::Constant,
                     warmup_steps: 0,
                     weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    average: None,
                 },
                 batch_size: 32,
                 num_steps: 365_000,
@@ -135,7 +131,7 @@ impl TmrConfig {
                     dropout: 0.0,
                 },
                 word_width: 64,
-                text: TextConfig {
+                text: WordsConfig {
                     num_buckets: 16,
                     max_words: 24,
                 },
@@ -154,6 +150,8 @@ impl TmrConfig {
                     decay: Decay::Linear,
                     warmup_steps: 20,
                     weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    average: None,
                 },
                 batch_size: 32,
                 num_steps: 300,
@@ -306,15 +304,7 @@ pub fn train_tmr(
     let seed = Seed(config.seed);
     let device = session.device.clone().autodiff();
     let sizes = config.sizes(&record.vocabulary);
-    let mut model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]));
-    let mut optimizer = adamw(&config.optimizer);
-    let mut state = TrainState::default();
-    if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
-        load(&mut model, &mut files, run_dir)?;
-        (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
-    }
-    run.rewind_log(state.step)?;
-
+    let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]));
     let drawer = ClipDrawer {
         clips: &train,
         features: &record.features,
@@ -327,94 +317,57 @@ pub fn train_tmr(
         ..drawer
     }
     .whole();
+    let course = Course {
+        stage: "train tmr".to_owned(),
+        samples: "clips",
+        optimizer: config.optimizer,
+        batch_size: config.batch_size,
+        num_steps: config.num_steps,
+        log_every: config.log_every,
+        val_every: config.val_every,
+        keep_every: 0,
+        steps_per_epoch: 1,
+        seed,
+    };
+    let task = TmrTask {
+        config,
+        drawer,
+        val_batches,
+    };
+    let (_, report) = learn(&task, model, &course, &run, session)?;
+    Ok(report)
+}
 
-    let mut whole = Speed::default();
-    session.progress.begin("train tmr", Some(config.num_steps));
-    session.progress.advance(state.step);
-    let model = std::thread::scope(|scope| {
-        let batches = prefetch(scope, state.step..config.num_steps, |step| {
-            Ok(drawer.draw(step))
-        });
-        let mut recent = Speed::default();
-        while state.step < config.num_steps && !session.is_stopped() {
-            let begun = session.secs();
-            let batch = batches
-                .recv()
-                .expect("the producer sends a batch or an error for every step")?;
-            let received = session.secs();
+struct TmrTask<'a> {
+    config: &'a TmrConfig,
+    drawer: ClipDrawer<'a>,
+    val_batches: Vec<ClipBatch>,
+}
 
-            if config.model.dropout > 0.0 {
-                // Dropout draws on the device; seeding every step lets a continued run repeat it.
-                device.seed(seed.draw_u64(&["dropout", &state.step.to_string()]));
-            }
-            let rate = config.optimizer.rate_at(state.step, config.num_steps);
-            let loss = batch_loss(&model, &batch, config, &device);
-            let loss_value: f32 = loss.clone().into_scalar();
-            if !loss_value.is_finite() {
-                return Err(Error::Diverged { step: state.step });
-            }
-            let gradients = GradientsParams::from_grads(loss.backward(), &model);
-            model = optimizer.step(rate, model, gradients);
+impl Task for TmrTask<'_> {
+    type Model = Tmr;
+    type Batch = ClipBatch;
 
-            state.step += 1;
-            state.pending.push(loss_value);
-            recent.add(session.secs() - begun, received - begun);
-            session.progress.advance(1);
-            let is_last = state.step == config.num_steps;
-            if state.step.is_multiple_of(config.log_every) || is_last {
-                let loss = mean(&state.pending);
-                run.log(&MetricsLine {
-                    step: state.step,
-                    loss,
-                    learning_rate: rate,
-                    samples_per_sec: recent.samples_per_sec(config.batch_size),
-                    data_wait_share: recent.wait_share(),
-                })?;
-                session.progress.message(&format!(
-                    "loss {loss:.4}, {:.0} clips/s",
-                    recent.samples_per_sec(config.batch_size)
-                ));
-                state.first_loss.get_or_insert(loss);
-                state.last_loss = Some(loss);
-                state.pending.clear();
-                whole.merge(&recent);
-                recent = Speed::default();
-            }
-            if state.step.is_multiple_of(config.val_every) || is_last {
-                let val_loss = validate(&model.valid(), &val_batches, config, session.device);
-                let is_best = state.best_val_loss.is_none_or(|best| val_loss < best);
-                run.log(&ValidationLine {
-                    step: state.step,
-                    val_loss,
-                    is_best,
-                })?;
-                if is_best {
-                    state.best_val_loss = Some(val_loss);
-                    state.best_step = state.step;
-                }
-                let files = save(&model, &optimizer, &state, run_dir)?;
-                run.write(Slot::Last, &files)?;
-                if is_best {
-                    run.write(Slot::Best, &files)?;
-                }
-            }
-        }
-        whole.merge(&recent);
-        Ok(model)
-    })?;
-
-    let is_complete = state.step == config.num_steps;
-    if !is_complete {
-        run.write(Slot::Last, &save(&model, &optimizer, &state, run_dir)?)?;
+    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
+        // Every pair of a batch is a contrast to every other, so that a batch has no parts.
+        Ok(vec![(1.0, self.drawer.draw(step))])
     }
-    session.progress.finish(&format!("{} steps", state.step));
-    Ok(report(
-        &state,
-        is_complete,
-        model.num_params(),
-        &whole,
-        config.batch_size,
-    ))
+
+    fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device) -> Tensor<1> {
+        batch_loss(model, batch, self.config, device)
+    }
+
+    fn validate(&self, model: &Tmr, device: &Device) -> f32 {
+        validate(model, &self.val_batches, self.config, device)
+    }
+
+    fn save(&self, model: &Tmr, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
+    }
+
+    fn load(&self, model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        load(model, files, run_dir)
+    }
 }
 
 /// The loss of a batch.
@@ -650,17 +603,6 @@ fn feature_rows(
         values.resize((row + 1) * steps * FEATURE_WIDTH, 0.0);
     }
     (values, lengths, steps)
-}
-
-fn save(
-    model: &Tmr,
-    optimizer: &ModuleOptimizer,
-    state: &TrainState,
-    run_dir: &Path,
-) -> Result<Files, Error> {
-    let mut files = save_progress(optimizer, state, run_dir)?;
-    files.insert(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?);
-    Ok(files)
 }
 
 fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {

@@ -3,6 +3,7 @@
 #[path = "../../tests/data/golden.rs"]
 mod recorded;
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -13,18 +14,21 @@ use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::{Pose, rotation};
 use glam::DVec3;
 use safetensors::SafeTensors;
-use train::config::{NetworkConfig, Preset, TrainConfig};
-use train::data::NoisyBatch;
+use train::config::{
+    GuidanceConfig, GuidanceTarget, NetworkConfig, Preset, PreviousFrames, TrainConfig,
+};
+use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::{Prediction, Schedule, ScheduleName, guide, training_loss};
 use train::features::smpl135;
 use train::j2s::{J2sPreset, PoseNet, official_upsampling};
+use train::model::coordinator::Coordinator;
 use train::model::denoiser::{Denoiser, progress_indices};
 use train::model::position::sinusoid;
 use train::model::tmr::{
     Distribution, SequenceDecoder, SequenceEncoder, cosine_similarity, info_nce,
 };
 use train::model::weights::{from_safetensors, to_safetensors};
-use train::sample::{Condition, Sampler};
+use train::sample::{Condition, Guide, Sampler};
 use train::vocabulary::TokenBatch;
 
 use recorded::Recorded;
@@ -89,7 +93,12 @@ impl Golden {
 fn denoiser() -> Denoiser {
     let golden = Golden::read("motionrefit_denoiser");
     let config = golden.network("dim_model", "dim_feedforward");
-    let mut network = Denoiser::new(&config, &Device::flex());
+    let mut network = Denoiser::new(
+        &config,
+        PreviousFrames::Inpainted,
+        config.width,
+        &Device::flex(),
+    );
     golden.load(&mut network, "weights.");
     network
 }
@@ -150,7 +159,7 @@ fn golden_denoiser_trains_as_it_infers() {
         ..golden.network("dim_model", "dim_feedforward")
     };
     let device = Device::flex().autodiff();
-    let mut network = Denoiser::new(&config, &device);
+    let mut network = Denoiser::new(&config, PreviousFrames::Inpainted, config.width, &device);
     golden.load(&mut network, "weights.");
     let on_device = |values: Tensor<3>| Tensor::<3>::from_data(values.into_data(), &device);
     let eps = network.forward(
@@ -268,10 +277,11 @@ fn golden_training_loss() {
         edited: golden.f32s("in.loss.x_start"),
         noise,
         progress: golden.f32s("in.loss.prog"),
-        tokens: TokenBatch {
+        // Given below as vectors.
+        texts: TextBatch::Words(TokenBatch {
             ids: vec![0; timesteps.len()],
             width: 1,
-        },
+        }),
         text_kept: vec![1.0; timesteps.len()],
         timesteps,
     };
@@ -287,24 +297,159 @@ fn golden_training_loss() {
     assert!((loss - golden.f32s("out.loss.value")[0]).abs() < 2e-5);
 }
 
+fn coordinator(device: &Device) -> Coordinator {
+    let golden = Golden::read("motionrefit_coordinator");
+    // The file names the sizes but for the hidden layer, which its weights show.
+    let feed_forward = golden
+        .values("weights.transformer.layers.0.linear1.weight")
+        .1[0];
+    let config = NetworkConfig {
+        width: golden.size("dim_model"),
+        num_layers: golden.size("num_layers"),
+        num_heads: golden.size("num_heads"),
+        feed_forward,
+        dropout: 0.1,
+    };
+    let mut network = Coordinator::new(&config, device);
+    golden.load(&mut network, "weights.");
+    network
+}
+
 #[test]
-fn golden_unguided_sampling() {
-    let golden = Golden::read("motionrefit_sample_unguided");
-    let (noise, shape) = golden.values("in.noise");
+fn golden_coordinator() {
+    let golden = Golden::read("motionrefit_coordinator");
+    let network = coordinator(&Device::flex());
+    let (x, t) = (golden.tensor::<3>("in.x"), golden.indices("in.t"));
+    check(
+        network.probability(x.clone(), &t),
+        &golden,
+        "out.prob",
+        2e-6,
+    );
+    let slope: Vec<f32> = network
+        .slope(x, &t)
+        .into_data()
+        .try_into_vec_as()
+        .expect("floats");
+    for (found, expected) in slope.iter().zip(golden.f32s("out.grad")) {
+        assert!(
+            (found - expected).abs() <= 1e-6 + 1e-4 * expected.abs(),
+            "{found} {expected}"
+        );
+    }
+}
+
+#[test]
+fn golden_coordinator_is_saved_under_the_reference_names() {
+    let bytes = to_safetensors(&coordinator(&Device::flex()), Path::new("memory")).expect("saved");
+    let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
+    let recorded = Golden::read("motionrefit_coordinator").bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+    let mut names: Vec<&str> = saved.names().into_iter().collect();
+    let mut expected: Vec<&str> = reference
+        .names()
+        .into_iter()
+        .filter_map(|name| name.strip_prefix("weights."))
+        .collect();
+    names.sort_unstable();
+    expected.sort_unstable();
+    assert_eq!(names, expected);
+    for name in names {
+        let original = reference.tensor(&format!("weights.{name}")).expect("known");
+        let written = saved.tensor(name).expect("written");
+        assert_eq!(written.data(), original.data(), "{name}");
+    }
+}
+
+#[test]
+fn the_slope_of_the_coordinator_is_that_of_finite_differences() {
+    let network = coordinator(&Device::flex());
+    let golden = Golden::read("motionrefit_coordinator");
+    let x = golden.tensor::<3>("in.x").narrow(0, 0, 1);
+    let t = &golden.indices("in.t")[..1];
+    let shape = x.dims();
+    let values: Vec<f32> = x.to_data().try_into_vec_as().expect("floats");
+    let slope: Vec<f32> = network
+        .slope(x, t)
+        .into_data()
+        .try_into_vec_as()
+        .expect("floats");
+    let probability = |values: Vec<f32>| -> f64 {
+        let x = Tensor::from_data(TensorData::new(values, shape), &Device::flex());
+        let p: f32 = network.probability(x, t).into_scalar();
+        f64::from(p)
+    };
+    // Along directions that mix all numbers, so that the difference stands out of f32 rounding.
+    for seed in 0..6 {
+        let direction: Vec<f32> = (0..values.len())
+            .map(|index| ((index * (7 + seed) + seed) as f32 * 0.731).sin())
+            .collect();
+        let step = 2e-3f32;
+        let moved = |sign: f32| -> Vec<f32> {
+            values
+                .iter()
+                .zip(&direction)
+                .map(|(value, direction)| value + sign * step * direction)
+                .collect()
+        };
+        let numeric =
+            (probability(moved(1.0)) - probability(moved(-1.0))) / (2.0 * f64::from(step));
+        let analytic: f64 = slope
+            .iter()
+            .zip(&direction)
+            .map(|(slope, direction)| f64::from(slope * direction))
+            .sum();
+        // The third derivative along the direction and the rounding of the probabilities.
+        let slack = 1e-2 * analytic.abs() + 1e-4;
+        assert!((numeric - analytic).abs() < slack, "{numeric} {analytic}");
+    }
+}
+
+/// Numbers of a recorded sequence of noises, drawn in the order of sampling.
+struct Draws {
+    noise: Vec<f32>,
+    shape: [usize; 3],
+}
+
+impl Draws {
+    fn row(&self, row: usize) -> Tensor<3> {
+        let numbers: usize = self.shape.iter().product();
+        let values = self.noise[row * numbers..(row + 1) * numbers].to_vec();
+        Tensor::from_data(TensorData::new(values, self.shape), &Device::flex())
+    }
+
+    /// Row 0 begins, row `1 + k` belongs to step `k`, counted from the noisiest.
+    fn of(&self, timestep: Option<usize>, steps: usize) -> Tensor<3> {
+        self.row(timestep.map_or(0, |t| steps - t))
+    }
+}
+
+fn floats(tensor: &Tensor<3>) -> Vec<f32> {
+    tensor.to_data().try_into_vec_as().expect("floats")
+}
+
+/// How the released sampler is guided: by so many of its last steps.
+fn released_guidance(num_steps: usize) -> GuidanceConfig {
+    GuidanceConfig {
+        target: GuidanceTarget::PosteriorMean,
+        strength: 1.0,
+        num_steps,
+    }
+}
+
+fn check_sampling(case: &str) {
+    let golden = Golden::read(case);
+    let (_, shape) = golden.values("in.noise");
     let [draws, window, width] = shape[..] else {
         panic!("noise of shape {shape:?}")
     };
-    let (trace, trace_shape) = golden.values("out.trace");
-    let steps = trace_shape[0];
+    let trace = golden.f32s("out.trace");
+    let steps = golden.values("out.trace").1[0];
     assert_eq!(draws, steps + 1);
     let schedule = Schedule::new(ScheduleName::Official, steps).expect("enough steps");
-    let numbers = window * width;
-    let draw = |row: usize| -> Tensor<3> {
-        let values: Vec<f32> = noise[row * numbers..(row + 1) * numbers]
-            .iter()
-            .map(|&v| v as f32)
-            .collect();
-        Tensor::from_data(TensorData::new(values, [1, window, width]), &Device::flex())
+    let draws = Draws {
+        noise: golden.f32s("in.noise"),
+        shape: [1, window, width],
     };
     let condition = Condition {
         original: golden.tensor("in.orig"),
@@ -313,29 +458,187 @@ fn golden_unguided_sampling() {
         progress: golden.f32s("in.prog"),
     };
     assert_eq!(condition.fixed.dims()[1], FIXED_FRAMES);
-    let guidance: f64 = golden.metadata()["cfg_alpha"].parse().expect("a number");
+    let metadata = golden.metadata();
+    let number = |key: &str| -> f64 { metadata[key].parse().expect("a number") };
+    let coordinator = coordinator(&Device::flex());
+    let guide = Guide {
+        network: &coordinator,
+        config: GuidanceConfig {
+            strength: number("cg_alpha"),
+            ..released_guidance(number("cg_diffusion_steps") as usize)
+        },
+        clock: &|| 0.0,
+        secs: Cell::new(0.0),
+    };
     let mut worst = 0.0f32;
+    let numbers = window * width;
     Sampler {
         denoiser: &denoiser(),
         schedule: &schedule,
         prediction: Prediction::Noise,
         clip: true,
-        guidance,
+        guidance: number("cfg_alpha"),
+        coordinator: Some(&guide),
     }
     .sample(
         &condition,
-        |timestep| draw(timestep.map_or(0, |t| steps - t)),
+        |timestep| draws.of(timestep, steps),
         |timestep, x| {
             let row = steps - 1 - timestep;
-            let expected: Vec<f32> = trace[row * numbers..(row + 1) * numbers]
-                .iter()
-                .map(|&v| v as f32)
-                .collect();
-            let values: Vec<f32> = x.to_data().try_into_vec_as().expect("floats");
-            worst = worst.max(max_difference(&values, &expected));
+            let expected = &trace[row * numbers..(row + 1) * numbers];
+            worst = worst.max(max_difference(&floats(x), expected));
         },
     );
     assert!(worst <= 1e-4, "{worst}");
+}
+
+#[test]
+fn golden_unguided_sampling() {
+    check_sampling("motionrefit_sample_unguided");
+}
+
+#[test]
+fn golden_guided_sampling() {
+    check_sampling("motionrefit_sample_guided");
+}
+
+#[test]
+fn golden_guided_step() {
+    let golden = Golden::read("motionrefit_guided_step");
+    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
+    let network = denoiser();
+    let coordinator = coordinator(&Device::flex());
+    let x_t = golden.tensor::<3>("in.x_t");
+    let text = golden.tensor::<2>("in.text");
+    let shape = golden.values("out.mean").1;
+    let numbers = shape[1] * shape[2];
+    let recorded =
+        |name: &str, row: usize| golden.f32s(name)[row * numbers..(row + 1) * numbers].to_vec();
+    for (row, t) in golden.indices("in.t").into_iter().enumerate() {
+        let predict = |text: Tensor<2>| {
+            let progress = golden.f32s("in.prog");
+            network.forward(x_t.clone(), &[t], text, &progress, golden.tensor("in.orig"))
+        };
+        let eps = guide(predict(text.clone()), predict(text.zeros_like()), 3.0);
+        let x0 = schedule.predict_x0(x_t.clone(), &[t], eps).clamp(-1.0, 1.0);
+        let mean = schedule.posterior_mean(x0, x_t.clone(), &[t]);
+        let close = |found: &Tensor<3>, name: &str| {
+            let difference = max_difference(&floats(found), &recorded(name, row));
+            assert!(difference <= 5e-6, "{name} at {t}: {difference}");
+        };
+        close(&mean, "out.mean");
+        let slope = coordinator.slope(mean.clone(), &[t]);
+        close(&slope, "out.grad");
+        let is_guided = t > 0 && t < 5;
+        let guided = if is_guided {
+            mean - slope.mul_scalar(schedule.posterior_variance[t].sqrt())
+        } else {
+            mean
+        };
+        close(&guided, "out.mean_guided");
+        let sample = schedule.add_noise(guided, t, golden.tensor("in.noise"));
+        close(&sample, "out.sample");
+    }
+}
+
+#[test]
+fn golden_autoregressive() {
+    use datasets_spec::canonical::{GroundTransform, KeypointFrame, Stitcher};
+    use datasets_spec::normalise::Normalizer;
+
+    let golden = Golden::read("motionrefit_autoregressive");
+    let [num_windows, draws, window, width] = golden.values("in.noise").1[..] else {
+        panic!("noise of another shape")
+    };
+    let steps = draws - 1;
+    let numbers = window * width;
+    let schedule = Schedule::new(ScheduleName::Official, steps).expect("enough steps");
+    let axes = |name: &str| -> [f64; 3] { golden.values(name).0.try_into().expect("three axes") };
+    let normalizer = Normalizer {
+        min: axes("in.min"),
+        max: axes("in.max"),
+    };
+    let corners: Vec<DVec3> = golden
+        .values("in.rest_triangle")
+        .0
+        .chunks_exact(3)
+        .map(DVec3::from_slice)
+        .collect();
+    let triangle: [DVec3; 3] = corners.try_into().expect("three corners");
+    let mut stitcher = Stitcher::new(triangle, GroundTransform::IDENTITY);
+    let (texts, text_width) = (golden.f32s("in.text"), golden.values("in.text").1[1]);
+    let (heard, progress) = (golden.indices("in.text_index"), golden.f32s("in.prog"));
+    let (original, noise) = (golden.f32s("in.orig"), golden.f32s("in.noise"));
+    let device = Device::flex();
+    let network = denoiser();
+    let coordinator = coordinator(&device);
+    let guide = Guide {
+        network: &coordinator,
+        config: released_guidance(5),
+        clock: &|| 0.0,
+        secs: Cell::new(0.0),
+    };
+    let expected_fixed = golden.f32s("out.fixed");
+    let expected = golden.f32s("out.windows");
+    for index in 0..num_windows {
+        let original = &original[index * numbers..(index + 1) * numbers];
+        let fixed: Vec<f32> = match stitcher.next_fixed() {
+            Some(frames) => frames
+                .iter()
+                .flat_map(|frame| normalizer.normalize(frame))
+                .collect(),
+            None => original[..FIXED_FRAMES * width].to_vec(),
+        };
+        let recorded = &expected_fixed[index * fixed.len()..(index + 1) * fixed.len()];
+        assert!(max_difference(&fixed, recorded) < 1e-4, "window {index}");
+        let text = heard[index] * text_width;
+        let tensor = |values: &[f32], frames: usize| -> Tensor<3> {
+            Tensor::from_data(
+                TensorData::new(values.to_vec(), [1, frames, width]),
+                &device,
+            )
+        };
+        let condition = Condition {
+            original: tensor(original, window),
+            fixed: tensor(&fixed, FIXED_FRAMES),
+            text: Tensor::from_data(
+                TensorData::new(texts[text..text + text_width].to_vec(), [1, text_width]),
+                &device,
+            ),
+            progress: vec![progress[index]],
+        };
+        let draws = Draws {
+            noise: noise[index * draws * numbers..(index + 1) * draws * numbers].to_vec(),
+            shape: [1, window, width],
+        };
+        let x = Sampler {
+            denoiser: &network,
+            schedule: &schedule,
+            prediction: Prediction::Noise,
+            clip: true,
+            guidance: 3.0,
+            coordinator: Some(&guide),
+        }
+        .sample(&condition, |timestep| draws.of(timestep, steps), |_, _| {});
+        let x = floats(&x);
+        let recorded = &expected[index * numbers..(index + 1) * numbers];
+        let difference = max_difference(&x, recorded);
+        assert!(difference <= 1e-4, "window {index}: {difference}");
+        let frames: Vec<KeypointFrame> = x
+            .chunks_exact(width)
+            .map(|frame| normalizer.denormalize(frame))
+            .collect();
+        stitcher.push(&frames);
+    }
+    let merged = stitcher.into_frames();
+    let (recorded, _) = golden.values("out.merged");
+    for (point, recorded) in merged
+        .as_flattened()
+        .iter()
+        .zip(recorded.chunks_exact(3).map(DVec3::from_slice))
+    {
+        assert!(point.distance(recorded) < 1e-3, "{point} {recorded}");
+    }
 }
 
 #[test]
@@ -556,6 +859,7 @@ fn a_pose_network_learns_and_is_loaded_again() {
         };
         let session = Session {
             device: &Device::flex(),
+            more_devices: &[],
             progress: &NoProgress,
             stop: &std::sync::atomic::AtomicBool::new(false),
             clock: &|| std::time::Duration::ZERO,

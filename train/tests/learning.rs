@@ -14,16 +14,22 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::checkpoint::Slot;
-use train::config::{Decay, DiffusionConfig, NetworkConfig, Preset, TrainConfig};
-use train::data::{NoisyBatch, WINDOW_NUMBERS, WindowBatch, WindowSource};
+use train::config::{
+    Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
+    TrainConfig,
+};
+use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
 use train::diffusion::{Prediction, Schedule, training_loss};
-use train::fit::{Corpus, TrainReport, train_motionrefit};
-use train::model::motionrefit::MotionRefit;
+use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
+use train::model::motionrefit::{MotionRefit, TextSource};
 use train::model::weights::draw;
-use train::sample::{EditItem, EditSettings, Editor};
+use train::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
+
+/// Numbers of a window of 16 frames.
+const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
 
 /// Pairs of waves: the instruction says by how much the edited one is raised.
 struct Waves {
@@ -35,6 +41,10 @@ const HEIGHTS: [(&str, f32); 2] = [("raise it", 0.5), ("lower it", -0.5)];
 impl WindowSource for Waves {
     fn epoch_len(&self) -> u64 {
         self.items
+    }
+
+    fn window_len(&self) -> usize {
+        WINDOW_NUMBERS
     }
 
     fn fill(
@@ -70,7 +80,7 @@ fn small_config(num_steps: u64) -> TrainConfig {
         dropout: 0.0,
     };
     config.batch_size = 8;
-    config.num_steps = num_steps;
+    config.length = RunLength::of_steps(num_steps);
     config.log_every = 5;
     config.val_every = 10;
     config.val_windows = 12;
@@ -95,6 +105,43 @@ impl Progress for StopAfter<'_> {
     fn finish(&self, _summary: &str) {}
 }
 
+/// Trains on windows and validates on the same.
+fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
+    Corpus {
+        train: source,
+        val: source,
+        instructions: &[],
+        vectors: None,
+        normalizer: Normalizer {
+            min: [-2.0, 0.0, -2.0],
+            max: [2.0, 2.0, 2.0],
+        },
+        skeleton: "smplx-neutral",
+        dataset_hash: "0",
+        compose: "",
+    }
+}
+
+fn train_on(
+    run: &Path,
+    config: &TrainConfig,
+    source: &dyn WindowSource,
+    more_devices: &[Device],
+) -> Result<TrainReport, Error> {
+    quietly(|session| {
+        let session = Session {
+            more_devices,
+            ..*session
+        };
+        let instructions = HEIGHTS.map(|(text, _)| text.to_owned());
+        let corpus = Corpus {
+            instructions: &instructions,
+            ..corpus(source)
+        };
+        train_motionrefit(run, config, corpus, &session)
+    })
+}
+
 fn train_until(
     run: &Path,
     config: &TrainConfig,
@@ -103,22 +150,17 @@ fn train_until(
     stop: &AtomicBool,
 ) -> Result<TrainReport, Error> {
     let begun = Instant::now();
+    let instructions = HEIGHTS.map(|(text, _)| text.to_owned());
     train_motionrefit(
         run,
         config,
         Corpus {
-            train: source,
-            val: source,
-            instructions: &HEIGHTS.map(|(text, _)| text.to_owned()),
-            normalizer: Normalizer {
-                min: [-2.0, 0.0, -2.0],
-                max: [2.0, 2.0, 2.0],
-            },
-            skeleton: "smplx-neutral",
-            dataset_hash: "0",
+            instructions: &instructions,
+            ..corpus(source)
         },
         &Session {
             device: &Device::flex(),
+            more_devices: &[],
             progress,
             stop,
             clock: &|| begun.elapsed(),
@@ -194,7 +236,9 @@ fn one_batch_is_overfitted() {
         .expect("made");
     let mut rng = Seed(1).rng(&["overfit"]);
     let batch = NoisyBatch {
-        tokens: vocabulary.encode_batch(windows.instructions.iter().map(String::as_str)),
+        texts: TextBatch::Words(
+            vocabulary.encode_batch(windows.instructions.iter().map(String::as_str)),
+        ),
         original: windows.original,
         edited: windows.edited,
         noise: (0..4 * WINDOW_NUMBERS)
@@ -221,20 +265,26 @@ fn one_batch_is_overfitted() {
         ..config.model
     };
     let mut model = draw(
-        MotionRefit::new(&network, vocabulary.num_tokens(), &device),
+        MotionRefit::new(
+            &network,
+            &diffusion,
+            TextSource::Learned(vocabulary.num_tokens()),
+            &device,
+        ),
         Seed(2),
     );
+    const STEPS: u32 = 800;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::new();
-    for step in 0..400 {
-        let loss = model.loss(&schedule, &batch, &diffusion);
+    for step in 0..STEPS {
+        let loss = model.loss(&schedule, &batch, &diffusion, &device);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        let rate = 3e-3 * (1.0 - f64::from(step) / 400.0);
+        let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
         model = optimizer.step(rate, model, gradients);
     }
-    let (first, last) = (losses[0], losses[399]);
-    assert!(last < 0.05 * first, "{first} fell to {last}");
+    let (first, last) = (losses[0], losses[STEPS as usize - 1]);
+    assert!(last < 0.01 * first, "{first} fell to {last}");
 }
 
 #[test]
@@ -245,7 +295,12 @@ fn a_dropped_instruction_leaves_no_trace() {
         Schedule::new(config.diffusion.schedule, config.diffusion.num_steps).expect("enough steps");
     let vocabulary = Vocabulary::build(HEIGHTS.map(|(text, _)| text), 1, 4).expect("valid");
     let model = draw(
-        MotionRefit::new(&config.model, vocabulary.num_tokens(), &device),
+        MotionRefit::new(
+            &config.model,
+            &config.diffusion,
+            TextSource::Learned(vocabulary.num_tokens()),
+            &device,
+        ),
         Seed(4),
     );
     let loss = |text: &str, text_kept: f32| {
@@ -255,7 +310,7 @@ fn a_dropped_instruction_leaves_no_trace() {
             noise: vec![0.3; WINDOW_NUMBERS],
             timesteps: vec![10],
             progress: vec![0.5],
-            tokens: vocabulary.encode_batch([text]),
+            texts: TextBatch::Words(vocabulary.encode_batch([text])),
             text_kept: vec![text_kept],
         };
         let of_zeros = training_loss(
@@ -265,7 +320,7 @@ fn a_dropped_instruction_leaves_no_trace() {
             Tensor::zeros([1, config.model.width], &device),
             &config.diffusion,
         );
-        let loss = model.loss(&schedule, &batch, &config.diffusion);
+        let loss = model.loss(&schedule, &batch, &config.diffusion, &device);
         (loss.into_scalar::<f32>(), of_zeros.into_scalar::<f32>())
     };
     let (raised, without) = loss("raise it", 1.0);
@@ -312,6 +367,10 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
     for slot in ["last", "best"] {
         for name in ["denoiser.safetensors", "text.safetensors", "state.json"] {
+            // What is used later needs no place in the run.
+            if slot == "best" && name == "state.json" {
+                continue;
+            }
             let path = Path::new("checkpoint").join(slot).join(name);
             let read = |run: &Path| std::fs::read(run.join(&path)).expect("a file");
             assert!(
@@ -324,6 +383,182 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
 }
 
 /// Steps of the last checkpoint of a run.
+/// A run with everything that a checkpoint has to carry: parts, cut gradients, an average, dropout.
+fn rich_config(num_steps: u64) -> TrainConfig {
+    let mut config = small_config(num_steps);
+    config.model.dropout = 0.1;
+    config.max_part = 3;
+    config.optimizer.max_gradient_norm = Some(0.5);
+    config.optimizer.average = Some(0.9);
+    config.diffusion.previous = PreviousFrames::Encoded;
+    config
+}
+
+#[test]
+fn a_run_with_everything_is_continued_exactly() {
+    let source = Waves { items: 20 };
+    let config = rich_config(25);
+    let whole = tempfile::tempdir().expect("a folder");
+    train(whole.path(), &config, &source);
+    let halves = tempfile::tempdir().expect("a folder");
+    let stop = AtomicBool::new(false);
+    let progress = StopAfter {
+        stop: &stop,
+        steps: AtomicU64::new(13),
+    };
+    let first = train_until(halves.path(), &config, &source, &progress, &stop).expect("trains");
+    assert!(!first.is_complete);
+    train(halves.path(), &config, &source);
+    assert_eq!(logged_losses(whole.path()), logged_losses(halves.path()));
+    let weights = |run: &Path, slot: &str| {
+        let path = run
+            .join("checkpoint")
+            .join(slot)
+            .join("denoiser.safetensors");
+        std::fs::read(path).expect("weights")
+    };
+    for slot in ["best", "last"] {
+        assert!(
+            weights(whole.path(), slot) == weights(halves.path(), slot),
+            "{slot}"
+        );
+    }
+    // What is used are the averaged weights.
+    assert!(weights(whole.path(), "best") != weights(whole.path(), "last"));
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let losses = [1, 2, 5].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
+        let dir = tempfile::tempdir().expect("a folder");
+        pool.install(|| train(dir.path(), &rich_config(10), &Waves { items: 20 }));
+        logged_losses(dir.path())
+    });
+    assert_eq!(losses[0], losses[1]);
+    assert_eq!(losses[0], losses[2]);
+}
+
+#[test]
+fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
+    let source = Waves { items: 20 };
+    let losses = |max_part: usize, more_devices: &[Device]| {
+        let mut config = small_config(10);
+        config.max_part = max_part;
+        let dir = tempfile::tempdir().expect("a folder");
+        train_on(dir.path(), &config, &source, more_devices).expect("trains");
+        logged_losses(dir.path())
+    };
+    let whole = losses(8, &[]);
+    let parts = losses(3, &[]);
+    let spread = losses(3, &[Device::flex(), Device::flex()]);
+    // The same parts in the same order, whoever computes them.
+    assert_eq!(parts, spread);
+    for ((step, whole), (_, parts)) in whole.iter().zip(&parts) {
+        // Sums in another order, carried through ten steps of the optimiser.
+        assert!(
+            (whole - parts).abs() < 1e-4 * whole,
+            "{step}: {whole} {parts}"
+        );
+    }
+}
+
+#[test]
+fn epochs_are_counted_and_their_checkpoints_kept() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = small_config(1);
+    // 20 items in steps of 8 make an epoch of three steps.
+    config.length = RunLength {
+        epochs: Some(5),
+        steps: 100,
+    };
+    config.keep_epochs = 2;
+    let report = train(dir.path(), &config, &Waves { items: 20 });
+    assert_eq!(report.steps, 15);
+    for (epoch, is_kept) in [(1, false), (2, true), (3, false), (4, true), (5, false)] {
+        let loaded = Editor::load(dir.path(), Slot::Epoch(epoch), &Device::flex());
+        assert_eq!(loaded.is_ok(), is_kept, "{epoch}");
+    }
+}
+
+/// Vectors of the two instructions, as a frozen encoder would give.
+#[derive(Debug)]
+struct TwoVectors([Vec<f32>; 2]);
+
+impl TextVectors for TwoVectors {
+    fn width(&self) -> usize {
+        self.0[0].len()
+    }
+
+    fn get(&self, text: &str) -> Option<&[f32]> {
+        let place = HEIGHTS.iter().position(|(known, _)| *known == text)?;
+        Some(&self.0[place])
+    }
+
+    fn encoder_hash(&self) -> &str {
+        "frozen"
+    }
+}
+
+#[test]
+fn a_model_listens_to_a_frozen_encoder_of_another_width() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = small_config(120);
+    config.text.encoder = TextEncoder::Clip;
+    config.optimizer.learning_rate = 3e-3;
+    config.optimizer.decay = Decay::Constant;
+    let vectors = TwoVectors([vec![8.0, 0.0, 1.0], vec![0.0, -8.0, 1.0]]);
+    let source = Waves { items: 20 };
+    let run = |vectors: Option<&dyn TextVectors>| {
+        quietly(|session| {
+            train_motionrefit(
+                dir.path(),
+                &config,
+                Corpus {
+                    vectors,
+                    ..corpus(&source)
+                },
+                session,
+            )
+        })
+    };
+    assert!(matches!(run(None), Err(Error::Config { .. })));
+    let report = run(Some(&vectors)).expect("trains");
+    let (first, best) = (report.first_loss, report.best_val_loss);
+    assert!(best.expect("validated") < 0.5 * first.expect("a line"));
+
+    let load = || Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    let other = TwoVectors([vec![1.0; 4], vec![2.0; 4]]);
+    assert!(matches!(
+        load().with_vectors(Box::new(other)),
+        Err(Error::Misfit { .. })
+    ));
+    let editor = load().with_vectors(Box::new(vectors)).expect("its encoder");
+    let record = &editor.record().config;
+    let skeleton = Skeleton::smplx_neutral();
+    let edit = |text: &str| {
+        let item = EditItem::new("a", &walk(61, 1.0, 0.0), text, &skeleton, record)?;
+        let settings = EditSettings {
+            seed: Seed(5),
+            guidance: 1.0,
+            coordinator: record.train.coordinator,
+            max_batch: 2,
+        };
+        quietly(|session| {
+            let mut times = EditTimes::default();
+            editor.edit_batch(&[item], &skeleton, &settings, session, &mut times)
+        })
+    };
+    assert_ne!(
+        edit("raise it").expect("edits"),
+        edit("lower it").expect("edits")
+    );
+    assert!(matches!(edit("wave"), Err(Error::NoVector { .. })));
+}
+
 fn steps_done(run: &Path) -> u64 {
     std::fs::read(run.join("checkpoint/last/state.json")).map_or(0, |state| {
         let state: serde_json::Value = serde_json::from_slice(&state).expect("JSON");
@@ -381,10 +616,10 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     train(dir.path(), &small_config(10), &Waves { items: 20 });
     let editor = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
     let skeleton = Skeleton::smplx_neutral();
-    let normalizer = editor.record().config.normalizer;
+    let record = &editor.record().config;
     let item = |id: &str, num_frames: usize, instruction: &str| {
         let motion = walk(num_frames, 1.0, 0.0);
-        EditItem::new(id, &motion, instruction, &skeleton, &normalizer).expect("long enough")
+        EditItem::new(id, &motion, instruction, &skeleton, record).expect("long enough")
     };
     let items = [
         item("a", 61, "raise it"),
@@ -394,12 +629,15 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let settings = EditSettings {
         seed: Seed(5),
         guidance: 2.0,
+        coordinator: record.train.coordinator,
         max_batch: 2,
     };
     let edit = |items: &[EditItem], settings: &EditSettings| {
-        editor
-            .edit_batch(items, &skeleton, settings, &NoProgress)
-            .expect("edits")
+        quietly(|session| {
+            let mut times = EditTimes::default();
+            editor.edit_batch(items, &skeleton, settings, session, &mut times)
+        })
+        .expect("edits")
     };
     let together = edit(&items, &settings);
     // 61 frames at 20 fps are 31 at 10, which hold windows at 0 and 14.
@@ -436,14 +674,143 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
 #[test]
 fn motions_too_short_for_a_window_are_refused_by_name() {
     let skeleton = Skeleton::smplx_neutral();
-    let normalizer = Normalizer {
-        min: [-1.0; 3],
-        max: [1.0; 3],
-    };
     let short = walk(30, 1.0, 0.0);
-    match EditItem::new("short", &short, "wave", &skeleton, &normalizer) {
+    match EditItem::new("short", &short, "wave", &skeleton, &untrained_record()) {
         Err(Error::Motion { id, .. }) => assert_eq!(id, "short"),
         other => panic!("expected a refusal, got {other:?}"),
+    }
+}
+
+/// The record of an editor of the tiny preset that was never trained.
+fn untrained_record() -> EditorRecord {
+    EditorRecord {
+        train: TrainConfig::preset(Preset::Tiny),
+        normalizer: Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        text: TextRecord::Learned(Vocabulary::build(["wave"], 1, 4).expect("valid")),
+        compose: String::new(),
+    }
+}
+
+/// Surroundings that tell nobody and never stop.
+fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
+    let begun = Instant::now();
+    act(&Session {
+        device: &Device::flex(),
+        more_devices: &[],
+        progress: &NoProgress,
+        stop: &AtomicBool::new(false),
+        clock: &|| begun.elapsed(),
+    })
+}
+
+fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
+    TimedInstruction {
+        frames,
+        text: text.to_owned(),
+    }
+}
+
+#[test]
+fn windows_hear_the_instruction_that_covers_most_of_them() {
+    let skeleton = Skeleton::smplx_neutral();
+    let record = untrained_record();
+    // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56.
+    let motion = walk(145, 1.0, 0.0);
+    let heard = |asked: &[TimedInstruction]| {
+        EditItem::timed("walk", &motion, asked, &skeleton, &record).map(|item| {
+            let windows = item.windows.iter();
+            windows
+                .map(|window| {
+                    (
+                        window.instruction.as_deref().map(str::to_owned),
+                        window.progress,
+                    )
+                })
+                .collect::<Vec<_>>()
+        })
+    };
+    let texts = |asked: &[TimedInstruction]| -> Vec<Option<String>> {
+        heard(asked)
+            .expect("cut")
+            .into_iter()
+            .map(|(text, _)| text)
+            .collect()
+    };
+    let some = |text: &str| Some(text.to_owned());
+    assert_eq!(
+        texts(&[timed(0..60, "raise"), timed(60..88, "lower")]),
+        [some("raise"), some("raise"), some("lower"), None, None]
+    );
+    // The second window adds frames 16 to 30 of the model, 32 to 60 of the motion.
+    assert_eq!(
+        texts(&[timed(40..60, "raise")]),
+        [None, some("raise"), None, None, None]
+    );
+    let progress: Vec<f32> = heard(&[timed(0..145, "raise")])
+        .expect("cut")
+        .into_iter()
+        .map(|(_, progress)| progress)
+        .collect();
+    let expected = [0.0, 28.0 / 145.0, 56.0 / 145.0, 84.0 / 145.0, 112.0 / 145.0];
+    for (found, expected) in progress.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-6);
+    }
+    for (asked, reason) in [
+        (vec![timed(0..200, "raise")], "145 frames"),
+        (vec![timed(20..20, "raise")], "does not fit"),
+        (
+            vec![timed(0..60, "raise"), timed(0..50, "lower")],
+            "no window that belongs",
+        ),
+    ] {
+        match heard(&asked) {
+            Err(error) => assert!(error.to_string().contains(reason), "{error}"),
+            Ok(_) => panic!("{asked:?} is accepted"),
+        }
+    }
+}
+
+#[test]
+fn windows_without_an_instruction_stay_as_they_were() {
+    let dir = tempfile::tempdir().expect("a folder");
+    train(dir.path(), &small_config(10), &Waves { items: 20 });
+    let editor = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    let record = &editor.record().config;
+    let skeleton = Skeleton::smplx_neutral();
+    let motion = walk(145, 1.0, 0.0);
+    let asked = [timed(60..88, "raise it")];
+    let item = EditItem::timed("a", &motion, &asked, &skeleton, record).expect("cut");
+    let settings = EditSettings {
+        seed: Seed(5),
+        guidance: 1.0,
+        coordinator: record.train.coordinator,
+        max_batch: 2,
+    };
+    let mut times = EditTimes::default();
+    let edited =
+        quietly(|session| editor.edit_batch(&[item], &skeleton, &settings, session, &mut times))
+            .expect("edits");
+    assert_eq!(times.num_windows, 1);
+    let original = skeleton.motion_keypoints(&motion);
+    let away: Vec<f64> = edited[0]
+        .iter()
+        .enumerate()
+        .map(|(frame, points)| {
+            let pairs = points.iter().zip(&original.points[2 * frame]);
+            pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+        })
+        .collect();
+    // The third window is edited: it adds frames 30 to 43. Before, f32 rounding alone is seen.
+    assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
+    assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
+    // Some frames later every body has its own shape again, wherever the edit left it.
+    let arm = |points: &[DVec3; 28]| points[20].distance(points[21]);
+    for (frame, points) in edited[0].iter().enumerate().skip(50) {
+        let (found, was) = (arm(points), arm(&original.points[2 * frame]));
+        assert!((found - was).abs() < 1e-5, "{frame}: {found} {was}");
     }
 }
 
@@ -504,6 +871,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
         },
         &Session {
             device: &Device::flex(),
+            more_devices: &[],
             progress: &NoProgress,
             stop: &stop,
             clock: &|| Duration::ZERO,

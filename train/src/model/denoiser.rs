@@ -1,14 +1,16 @@
 //! The MotionReFit denoiser.
 
 use burn::module::Module;
-use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
+use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor};
+use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::normalise::FRAME_WIDTH;
 
+use super::dropout::Dropout;
 use super::position::{positions, sinusoid};
 use super::transformer::Encoder;
-use crate::config::NetworkConfig;
+use crate::config::{NetworkConfig, PreviousFrames};
 
 /// What the text feature is divided by before it joins the condition token (released code).
 pub const TEXT_DIVISOR: f64 = 10.0;
@@ -24,7 +26,7 @@ pub struct IndexEmbedding {
 }
 
 impl IndexEmbedding {
-    fn new(width: usize, device: &Device) -> Self {
+    pub(crate) fn new(width: usize, device: &Device) -> Self {
         Self {
             hidden: LinearConfig::new(width, width).init(device),
             output: LinearConfig::new(width, width).init(device),
@@ -42,13 +44,41 @@ impl IndexEmbedding {
     }
 }
 
+/// Frames before a window, each mapped by two layers to the token of its place.
+#[derive(Module, Debug)]
+pub struct PreviousEmbedding {
+    hidden: Linear,
+    output: Linear,
+}
+
+impl PreviousEmbedding {
+    fn new(width: usize, device: &Device) -> Self {
+        Self {
+            hidden: LinearConfig::new(FRAME_WIDTH, width).init(device),
+            output: LinearConfig::new(width, width).init(device),
+        }
+    }
+
+    /// Embeds frames.
+    ///
+    /// # Shapes
+    /// `[B, F, 84]` give `[B, F, d]`.
+    pub fn forward(&self, frames: Tensor<3>) -> Tensor<3> {
+        self.output.forward(silu(self.hidden.forward(frames)))
+    }
+}
+
 /// The noise predictor: a transformer over one condition token and the frames of a window.
 ///
 /// # Source
 /// Paper Sec. 4.1; the layout and the scales are those of the released code (`algorithms`
-/// section 6). The previous two frames are the first two frames of the noisy window.
+/// section 6). The previous two frames are the first two frames of the noisy window; of
+/// [`PreviousFrames::Encoded`] a network of its own embeds them, of [`PreviousFrames::Inpainted`]
+/// that of every frame.
 #[derive(Module, Debug)]
 pub struct Denoiser {
+    embed_previous: Option<PreviousEmbedding>,
+    project_text: Option<Linear>,
     embedding_input: Linear,
     embedding_original: Linear,
     embed_timestep: IndexEmbedding,
@@ -59,16 +89,31 @@ pub struct Denoiser {
 }
 
 impl Denoiser {
-    /// Builds the network.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    /// Builds the network for text vectors of `text_width` numbers. If that is not the network's own
+    /// width, a layer maps one to the other; neither publication has one.
+    pub fn new(
+        config: &NetworkConfig,
+        previous: PreviousFrames,
+        text_width: usize,
+        device: &Device,
+    ) -> Self {
         Self {
+            embed_previous: match previous {
+                PreviousFrames::Encoded => Some(PreviousEmbedding::new(config.width, device)),
+                PreviousFrames::Inpainted => None,
+            },
+            project_text: (text_width != config.width).then(|| {
+                LinearConfig::new(text_width, config.width)
+                    .with_bias(false)
+                    .init(device)
+            }),
             embedding_input: LinearConfig::new(FRAME_WIDTH, config.width).init(device),
             embedding_original: LinearConfig::new(FRAME_WIDTH, config.width).init(device),
             embed_timestep: IndexEmbedding::new(config.width, device),
             embed_prog_ind: IndexEmbedding::new(config.width, device),
             transformer: Encoder::new(config, device),
             out: LinearConfig::new(config.width, FRAME_WIDTH).init(device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
         }
     }
 
@@ -76,7 +121,7 @@ impl Denoiser {
     ///
     /// # Shapes
     /// `x`, `original` and the result `[B, W, 84]`; `timesteps` and `progress` `[B]`; `text`
-    /// `[B, d]`, a row of zeros standing for no text.
+    /// `[B, text_width]`, a row of zeros standing for no text.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -86,12 +131,24 @@ impl Denoiser {
         original: Tensor<3>,
     ) -> Tensor<3> {
         let [_, window, _] = x.dims();
-        let [_, width] = text.dims();
         let device = x.device();
+        // A layer without bias keeps zeros zeros: no text stays no text.
+        let text = match &self.project_text {
+            Some(layer) => layer.forward(text),
+            None => text,
+        };
+        let [_, width] = text.dims();
         let scale = (width as f64).sqrt();
 
-        let frames = (self.embedding_input.forward(x) + self.embedding_original.forward(original))
-            .mul_scalar(scale / 2.0);
+        let seen = match &self.embed_previous {
+            Some(embedding) => {
+                let previous = embedding.forward(x.clone().narrow(1, 0, FIXED_FRAMES));
+                let rest = x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
+                Tensor::cat(vec![previous, self.embedding_input.forward(rest)], 1)
+            }
+            None => self.embedding_input.forward(x),
+        };
+        let frames = (seen + self.embedding_original.forward(original)).mul_scalar(scale / 2.0);
         let condition = self.embed_timestep.forward(timesteps)
             + text.div_scalar(TEXT_DIVISOR)
             + self.embed_prog_ind.forward(&progress_indices(progress));

@@ -1,6 +1,8 @@
 //! Networks.
 
+pub mod coordinator;
 pub mod denoiser;
+pub mod dropout;
 pub mod motionrefit;
 pub mod pose_net;
 pub mod position;

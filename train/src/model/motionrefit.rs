@@ -1,30 +1,73 @@
-//! The denoiser together with the text encoder trained with it.
+//! The denoiser together with the text encoder trained with it, where there is one.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::denoiser::Denoiser;
 use super::text::LearnedText;
-use crate::config::DiffusionConfig;
-use crate::config::NetworkConfig;
-use crate::data::NoisyBatch;
+use crate::config::{DiffusionConfig, NetworkConfig};
+use crate::data::{NoisyBatch, TextBatch};
 use crate::diffusion::{Schedule, training_loss};
 
-/// MotionReFit with a text encoder of its own.
+/// MotionReFit.
 #[derive(Module, Debug)]
 pub struct MotionRefit {
     /// Predicts noise.
     pub denoiser: Denoiser,
-    /// Turns instructions into vectors.
-    pub text: LearnedText,
+    /// Turns instructions into vectors, unless a frozen encoder does.
+    pub text: Option<LearnedText>,
+}
+
+/// Where the text vectors of a model come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TextSource {
+    /// An encoder over so many token numbers, trained with the denoiser.
+    Learned(usize),
+    /// A frozen encoder, whose vectors have so many numbers.
+    Frozen(usize),
 }
 
 impl MotionRefit {
-    /// Builds both networks.
-    pub fn new(config: &NetworkConfig, num_tokens: usize, device: &Device) -> Self {
+    /// Builds the networks.
+    pub fn new(
+        config: &NetworkConfig,
+        diffusion: &DiffusionConfig,
+        text: TextSource,
+        device: &Device,
+    ) -> Self {
+        let text_width = match text {
+            TextSource::Learned(_) => config.width,
+            TextSource::Frozen(width) => width,
+        };
         Self {
-            denoiser: Denoiser::new(config, device),
-            text: LearnedText::new(num_tokens, config.width, device),
+            denoiser: Denoiser::new(config, diffusion.previous, text_width, device),
+            text: match text {
+                TextSource::Learned(num_tokens) => {
+                    Some(LearnedText::new(num_tokens, config.width, device))
+                }
+                TextSource::Frozen(_) => None,
+            },
+        }
+    }
+
+    /// The vectors of a batch of instructions.
+    ///
+    /// # Shapes
+    /// `[B, text_width]`
+    ///
+    /// # Panics
+    /// If words are given to a model without an encoder of words.
+    pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
+        match texts {
+            TextBatch::Words(tokens) => self
+                .text
+                .as_ref()
+                .expect("words are given to a model that learns them")
+                .forward(tokens),
+            TextBatch::Vectors(values) => Tensor::from_data(
+                TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
+                device,
+            ),
         }
     }
 
@@ -37,11 +80,12 @@ impl MotionRefit {
         schedule: &Schedule,
         batch: &NoisyBatch,
         config: &DiffusionConfig,
+        device: &Device,
     ) -> Tensor<1> {
-        let text = self.text.forward(&batch.tokens);
+        let text = self.text_vectors(&batch.texts, batch.len(), device);
         let kept = Tensor::<2>::from_data(
             TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
-            &text.device(),
+            device,
         );
         training_loss(&self.denoiser, schedule, batch, text * kept, config)
     }

@@ -1,10 +1,11 @@
 //! The TMR networks: two encoders into one space, and a decoder out of it.
 
 use burn::module::{Initializer, Module, Param};
-use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
+use burn::nn::{Embedding, EmbeddingConfig, Linear, LinearConfig};
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
+use super::dropout::Dropout;
 use super::position::positions;
 use super::text::token_tensor;
 use super::transformer::{Decoder, Encoder, padding_of};
@@ -74,7 +75,7 @@ impl SequenceEncoder {
             projection: LinearConfig::new(num_features, config.width).init(device),
             tokens: Initializer::Zeros.init([NUM_TOKENS, config.width], device),
             sequence_encoder: Encoder::new(config, device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
         }
     }
 
@@ -121,7 +122,7 @@ impl SequenceDecoder {
         Self {
             sequence_decoder: Decoder::new(config, device),
             final_layer: LinearConfig::new(config.width, num_features).init(device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
         }
     }
 

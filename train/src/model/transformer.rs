@@ -1,12 +1,13 @@
 //! The post-norm transformer of `torch.nn`, in its own layout and names.
 
 use burn::module::Module;
-use burn::nn::{Dropout, DropoutConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::nn::{LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::{gelu, softmax};
 use burn::tensor::module::{attention, linear};
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
+use super::dropout::Dropout;
 use crate::config::NetworkConfig;
 
 /// Multi-head self-attention with query, key and value in one projection.
@@ -24,7 +25,7 @@ impl SelfAttention {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
             num_heads: config.num_heads,
         }
     }
@@ -126,7 +127,7 @@ impl EncoderLayer {
             linear2: LinearConfig::new(config.feed_forward, config.width).init(device),
             norm1: LayerNormConfig::new(config.width).init(device),
             norm2: LayerNormConfig::new(config.width).init(device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
         }
     }
 
@@ -194,7 +195,7 @@ impl DecoderLayer {
             norm1: LayerNormConfig::new(config.width).init(device),
             norm2: LayerNormConfig::new(config.width).init(device),
             norm3: LayerNormConfig::new(config.width).init(device),
-            dropout: DropoutConfig::new(config.dropout).init(),
+            dropout: Dropout::new(config.dropout),
         }
     }
 

@@ -15,7 +15,7 @@ use crate::Error;
 
 /// Where a name of ours differs from PyTorch's: (pattern in PyTorch's name, ours; pattern in our
 /// name, PyTorch's). Linear layouts and the names of norms are converted by the store.
-const RENAMES: [(&str, &str, &str, &str); 5] = [
+const RENAMES: [(&str, &str, &str, &str); 7] = [
     (
         r"in_proj_(weight|bias)$",
         "in_proj.$1",
@@ -34,6 +34,8 @@ const RENAMES: [(&str, &str, &str, &str); 5] = [
         r"(embed_timestep|embed_prog_ind)\.output\.",
         "$1.time_embed.2.",
     ),
+    (r"^pred\.0\.", "pred.hidden.", r"^pred\.hidden\.", "pred.0."),
+    (r"^pred\.2\.", "pred.output.", r"^pred\.output\.", "pred.2."),
     (
         r"seqTransEncoder\.",
         "sequence_encoder.",

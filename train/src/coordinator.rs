@@ -1,0 +1,491 @@
+//! The body-part coordinator: its training, and its use as a guide.
+
+use std::path::Path;
+
+use burn::tensor::activation::relu;
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use datasets_spec::canonical::WINDOW_FRAMES;
+use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
+use pipeline::compose::{CoordinatorBatch, Stream};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
+use crate::config::{
+    Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, TrainConfig,
+    positive,
+};
+use crate::diffusion::{Schedule, ScheduleName};
+use crate::learn::{Course, Task, TrainReport, learn};
+use crate::model::coordinator::Coordinator;
+use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::{Error, Session};
+
+const KIND: &str = "coordinator";
+const WEIGHTS: &str = "coordinator.safetensors";
+
+/// Last diffusion steps whose noise the coordinator learns to see through (paper Sec. 4.4).
+const NOISE_STEPS: usize = 20;
+
+/// Settings of the coordinator's training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoordinatorConfig {
+    /// Sizes of the network.
+    pub model: NetworkConfig,
+    /// Noise schedule; that of the editor it is to guide.
+    pub schedule: ScheduleName,
+    /// Diffusion steps; those of the editor it is to guide.
+    pub diffusion_steps: usize,
+    /// Last diffusion steps whose noise is put on the windows.
+    pub noise_steps: usize,
+    /// Optimiser.
+    pub optimizer: OptimizerConfig,
+    /// Frames of a window.
+    pub window: usize,
+    /// Windows in a step.
+    pub batch_size: usize,
+    /// Windows computed at once.
+    pub max_part: usize,
+    /// How long the run is.
+    pub length: RunLength,
+    /// Steps between two lines of the metrics file.
+    pub log_every: u64,
+    /// Steps between two validations; each is followed by a checkpoint.
+    pub val_every: u64,
+    /// Windows in a validation.
+    pub val_windows: usize,
+    /// Epochs between two checkpoints that are kept for good; 0 keeps the best and the last alone.
+    pub keep_epochs: u64,
+    /// Seed of weights, segments and noise.
+    pub seed: u64,
+}
+
+impl CoordinatorConfig {
+    /// The named settings: the trunk and the diffusion of the editor's preset.
+    ///
+    /// # Source
+    /// Paper Sec. 4.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
+    /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
+    /// the editor's.
+    pub fn preset(preset: Preset) -> Self {
+        let editor = TrainConfig::preset(preset);
+        let DiffusionConfig {
+            schedule,
+            num_steps,
+            ..
+        } = editor.diffusion;
+        let is_tiny = preset == Preset::Tiny;
+        Self {
+            model: editor.model,
+            schedule,
+            diffusion_steps: num_steps,
+            noise_steps: if is_tiny {
+                editor.coordinator.num_steps
+            } else {
+                NOISE_STEPS
+            },
+            optimizer: OptimizerConfig {
+                decay: Decay::Linear,
+                ..editor.optimizer
+            },
+            window: WINDOW_FRAMES,
+            batch_size: editor.batch_size,
+            max_part: editor.max_part,
+            length: RunLength::of_steps(if is_tiny { 500 } else { 68_000 }),
+            log_every: editor.log_every,
+            val_every: editor.val_every,
+            val_windows: editor.val_windows,
+            keep_epochs: 0,
+            seed: 0,
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.model.check()?;
+        self.optimizer.check()?;
+        self.length.check()?;
+        positive("window", self.window as u64)?;
+        positive("batch_size", self.batch_size as u64)?;
+        positive("max_part", self.max_part as u64)?;
+        positive("log_every", self.log_every)?;
+        positive("val_every", self.val_every)?;
+        positive("val_windows", self.val_windows as u64)?;
+        positive("noise_steps", self.noise_steps as u64)?;
+        if self.noise_steps > self.diffusion_steps {
+            return Err(Error::Config {
+                field: "noise_steps",
+                problem: format!(
+                    "it is {}, more than the {} diffusion steps",
+                    self.noise_steps, self.diffusion_steps
+                ),
+            });
+        }
+        Schedule::new(self.schedule, self.diffusion_steps).map(|_| ())
+    }
+}
+
+/// Natural and composed windows in equal numbers, which can be entered anywhere.
+pub trait SegmentSource: Sync {
+    /// Items of an epoch.
+    fn epoch_len(&self) -> u64;
+
+    /// Numbers of a window: its frames times 84.
+    fn window_len(&self) -> usize;
+
+    /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
+    fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch);
+}
+
+impl SegmentSource for Stream {
+    fn epoch_len(&self) -> u64 {
+        Stream::epoch_len(self)
+    }
+
+    fn window_len(&self) -> usize {
+        Stream::window_len(self)
+    }
+
+    fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch) {
+        self.fill_coordinator(epoch, first_item, num_items, batch);
+    }
+}
+
+/// What the coordinator learns from.
+#[derive(Clone, Copy)]
+pub struct Segments<'a> {
+    /// Training segments.
+    pub train: &'a dyn SegmentSource,
+    /// Validation segments.
+    pub val: &'a dyn SegmentSource,
+    /// Range the windows were scaled by.
+    pub normalizer: Normalizer,
+    /// Name of the skeleton the motions drive.
+    pub skeleton: &'a str,
+    /// Root hash of the dataset.
+    pub dataset_hash: &'a str,
+}
+
+/// What is recorded of a coordinator's run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoordinatorRecord {
+    /// The resolved settings.
+    pub train: CoordinatorConfig,
+    /// Range the windows are scaled by.
+    pub normalizer: Normalizer,
+}
+
+/// Trains the coordinator, or continues where the run folder left off, exactly as
+/// [`crate::fit::train_motionrefit`] does.
+///
+/// # Errors
+/// The settings are unusable, the folder holds another run or a damaged checkpoint, the loss is not
+/// finite, or a file cannot be written.
+///
+/// # Source
+/// Paper Sec. 4.4: binary classification of unmodified segments and of composed ones, with the noise
+/// of the last 20 diffusion steps.
+pub fn train_coordinator(
+    run_dir: &Path,
+    config: &CoordinatorConfig,
+    segments: Segments<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    config.check()?;
+    for source in [segments.train, segments.val] {
+        if source.window_len() != config.window * FRAME_WIDTH {
+            return Err(Error::Config {
+                field: "window",
+                problem: format!(
+                    "it is {} frames, and the windows to train on have {}",
+                    config.window,
+                    source.window_len() / FRAME_WIDTH
+                ),
+            });
+        }
+        if source.epoch_len() == 0 {
+            return Err(Error::Empty {
+                what: "source of segments",
+            });
+        }
+    }
+    let record = CoordinatorRecord {
+        train: config.clone(),
+        normalizer: segments.normalizer,
+    };
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, &record),
+    )?;
+    let seed = Seed(config.seed);
+    let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;
+    let drawer = SegmentDrawer {
+        source: segments.train,
+        schedule: &schedule,
+        noise_steps: config.noise_steps,
+        seed: seed.derive(&["train"]),
+    };
+    let val_drawer = SegmentDrawer {
+        source: segments.val,
+        seed: seed.derive(&["val"]),
+        ..drawer
+    };
+    let part = config.batch_size.min(config.max_part);
+    let val_batches: Vec<SegmentBatch> = (0..config.val_windows)
+        .step_by(part)
+        .map(|first| val_drawer.draw(first as u64, part.min(config.val_windows - first)))
+        .collect();
+    let device = session.device.clone().autodiff();
+    let model = draw(
+        Coordinator::new(&config.model, &device),
+        seed.derive(&["weights"]),
+    );
+    let steps_per_epoch = segments
+        .train
+        .epoch_len()
+        .div_ceil(config.batch_size as u64)
+        .max(1);
+    let course = Course {
+        stage: "train coordinator".to_owned(),
+        samples: "windows",
+        optimizer: config.optimizer,
+        batch_size: config.batch_size,
+        num_steps: config.length.num_steps(steps_per_epoch),
+        log_every: config.log_every,
+        val_every: config.val_every,
+        keep_every: config.keep_epochs * steps_per_epoch,
+        steps_per_epoch,
+        seed,
+    };
+    let task = CoordinatorTask {
+        config,
+        drawer,
+        val_batches,
+    };
+    let (_, report) = learn(&task, model, &course, &run, session)?;
+    Ok(report)
+}
+
+/// Noisy windows, their steps and whether they were composed.
+struct SegmentBatch {
+    windows: Vec<f32>,
+    timesteps: Vec<usize>,
+    composed: Vec<f32>,
+}
+
+/// Draws segments and puts noise on them.
+#[derive(Clone, Copy)]
+struct SegmentDrawer<'a> {
+    source: &'a dyn SegmentSource,
+    schedule: &'a Schedule,
+    noise_steps: usize,
+    seed: Seed,
+}
+
+impl SegmentDrawer<'_> {
+    /// The segments `first..first + count` of the run, epochs following one another.
+    fn draw(&self, first: u64, count: usize) -> SegmentBatch {
+        let (epoch_len, window) = (self.source.epoch_len(), self.source.window_len());
+        let mut whole = CoordinatorBatch::default();
+        let mut part = CoordinatorBatch::default();
+        while whole.composed.len() < count {
+            let at = first + whole.composed.len() as u64;
+            let (epoch, item) = (at / epoch_len, at % epoch_len);
+            let missing = (count - whole.composed.len()) as u64;
+            let num_items = missing.min(epoch_len - item) as usize;
+            self.source.fill(epoch, item, num_items, &mut part);
+            whole.windows.append(&mut part.windows);
+            whole.composed.append(&mut part.composed);
+        }
+        let timesteps: Vec<usize> = whole
+            .windows
+            .par_chunks_mut(window)
+            .enumerate()
+            .map(|(index, values)| {
+                let mut rng = self.seed.rng_of(first + index as u64);
+                let timestep = rng.random_range(0..self.noise_steps);
+                let kept = self.schedule.alphas_cumprod[timestep];
+                let (signal, noise) = (kept.sqrt() as f32, (1.0 - kept).sqrt() as f32);
+                for value in values {
+                    *value = signal * *value + noise * rng.sample::<f32, _>(StandardNormal);
+                }
+                timestep
+            })
+            .collect();
+        SegmentBatch {
+            windows: whole.windows,
+            timesteps,
+            composed: whole.composed,
+        }
+    }
+}
+
+struct CoordinatorTask<'a> {
+    config: &'a CoordinatorConfig,
+    drawer: SegmentDrawer<'a>,
+    val_batches: Vec<SegmentBatch>,
+}
+
+impl Task for CoordinatorTask<'_> {
+    type Model = Coordinator;
+    type Batch = SegmentBatch;
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
+        let batch_size = self.config.batch_size;
+        Ok((0..batch_size)
+            .step_by(self.config.max_part)
+            .map(|first| {
+                let count = self.config.max_part.min(batch_size - first);
+                let at = step * batch_size as u64 + first as u64;
+                let share = count as f64 / batch_size as f64;
+                (share, self.drawer.draw(at, count))
+            })
+            .collect())
+    }
+
+    fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {
+        let rows = batch.timesteps.len();
+        let window = self.config.window;
+        let x = Tensor::<3>::from_data(
+            TensorData::new(batch.windows.clone(), [rows, window, FRAME_WIDTH]),
+            device,
+        );
+        let composed =
+            Tensor::<2>::from_data(TensorData::new(batch.composed.clone(), [rows, 1]), device);
+        binary_cross_entropy(model.logits(x, &batch.timesteps), composed)
+    }
+
+    fn validate(&self, model: &Coordinator, device: &Device) -> f32 {
+        let mut sum = 0.0;
+        let mut count = 0.0;
+        for batch in &self.val_batches {
+            let loss: f32 = self.loss(model, batch, device).into_scalar();
+            sum += f64::from(loss) * batch.timesteps.len() as f64;
+            count += batch.timesteps.len() as f64;
+        }
+        (sum / count) as f32
+    }
+
+    fn save(&self, model: &Coordinator, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
+    }
+
+    fn load(
+        &self,
+        model: &mut Coordinator,
+        files: &mut Files,
+        run_dir: &Path,
+    ) -> Result<(), Error> {
+        let bytes = take(files, WEIGHTS, run_dir)?;
+        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
+    }
+}
+
+/// The mean cross entropy of logits `z` and labels `y` in [0, 1]:
+/// `max(z, 0) - z y + ln(1 + exp(-|z|))`, in which nothing overflows.
+fn binary_cross_entropy(logits: Tensor<2>, labels: Tensor<2>) -> Tensor<1> {
+    let softened = logits.clone().abs().neg().exp().log1p();
+    (relu(logits.clone()) - logits * labels + softened).mean()
+}
+
+/// A trained coordinator.
+#[derive(Debug)]
+pub struct TrainedCoordinator {
+    pub(crate) model: Coordinator,
+    record: RunRecord<CoordinatorRecord>,
+    hash: String,
+    device: Device,
+}
+
+impl TrainedCoordinator {
+    /// Loads a coordinator from its run folder.
+    ///
+    /// # Errors
+    /// The folder is not a run of the coordinator, or its checkpoint is missing or damaged.
+    pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
+        let record: RunRecord<CoordinatorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        record.config.train.check()?;
+        let mut files = read_for_use(run_dir, slot, KIND)?;
+        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
+        let hash = weights_hash(&record.config, &[weights]);
+        let mut model = Coordinator::new(&record.config.train.model, device);
+        let bytes = take(&mut files, WEIGHTS, run_dir)?;
+        from_safetensors(&mut model, bytes, "", &run_dir.join(WEIGHTS))?;
+        Ok(Self {
+            model,
+            record,
+            hash,
+            device: device.clone(),
+        })
+    }
+
+    /// The settings the coordinator was trained with.
+    pub fn record(&self) -> &RunRecord<CoordinatorRecord> {
+        &self.record
+    }
+
+    /// What identifies the weights: BLAKE3, hexadecimal.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// The probability that each clean window was composed, `[B]`.
+    ///
+    /// # Shapes
+    /// `windows` `[B, W, 84]` in model units.
+    pub fn probabilities(&self, windows: &[f32]) -> Vec<f32> {
+        let window = self.record.config.train.window;
+        let rows = windows.len() / (window * FRAME_WIDTH);
+        if rows == 0 {
+            return Vec::new();
+        }
+        let x = Tensor::<3>::from_data(
+            TensorData::new(windows.to_vec(), [rows, window, FRAME_WIDTH]),
+            &self.device,
+        );
+        self.model
+            .probability(x, &vec![0; rows])
+            .into_data()
+            .try_into_vec_as()
+            .expect("a float tensor gives floats")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cross_entropy_is_that_of_its_definition_and_stays_finite() {
+        let device = Device::flex();
+        let loss = |logit: f32, label: f32| -> f64 {
+            let logits = Tensor::from_data([[logit]], &device);
+            let labels = Tensor::from_data([[label]], &device);
+            let value: f32 = binary_cross_entropy(logits, labels).into_scalar();
+            f64::from(value)
+        };
+        for (logit, label) in [(0.3, 1.0), (-1.7, 0.0), (2.0, 0.25)] {
+            let p = 1.0 / (1.0 + (-f64::from(logit)).exp());
+            let y = f64::from(label);
+            let expected = -(y * p.ln() + (1.0 - y) * (1.0 - p).ln());
+            assert!((loss(logit, label) - expected).abs() < 1e-6);
+        }
+        assert_eq!(loss(200.0, 0.0), 200.0);
+        assert_eq!(loss(-200.0, 0.0), 0.0);
+    }
+
+    #[test]
+    fn presets_are_usable() {
+        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+            CoordinatorConfig::preset(preset).check().expect("usable");
+        }
+    }
+}

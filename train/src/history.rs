@@ -1,0 +1,270 @@
+//! The history of an interactive edit: every result is the original of the next instruction, and
+//! every step can be taken back.
+
+use datasets_spec::motion::BODY_POSE_WIDTH;
+use datasets_spec::{Fps, Motion};
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::sample::TimedInstruction;
+
+/// Version of the document.
+const VERSION: u32 = 1;
+
+/// A motion and the edits made of it, one after another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EditHistory {
+    version: u32,
+    /// Name of the motion that was opened.
+    id: String,
+    opened: StoredMotion,
+    edits: Vec<HistoryStep>,
+    /// Edits that hold now; those after it were taken back.
+    held: usize,
+}
+
+/// One edit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HistoryStep {
+    /// What was asked for, of which frames.
+    pub instructions: Vec<TimedInstruction>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Guidance weight.
+    pub guidance: f64,
+    /// What identifies the weights that made it.
+    pub editor: String,
+    /// Mean distance in metres between the generated points and the fitted body.
+    pub fit_error_m: f32,
+    result: StoredMotion,
+}
+
+/// A motion as SMPL-X parameters, frame by frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredMotion {
+    fps: f64,
+    transl: Vec<[f32; 3]>,
+    global_orient: Vec<[f32; 3]>,
+    body_pose: Vec<Vec<f32>>,
+}
+
+impl StoredMotion {
+    fn of(motion: &Motion) -> Self {
+        Self {
+            fps: motion.fps().get(),
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().iter().map(|row| row.to_vec()).collect(),
+        }
+    }
+
+    fn motion(&self, id: &str) -> Result<Motion, Error> {
+        let damaged = |problem: &str| Error::Item {
+            id: id.to_owned(),
+            problem: format!("is damaged in the history: {problem}"),
+        };
+        let body_pose: Vec<[f32; BODY_POSE_WIDTH]> = self
+            .body_pose
+            .iter()
+            .map(|row| row.as_slice().try_into())
+            .collect::<Result<_, _>>()
+            .map_err(|_| damaged("a frame has not 63 body rotations"))?;
+        let fps = Fps::new(self.fps).map_err(|source| Error::Motion {
+            id: id.to_owned(),
+            source,
+        })?;
+        Motion::new(
+            fps,
+            self.transl.clone(),
+            self.global_orient.clone(),
+            body_pose,
+        )
+        .map_err(|source| Error::Motion {
+            id: id.to_owned(),
+            source,
+        })
+    }
+}
+
+impl EditHistory {
+    /// Opens a motion.
+    pub fn open(id: impl Into<String>, motion: &Motion) -> Self {
+        Self {
+            version: VERSION,
+            id: id.into(),
+            opened: StoredMotion::of(motion),
+            edits: Vec::new(),
+            held: 0,
+        }
+    }
+
+    /// Reads a history from its document.
+    ///
+    /// # Errors
+    /// The document is no history, of another version, or damaged.
+    pub fn from_json(text: &str) -> Result<Self, Error> {
+        let item = |problem: String| Error::Item {
+            id: "history".to_owned(),
+            problem,
+        };
+        let history: Self =
+            serde_json::from_str(text).map_err(|source| item(format!("is not one: {source}")))?;
+        if history.version != VERSION {
+            return Err(item(format!(
+                "has version {}, this program reads {VERSION}",
+                history.version
+            )));
+        }
+        if history.held > history.edits.len() {
+            return Err(item("holds more edits than it has".to_owned()));
+        }
+        history.opened.motion(&history.id)?;
+        for edit in &history.edits {
+            edit.result.motion(&history.id)?;
+        }
+        Ok(history)
+    }
+
+    /// The document.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).expect("numbers and texts serialise")
+    }
+
+    /// Name of the motion that was opened.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// The edits that hold, in the order they were made.
+    pub fn edits(&self) -> &[HistoryStep] {
+        &self.edits[..self.held]
+    }
+
+    /// Edits that were taken back and can be made again.
+    pub fn num_undone(&self) -> usize {
+        self.edits.len() - self.held
+    }
+
+    /// The motion that was opened.
+    ///
+    /// # Errors
+    /// Its numbers are no motion.
+    pub fn original(&self) -> Result<Motion, Error> {
+        self.opened.motion(&self.id)
+    }
+
+    /// The motion as it is now.
+    ///
+    /// # Errors
+    /// Its numbers are no motion.
+    pub fn current(&self) -> Result<Motion, Error> {
+        match self.edits().last() {
+            Some(edit) => edit.result.motion(&self.id),
+            None => self.original(),
+        }
+    }
+
+    /// Adds an edit. What was taken back before is gone.
+    pub fn push(
+        &mut self,
+        instructions: Vec<TimedInstruction>,
+        seed: u64,
+        guidance: f64,
+        editor: &str,
+        edited: &crate::edit::Edited,
+    ) {
+        self.edits.truncate(self.held);
+        self.edits.push(HistoryStep {
+            instructions,
+            seed,
+            guidance,
+            editor: editor.to_owned(),
+            fit_error_m: edited.fit_error_m,
+            result: StoredMotion::of(&edited.motion),
+        });
+        self.held += 1;
+    }
+
+    /// Takes the last edit back; false if there is none.
+    pub fn undo(&mut self) -> bool {
+        let can = self.held > 0;
+        self.held -= usize::from(can);
+        can
+    }
+
+    /// Makes the last edit that was taken back again; false if there is none.
+    pub fn redo(&mut self) -> bool {
+        let can = self.held < self.edits.len();
+        self.held += usize::from(can);
+        can
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Pose;
+
+    use super::*;
+    use crate::edit::Edited;
+    use crate::sample::EditTimes;
+
+    fn motion(height: f64) -> Motion {
+        let mut pose = Pose::REST;
+        pose.transl.y = height;
+        Motion::from_poses(Fps::STORE, &[pose; 3]).expect("finite")
+    }
+
+    fn push(history: &mut EditHistory, height: f64) {
+        let edited = Edited {
+            motion: motion(height),
+            fit_error_m: 0.01,
+            times: EditTimes::default(),
+        };
+        let asked = TimedInstruction {
+            frames: 0..3,
+            text: format!("to {height}"),
+        };
+        history.push(vec![asked], 7, 2.0, "hash", &edited);
+    }
+
+    #[test]
+    fn edits_can_be_taken_back_and_made_again_until_another_is_made() {
+        let mut history = EditHistory::open("walk", &motion(0.0));
+        assert!(!history.undo());
+        push(&mut history, 1.0);
+        push(&mut history, 2.0);
+        assert!(history.undo());
+        assert_eq!(history.current().expect("a motion"), motion(1.0));
+        assert!(history.redo() && !history.redo());
+        assert_eq!(history.current().expect("a motion"), motion(2.0));
+        assert!(history.undo());
+        push(&mut history, 3.0);
+        assert_eq!((history.edits().len(), history.num_undone()), (2, 0));
+        assert_eq!(history.original().expect("a motion"), motion(0.0));
+
+        let read = EditHistory::from_json(&history.to_json()).expect("read back");
+        assert_eq!(read, history);
+    }
+
+    #[test]
+    fn damaged_histories_are_refused() {
+        let mut history = EditHistory::open("walk", &motion(0.0));
+        push(&mut history, 1.0);
+        let text = history.to_json();
+        for (from, to, reason) in [
+            ("\"version\":1", "\"version\":9", "version 9"),
+            ("\"held\":1", "\"held\":5", "more edits"),
+            ("\"body_pose\":[[", "\"body_pose\":[[1.0,", "63"),
+            ("{", "", "not one"),
+        ] {
+            let damaged = text.replacen(from, to, 1);
+            match EditHistory::from_json(&damaged) {
+                Err(error) => assert!(error.to_string().contains(reason), "{error}"),
+                Ok(_) => panic!("{to} is accepted"),
+            }
+        }
+    }
+}

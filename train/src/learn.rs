@@ -1,0 +1,639 @@
+//! The one training loop: every network is trained, stopped, continued and kept by it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
+use burn::optim::{AdamWConfig, GradientsAccumulator, GradientsParams, ModuleOptimizer};
+use burn::tensor::{Bytes, Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{self, Files, Run, Slot, take};
+use crate::config::OptimizerConfig;
+use crate::data::prefetch;
+use crate::model::dropout::seeded;
+use crate::{Error, Session};
+
+const OPTIMIZER: &str = "optimizer.bpk";
+const STATE: &str = "state.json";
+const AVERAGE: &str = "average.safetensors";
+
+/// What AdamW adds to the root of the second moment (PyTorch's default).
+const ADAMW_EPSILON: f32 = 1e-8;
+
+/// What is trained: its data, its loss and its files.
+pub(crate) trait Task: Sync {
+    /// The networks.
+    type Model: Module;
+    /// A part of a step's data, small enough to be computed at once.
+    type Batch: Send + Sync;
+
+    /// The data of a step, in parts, each with its share of the step's loss. The shares add up to
+    /// one. What is drawn depends on the step alone.
+    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error>;
+
+    /// The mean loss of a part.
+    fn loss(&self, model: &Self::Model, batch: &Self::Batch, device: &Device) -> Tensor<1>;
+
+    /// The mean loss over the validation data, which never change.
+    fn validate(&self, model: &Self::Model, device: &Device) -> f32;
+
+    /// The networks as files of a checkpoint.
+    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error>;
+
+    /// The inverse of [`Task::save`].
+    fn load(&self, model: &mut Self::Model, files: &mut Files, run_dir: &Path)
+    -> Result<(), Error>;
+}
+
+/// How a run goes, whatever is trained.
+#[derive(Clone, Debug)]
+pub(crate) struct Course {
+    /// Name shown while it goes on.
+    pub(crate) stage: String,
+    /// What a sample is called, in the plural.
+    pub(crate) samples: &'static str,
+    pub(crate) optimizer: OptimizerConfig,
+    /// Samples of a step.
+    pub(crate) batch_size: usize,
+    pub(crate) num_steps: u64,
+    pub(crate) log_every: u64,
+    pub(crate) val_every: u64,
+    /// Steps between two checkpoints that are kept for good; 0 keeps none.
+    pub(crate) keep_every: u64,
+    /// Steps of an epoch, after which kept checkpoints are named.
+    pub(crate) steps_per_epoch: u64,
+    pub(crate) seed: Seed,
+}
+
+/// What a training run came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrainReport {
+    /// Steps made, those of earlier sessions included.
+    pub steps: u64,
+    /// Whether the run reached its last step.
+    pub is_complete: bool,
+    /// Trainable numbers.
+    pub num_parameters: usize,
+    /// Mean loss up to the first line of the metrics file.
+    pub first_loss: Option<f64>,
+    /// Mean loss of the last line of the metrics file.
+    pub last_loss: Option<f64>,
+    /// Lowest validation loss.
+    pub best_val_loss: Option<f64>,
+    /// Step of the lowest validation loss.
+    pub best_step: u64,
+    /// Items trained on per second in this session, validations and checkpoints left out.
+    pub samples_per_sec: f64,
+    /// Share of that time spent waiting for data.
+    pub data_wait_share: f64,
+}
+
+/// The place in a run, saved with every checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrainState {
+    step: u64,
+    /// Losses of the steps since the last line of the metrics file.
+    pending: Vec<f32>,
+    first_loss: Option<f32>,
+    last_loss: Option<f32>,
+    best_val_loss: Option<f32>,
+    best_step: u64,
+}
+
+#[derive(Serialize)]
+struct MetricsLine {
+    step: u64,
+    loss: f32,
+    learning_rate: f64,
+    /// Length of the gradient of the last step, before it was cut; only where it is cut.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gradient_norm: Option<f64>,
+    samples_per_sec: f64,
+    data_wait_share: f64,
+}
+
+#[derive(Serialize)]
+struct ValidationLine {
+    step: u64,
+    val_loss: f32,
+    is_best: bool,
+}
+
+/// Time spent on training steps, and the part of it spent waiting for data.
+#[derive(Default)]
+struct Speed {
+    steps: u64,
+    total_secs: f64,
+    wait_secs: f64,
+}
+
+impl Speed {
+    fn add(&mut self, total_secs: f64, wait_secs: f64) {
+        self.steps += 1;
+        self.total_secs += total_secs;
+        self.wait_secs += wait_secs;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.steps += other.steps;
+        self.total_secs += other.total_secs;
+        self.wait_secs += other.wait_secs;
+    }
+
+    fn samples_per_sec(&self, batch_size: usize) -> f64 {
+        if self.total_secs > 0.0 {
+            (self.steps * batch_size as u64) as f64 / self.total_secs
+        } else {
+            0.0
+        }
+    }
+
+    fn wait_share(&self) -> f64 {
+        if self.total_secs > 0.0 {
+            self.wait_secs / self.total_secs
+        } else {
+            0.0
+        }
+    }
+}
+
+/// Trains a model, or continues where the run folder left off, and returns it as it is used: with
+/// averaged weights where the settings ask for them.
+///
+/// A run that was interrupted continues exactly: weights, optimiser, data, noise and learning rate
+/// are those of an uninterrupted one.
+pub(crate) fn learn<T: Task>(
+    task: &T,
+    mut model: T::Model,
+    course: &Course,
+    run: &Run,
+    session: &Session<'_>,
+) -> Result<(T::Model, TrainReport), Error> {
+    let run_dir = run.dir();
+    let device = session.device.clone().autodiff();
+    let mut optimizer: ModuleOptimizer = AdamWConfig::new()
+        .with_epsilon(ADAMW_EPSILON)
+        .with_weight_decay(course.optimizer.weight_decay as f32)
+        .init();
+    let mut state = TrainState::default();
+    let mut average = None;
+    if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
+        average = load_average(course, &mut files, run_dir, session.device)?;
+        task.load(&mut model, &mut files, run_dir)?;
+        (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
+    }
+    run.rewind_log(state.step)?;
+    if average.is_none() {
+        average = course
+            .optimizer
+            .average
+            .map(|_| Average::of(&model.valid()));
+    }
+
+    let mut whole = Speed::default();
+    session
+        .progress
+        .begin(&course.stage, Some(course.num_steps));
+    session.progress.advance(state.step);
+    let model = std::thread::scope(|scope| {
+        let batches = prefetch(scope, state.step..course.num_steps, |step| task.draw(step));
+        let mut recent = Speed::default();
+        while state.step < course.num_steps && !session.is_stopped() {
+            let begun = session.secs();
+            let parts = batches
+                .recv()
+                .expect("the producer sends a batch or an error for every step")?;
+            let received = session.secs();
+
+            let masks = course.seed.derive(&["dropout", &state.step.to_string()]);
+            let rate = course.optimizer.rate_at(state.step, course.num_steps);
+            let (loss, mut gradients) = gradients_of(task, &model, &parts, &device, masks, session);
+            if !loss.is_finite() {
+                return Err(Error::Diverged { step: state.step });
+            }
+            let gradient_norm = course
+                .optimizer
+                .max_gradient_norm
+                .map(|longest| cut(&mut gradients, &model, longest));
+            model = optimizer.step(rate, model, gradients);
+            if let (Some(average), Some(share)) = (&mut average, course.optimizer.average) {
+                average.follow(&model.valid(), share);
+            }
+
+            state.step += 1;
+            state.pending.push(loss);
+            recent.add(session.secs() - begun, received - begun);
+            session.progress.advance(1);
+            let is_last = state.step == course.num_steps;
+            if state.step.is_multiple_of(course.log_every) || is_last {
+                let loss = mean(&state.pending);
+                let samples_per_sec = recent.samples_per_sec(course.batch_size);
+                run.log(&MetricsLine {
+                    step: state.step,
+                    loss,
+                    learning_rate: rate,
+                    gradient_norm,
+                    samples_per_sec,
+                    data_wait_share: recent.wait_share(),
+                })?;
+                session.progress.message(&format!(
+                    "loss {loss:.4}, {samples_per_sec:.0} {}/s, {:.1} % waiting",
+                    course.samples,
+                    100.0 * recent.wait_share()
+                ));
+                state.first_loss.get_or_insert(loss);
+                state.last_loss = Some(loss);
+                state.pending.clear();
+                whole.merge(&recent);
+                recent = Speed::default();
+            }
+            let is_kept = course.keep_every > 0 && state.step.is_multiple_of(course.keep_every);
+            if state.step.is_multiple_of(course.val_every) || is_last {
+                let used = used(&model, average.as_ref());
+                let val_loss = task.validate(&used, session.device);
+                let is_best = state.best_val_loss.is_none_or(|best| val_loss < best);
+                run.log(&ValidationLine {
+                    step: state.step,
+                    val_loss,
+                    is_best,
+                })?;
+                if is_best {
+                    state.best_val_loss = Some(val_loss);
+                    state.best_step = state.step;
+                }
+                let files = save(task, &model, average.as_ref(), &optimizer, &state, run_dir)?;
+                run.write(Slot::Last, &files)?;
+                if is_best {
+                    run.write(Slot::Best, &task.save(&used, run_dir)?)?;
+                }
+            }
+            if is_kept {
+                let epoch = state.step / course.steps_per_epoch.max(1);
+                let files = task.save(&used(&model, average.as_ref()), run_dir)?;
+                run.write(Slot::Epoch(epoch), &files)?;
+            }
+        }
+        whole.merge(&recent);
+        Ok(model)
+    })?;
+
+    let is_complete = state.step == course.num_steps;
+    if !is_complete {
+        let files = save(task, &model, average.as_ref(), &optimizer, &state, run_dir)?;
+        run.write(Slot::Last, &files)?;
+    }
+    session.progress.finish(&format!(
+        "{} steps, best validation loss {}{}",
+        state.step,
+        state
+            .best_val_loss
+            .map_or("none yet".to_owned(), |loss| format!("{loss:.4}")),
+        if is_complete {
+            ""
+        } else {
+            "; stopped and saved, the same command goes on"
+        }
+    ));
+    let report = TrainReport {
+        steps: state.step,
+        is_complete,
+        num_parameters: model.num_params(),
+        first_loss: state.first_loss.map(f64::from),
+        last_loss: state.last_loss.map(f64::from),
+        best_val_loss: state.best_val_loss.map(f64::from),
+        best_step: state.best_step,
+        samples_per_sec: whole.samples_per_sec(course.batch_size),
+        data_wait_share: whole.wait_share(),
+    };
+    Ok((used(&model, average.as_ref()), report))
+}
+
+/// The loss of a step and its gradients on the first device. The parts are spread over all devices
+/// of the session, each of which holds a copy of the model; what they find is added in the order of
+/// the parts, so that a step does not depend on which device is done first.
+fn gradients_of<T: Task>(
+    task: &T,
+    model: &T::Model,
+    parts: &[(f64, T::Batch)],
+    device: &Device,
+    masks: Seed,
+    session: &Session<'_>,
+) -> (f32, GradientsParams) {
+    let others: Vec<Device> = session
+        .more_devices
+        .iter()
+        .map(|device| device.clone().autodiff())
+        .collect();
+    let one = |model: &T::Model, index: usize, device: &Device| {
+        let (share, batch) = &parts[index];
+        // Dropout of a part follows from step and part; a continued run repeats it. A card draws
+        // its own masks.
+        let seed = masks.draw_u64(&[&index.to_string()]);
+        device.seed(seed);
+        let loss = seeded(seed, || task.loss(model, batch, device)).mul_scalar(*share);
+        let value: f32 = loss.clone().into_scalar();
+        (value, GradientsParams::from_grads(loss.backward(), model))
+    };
+    if parts.len() == 1 {
+        return one(model, 0, device);
+    }
+    let mut total = 0.0;
+    let mut sum = GradientsAccumulator::new();
+    if others.is_empty() {
+        for index in 0..parts.len() {
+            let (loss, gradients) = one(model, index, device);
+            total += loss;
+            sum.accumulate(model, gradients);
+        }
+        return (total, sum.grads());
+    }
+    let devices: Vec<Device> = std::iter::once(device.clone()).chain(others).collect();
+    let mut found: Vec<(usize, f32, GradientsParams)> = std::thread::scope(|scope| {
+        let running: Vec<_> = devices
+            .iter()
+            .enumerate()
+            .map(|(place, device)| {
+                let copy = model.clone().fork(device);
+                let (one, stride) = (&one, devices.len());
+                scope.spawn(move || {
+                    (place..parts.len())
+                        .step_by(stride)
+                        .map(|index| {
+                            let (loss, gradients) = one(&copy, index, device);
+                            (index, loss, gradients)
+                        })
+                        .collect::<Vec<_>>()
+                })
+            })
+            .collect();
+        running
+            .into_iter()
+            .flat_map(|thread| thread.join().expect("a device's thread does not panic"))
+            .collect()
+    });
+    found.sort_by_key(|(index, ..)| *index);
+    for (_, loss, gradients) in found {
+        total += loss;
+        sum.accumulate(model, gradients.to_device(device, model));
+    }
+    (total, sum.grads())
+}
+
+/// The model as it is used: with averaged weights where there are any.
+fn used<M: Module>(model: &M, average: Option<&Average>) -> M {
+    match average {
+        Some(average) => average.put_into(model.valid()),
+        None => model.valid(),
+    }
+}
+
+fn mean(losses: &[f32]) -> f32 {
+    let sum: f64 = losses.iter().map(|&loss| f64::from(loss)).sum();
+    (sum / losses.len().max(1) as f64) as f32
+}
+
+/// Shortens gradients that are together longer than `longest`, as `clip_grad_norm_` of PyTorch
+/// does, and returns their length before.
+fn cut<M: Module>(gradients: &mut GradientsParams, model: &M, longest: f64) -> f64 {
+    struct Norm<'a> {
+        gradients: &'a GradientsParams,
+        square: f64,
+    }
+    impl ModuleVisitor for Norm<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(gradient) = self.gradients.get::<D>(param.id) {
+                let square: f32 = gradient.square().sum().into_scalar();
+                self.square += f64::from(square);
+            }
+        }
+    }
+    struct Scale<'a> {
+        gradients: &'a mut GradientsParams,
+        by: f64,
+    }
+    impl ModuleVisitor for Scale<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(gradient) = self.gradients.remove::<D>(param.id) {
+                self.gradients
+                    .register(param.id, gradient.mul_scalar(self.by));
+            }
+        }
+    }
+    let mut norm = Norm {
+        gradients,
+        square: 0.0,
+    };
+    model.visit(&mut norm);
+    let length = norm.square.sqrt();
+    if length > longest {
+        model.visit(&mut Scale {
+            gradients,
+            by: longest / length,
+        });
+    }
+    length
+}
+
+/// A running average of weights, parameter by parameter, each as one row of numbers.
+#[derive(Clone, Debug)]
+struct Average(BTreeMap<ParamId, Tensor<1>>);
+
+impl Average {
+    /// Starts at the weights of a model.
+    fn of<M: Module>(model: &M) -> Self {
+        let mut average = Self(BTreeMap::new());
+        average.follow(model, 0.0);
+        average
+    }
+
+    /// Keeps a share of itself and takes the rest from the weights.
+    fn follow<M: Module>(&mut self, model: &M, share: f64) {
+        struct Follow<'a> {
+            average: &'a mut BTreeMap<ParamId, Tensor<1>>,
+            share: f64,
+        }
+        impl ModuleVisitor for Follow<'_> {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                let now = param.val().reshape([-1]);
+                let next = match self.average.remove(&param.id) {
+                    Some(before) => {
+                        before.mul_scalar(self.share) + now.mul_scalar(1.0 - self.share)
+                    }
+                    None => now,
+                };
+                self.average.insert(param.id, next);
+            }
+        }
+        model.visit(&mut Follow {
+            average: &mut self.0,
+            share,
+        });
+    }
+
+    /// A model with the averaged weights.
+    fn put_into<M: Module>(&self, model: M) -> M {
+        struct Put<'a>(&'a BTreeMap<ParamId, Tensor<1>>);
+        impl ModuleMapper for Put<'_> {
+            fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+                match self.0.get(&param.id) {
+                    Some(average) => {
+                        let average = average.clone();
+                        param.map(|now| average.reshape(now.dims()))
+                    }
+                    None => param,
+                }
+            }
+        }
+        model.map(&mut Put(&self.0))
+    }
+
+    fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = (self.0.len() as u64).to_le_bytes().to_vec();
+        for (id, numbers) in &self.0 {
+            let values: Vec<f32> = numbers
+                .to_data()
+                .try_into_vec_as()
+                .expect("a float tensor gives floats");
+            bytes.extend(id.val().to_le_bytes());
+            bytes.extend((values.len() as u64).to_le_bytes());
+            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        }
+        bytes
+    }
+
+    fn from_bytes(bytes: &[u8], device: &Device) -> Option<Self> {
+        fn number(bytes: &mut &[u8]) -> Option<u64> {
+            let (first, rest) = bytes.split_first_chunk::<8>()?;
+            *bytes = rest;
+            Some(u64::from_le_bytes(*first))
+        }
+        let mut rest = bytes;
+        let count = number(&mut rest)?;
+        let mut average = BTreeMap::new();
+        for _ in 0..count {
+            let id = ParamId::from(number(&mut rest)?);
+            let length = usize::try_from(number(&mut rest)?).ok()?;
+            let (values, after) = rest.split_at_checked(length.checked_mul(4)?)?;
+            rest = after;
+            let values: Vec<f32> = values
+                .chunks_exact(4)
+                .map(|value| f32::from_le_bytes([value[0], value[1], value[2], value[3]]))
+                .collect();
+            let row = Tensor::from_data(TensorData::new(values, [length]), device);
+            average.insert(id, row);
+        }
+        rest.is_empty().then_some(Self(average))
+    }
+}
+
+fn save<T: Task>(
+    task: &T,
+    model: &T::Model,
+    average: Option<&Average>,
+    optimizer: &ModuleOptimizer,
+    state: &TrainState,
+    run_dir: &Path,
+) -> Result<Files, Error> {
+    let moments = optimizer
+        .into_bytes()
+        .map_err(|problem| Error::weights(&run_dir.join(OPTIMIZER), problem))?;
+    let state = serde_json::to_vec(state).map_err(|source| Error::Json {
+        path: run_dir.join(STATE),
+        source,
+    })?;
+    let mut files = task.save(&model.valid(), run_dir)?;
+    files.insert(OPTIMIZER.to_owned(), moments.to_vec());
+    files.insert(STATE.to_owned(), state);
+    if let Some(average) = average {
+        files.insert(AVERAGE.to_owned(), average.to_bytes());
+    }
+    Ok(files)
+}
+
+fn load_average(
+    course: &Course,
+    files: &mut Files,
+    run_dir: &Path,
+    device: &Device,
+) -> Result<Option<Average>, Error> {
+    if course.optimizer.average.is_none() {
+        return Ok(None);
+    }
+    let bytes = take(files, AVERAGE, run_dir)?;
+    let average = Average::from_bytes(&bytes, device).ok_or_else(|| Error::Corrupt {
+        path: run_dir.join("checkpoint/last").join(AVERAGE),
+        detail: "it does not hold the lengths it announces".to_owned(),
+    })?;
+    Ok(Some(average))
+}
+
+fn load_progress(
+    optimizer: ModuleOptimizer,
+    files: &mut Files,
+    run_dir: &Path,
+) -> Result<(ModuleOptimizer, TrainState), Error> {
+    let moments = Bytes::from_bytes_vec(take(files, OPTIMIZER, run_dir)?);
+    let optimizer = optimizer
+        .from_bytes(moments)
+        .map_err(|problem| Error::weights(&run_dir.join(OPTIMIZER), problem))?;
+    let state =
+        serde_json::from_slice(&take(files, STATE, run_dir)?).map_err(|source| Error::Json {
+            path: run_dir.join(STATE),
+            source,
+        })?;
+    Ok((optimizer, state))
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::nn::{Linear, LinearConfig};
+
+    use super::*;
+    use crate::model::weights::draw;
+
+    fn numbers(layer: &Linear) -> Vec<f32> {
+        let weight = layer.weight.val().into_data();
+        weight.try_into_vec_as().expect("floats")
+    }
+
+    fn layer(seed: u64, device: &Device) -> Linear {
+        draw(LinearConfig::new(3, 2).init(device), Seed(seed))
+    }
+
+    #[test]
+    fn the_average_moves_by_its_share_and_survives_a_file() {
+        let device = Device::flex();
+        let (first, second) = (layer(1, &device), layer(2, &device));
+        let mut average = Average::of(&first);
+        average.follow(&second, 0.75);
+        let read = Average::from_bytes(&average.to_bytes(), &device).expect("read back");
+        let mixed = numbers(&read.put_into(layer(3, &device)));
+        for ((mixed, first), second) in mixed.iter().zip(numbers(&first)).zip(numbers(&second)) {
+            assert!((mixed - (0.75 * first + 0.25 * second)).abs() < 1e-6);
+        }
+        let bytes = average.to_bytes();
+        assert!(Average::from_bytes(&bytes[..bytes.len() - 1], &device).is_none());
+    }
+
+    #[test]
+    fn long_gradients_are_cut_together_and_short_ones_are_left() {
+        let device = Device::flex().autodiff();
+        let model = layer(1, &device);
+        let gradients = || {
+            let x = Tensor::<2>::from_data([[3.0, 0.0, 4.0]], &device);
+            GradientsParams::from_grads(model.forward(x).sum().backward(), &model)
+        };
+        // Weights: two columns of (3, 0, 4); biases: two ones.
+        let expected = (2.0 * 25.0 + 2.0f64).sqrt();
+        let mut cut_ones = gradients();
+        let length = cut(&mut cut_ones, &model, 1.0);
+        assert!((length - expected).abs() < 1e-5);
+        assert!((cut(&mut cut_ones, &model, 100.0) - 1.0).abs() < 1e-5);
+        let mut left = gradients();
+        cut(&mut left, &model, 100.0);
+        assert!((cut(&mut left, &model, 100.0) - expected).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,105 @@
+//! The body-part coordinator: tells windows composed of several motions from natural ones.
+
+use burn::module::Module;
+use burn::nn::{Linear, LinearConfig};
+use burn::tensor::activation::{sigmoid, silu};
+use burn::tensor::{Device, Tensor};
+use datasets_spec::normalise::FRAME_WIDTH;
+
+use super::denoiser::IndexEmbedding;
+use super::dropout::Dropout;
+use super::position::positions;
+use super::transformer::Encoder;
+use crate::config::NetworkConfig;
+
+/// The two layers after the mean over frames.
+#[derive(Module, Debug)]
+pub struct Verdict {
+    hidden: Linear,
+    output: Linear,
+}
+
+/// A transformer over a token of the diffusion step and the frames of a window, and a verdict on
+/// their mean.
+///
+/// # Source
+/// Paper Sec. 4.4; the layout is that of the released code with `Disc=True` (`algorithms`
+/// section 6). Two of its layers, `embedding_original` and `embed_prog_ind`, play no part; they are
+/// kept because the released checkpoints store them and the released program asks for them.
+#[derive(Module, Debug)]
+pub struct Coordinator {
+    embedding_input: Linear,
+    embedding_original: Linear,
+    embed_timestep: IndexEmbedding,
+    embed_prog_ind: IndexEmbedding,
+    transformer: Encoder,
+    out: Linear,
+    pred: Verdict,
+    dropout: Dropout,
+}
+
+impl Coordinator {
+    /// Builds the network.
+    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        Self {
+            embedding_input: linear(FRAME_WIDTH, config.width),
+            embedding_original: linear(FRAME_WIDTH, config.width),
+            embed_timestep: IndexEmbedding::new(config.width, device),
+            embed_prog_ind: IndexEmbedding::new(config.width, device),
+            transformer: Encoder::new(config, device),
+            out: linear(config.width, FRAME_WIDTH),
+            pred: Verdict {
+                hidden: linear(FRAME_WIDTH, FRAME_WIDTH),
+                output: linear(FRAME_WIDTH, 1),
+            },
+            dropout: Dropout::new(config.dropout),
+        }
+    }
+
+    /// The logit of the probability that each window was composed.
+    ///
+    /// # Shapes
+    /// `x` `[B, W, 84]`, `timesteps` `[B]`; the result `[B, 1]`.
+    pub fn logits(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
+        let [_, window, _] = x.dims();
+        let device = x.device();
+        let frames = self.embedding_input.forward(x);
+        let [_, _, width] = frames.dims();
+        // The token of the step is not scaled, unlike that of the denoiser (released code).
+        let step = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
+        let tokens = Tensor::cat(vec![step, frames.mul_scalar((width as f64).sqrt())], 1);
+        let tokens = tokens + positions(1 + window, width, &device);
+        let tokens = self.transformer.forward(self.dropout.forward(tokens), None);
+        let frames = self.out.forward(tokens.narrow(1, 1, window));
+        let mean = frames.mean_dim(1).squeeze_dim::<2>(1);
+        self.pred
+            .output
+            .forward(silu(self.pred.hidden.forward(mean)))
+    }
+
+    /// The probability that each window was composed.
+    ///
+    /// # Shapes
+    /// As [`Coordinator::logits`].
+    pub fn probability(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
+        sigmoid(self.logits(x, timesteps))
+    }
+
+    /// The slope of the probability of each window with respect to that window.
+    ///
+    /// # Shapes
+    /// `x` and the result `[B, W, 84]`, on a device without automatic differentiation; `timesteps`
+    /// `[B]`.
+    pub fn slope(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
+        let device = x.device();
+        let x = Tensor::<3>::from_inner(x).require_grad();
+        // On a device with gradients dropout would be at work.
+        let settled = self.valid();
+        // A row never sees another, so that the slope of the sum holds the slope of each.
+        let sum = settled.probability(x.clone(), timesteps).sum();
+        let gradients = sum.backward();
+        x.grad(&gradients)
+            .unwrap_or_else(|| Tensor::zeros(x.dims(), &device))
+    }
+}
