@@ -49,7 +49,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             out = "run"
             triplets = 8
             [train]
-            num_steps = 12
+            length = { steps = 12 }
             val_every = 6
             val_windows = 16
             log_every = 3

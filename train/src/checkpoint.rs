@@ -299,6 +299,18 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
+/// What was trained in a run folder.
+pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
+    #[derive(Deserialize)]
+    struct Kind {
+        kind: String,
+    }
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    Ok(found.kind)
+}
+
 /// Reads the document of a finished or running run.
 pub(crate) fn read_record<C: DeserializeOwned>(
     run_dir: &Path,
@@ -390,7 +402,7 @@ fn first_difference(recorded: &Value, asked: &Value, path: &str) -> Option<Strin
     })
 }
 
-fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let new = path.with_extension("new");
     write_synced(&new, bytes)?;
     fs::rename(&new, path).map_err(Error::io("rename", new))

@@ -24,8 +24,8 @@ use crate::model::coordinator::Coordinator;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::{Error, Session};
 
-const KIND: &str = "coordinator";
-const WEIGHTS: &str = "coordinator.safetensors";
+pub(crate) const KIND: &str = "coordinator";
+pub(crate) const WEIGHTS: &str = "coordinator.safetensors";
 
 /// Last diffusion steps whose noise the coordinator learns to see through (paper Sec. 4.4).
 const NOISE_STEPS: usize = 20;

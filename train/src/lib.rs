@@ -15,6 +15,7 @@ pub mod data;
 pub mod diffusion;
 pub mod edit;
 mod error;
+pub mod exchange;
 pub mod features;
 pub mod fit;
 pub mod history;

@@ -663,14 +663,13 @@ impl Sampler<'_> {
             } else {
                 predicted
             };
-            let mut x0 = match self.prediction {
-                Prediction::Noise => {
-                    self.schedule
-                        .predict_x0(x.clone(), &timesteps[..batch], predicted)
-                }
-                Prediction::Clean => predicted,
-                Prediction::Change => predicted + condition.original.clone(),
-            };
+            let mut x0 = self.schedule.clean_of(
+                self.prediction,
+                predicted,
+                &x,
+                &condition.original,
+                &timesteps[..batch],
+            );
             if self.clip {
                 x0 = x0.clamp(-1.0, 1.0);
             }

@@ -14,6 +14,12 @@ const BASE: f64 = 10_000.0;
 /// # Source
 /// Vaswani et al. 2017, Sec. 3.5; used alike by MotionReFit, TMR, MDM and TMED.
 pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
+    let values = sinusoid_values(indices, width);
+    Tensor::from_data(TensorData::new(values, [indices.len(), width]), device)
+}
+
+/// The numbers of [`sinusoid`], row by row.
+pub(crate) fn sinusoid_values(indices: &[usize], width: usize) -> Vec<f32> {
     let frequencies: Vec<f64> = (0..width.div_ceil(2))
         .map(|pair| BASE.powf(-2.0 * pair as f64 / width as f64))
         .collect();
@@ -29,7 +35,7 @@ pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
             values.push(value as f32);
         }
     }
-    Tensor::from_data(TensorData::new(values, [indices.len(), width]), device)
+    values
 }
 
 /// The first `length` rows of the table, ready to be added to a batch of sequences.

@@ -1,0 +1,272 @@
+//! Models from and for the released program: weights under its names, and the range of model units.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use datasets_spec::normalise::Normalizer;
+use pipeline::source::pickle::{self, Value};
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+
+use crate::Error;
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
+use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
+use crate::fit::{self, EditorRecord};
+use crate::model::coordinator::Coordinator;
+use crate::model::denoiser::Denoiser;
+use crate::model::position::sinusoid_values;
+use crate::model::weights::{from_safetensors, to_safetensors};
+
+/// Rows of the position tables the released checkpoints store.
+const TABLE_ROWS: usize = 5_000;
+
+/// Names under which the released checkpoints store one and the same position table.
+const TABLES: [&str; 4] = [
+    "positional_encoder.pos_encoding",
+    "embed_timestep.sequence_pos_encoder.pos_encoding",
+    "positional_encoder_pi.pos_encoding",
+    "embed_prog_ind.sequence_pos_encoder.pos_encoding",
+];
+
+/// Name of the file the range of model units is exported to.
+const RANGE: &str = "range.json";
+
+/// Makes a run folder of an editor trained elsewhere.
+///
+/// `weights` is a safetensors file under the released names; tensors the network does not know, such
+/// as position tables, are left alone.
+///
+/// # Errors
+/// The folder holds another run, a tensor is missing or of another shape, or a file cannot be
+/// written.
+pub fn import_editor(
+    run_dir: &Path,
+    record: &EditorRecord,
+    skeleton: &str,
+    weights: Vec<u8>,
+    path: &Path,
+    device: &Device,
+) -> Result<(), Error> {
+    record.train.check()?;
+    let fit::TextRecord::Frozen { width, .. } = &record.text else {
+        return Err(Error::Config {
+            field: "text.encoder",
+            problem: "a model trained elsewhere listens to a frozen encoder".to_owned(),
+        });
+    };
+    let config = &record.train;
+    let mut network = Denoiser::new(&config.model, config.diffusion.previous, *width, device);
+    from_safetensors(&mut network, weights, "", path)?;
+    let files = [(fit::DENOISER.to_owned(), to_safetensors(&network, run_dir)?)];
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(fit::KIND, "imported", skeleton, record),
+    )?;
+    run.write(Slot::Best, &files.into())
+}
+
+/// Makes a run folder of a coordinator trained elsewhere, as [`import_editor`] does.
+///
+/// # Errors
+/// As [`import_editor`].
+pub fn import_coordinator(
+    run_dir: &Path,
+    record: &CoordinatorRecord,
+    skeleton: &str,
+    weights: Vec<u8>,
+    path: &Path,
+    device: &Device,
+) -> Result<(), Error> {
+    let config: &CoordinatorConfig = &record.train;
+    config.check()?;
+    let mut network = Coordinator::new(&config.model, device);
+    from_safetensors(&mut network, weights, "", path)?;
+    let files = [(
+        coordinator::WEIGHTS.to_owned(),
+        to_safetensors(&network, run_dir)?,
+    )];
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(coordinator::KIND, "imported", skeleton, record),
+    )?;
+    run.write(Slot::Best, &files.into())
+}
+
+/// Writes the network of a run as one safetensors file under the released names, the position tables
+/// the released program asks for included, and the range of model units as JSON. Returns the files.
+///
+/// # Errors
+/// The folder is no run of the editor or the coordinator, its checkpoint is damaged, its network has
+/// layers the released one has not, or a file cannot be written.
+pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
+    let kind = checkpoint::read_kind(run_dir)?;
+    let (files, name, width, normalizer): (Files, &str, usize, Normalizer) =
+        if kind == coordinator::KIND {
+            let record: RunRecord<CoordinatorRecord> =
+                checkpoint::read_record(run_dir, coordinator::KIND)?;
+            let files = read_for_use(run_dir, slot, coordinator::KIND)?;
+            let CoordinatorRecord { train, normalizer } = record.config;
+            (files, coordinator::WEIGHTS, train.model.width, normalizer)
+        } else {
+            let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, fit::KIND)?;
+            let files = read_for_use(run_dir, slot, fit::KIND)?;
+            let EditorRecord {
+                train, normalizer, ..
+            } = record.config;
+            (files, fit::DENOISER, train.model.width, normalizer)
+        };
+    let mut files = files;
+    let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
+    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
+    let weights = out.join(name);
+    write_atomically(&weights, &bytes)?;
+    let range = out.join(RANGE);
+    let document = serde_json::json!({ "min": normalizer.min, "max": normalizer.max });
+    write_atomically(&range, document.to_string().as_bytes())?;
+    Ok(vec![weights, range])
+}
+
+/// Adds the position tables to a safetensors file.
+fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error> {
+    let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
+    let file = SafeTensors::deserialize(bytes).map_err(weights)?;
+    for foreign in ["embed_previous", "project_text"] {
+        if file.names().iter().any(|name| name.starts_with(foreign)) {
+            return Err(Error::Misfit {
+                what: "the model",
+                problem: format!(
+                    "its layers {foreign} are not in the released network; train one with \
+                     previous = \"inpainted\" and the text encoder's own width"
+                ),
+            });
+        }
+    }
+    let rows: Vec<usize> = (0..TABLE_ROWS).collect();
+    let table: Vec<u8> = sinusoid_values(&rows, width)
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .collect();
+    let table = TensorView::new(Dtype::F32, vec![TABLE_ROWS, 1, width], &table).map_err(weights)?;
+    let tensors = file
+        .tensors()
+        .into_iter()
+        .chain(TABLES.map(|name| (name.to_owned(), table.clone())));
+    safetensors::serialize(tensors, None).map_err(weights)
+}
+
+/// Reads the range of model units of the released program: an array of one object, which is a
+/// dictionary whose value holds the lower bound and the upper, one number or one for each axis.
+///
+/// # Errors
+/// The file holds something else.
+///
+/// # Source
+/// `data/norm_scaled.npy` (`formats` section 5), whose shape is not published.
+pub fn read_released_range(bytes: &[u8], path: &Path) -> Result<Normalizer, Error> {
+    let problem = |detail: &str| Error::weights(path, detail);
+    let header = match bytes {
+        [0x93, b'N', b'U', b'M', b'P', b'Y', 1, _, low, high, ..] => {
+            10 + usize::from(u16::from_le_bytes([*low, *high]))
+        }
+        _ => return Err(problem("it is no array of NumPy, format 1")),
+    };
+    let pickled = bytes
+        .get(header..)
+        .ok_or_else(|| problem("it ends in its header"))?;
+    let value = pickle::read(pickled).map_err(|rejected| {
+        Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
+    })?;
+    let inner = match value.as_sequence() {
+        Some([inner]) => inner,
+        _ => &value,
+    };
+    let bounds = inner
+        .as_dict()
+        .and_then(|entries| entries.first())
+        .and_then(|(_, bounds)| bounds.as_sequence())
+        .ok_or_else(|| problem("it holds no dictionary of bounds"))?;
+    let [min, max, ..] = bounds else {
+        return Err(problem("it holds fewer than two bounds"));
+    };
+    match (axes(min), axes(max)) {
+        (Some(min), Some(max)) if min.iter().zip(&max).all(|(min, max)| min < max) => {
+            Ok(Normalizer { min, max })
+        }
+        _ => Err(problem(
+            "its bounds are neither numbers nor three numbers, the lower below the upper",
+        )),
+    }
+}
+
+fn axes(value: &Value) -> Option<[f64; 3]> {
+    let numbers = match (value.as_float(), value.as_array(), value.as_sequence()) {
+        (Some(number), ..) => vec![number],
+        (None, Some(array), _) => array.to_f64()?,
+        (None, None, Some(items)) => items.iter().map(Value::as_float).collect::<Option<_>>()?,
+        (None, None, None) => return None,
+    };
+    match numbers[..] {
+        [one] => Some([one; 3]),
+        [x, y, z] => Some([x, y, z]),
+        _ => None,
+    }
+    .filter(|axes| axes.iter().all(|axis| axis.is_finite()))
+}
+
+#[cfg(test)]
+mod tests {
+    use pipeline::write::pickle::encode;
+
+    use super::*;
+
+    /// An array file around a pickle.
+    fn array_of(pickled: &[u8]) -> Vec<u8> {
+        let text = "{'descr': '|O', 'fortran_order': False, 'shape': (), }\n";
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((text.len() as u16).to_le_bytes());
+        bytes.extend(text.bytes());
+        bytes.extend(pickled);
+        bytes
+    }
+
+    fn range_of(min: Value, max: Value) -> Result<Normalizer, Error> {
+        let key = Value::Tuple(vec![Value::Int(16), Value::Int(3)]);
+        let dict = Value::Dict(vec![(key, Value::List(vec![min, max]))]);
+        read_released_range(&array_of(&encode(&dict)), Path::new("memory"))
+    }
+
+    #[test]
+    fn ranges_of_one_number_and_of_three_are_read() {
+        let one = range_of(Value::Float(-3.25), Value::Float(3.5)).expect("read");
+        assert_eq!((one.min, one.max), ([-3.25; 3], [3.5; 3]));
+        let list = |axes: [f64; 3]| Value::List(axes.map(Value::Float).to_vec());
+        let three = range_of(list([-3.0, 0.0, -2.0]), list([3.0, 2.0, 2.5])).expect("read");
+        assert_eq!(three.min, [-3.0, 0.0, -2.0]);
+        assert_eq!(three.max, [3.0, 2.0, 2.5]);
+    }
+
+    #[test]
+    fn what_is_no_range_is_refused() {
+        assert!(range_of(Value::Float(1.0), Value::Float(-1.0)).is_err());
+        assert!(range_of(Value::Float(f64::NAN), Value::Float(1.0)).is_err());
+        assert!(range_of(Value::text("low"), Value::Float(1.0)).is_err());
+        let path = Path::new("memory");
+        assert!(read_released_range(b"\x93NUMPY", path).is_err());
+        assert!(read_released_range(&array_of(&encode(&Value::Int(3))), path).is_err());
+    }
+
+    #[test]
+    fn an_array_that_numpy_saved_is_read() {
+        // np.save of {(16, 3): (-3.25, 3.5)}, NumPy 2.4, without its header.
+        let pickled = "800495a3000000000000008c166e756d70792e5f636f72652e6d756c7469617272617\
+            9948c0c5f7265636f6e7374727563749493948c056e756d7079948c076e6461727261799493944b00859443\
+            01629487945294284b012968038c0564747970659493948c024f3894898887945294284b038c017c944e4e4\
+            e4affffffff4affffffff4b3f749462895d947d944b104b03869447c00a00000000000047400c0000000000\
+            00869473617494622e";
+        let bytes: Vec<u8> = (0..pickled.len() / 2)
+            .map(|at| u8::from_str_radix(&pickled[2 * at..2 * at + 2], 16).expect("a byte"))
+            .collect();
+        let range = read_released_range(&array_of(&bytes), Path::new("memory")).expect("read");
+        assert_eq!((range.min, range.max), ([-3.25; 3], [3.5; 3]));
+    }
+}
