@@ -142,6 +142,107 @@ pub enum Error {
         /// The cause.
         source: std::io::Error,
     },
+    /// A folder lacks a file of a text encoder.
+    #[error(
+        "{} has no {what}: place one of {} there, or have it downloaded",
+        folder.display(),
+        names.join(", ")
+    )]
+    NoEncoderFile {
+        /// What is missing.
+        what: &'static str,
+        /// Names it may have.
+        names: &'static [&'static str],
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// The server has no file of a text encoder.
+    #[error("{repo} on the server has no {what}, looked for {}", names.join(", "))]
+    NotOnServer {
+        /// The model.
+        repo: &'static str,
+        /// What is missing.
+        what: &'static str,
+        /// Names it may have.
+        names: &'static [&'static str],
+    },
+    /// A download failed.
+    #[error(
+        "cannot download {address} ({problem}); run again to go on where it stopped, or download \
+         it by hand and name its folder"
+    )]
+    Download {
+        /// What was asked for.
+        address: String,
+        /// What happened.
+        problem: String,
+    },
+    /// A downloaded file is not what its checksum says.
+    #[error(
+        "{} is damaged ({name} expected {expected}, found {found}); delete it and download it again",
+        path.display()
+    )]
+    Checksum {
+        /// The file.
+        path: PathBuf,
+        /// Kind of checksum.
+        name: &'static str,
+        /// What it should be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// A file is no tokenizer of CLIP.
+    #[error(
+        "{} is no tokenizer of CLIP ({detail}); give its tokenizer.json or \
+         bpe_simple_vocab_16e6.txt.gz",
+        path.display()
+    )]
+    Tokenizer {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// A text cannot be cut into tokens.
+    #[error("text {text:?} cannot be cut into tokens ({detail})")]
+    TokenizedText {
+        /// The text.
+        text: String,
+        /// What the tokenizer says.
+        detail: String,
+    },
+    /// A file is no table of embeddings.
+    #[error("{} is no table of text embeddings ({detail}); make it again", path.display())]
+    EmbeddingTable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// A table of embeddings was made by another encoder.
+    #[error(
+        "the table of text embeddings was made by encoder {found}, expected {expected}; make it \
+         again with this encoder"
+    )]
+    OtherEncoder {
+        /// Identity of the encoder in use.
+        expected: String,
+        /// Identity the table records.
+        found: String,
+    },
+    /// A table of embeddings lacks texts.
+    #[error(
+        "the table of text embeddings lacks {count} texts, such as {}; make it again from all \
+         instructions",
+        quoted(examples)
+    )]
+    NotEmbedded {
+        /// Texts that are missing.
+        count: usize,
+        /// The first of them.
+        examples: Vec<String>,
+    },
     /// A JSON document of a run folder is malformed.
     #[error("cannot read {} as JSON", path.display())]
     Json {
@@ -171,4 +272,9 @@ impl Error {
             detail: detail.to_string(),
         }
     }
+}
+
+fn quoted(texts: &[String]) -> String {
+    let quoted: Vec<String> = texts.iter().map(|text| format!("{text:?}")).collect();
+    quoted.join(", ")
 }

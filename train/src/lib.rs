@@ -1,8 +1,9 @@
 //! Models, diffusion, trainer and editor for text-guided motion editing.
 //!
 //! Batches come in through [`data::WindowSource`] as normalised windows, and edited motions go out
-//! of [`sample::Editor`] as keypoints. The crate reads and writes run folders only: it never opens
-//! a dataset, chooses a device or reads the clock. The caller passes what it needs as a
+//! of [`sample::Editor`] as keypoints. The crate reads and writes run folders and the files of text
+//! encoders only: it never opens a dataset, chooses a device or reads the clock, and nothing but
+//! [`text::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a
 //! [`Session`].
 //!
 //! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
@@ -25,6 +26,7 @@ pub mod metrics;
 pub mod model;
 pub mod sample;
 mod session;
+pub mod text;
 pub mod tmr;
 pub mod vocabulary;
 

@@ -1,6 +1,7 @@
 //! Networks.
 
 pub mod coordinator;
+pub mod clip;
 pub mod denoiser;
 pub mod dropout;
 pub mod motionrefit;
@@ -8,5 +9,6 @@ pub mod pose_net;
 pub mod position;
 pub mod text;
 pub mod tmr;
+pub mod torch;
 pub mod transformer;
 pub mod weights;

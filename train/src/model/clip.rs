@@ -1,0 +1,374 @@
+//! The text tower of CLIP.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::tensor::activation::sigmoid;
+use burn::tensor::module::attention;
+use burn::tensor::ops::AttentionModuleOptions;
+use burn::tensor::{Bool, Device, Int, Tensor, TensorData};
+use safetensors::SafeTensors;
+
+use super::text::token_tensor;
+use super::torch::{StoredTensor, float_tensor, safetensors_of};
+use super::transformer::padding_of;
+use super::weights::from_safetensors_named;
+use crate::Error;
+use crate::vocabulary::TokenBatch;
+
+/// Where a name of ours differs from that of Hugging Face's `CLIPTextModelWithProjection`, whose
+/// names `CLIPModel` shares.
+const RENAMES: [(&str, &str); 3] = [
+    (r"^text_model\.embeddings\.", ""),
+    (r"^text_model\.encoder\.", ""),
+    (r"^text_model\.", ""),
+];
+
+/// What the names of the text tower begin with, in files that may hold the vision tower too.
+const TEXT_TOWER: [&str; 2] = ["text_model.", "text_projection."];
+
+/// End token of configurations that were written before the real one was recorded. The reference
+/// then takes the largest token number of a row, which is the end token of CLIP's vocabulary.
+const LEGACY_END_TOKEN: usize = 2;
+
+/// Slope of the sigmoid in CLIP's approximation of GELU.
+const QUICK_GELU_SLOPE: f64 = 1.702;
+
+/// Sizes of a text tower.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClipConfig {
+    /// Tokens of the vocabulary.
+    pub num_tokens: usize,
+    /// Longest row of tokens, start and end included.
+    pub context: usize,
+    /// Width of a token.
+    pub width: usize,
+    /// Transformer layers.
+    pub num_layers: usize,
+    /// Attention heads.
+    pub num_heads: usize,
+    /// Hidden width of the feed-forward layers.
+    pub feed_forward: usize,
+    /// Width of the projected text.
+    pub projection: usize,
+    /// Number of the end token; 2 stands for the largest number of a row.
+    pub end_token: usize,
+}
+
+impl ClipConfig {
+    /// The text tower of ViT-B/32.
+    ///
+    /// # Source
+    /// Radford et al. 2021, Table 19; `openai/clip-vit-base-patch32`.
+    pub fn vit_b_32() -> Self {
+        Self {
+            num_tokens: 49_408,
+            context: 77,
+            width: 512,
+            num_layers: 12,
+            num_heads: 8,
+            feed_forward: 2048,
+            projection: 512,
+            end_token: 49_407,
+        }
+    }
+
+    /// The text tower of ViT-L/14, which TMED and MLD use.
+    ///
+    /// # Source
+    /// Radford et al. 2021, Table 19; `openai/clip-vit-large-patch14`.
+    pub fn vit_l_14() -> Self {
+        Self {
+            width: 768,
+            num_heads: 12,
+            feed_forward: 3072,
+            projection: 768,
+            ..Self::vit_b_32()
+        }
+    }
+}
+
+/// CLIP's text tower with its projection, for inference: a pre-norm transformer in which a token
+/// sees itself and the tokens before it.
+///
+/// # Source
+/// Radford et al. 2021, Sec. 2.4; parameters and names are those of Hugging Face's
+/// `CLIPTextModelWithProjection`.
+#[derive(Module, Debug)]
+pub struct ClipText {
+    token_embedding: Embedding,
+    position_embedding: Embedding,
+    layers: Vec<ClipLayer>,
+    final_layer_norm: LayerNorm,
+    text_projection: Linear,
+    context: usize,
+    end_token: usize,
+}
+
+impl ClipText {
+    /// Builds the network with weights of no meaning.
+    pub fn new(config: &ClipConfig, device: &Device) -> Self {
+        Self {
+            token_embedding: EmbeddingConfig::new(config.num_tokens, config.width).init(device),
+            position_embedding: EmbeddingConfig::new(config.context, config.width).init(device),
+            layers: (0..config.num_layers)
+                .map(|_| ClipLayer::new(config, device))
+                .collect(),
+            final_layer_norm: LayerNormConfig::new(config.width).init(device),
+            text_projection: LinearConfig::new(config.width, config.projection)
+                .with_bias(false)
+                .init(device),
+            context: config.context,
+            end_token: config.end_token,
+        }
+    }
+
+    /// Builds the network with the weights of a safetensors file whose names are `prefix` followed
+    /// by Hugging Face's. Weights of half and double precision become single precision, and
+    /// tensors of the vision tower are left alone. `path` names the file in errors.
+    ///
+    /// # Errors
+    /// The file is malformed, or a tensor is missing or of another shape.
+    pub fn from_safetensors(
+        config: &ClipConfig,
+        bytes: &[u8],
+        prefix: &str,
+        path: &Path,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let file = SafeTensors::deserialize(bytes).map_err(|error| Error::weights(path, error))?;
+        let tower: Vec<(String, StoredTensor)> = file
+            .iter()
+            .filter_map(|(name, view)| Some((name.strip_prefix(prefix)?, view)))
+            .filter(|(name, _)| TEXT_TOWER.iter().any(|part| name.starts_with(part)))
+            // Positions as token numbers, which older files hold beside the parameters.
+            .filter(|(name, _)| !name.ends_with("position_ids"))
+            .map(|(name, view)| Ok((name.to_owned(), float_tensor(name, &view, path)?)))
+            .collect::<Result<_, Error>>()?;
+        let tower = safetensors_of(tower, path)?;
+        let mut network = Self::new(config, device);
+        from_safetensors_named(&mut network, tower, "", path, &RENAMES)?;
+        Ok(network.no_grad())
+    }
+
+    /// Width of an encoded text.
+    pub fn width(&self) -> usize {
+        let [_, width] = self.text_projection.weight.shape().dims();
+        width
+    }
+
+    /// Longest row of tokens.
+    pub fn context(&self) -> usize {
+        self.context
+    }
+
+    /// The device the weights are on.
+    pub fn device(&self) -> Device {
+        self.token_embedding.weight.val().device()
+    }
+
+    /// Encodes texts: the end token of each, projected and not normalised.
+    ///
+    /// A token does not see those after it, so that rows may be filled up with anything behind
+    /// their end token, and may be cut to the longest of them.
+    ///
+    /// # Shapes
+    /// `B` rows of tokens give `[B, d]`.
+    ///
+    /// # Panics
+    /// If rows are longer than the context.
+    pub fn forward(&self, tokens: &TokenBatch) -> Tensor<2> {
+        self.project(self.hidden(tokens, None), tokens)
+    }
+
+    /// Every token after the last norm. With `lengths`, tokens from a row's length on are hidden
+    /// from all others, as a padding mask of the reference hides them.
+    ///
+    /// # Shapes
+    /// `B` rows of `T` tokens give `[B, T, d]`; `lengths` `[B]`.
+    ///
+    /// # Panics
+    /// If rows are longer than the context.
+    pub fn hidden(&self, tokens: &TokenBatch, lengths: Option<&[usize]>) -> Tensor<3> {
+        assert!(
+            tokens.width <= self.context,
+            "rows of {} tokens in a context of {}",
+            tokens.width,
+            self.context
+        );
+        let device = self.device();
+        let words = self.token_embedding.forward(token_tensor(tokens, &device));
+        let places = self.position_embedding.weight.val();
+        let places = places.narrow(0, 0, tokens.width);
+        let padding = lengths.map(|lengths| {
+            let [batch, width, _] = words.dims();
+            padding_of(lengths, width, &device).reshape([batch, 1, 1, width])
+        });
+        let x = self
+            .layers
+            .iter()
+            .fold(words + places.unsqueeze_dim(0), |x, layer| {
+                layer.forward(x, padding.as_ref())
+            });
+        self.final_layer_norm.forward(x)
+    }
+
+    /// The projected end token of each row of what [`ClipText::hidden`] returned.
+    ///
+    /// # Shapes
+    /// `[B, T, d]` gives `[B, d]`.
+    pub fn project(&self, hidden: Tensor<3>, tokens: &TokenBatch) -> Tensor<2> {
+        let [batch, width, d] = hidden.dims();
+        let places: Vec<i32> = tokens
+            .ids
+            .chunks_exact(width)
+            .enumerate()
+            .map(|(row, ids)| (row * width + end_place(ids, self.end_token)) as i32)
+            .collect();
+        let places = TensorData::new(places, [batch]);
+        let places = Tensor::<1, Int>::from_data(places, &hidden.device());
+        let ends = hidden.reshape([batch * width, d]).select(0, places);
+        self.text_projection.forward(ends)
+    }
+}
+
+/// Where a row ends: at its first end token, or at its start if it has none.
+fn end_place(ids: &[i32], end_token: usize) -> usize {
+    let end = if end_token == LEGACY_END_TOKEN {
+        ids.iter().copied().max()
+    } else {
+        i32::try_from(end_token).ok()
+    };
+    ids.iter().position(|&id| Some(id) == end).unwrap_or(0)
+}
+
+/// A pre-norm transformer layer.
+#[derive(Module, Debug)]
+struct ClipLayer {
+    self_attn: ClipAttention,
+    layer_norm1: LayerNorm,
+    mlp: ClipMlp,
+    layer_norm2: LayerNorm,
+}
+
+impl ClipLayer {
+    fn new(config: &ClipConfig, device: &Device) -> Self {
+        Self {
+            self_attn: ClipAttention::new(config, device),
+            layer_norm1: LayerNormConfig::new(config.width).init(device),
+            mlp: ClipMlp {
+                fc1: LinearConfig::new(config.width, config.feed_forward).init(device),
+                fc2: LinearConfig::new(config.feed_forward, config.width).init(device),
+            },
+            layer_norm2: LayerNormConfig::new(config.width).init(device),
+        }
+    }
+
+    fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+        let normed = self.layer_norm1.forward(x.clone());
+        let x = x + self.self_attn.forward(normed, padding);
+        let normed = self.layer_norm2.forward(x.clone());
+        x + self.mlp.forward(normed)
+    }
+}
+
+/// Multi-head self-attention to a token itself and those before it.
+#[derive(Module, Debug)]
+struct ClipAttention {
+    q_proj: Linear,
+    k_proj: Linear,
+    v_proj: Linear,
+    out_proj: Linear,
+    num_heads: usize,
+}
+
+impl ClipAttention {
+    fn new(config: &ClipConfig, device: &Device) -> Self {
+        let linear = || LinearConfig::new(config.width, config.width).init(device);
+        Self {
+            q_proj: linear(),
+            k_proj: linear(),
+            v_proj: linear(),
+            out_proj: linear(),
+            num_heads: config.num_heads,
+        }
+    }
+
+    fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+        let [batch, length, width] = x.dims();
+        let heads = |layer: &Linear| {
+            layer
+                .forward(x.clone())
+                .reshape([batch, length, self.num_heads, width / self.num_heads])
+                .swap_dims(1, 2)
+        };
+        let mask = padding.map(|padding| {
+            padding
+                .clone()
+                .expand([batch, self.num_heads, length, length])
+        });
+        let options = AttentionModuleOptions {
+            is_causal: true,
+            ..Default::default()
+        };
+        let attended = attention(
+            heads(&self.q_proj),
+            heads(&self.k_proj),
+            heads(&self.v_proj),
+            mask,
+            None,
+            options,
+        );
+        self.out_proj
+            .forward(attended.swap_dims(1, 2).reshape([batch, length, width]))
+    }
+}
+
+/// The feed-forward layers.
+#[derive(Module, Debug)]
+struct ClipMlp {
+    fc1: Linear,
+    fc2: Linear,
+}
+
+impl ClipMlp {
+    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let hidden = self.fc1.forward(x);
+        // x * sigmoid(1.702 x), which CLIP was trained with, and not the exact GELU.
+        let gate = sigmoid(hidden.clone().mul_scalar(QUICK_GELU_SLOPE));
+        self.fc2.forward(hidden * gate)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_ends_at_its_first_end_token() {
+        assert_eq!(end_place(&[8, 3, 9, 9, 9], 9), 2);
+        assert_eq!(end_place(&[8, 3, 9, 0, 0], 9), 2);
+        assert_eq!(end_place(&[8, 2, 9, 0, 0], 9), 2);
+        assert_eq!(end_place(&[8, 3, 0, 0, 0], 9), 0);
+        // The legacy end token stands for the largest number, even where 2 itself comes first.
+        assert_eq!(end_place(&[8, 2, 9, 9, 9], 2), 2);
+        assert_eq!(end_place(&[8, 2, 9, 0, 0], 2), 2);
+    }
+
+    #[test]
+    fn the_published_sizes_are_those_of_the_paper() {
+        // 63 million parameters of the text tower of ViT-B/32 (Radford et al. 2021, Sec. 2.4), and
+        // its projection.
+        let parameters = |config: &ClipConfig| {
+            let d = config.width;
+            let layer = 4 * (d * d + d) + 2 * d * config.feed_forward + config.feed_forward + 5 * d;
+            (config.num_tokens + config.context) * d
+                + config.num_layers * layer
+                + 2 * d
+                + d * config.projection
+        };
+        assert_eq!(parameters(&ClipConfig::vit_b_32()), 63_428_096);
+        assert_eq!(parameters(&ClipConfig::vit_l_14()), 123_650_304);
+    }
+}

@@ -1,0 +1,231 @@
+//! CLIP as an encoder of instructions.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+
+use super::hub::{Hub, HubCache, read_checked};
+use super::tokens::ClipTokenizer;
+use crate::Error;
+use crate::model::clip::{ClipConfig, ClipText};
+use crate::model::torch::{StateDictOptions, state_dict_from_torch};
+use crate::model::weights::to_safetensors;
+
+/// Names the weights may have, the preferred one first: one is read as it is, the other is a
+/// pickle.
+const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
+/// Names the tokenizer may have.
+const TOKENIZERS: [&str; 3] = [
+    "tokenizer.json",
+    "bpe_simple_vocab_16e6.txt.gz",
+    "merges.txt",
+];
+/// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
+const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];
+
+/// A published CLIP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ClipModel {
+    /// ViT-B/32, which MotionReFit and MDM use: texts of 512 numbers.
+    VitB32,
+    /// ViT-L/14, which TMED and MLD use: texts of 768 numbers.
+    VitL14,
+}
+
+impl ClipModel {
+    /// Every model.
+    pub const ALL: [ClipModel; 2] = [Self::VitB32, Self::VitL14];
+
+    /// The name used in configurations.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::VitB32 => "vit-b32",
+            Self::VitL14 => "vit-l14",
+        }
+    }
+
+    /// Where it is published.
+    pub fn repo(self) -> &'static str {
+        match self {
+            Self::VitB32 => "openai/clip-vit-base-patch32",
+            Self::VitL14 => "openai/clip-vit-large-patch14",
+        }
+    }
+
+    /// The sizes of its text tower.
+    pub fn config(self) -> ClipConfig {
+        match self {
+            Self::VitB32 => ClipConfig::vit_b_32(),
+            Self::VitL14 => ClipConfig::vit_l_14(),
+        }
+    }
+}
+
+/// The files of a CLIP.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClipFiles {
+    /// Weights: safetensors, or a file of `torch.save`. The vision tower may be among them.
+    pub weights: PathBuf,
+    /// Tokenizer, as [`ClipTokenizer::read`] takes it.
+    pub tokenizer: PathBuf,
+}
+
+impl ClipFiles {
+    /// Finds the files in a folder by their usual names.
+    ///
+    /// # Errors
+    /// One is missing.
+    pub fn in_folder(folder: &Path) -> Result<Self, Error> {
+        Self::find(folder, |name| {
+            Some(folder.join(name)).filter(|path| path.is_file())
+        })
+    }
+
+    /// Finds the files in the cache of Hugging Face's tools. Nothing is downloaded.
+    ///
+    /// # Errors
+    /// One is missing.
+    pub fn in_cache(model: ClipModel, cache: &HubCache) -> Result<Self, Error> {
+        Self::find(&cache.folder(model.repo()), |name| {
+            cache.find(model.repo(), name)
+        })
+    }
+
+    fn find(folder: &Path, find: impl Fn(&str) -> Option<PathBuf>) -> Result<Self, Error> {
+        let first = |what, names: &'static [&'static str]| {
+            names
+                .iter()
+                .find_map(|name| find(name))
+                .ok_or_else(|| Error::NoEncoderFile {
+                    what,
+                    names,
+                    folder: folder.to_owned(),
+                })
+        };
+        Ok(Self {
+            weights: first("weights", &WEIGHTS)?,
+            tokenizer: first("tokenizer", &TOKENIZERS)?,
+        })
+    }
+
+    /// Downloads the files into the cache, where they are not there yet, as
+    /// [`HubCache::fetch`] does.
+    ///
+    /// # Errors
+    /// A download fails, or the server lacks a file.
+    pub fn fetch(
+        model: ClipModel,
+        cache: &HubCache,
+        hub: &Hub,
+        progress: &mut dyn FnMut(u64, Option<u64>),
+    ) -> Result<Self, Error> {
+        let mut first = |what, names: &'static [&'static str]| {
+            for name in names {
+                if let Some(path) = cache.fetch(hub, model.repo(), name, progress)? {
+                    return Ok(path);
+                }
+            }
+            Err(Error::NotOnServer {
+                repo: model.repo(),
+                what,
+                names,
+            })
+        };
+        Ok(Self {
+            weights: first("weights", &WEIGHTS)?,
+            // The list of merges says the same, and is only what is left to those without it.
+            tokenizer: first("tokenizer", &TOKENIZERS[..1])?,
+        })
+    }
+}
+
+/// CLIP's text tower with its tokenizer.
+#[derive(Debug)]
+pub struct ClipEncoder {
+    network: ClipText,
+    tokenizer: ClipTokenizer,
+    identity: String,
+}
+
+impl ClipEncoder {
+    /// Reads a model onto a device; [`ClipModel::config`] has the sizes of the published ones.
+    ///
+    /// # Errors
+    /// A file cannot be read, differs from its checksum, or is not of this size.
+    pub fn load(config: &ClipConfig, files: &ClipFiles, device: &Device) -> Result<Self, Error> {
+        let path = &files.weights;
+        let mut bytes = read_checked(path)?;
+        if TORCH_MAGIC.iter().any(|magic| bytes.starts_with(magic)) {
+            let options = StateDictOptions {
+                keep: &["text_model.", "text_projection."],
+                ..StateDictOptions::default()
+            };
+            bytes = state_dict_from_torch(&bytes, path, &options)?;
+        }
+        let network = ClipText::from_safetensors(config, &bytes, "", path, device)?;
+        drop(bytes);
+        let tokenizer = ClipTokenizer::read(&files.tokenizer)?;
+        if tokenizer.num_tokens() != config.num_tokens {
+            return Err(Error::Tokenizer {
+                path: files.tokenizer.clone(),
+                detail: format!(
+                    "it has {} tokens, expected {}",
+                    tokenizer.num_tokens(),
+                    config.num_tokens
+                ),
+            });
+        }
+        Self::new(network, tokenizer)
+    }
+
+    /// Joins a network with a tokenizer of its vocabulary.
+    ///
+    /// # Errors
+    /// The weights cannot be hashed.
+    pub fn new(network: ClipText, tokenizer: ClipTokenizer) -> Result<Self, Error> {
+        let mut hasher = blake3::Hasher::new();
+        // Written out by the network, equal weights are equal bytes whatever file they came in.
+        hasher.update_rayon(&to_safetensors(&network, Path::new("weights of CLIP"))?);
+        tokenizer.hash_into(&mut hasher)?;
+        Ok(Self {
+            identity: hasher.finalize().to_hex().to_string(),
+            network,
+            tokenizer,
+        })
+    }
+
+    /// What tells this encoder from any other: a BLAKE3 of its weights and vocabulary. It is the
+    /// same whether they came as safetensors or pickle, as JSON or as a list of merges.
+    pub fn identity(&self) -> &str {
+        &self.identity
+    }
+
+    /// Numbers of an encoded text.
+    pub fn width(&self) -> usize {
+        self.network.width()
+    }
+
+    /// Encodes texts in one batch: pooled, projected and not normalised.
+    ///
+    /// # Shapes
+    /// `N` texts give `[N, d]`, row-major.
+    ///
+    /// # Errors
+    /// A text cannot be cut into tokens.
+    ///
+    /// # Source
+    /// `encode_text` of OpenAI's CLIP, in single precision.
+    pub fn encode(&self, texts: &[&str]) -> Result<Vec<f32>, Error> {
+        if texts.is_empty() {
+            return Ok(Vec::new());
+        }
+        let context = self.network.context();
+        let tokens = self.tokenizer.encode_batch(texts, context)?;
+        let data = self.network.forward(&tokens).into_data();
+        Ok(data
+            .try_into_vec_as()
+            .expect("a network of single precision gives single precision"))
+    }
+}

@@ -1,0 +1,327 @@
+//! Downloads from a server of a few lines on this machine.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use super::*;
+
+const REPO: &str = "owner/model";
+const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
+
+/// A file as the server gives it.
+#[derive(Clone)]
+pub(crate) struct Served {
+    pub(crate) content: Vec<u8>,
+    /// Checksum the server claims.
+    pub(crate) etag: String,
+    /// Bytes of an answer's body after which the server hangs up.
+    pub(crate) cut: Option<usize>,
+    /// Whether it can start in the middle.
+    pub(crate) ranges: bool,
+}
+
+impl Served {
+    pub(crate) fn large(content: &[u8]) -> Self {
+        Self {
+            content: content.to_vec(),
+            etag: hex(&Sha256::digest(content)),
+            cut: None,
+            ranges: true,
+        }
+    }
+
+    pub(crate) fn small(content: &[u8]) -> Self {
+        let head = format!("blob {}\0", content.len());
+        let hash = Sha1::new().chain_update(head).chain_update(content);
+        Self {
+            etag: hex(&hash.finalize()),
+            ..Self::large(content)
+        }
+    }
+}
+
+/// Requests a server has answered: method, path and range.
+pub(crate) type Log = Arc<Mutex<Vec<String>>>;
+
+/// Starts a server; it ends with the test process. Large files are given from another place, and
+/// small ones are described at another place, as the public server does.
+pub(crate) fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("bound");
+    let log = Log::default();
+    let answered = log.clone();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            // A client that hangs up is the client's affair.
+            let _served = stream.and_then(|stream| answer(stream, &files, &answered));
+        }
+    });
+    (Hub::at(&format!("http://{address}/")), log)
+}
+
+fn answer(
+    mut stream: TcpStream,
+    files: &BTreeMap<&'static str, Served>,
+    log: &Log,
+) -> io::Result<()> {
+    let mut lines = BufReader::new(stream.try_clone()?).lines();
+    let first = lines.next().unwrap_or(Ok(String::new()))?;
+    let mut range = None;
+    for line in lines {
+        let line = line?.to_lowercase();
+        if line.is_empty() {
+            break;
+        }
+        if let Some(from) = line.strip_prefix("range: bytes=") {
+            range = from.trim_end_matches('-').parse::<usize>().ok();
+        }
+    }
+    let mut words = first.split(' ');
+    let (method, path) = (words.next().unwrap_or(""), words.next().unwrap_or(""));
+    let entry = format!(
+        "{method} {path} {}",
+        range.map_or(String::new(), |r| r.to_string())
+    );
+    log.lock().expect("whole").push(entry.trim_end().to_owned());
+
+    let name = path.rsplit('/').next().unwrap_or_default();
+    let Some(served) = files.get(name) else {
+        return stream.write_all(
+            b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n",
+        );
+    };
+    let is_large = served.etag.len() == 64;
+    let elsewhere = path.starts_with("/elsewhere/");
+    let len = served.content.len();
+    let mut head = String::new();
+    let mut body: &[u8] = &[];
+    if !elsewhere {
+        head.push_str("HTTP/1.1 302 Found\r\nContent-Length: 0\r\n");
+        head.push_str(&format!("X-Repo-Commit: {COMMIT}\r\n"));
+        if is_large {
+            let etag = &served.etag;
+            head.push_str(&format!(
+                "X-Linked-Etag: \"{etag}\"\r\nX-Linked-Size: {len}\r\n"
+            ));
+        }
+        // Large files lie on another server, so their place is a whole address.
+        let host = stream.local_addr()?;
+        let host = if is_large {
+            format!("http://{host}")
+        } else {
+            String::new()
+        };
+        head.push_str(&format!("Location: {host}/elsewhere/{name}\r\n"));
+    } else {
+        body = &served.content;
+        match range.filter(|_| served.ranges) {
+            Some(from) => {
+                body = &body[from..];
+                head.push_str("HTTP/1.1 206 Partial Content\r\n");
+                head.push_str(&format!(
+                    "Content-Range: bytes {from}-{}/{len}\r\n",
+                    len - 1
+                ));
+            }
+            None => head.push_str("HTTP/1.1 200 OK\r\n"),
+        }
+        head.push_str(&format!("Content-Length: {}\r\n", body.len()));
+        head.push_str(&format!(
+            "ETag: W/\"{}\"\r\nX-Repo-Commit: {COMMIT}\r\n",
+            served.etag
+        ));
+    }
+    head.push_str("Connection: close\r\n\r\n");
+    stream.write_all(head.as_bytes())?;
+    if method == "GET" {
+        let cut = served.cut.unwrap_or(body.len()).min(body.len());
+        stream.write_all(&body[..cut])?;
+    }
+    Ok(())
+}
+
+fn content(len: usize) -> Vec<u8> {
+    (0..len).map(|i| (i * i / 7) as u8).collect()
+}
+
+fn fetch(cache: &HubCache, hub: &Hub, file: &str) -> Result<Option<PathBuf>, Error> {
+    cache.fetch(hub, REPO, file, &mut |_, _| {})
+}
+
+#[test]
+fn files_are_fetched_once_and_found_afterwards() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    let (weights, config) = (content(1000), b"{}".to_vec());
+    let (hub, log) = serve(BTreeMap::from([
+        ("model.safetensors", Served::large(&weights)),
+        ("tokenizer.json", Served::small(&config)),
+    ]));
+    assert_eq!(cache.find(REPO, "model.safetensors"), None);
+    let mut seen = Vec::new();
+    let path = cache
+        .fetch(&hub, REPO, "model.safetensors", &mut |done, len| {
+            seen.push((done, len))
+        })
+        .expect("fetched")
+        .expect("there");
+    assert_eq!(seen.last(), Some(&(1000, Some(1000))));
+    assert_eq!(cache.find(REPO, "model.safetensors"), Some(path.clone()));
+    assert_eq!(read_checked(&path).expect("whole"), weights);
+    let path = fetch(&cache, &hub, "tokenizer.json")
+        .expect("fetched")
+        .expect("there");
+    assert_eq!(read_checked(&path).expect("whole"), config);
+    assert_eq!(fetch(&cache, &hub, "missing").expect("asked"), None);
+
+    // What is there is not downloaded again.
+    log.lock().expect("whole").clear();
+    fetch(&cache, &hub, "model.safetensors").expect("there");
+    let asked = log.lock().expect("whole").clone();
+    assert_eq!(asked, ["HEAD /owner/model/resolve/main/model.safetensors"]);
+}
+
+#[test]
+fn an_interrupted_download_goes_on_where_it_stopped() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    let weights = content(1000);
+    let served = Served {
+        cut: Some(400),
+        ..Served::large(&weights)
+    };
+    // A file that an earlier run left behind.
+    let blobs = cache.folder(REPO).join("blobs");
+    fs::create_dir_all(&blobs).expect("created");
+    let part = blobs.join(format!("{}.incomplete", served.etag));
+    fs::write(&part, &weights[..100]).expect("written");
+
+    let (hub, log) = serve(BTreeMap::from([("model.safetensors", served)]));
+    let path = fetch(&cache, &hub, "model.safetensors")
+        .expect("fetched")
+        .expect("there");
+    assert_eq!(read_checked(&path).expect("whole"), weights);
+    assert!(!part.exists());
+    let log = log.lock().expect("whole");
+    let ranges: Vec<&str> = log
+        .iter()
+        .filter_map(|entry| entry.strip_prefix("GET /elsewhere/model.safetensors "))
+        .collect();
+    assert_eq!(ranges, ["100", "500", "900"]);
+}
+
+#[test]
+fn a_server_that_cannot_continue_starts_over() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    let weights = content(1000);
+    let served = Served {
+        ranges: false,
+        ..Served::large(&weights)
+    };
+    let blobs = cache.folder(REPO).join("blobs");
+    fs::create_dir_all(&blobs).expect("created");
+    fs::write(blobs.join(format!("{}.incomplete", served.etag)), [7; 300]).expect("written");
+    let (hub, _) = serve(BTreeMap::from([("model.safetensors", served)]));
+    let path = fetch(&cache, &hub, "model.safetensors")
+        .expect("fetched")
+        .expect("there");
+    assert_eq!(read_checked(&path).expect("whole"), weights);
+}
+
+#[test]
+fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    let served = Served {
+        cut: Some(0),
+        ..Served::large(&content(1000))
+    };
+    let part = cache
+        .folder(REPO)
+        .join("blobs")
+        .join(format!("{}.incomplete", served.etag));
+    fs::create_dir_all(part.parent().expect("a folder")).expect("created");
+    fs::write(&part, &content(1000)[..10]).expect("written");
+    let (hub, _) = serve(BTreeMap::from([("model.safetensors", served)]));
+    let error = fetch(&cache, &hub, "model.safetensors").expect_err("cut off");
+    assert!(matches!(error, Error::Download { .. }), "{error}");
+    assert_eq!(fs::read(&part).expect("kept").len(), 10);
+    assert_eq!(cache.find(REPO, "model.safetensors"), None);
+}
+
+#[test]
+fn wrong_content_is_refused_wherever_it_comes_from() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    let weights = content(1000);
+    for served in [Served::large(&weights), Served::small(&weights)] {
+        let etag = served.etag.clone();
+        let lying = Served {
+            content: content(999).into_iter().chain([0]).collect(),
+            ..served
+        };
+        let (hub, _) = serve(BTreeMap::from([("model.safetensors", lying)]));
+        let error = fetch(&cache, &hub, "model.safetensors").expect_err("wrong");
+        assert!(matches!(error, Error::Checksum { .. }), "{error}");
+        assert!(error.to_string().contains(&etag), "{error}");
+        assert_eq!(cache.find(REPO, "model.safetensors"), None);
+        let left = fs::read_dir(cache.folder(REPO).join("blobs")).expect("listed");
+        assert_eq!(left.count(), 0, "wrong bytes are not continued");
+    }
+
+    // Content that went bad later is found when it is read.
+    let (hub, _) = serve(BTreeMap::from([(
+        "model.safetensors",
+        Served::large(&weights),
+    )]));
+    let path = fetch(&cache, &hub, "model.safetensors")
+        .expect("fetched")
+        .expect("there");
+    fs::write(&path, &weights[1..]).expect("written through the link");
+    assert!(matches!(read_checked(&path), Err(Error::Checksum { .. })));
+
+    let nameless = Served {
+        etag: "abc".to_owned(),
+        ..Served::large(&weights)
+    };
+    let (hub, _) = serve(BTreeMap::from([("model.safetensors", nameless)]));
+    let error = fetch(&cache, &hub, "model.safetensors").expect_err("no checksum");
+    assert!(matches!(error, Error::Download { .. }), "{error}");
+}
+
+#[test]
+fn the_environment_names_the_cache() {
+    let cache = |set: &[(&str, &str)]| {
+        HubCache::from_variables(|name| {
+            let (_, value) = set.iter().find(|(key, _)| *key == name)?;
+            Some(OsString::from(value))
+        })
+    };
+    let all = [
+        ("HF_HUB_CACHE", "a"),
+        ("HF_HOME", "b"),
+        ("XDG_CACHE_HOME", "c"),
+        ("HOME", "d"),
+    ];
+    for (from, root) in [
+        "a",
+        "b/hub",
+        "c/huggingface/hub",
+        "d/.cache/huggingface/hub",
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        assert_eq!(cache(&all[from..]), Some(HubCache::new(root)));
+    }
+    assert_eq!(cache(&[("HF_HOME", "")]), None);
+    let folder = HubCache::new("hub").folder("openai/clip-vit-base-patch32");
+    assert_eq!(
+        folder,
+        Path::new("hub/models--openai--clip-vit-base-patch32")
+    );
+}

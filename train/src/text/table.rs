@@ -1,0 +1,260 @@
+//! Embeddings of instructions, made once.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use pipeline::write::replace_file;
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use super::clip::ClipEncoder;
+use crate::Error;
+use crate::model::torch::StoredTensor;
+
+/// Texts encoded at a time.
+const BATCH_LEN: usize = 64;
+/// Missing texts that a message names.
+const NAMED_TEXTS: usize = 3;
+/// Version of the file.
+const FORMAT: u32 = 1;
+/// The only key of the file's metadata: several would be written in no fixed order.
+const METADATA_KEY: &str = "stance";
+const VECTORS: &str = "embeddings";
+const TEXTS: &str = "texts";
+
+/// The vectors of a set of texts.
+///
+/// # Shapes
+/// `[N, d]`, a row for each text in alphabetical order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EmbeddingTable {
+    encoder: String,
+    texts: Vec<String>,
+    width: usize,
+    values: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Metadata {
+    format: u32,
+    /// Identity of the encoder.
+    encoder: String,
+    /// BLAKE3 of the texts and the vectors.
+    blake3: String,
+}
+
+impl EmbeddingTable {
+    /// Encodes texts, each once. `progress` is told how many of how many are done.
+    ///
+    /// # Errors
+    /// A text cannot be encoded.
+    pub fn compute<'a>(
+        encoder: &ClipEncoder,
+        texts: impl IntoIterator<Item = &'a str>,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self, Error> {
+        let texts: Vec<&str> = BTreeSet::from_iter(texts).into_iter().collect();
+        let width = encoder.width();
+        let mut values = vec![0.0; texts.len() * width];
+        // Batches of texts of about one length, because a row costs what the longest one costs.
+        let mut order: Vec<usize> = (0..texts.len()).collect();
+        order.sort_by_key(|&index| texts[index].len());
+        let mut done = 0;
+        for rows in order.chunks(BATCH_LEN) {
+            let batch: Vec<&str> = rows.iter().map(|&row| texts[row]).collect();
+            let encoded = encoder.encode(&batch)?;
+            for (&row, vector) in rows.iter().zip(encoded.chunks_exact(width)) {
+                values[row * width..][..width].copy_from_slice(vector);
+            }
+            done += rows.len();
+            progress(done, texts.len());
+        }
+        Ok(Self {
+            encoder: encoder.identity().to_owned(),
+            texts: texts.into_iter().map(str::to_owned).collect(),
+            width,
+            values,
+        })
+    }
+
+    /// Identity of the encoder that made the table.
+    pub fn encoder(&self) -> &str {
+        &self.encoder
+    }
+
+    /// The texts in alphabetical order.
+    pub fn texts(&self) -> &[String] {
+        &self.texts
+    }
+
+    /// Numbers of a vector.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The vector of a text, letter for letter.
+    ///
+    /// # Shapes
+    /// `[d]`
+    pub fn get(&self, text: &str) -> Option<&[f32]> {
+        let row = self
+            .texts
+            .binary_search_by(|known| known.as_str().cmp(text))
+            .ok()?;
+        Some(&self.values[row * self.width..][..self.width])
+    }
+
+    /// The vectors of a batch of texts.
+    ///
+    /// # Shapes
+    /// `B` texts give `[B, d]`.
+    ///
+    /// # Errors
+    /// A text is not in the table.
+    pub fn batch(&self, texts: &[&str], device: &Device) -> Result<Tensor<2>, Error> {
+        self.check_texts(texts.iter().copied())?;
+        let values: Vec<f32> = texts
+            .iter()
+            .filter_map(|text| self.get(text))
+            .flatten()
+            .copied()
+            .collect();
+        let data = TensorData::new(values, [texts.len(), self.width]);
+        Ok(Tensor::from_data(data, device))
+    }
+
+    /// Checks that the table has every text, as a run does before it starts.
+    ///
+    /// # Errors
+    /// It lacks some; the error names the first of them.
+    pub fn check_texts<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
+        let missing: BTreeSet<&str> = texts
+            .into_iter()
+            .filter(|text| self.get(text).is_none())
+            .collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        Err(Error::NotEmbedded {
+            count: missing.len(),
+            examples: missing
+                .into_iter()
+                .take(NAMED_TEXTS)
+                .map(str::to_owned)
+                .collect(),
+        })
+    }
+
+    /// Checks that the table was made by an encoder, so that texts encoded by it now may be used
+    /// beside the table's.
+    ///
+    /// # Errors
+    /// It was made by another.
+    pub fn check_encoder(&self, identity: &str) -> Result<(), Error> {
+        if self.encoder == identity {
+            return Ok(());
+        }
+        Err(Error::OtherEncoder {
+            expected: identity.to_owned(),
+            found: self.encoder.clone(),
+        })
+    }
+
+    /// BLAKE3 of the texts and vectors, for a run to record what it was trained with.
+    pub fn hash(&self) -> String {
+        self.content_hash(&self.texts_document())
+    }
+
+    fn content_hash(&self, texts: &[u8]) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&(texts.len() as u64).to_le_bytes());
+        hasher.update(texts);
+        hasher.update(&(self.width as u64).to_le_bytes());
+        for value in &self.values {
+            hasher.update(&value.to_le_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    fn texts_document(&self) -> Vec<u8> {
+        serde_json::to_vec(&self.texts).expect("a list of texts serialises")
+    }
+
+    /// Writes the table as one safetensors file: the vectors as `embeddings`, and as `texts` the
+    /// bytes of a JSON list. Equal tables give equal bytes.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        let texts = self.texts_document();
+        let metadata = Metadata {
+            format: FORMAT,
+            encoder: self.encoder.clone(),
+            blake3: self.content_hash(&texts),
+        };
+        let metadata = serde_json::to_string(&metadata).expect("plain text and numbers serialise");
+        let metadata = HashMap::from([(METADATA_KEY.to_owned(), metadata)]);
+        let shape = vec![self.texts.len(), self.width];
+        let tensors = BTreeMap::from([
+            (VECTORS, StoredTensor::f32(shape, &self.values)),
+            (TEXTS, StoredTensor::bytes(texts)),
+        ]);
+        let bytes = safetensors::serialize(&tensors, Some(metadata))
+            .map_err(|error| malformed(path, error))?;
+        replace_file(path, &bytes).map_err(Error::io("write", path))
+    }
+
+    /// Reads a table and holds its content against the recorded hash.
+    ///
+    /// # Errors
+    /// The file cannot be read, is of another kind or version, or is damaged.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let (_, header) =
+            SafeTensors::read_metadata(&bytes).map_err(|error| malformed(path, error))?;
+        let metadata = header
+            .metadata()
+            .as_ref()
+            .and_then(|metadata| metadata.get(METADATA_KEY))
+            .ok_or_else(|| malformed(path, "it does not say what it is"))?;
+        let metadata: Metadata =
+            serde_json::from_str(metadata).map_err(|error| malformed(path, error))?;
+        if metadata.format != FORMAT {
+            let problem = format!("it has version {}, expected {FORMAT}", metadata.format);
+            return Err(malformed(path, problem));
+        }
+        let file = SafeTensors::deserialize(&bytes).map_err(|error| malformed(path, error))?;
+        let tensor = |name| file.tensor(name).map_err(|error| malformed(path, error));
+        let (vectors, texts) = (tensor(VECTORS)?, tensor(TEXTS)?);
+        let (numbers, _) = vectors.data().as_chunks::<4>();
+        let table = Self {
+            encoder: metadata.encoder,
+            texts: serde_json::from_slice(texts.data()).map_err(|error| malformed(path, error))?,
+            width: vectors.shape().last().copied().unwrap_or_default(),
+            values: numbers
+                .iter()
+                .map(|item| f32::from_le_bytes(*item))
+                .collect(),
+        };
+        let found = table.content_hash(texts.data());
+        if found != metadata.blake3 {
+            let problem = format!("BLAKE3 {found}, recorded {}", metadata.blake3);
+            return Err(malformed(path, problem));
+        }
+        // The hash vouches for what was written; these are what lookups rely on.
+        let sorted = table.texts.is_sorted_by(|a, b| a < b);
+        if !sorted || vectors.shape() != [table.texts.len(), table.width] {
+            return Err(malformed(path, "its rows and texts do not belong together"));
+        }
+        Ok(table)
+    }
+}
+
+fn malformed(path: &Path, detail: impl std::fmt::Display) -> Error {
+    Error::EmbeddingTable {
+        path: path.to_owned(),
+        detail: detail.to_string(),
+    }
+}

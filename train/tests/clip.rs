@@ -1,0 +1,523 @@
+//! CLIP as a text encoder: parity with the reference, files of every kind, and tables.
+
+#[path = "../../tests/data/golden.rs"]
+mod recorded;
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+use train::Error;
+use train::model::clip::{ClipConfig, ClipText};
+use train::model::torch::{StateDictOptions, state_dict_from_torch};
+use train::model::weights::{draw, to_safetensors};
+use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
+use train::text::hub::HubCache;
+use train::text::table::EmbeddingTable;
+use train::text::tokens::ClipTokenizer;
+use train::vocabulary::TokenBatch;
+use zip::write::SimpleFileOptions;
+
+use recorded::Recorded;
+
+/// Tolerance the recording names for single precision.
+const TOLERANCE: f32 = 5e-5;
+
+fn read(case: &str) -> Recorded {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    Recorded::read(&root, case)
+}
+
+fn metadata(golden: &Recorded) -> HashMap<String, String> {
+    let bytes = fs::read(&golden.path).expect("the file was read before");
+    let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
+    header.metadata().clone().expect("metadata")
+}
+
+fn golden_config(golden: &Recorded) -> ClipConfig {
+    let metadata = metadata(golden);
+    let size = |key: &str| metadata[key].parse().expect("a number");
+    ClipConfig {
+        num_tokens: size("vocab_size"),
+        context: golden.get("in.ids_zero_pad").shape[1],
+        width: size("hidden_size"),
+        num_layers: size("num_hidden_layers"),
+        num_heads: size("num_attention_heads"),
+        feed_forward: size("intermediate_size"),
+        projection: size("projection_dim"),
+        end_token: size("eos_token_id"),
+    }
+}
+
+fn golden_network(golden: &Recorded, config: &ClipConfig) -> ClipText {
+    let bytes = fs::read(&golden.path).expect("the file was read before");
+    ClipText::from_safetensors(config, &bytes, "weights.", &golden.path, &Device::flex())
+        .expect("loads by name")
+}
+
+fn ids(golden: &Recorded, name: &str) -> TokenBatch {
+    let tensor = golden.get(name);
+    TokenBatch {
+        ids: tensor.values.iter().map(|&id| id as i32).collect(),
+        width: tensor.shape[1],
+    }
+}
+
+fn check<const D: usize>(tensor: Tensor<D>, golden: &Recorded, name: &str) {
+    let expected = golden.get(name);
+    assert_eq!(tensor.dims().to_vec(), expected.shape, "{name}");
+    let values: Vec<f32> = tensor.into_data().try_into_vec_as().expect("floats");
+    let difference = values
+        .iter()
+        .zip(&expected.values)
+        .map(|(value, &expected)| (value - expected as f32).abs())
+        .fold(0.0, f32::max);
+    assert!(difference <= TOLERANCE, "{name}: {difference}");
+}
+
+#[test]
+fn golden_clip_text() {
+    let golden = read("clip_text");
+    let config = golden_config(&golden);
+    let network = golden_network(&golden, &config);
+    assert_eq!(network.width(), config.projection);
+
+    let zero_pad = ids(&golden, "in.ids_zero_pad");
+    let hidden = network.hidden(&zero_pad, None);
+    let recorded = golden.get("out.zero_pad.last_hidden_state").shape[1];
+    check(
+        hidden.narrow(1, 0, recorded),
+        &golden,
+        "out.zero_pad.last_hidden_state",
+    );
+    check(
+        network.forward(&zero_pad),
+        &golden,
+        "out.zero_pad.text_embeds",
+    );
+
+    let end_pad = ids(&golden, "in.ids_end_pad");
+    check(
+        network.hidden(&end_pad, None),
+        &golden,
+        "out.end_pad.last_hidden_state",
+    );
+    check(
+        network.forward(&end_pad),
+        &golden,
+        "out.end_pad.text_embeds",
+    );
+
+    let mask = golden.get("in.attention_mask");
+    let lengths: Vec<usize> = mask
+        .values
+        .chunks_exact(mask.shape[1])
+        .map(|row| row.iter().sum::<f64>() as usize)
+        .collect();
+    let hidden = network.hidden(&end_pad, Some(&lengths));
+    let pooled = network.project(hidden.clone(), &end_pad);
+    check(pooled, &golden, "out.end_pad_masked.text_embeds");
+    // What padding itself becomes is recorded as zeros.
+    let kept: Vec<f32> = mask.values.iter().map(|&kept| kept as f32).collect();
+    let kept = TensorData::new(kept, mask.shape.clone());
+    let kept = Tensor::<2>::from_data(kept, &Device::flex()).unsqueeze_dim::<3>(2);
+    check(
+        hidden * kept,
+        &golden,
+        "out.end_pad_masked.last_hidden_state",
+    );
+}
+
+#[test]
+fn golden_clip_text_does_not_depend_on_what_follows_the_end() {
+    let golden = read("clip_text");
+    let config = golden_config(&golden);
+    let whole = ids(&golden, "in.ids_zero_pad");
+    let longest = golden
+        .get("in.attention_mask")
+        .values
+        .chunks_exact(whole.width)
+        .map(|row| row.iter().sum::<f64>() as usize)
+        .max()
+        .expect("rows");
+    let cut = TokenBatch {
+        ids: whole
+            .ids
+            .chunks_exact(whole.width)
+            .flat_map(|row| row[..longest].to_vec())
+            .collect(),
+        width: longest,
+    };
+    check(
+        golden_network(&golden, &config).forward(&cut),
+        &golden,
+        "out.zero_pad.text_embeds",
+    );
+    // Configurations of old record 2 as the end token; the largest number is meant.
+    let legacy = ClipConfig {
+        end_token: 2,
+        ..config
+    };
+    let network = golden_network(&golden, &legacy);
+    check(network.forward(&whole), &golden, "out.zero_pad.text_embeds");
+    let end_pad = ids(&golden, "in.ids_end_pad");
+    check(
+        network.forward(&end_pad),
+        &golden,
+        "out.end_pad.text_embeds",
+    );
+}
+
+#[test]
+fn golden_clip_tokens() {
+    let Some(path) = std::env::var_os("STANCE_CLIP_TOKENIZER").map(PathBuf::from) else {
+        skipped();
+        return;
+    };
+    let golden = read("clip_tokens");
+    let sentences: Vec<String> =
+        serde_json::from_str(&metadata(&golden)["sentences"]).expect("a list");
+    let tokenizer = ClipTokenizer::read(&path).expect("a tokenizer of CLIP");
+    assert_eq!(tokenizer.num_tokens(), ClipConfig::vit_b_32().num_tokens);
+    for (name, context) in [("out.ids", 77), ("out.ids22", 22)] {
+        let expected = golden.get(name);
+        for (sentence, row) in sentences.iter().zip(expected.values.chunks_exact(context)) {
+            let mut found = tokenizer.encode(sentence, context).expect("encoded");
+            found.resize(context, 0);
+            let row: Vec<i32> = row.iter().map(|&id| id as i32).collect();
+            assert_eq!(found, row, "{sentence:?}");
+        }
+    }
+    let texts: Vec<&str> = sentences.iter().map(String::as_str).collect();
+    let batch = tokenizer.encode_batch(&texts, 77).expect("encoded");
+    let lengths = &golden.get("out.lengths").values;
+    let longest = lengths.iter().copied().fold(0.0, f64::max);
+    assert_eq!(batch.width, longest as usize);
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped() {
+    eprintln!(
+        "SKIPPED: STANCE_CLIP_TOKENIZER names no tokenizer.json or bpe_simple_vocab_16e6.txt.gz"
+    );
+}
+
+/// A vocabulary of two merges: 512 bytes, the merges, start and end.
+const MERGES: &str = "#version: 0.2\nu p</w>\nu n</w>\n";
+
+fn tiny_config() -> ClipConfig {
+    ClipConfig {
+        num_tokens: 516,
+        context: 12,
+        width: 8,
+        num_layers: 1,
+        num_heads: 2,
+        feed_forward: 16,
+        projection: 6,
+        end_token: 515,
+    }
+}
+
+/// Weights of a network under Hugging Face's names, with some of a vision tower.
+fn tiny_weights(seed: u64) -> BTreeMap<String, (Vec<usize>, Vec<f32>)> {
+    let network = draw(ClipText::new(&tiny_config(), &Device::flex()), Seed(seed));
+    let bytes = to_safetensors(&network, Path::new("memory")).expect("saved");
+    let file = SafeTensors::deserialize(&bytes).expect("valid");
+    let mut weights: BTreeMap<_, _> = file
+        .iter()
+        .map(|(name, view)| {
+            let place = match name.split('.').next().expect("a name") {
+                "token_embedding" | "position_embedding" => "text_model.embeddings.",
+                "layers" => "text_model.encoder.",
+                "final_layer_norm" => "text_model.",
+                _ => "",
+            };
+            let (values, _) = view.data().as_chunks::<4>();
+            let values = values
+                .iter()
+                .map(|item| f32::from_le_bytes(*item))
+                .collect();
+            (format!("{place}{name}"), (view.shape().to_vec(), values))
+        })
+        .collect();
+    let name = "vision_model.encoder.layers.0.self_attn.q_proj.weight";
+    weights.insert(name.to_owned(), (vec![2, 2], vec![1.0; 4]));
+    weights.insert("logit_scale".to_owned(), (vec![], vec![2.5]));
+    weights
+}
+
+fn as_safetensors(weights: &BTreeMap<String, (Vec<usize>, Vec<f32>)>) -> Vec<u8> {
+    let data: Vec<(&String, &Vec<usize>, Vec<u8>)> = weights
+        .iter()
+        .map(|(name, (shape, values))| {
+            let data = values
+                .iter()
+                .flat_map(|value| value.to_le_bytes())
+                .collect();
+            (name, shape, data)
+        })
+        .collect();
+    let views = data.iter().map(|(name, shape, data)| {
+        let view = TensorView::new(Dtype::F32, shape.to_vec(), data).expect("fits");
+        (name.as_str(), view)
+    });
+    safetensors::serialize(views, None).expect("serialises")
+}
+
+/// A file of `torch.save` of a state dict, by the opcodes that Python writes. Storages lie under
+/// running numbers; `around` are the keys of dictionaries around the state dict.
+fn as_torch(
+    weights: &BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    prefix: &str,
+    around: &[&str],
+) -> Vec<u8> {
+    let text = |text: &str| {
+        let len = (text.len() as u32).to_le_bytes();
+        [b"X", len.as_slice(), text.as_bytes()].concat()
+    };
+    let int = |number: usize| [b"J", (number as u32).to_le_bytes().as_slice()].concat();
+    let tuple = |items: &[Vec<u8>]| [b"(", items.concat().as_slice(), b"t"].concat();
+    let empty = b"ccollections\nOrderedDict\n)R".to_vec();
+
+    let mut pickle = b"\x80\x02".to_vec();
+    for key in around {
+        // Beside the state dict a checkpoint holds plain values, such as the epoch.
+        pickle.extend([b"}(", text("epoch").as_slice(), b"K\x07", &text(key)].concat());
+    }
+    pickle.extend([&empty, b"(".as_slice()].concat());
+    for (number, (name, (shape, values))) in weights.iter().enumerate() {
+        let storage = tuple(&[
+            text("storage"),
+            b"ctorch\nFloatStorage\n".to_vec(),
+            text(&number.to_string()),
+            text("cpu"),
+            int(values.len()),
+        ]);
+        let sizes: Vec<_> = shape.iter().map(|&extent| int(extent)).collect();
+        let strides: Vec<_> = (1..=shape.len())
+            .map(|axis| int(shape[axis..].iter().product()))
+            .collect();
+        pickle.extend(text(&format!("{prefix}{name}")));
+        pickle.extend(b"ctorch._utils\n_rebuild_tensor_v2\n");
+        pickle.extend(tuple(&[
+            [storage.as_slice(), b"Q"].concat(),
+            int(0),
+            tuple(&sizes),
+            tuple(&strides),
+            b"\x89".to_vec(),
+            empty.clone(),
+        ]));
+        pickle.push(b'R');
+    }
+    pickle.push(b'u');
+    pickle.extend(vec![b'u'; around.len()]);
+    pickle.push(b'.');
+
+    let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let mut put = |name: &str, content: &[u8]| {
+        writer.start_file(name, options).expect("in memory");
+        writer.write_all(content).expect("in memory");
+    };
+    put("archive/data.pkl", &pickle);
+    for (number, (_, values)) in weights.values().enumerate() {
+        let data: Vec<u8> = values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect();
+        put(&format!("archive/data/{number}"), &data);
+    }
+    writer.finish().expect("in memory").into_inner()
+}
+
+#[test]
+fn a_state_dict_of_torch_becomes_safetensors() {
+    let weights = tiny_weights(1);
+    let path = Path::new("checkpoint.pth");
+    let import =
+        |bytes: &[u8], options: &StateDictOptions<'_>| state_dict_from_torch(bytes, path, options);
+    let options = StateDictOptions::default();
+    // Serialising sorts by name, so equal weights are equal bytes.
+    let expected = as_safetensors(&weights);
+    for (prefix, around) in [
+        ("", &[][..]),
+        ("module.", &["model_state_dict"]),
+        ("", &["state_dict"]),
+    ] {
+        let bytes = as_torch(&weights, prefix, around);
+        assert_eq!(import(&bytes, &options).expect("read"), expected);
+    }
+    let kept = StateDictOptions {
+        keep: &["vision_model."],
+        ..options
+    };
+    let bytes = import(&as_torch(&weights, "", &[]), &kept).expect("read");
+    let file = SafeTensors::deserialize(&bytes).expect("valid");
+    assert_eq!(
+        file.names(),
+        ["vision_model.encoder.layers.0.self_attn.q_proj.weight"]
+    );
+
+    // A checkpoint whose key is not among those looked for says what it has.
+    let elsewhere = as_torch(&weights, "", &["ema"]);
+    let error = import(&elsewhere, &options).expect_err("nothing found");
+    assert!(error.to_string().contains("ema, epoch"), "{error}");
+    let twice = StateDictOptions {
+        strip: &["a.", "b."],
+        ..options
+    };
+    let names = BTreeMap::from(["a.x", "b.x"].map(|name| (name.to_owned(), (vec![1], vec![0.0]))));
+    let error = import(&as_torch(&names, "", &[]), &twice).expect_err("ambiguous");
+    assert!(error.to_string().contains("become x"), "{error}");
+    let cut = &elsewhere[..elsewhere.len() / 2];
+    assert!(matches!(import(cut, &options), Err(Error::Weights { .. })));
+}
+
+/// A folder with the files of a tiny CLIP.
+fn tiny_folder(seed: u64, weights: &str, tokenizer: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let content = match weights {
+        "model.safetensors" => as_safetensors(&tiny_weights(seed)),
+        _ => as_torch(&tiny_weights(seed), "", &[]),
+    };
+    fs::write(dir.path().join(weights), content).expect("written");
+    fs::write(dir.path().join(tokenizer), MERGES).expect("written");
+    dir
+}
+
+fn tiny_encoder(seed: u64, weights: &str) -> ClipEncoder {
+    let dir = tiny_folder(seed, weights, "merges.txt");
+    let files = ClipFiles::in_folder(dir.path()).expect("complete");
+    ClipEncoder::load(&tiny_config(), &files, &Device::flex()).expect("loaded")
+}
+
+#[test]
+fn every_kind_of_file_gives_the_same_encoder() {
+    let encoder = tiny_encoder(1, "model.safetensors");
+    assert_eq!(encoder.width(), 6);
+    let pickled = tiny_encoder(1, "pytorch_model.bin");
+    assert_eq!(encoder.identity(), pickled.identity());
+    let texts = ["up", "UN  up"];
+    let encoded = encoder.encode(&texts).expect("encoded");
+    assert_eq!(encoded, pickled.encode(&texts).expect("encoded"));
+    assert_eq!(encoded.len(), 2 * encoder.width());
+    assert_ne!(encoded[..6], encoded[6..]);
+    // Not normalised.
+    let norm: f32 = encoded[..6].iter().map(|value| value * value).sum();
+    assert!((norm - 1.0).abs() > 1e-3, "{norm}");
+    assert_ne!(
+        encoder.identity(),
+        tiny_encoder(2, "model.safetensors").identity()
+    );
+}
+
+#[test]
+fn files_that_are_missing_or_of_another_size_are_named() {
+    let dir = tiny_folder(1, "model.safetensors", "merges.txt");
+    let files = ClipFiles::in_folder(dir.path()).expect("complete");
+    let load = |config: &ClipConfig| ClipEncoder::load(config, &files, &Device::flex());
+    let narrow = ClipConfig {
+        projection: 5,
+        ..tiny_config()
+    };
+    assert!(matches!(load(&narrow), Err(Error::Weights { .. })));
+    fs::write(&files.tokenizer, format!("{MERGES}a n</w>\n")).expect("written");
+    let error = load(&tiny_config()).expect_err("another vocabulary");
+    assert!(
+        error.to_string().contains("517 tokens, expected 516"),
+        "{error}"
+    );
+
+    fs::remove_file(&files.tokenizer).expect("removed");
+    let error = ClipFiles::in_folder(dir.path()).expect_err("incomplete");
+    assert!(error.to_string().contains("tokenizer.json"), "{error}");
+    let cache = HubCache::new(dir.path());
+    let error = ClipFiles::in_cache(ClipModel::VitB32, &cache).expect_err("empty");
+    let folder = "models--openai--clip-vit-base-patch32";
+    assert!(error.to_string().contains(folder), "{error}");
+}
+
+#[test]
+fn a_table_holds_what_the_encoder_gives() {
+    let encoder = tiny_encoder(1, "model.safetensors");
+    let texts = ["wave", "up", "un-wave both arms", "up", ""];
+    let mut seen = Vec::new();
+    let table = EmbeddingTable::compute(&encoder, texts, &mut |done, all| seen.push((done, all)))
+        .expect("encoded");
+    assert_eq!(seen, [(4, 4)]);
+    assert_eq!(table.texts(), ["", "un-wave both arms", "up", "wave"]);
+    for text in texts {
+        let alone = encoder.encode(&[text]).expect("encoded");
+        let found = table.get(text).expect("there");
+        for (a, b) in found.iter().zip(&alone) {
+            // Sums of 16 products of f32 in another order.
+            assert!((a - b).abs() < 1e-5, "{text:?}: {a} {b}");
+        }
+    }
+    let batch = table
+        .batch(&["up", "wave", "up"], &Device::flex())
+        .expect("there");
+    assert_eq!(batch.dims(), [3, 6]);
+
+    table.check_texts(["up", "wave"]).expect("complete");
+    let error = table
+        .check_texts(["up", "Up", "down"])
+        .expect_err("two are missing");
+    let message = error.to_string();
+    assert!(
+        message.contains(r#"lacks 2 texts, such as "Up", "down""#),
+        "{message}"
+    );
+    assert!(table.batch(&["down"], &Device::flex()).is_err());
+    table.check_encoder(encoder.identity()).expect("its own");
+    let other = tiny_encoder(2, "model.safetensors");
+    assert!(table.check_encoder(other.identity()).is_err());
+}
+
+#[test]
+fn a_table_comes_back_bit_for_bit_or_not_at_all() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("texts.safetensors");
+    let encoder = tiny_encoder(1, "model.safetensors");
+    let texts: Vec<String> = (0..150).map(|i| format!("turn {i} \"times\"\n")).collect();
+    let compute = |texts: &mut dyn Iterator<Item = &str>| {
+        EmbeddingTable::compute(&encoder, texts, &mut |_, _| {}).expect("encoded")
+    };
+    let table = compute(&mut texts.iter().map(String::as_str));
+    table.save(&path).expect("saved");
+    let bytes = fs::read(&path).expect("there");
+    let back = EmbeddingTable::load(&path).expect("whole");
+    assert_eq!(back, table);
+    assert_eq!(back.hash(), table.hash());
+    // The order texts come in does not matter.
+    compute(&mut texts.iter().rev().map(String::as_str))
+        .save(&path)
+        .expect("saved");
+    assert_eq!(fs::read(&path).expect("there"), bytes);
+
+    for at in [bytes.len() - 1, bytes.len() / 2, 1] {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1;
+        fs::write(&path, damaged).expect("written");
+        let error = EmbeddingTable::load(&path).expect_err("damaged");
+        assert!(matches!(error, Error::EmbeddingTable { .. }), "{error}");
+    }
+    fs::write(&path, as_safetensors(&tiny_weights(1))).expect("written");
+    let error = EmbeddingTable::load(&path).expect_err("another file");
+    assert!(
+        error.to_string().contains("does not say what it is"),
+        "{error}"
+    );
+
+    let empty = compute(&mut [].into_iter());
+    empty.save(&path).expect("saved");
+    assert_eq!(EmbeddingTable::load(&path).expect("whole"), empty);
+}
