@@ -29,11 +29,14 @@ use serde::{Deserialize, Serialize};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use train::checkpoint::Slot;
-use train::config::{GuidanceConfig, Preset, TrainConfig};
+use train::config::{GuidanceConfig, Preset, TextEncoder, TrainConfig};
 use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
-use train::fit::{Corpus, TrainReport, train_motionrefit};
+use train::fit::{Corpus, TextRecord, TrainReport, train_motionrefit};
 use train::j2s::{self, J2sConfig, J2sReport};
 use train::sample::{EditSettings, EditTimes, Editor};
+use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
+use train::text::hub::HubCache;
+use train::text::table::EmbeddingTable;
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::{Session, edit};
 
@@ -428,6 +431,78 @@ pub(crate) struct TrainInputs<'a> {
     pub(crate) compose: &'a ComposeConfig,
     /// Windows recorded before, in place of composing them.
     pub(crate) windows: Option<&'a Path>,
+    /// Folder of CLIP, where the settings listen to it; none looks into the hub's cache.
+    pub(crate) clip: Option<&'a Path>,
+}
+
+/// Table of instructions a run was trained with, in its folder.
+const EMBEDDINGS: &str = "embeddings.safetensors";
+
+/// CLIP from a folder, or from the cache of the Hugging Face hub.
+pub(crate) fn clip(folder: Option<&Path>) -> anyhow::Result<ClipEncoder> {
+    let model = ClipModel::VitB32;
+    let files = match folder {
+        Some(folder) => ClipFiles::in_folder(folder)?,
+        None => {
+            let cache = hub_cache()?;
+            ClipFiles::in_cache(model, &cache).context(
+                "the model listens to CLIP; fetch it with `stance model fetch`, or give its folder \
+                 with --clip",
+            )?
+        }
+    };
+    Ok(ClipEncoder::load(&model.config(), &files, &device())?)
+}
+
+/// The cache of the Hugging Face hub that the environment names.
+pub(crate) fn hub_cache() -> anyhow::Result<HubCache> {
+    HubCache::from_variables(|name| std::env::var_os(name))
+        .context("neither HF_HOME nor HOME is set; set one to say where downloads are kept")
+}
+
+/// Vectors of texts: those a run holds where they suffice, else made with CLIP.
+fn embeddings(
+    run: &Path,
+    texts: &[String],
+    folder: Option<&Path>,
+    progress: &dyn Progress,
+) -> anyhow::Result<EmbeddingTable> {
+    let path = run.join(EMBEDDINGS);
+    if path.exists() {
+        let table = EmbeddingTable::load(&path)?;
+        if table.check_texts(texts.iter().map(String::as_str)).is_ok() {
+            return Ok(table);
+        }
+    }
+    let encoder = clip(folder)?;
+    progress.begin("texts", Some(texts.len() as u64));
+    let mut reported = 0;
+    let table = EmbeddingTable::compute(
+        &encoder,
+        texts.iter().map(String::as_str),
+        &mut |done, _| {
+            progress.advance((done - reported) as u64);
+            reported = done;
+        },
+    )?;
+    progress.finish(&format!("{} texts encoded by CLIP", table.texts().len()));
+    Ok(table)
+}
+
+/// An editor that knows the instructions it will be given, if it listens to a frozen encoder.
+pub(crate) fn with_texts(
+    editor: Editor,
+    source: &EditorSource<'_>,
+    texts: &[String],
+    progress: &dyn Progress,
+) -> anyhow::Result<Editor> {
+    match editor.record().config.text {
+        TextRecord::Learned(_) => Ok(editor),
+        TextRecord::Frozen { .. } => {
+            let table = embeddings(source.run, texts, source.clip, progress)?;
+            Ok(editor.with_vectors(Box::new(table))?)
+        }
+    }
 }
 
 /// The composer's settings without those that an ablation thins the training data by: what a model
@@ -473,6 +548,17 @@ pub(crate) fn train_editor(
         Some(loader) => loader.instructions().to_vec(),
         None => train.instructions(),
     };
+    let vectors = match config.text.encoder {
+        TextEncoder::Learned => None,
+        TextEncoder::Clip => {
+            let all = [instructions.clone(), val.instructions()].concat();
+            let table = embeddings(run, &all, inputs.clip, progress)?;
+            std::fs::create_dir_all(run)
+                .with_context(|| format!("cannot create {}", run.display()))?;
+            table.save(&run.join(EMBEDDINGS))?;
+            Some(table)
+        }
+    };
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,
@@ -480,7 +566,7 @@ pub(crate) fn train_editor(
         },
         val: &val,
         instructions: &instructions,
-        vectors: None,
+        vectors: vectors.as_ref().map(|table| table as _),
         normalizer,
         skeleton: &dataset.manifest().skeleton,
         dataset_hash: &dataset.manifest().root_hash,
@@ -630,6 +716,8 @@ pub(crate) struct EditConfig {
     pub(crate) count: usize,
     /// Guidance weight; none is the one the editor was trained for.
     pub(crate) guidance: Option<f64>,
+    /// Factor of the noise; none is the one the editor was trained for.
+    pub(crate) temperature: Option<f64>,
     /// Windows generated at a time.
     pub(crate) max_batch: usize,
     /// How strongly a coordinator guides; none is what the editor's settings say.
@@ -643,6 +731,7 @@ impl Default for EditConfig {
         Self {
             count: 128,
             guidance: None,
+            temperature: None,
             max_batch: 64,
             coordinator_strength: None,
             coordinator_steps: None,
@@ -656,6 +745,7 @@ pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) ->
     EditSettings {
         seed,
         guidance: config.guidance.unwrap_or(trained.diffusion.guidance),
+        temperature: config.temperature.unwrap_or(trained.diffusion.temperature),
         coordinator: GuidanceConfig {
             target: trained.coordinator.target,
             strength: config
@@ -678,6 +768,8 @@ pub(crate) struct EditorSource<'a> {
     pub(crate) slot: Slot,
     /// Run folder of the coordinator that guides it.
     pub(crate) coordinator: Option<&'a Path>,
+    /// Folder of CLIP, where it listens to it; none looks into the hub's cache.
+    pub(crate) clip: Option<&'a Path>,
 }
 
 impl<'a> EditorSource<'a> {
@@ -687,6 +779,7 @@ impl<'a> EditorSource<'a> {
             run,
             slot: Slot::Best,
             coordinator: None,
+            clip: None,
         }
     }
 
@@ -740,6 +833,8 @@ pub(crate) fn edits(
         global.seed(),
         config.count,
     )?;
+    let texts: Vec<String> = items.iter().map(|item| item.instruction.clone()).collect();
+    let editor = with_texts(editor, source, &texts, progress)?;
     let settings = edit_settings(&editor, config, global.seed());
     let system = system_name(&editor);
     let (rows, times) = with_session(progress, |session| {

@@ -93,6 +93,7 @@ pub(crate) enum Command {
     Pairs(cmd::pairs::Args),
     Triplets(cmd::triplets::Args),
     Train(cmd::train::Args),
+    Model(cmd::model::Args),
     Edit(cmd::edit::Args),
     Eval(cmd::eval::Args),
     Render(cmd::render::Args),

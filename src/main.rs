@@ -44,6 +44,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Pairs(args) => cmd::pairs::run(args, global),
         Command::Triplets(args) => cmd::triplets::run(args, global),
         Command::Train(args) => cmd::train::run(args, global),
+        Command::Model(args) => cmd::model::run(args, global),
         Command::Edit(args) => cmd::edit::run(args, global),
         Command::Eval(args) => cmd::eval::run(args, global),
         Command::Render(args) => cmd::render::run(args, global),

@@ -44,9 +44,16 @@ pub(crate) struct Args {
     /// Last diffusion steps the coordinator guides [default: what the editor's settings say]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
+    /// Folder of the CLIP text encoder, for an editor that listens to it [default: the hub's cache]
+    #[arg(long, value_name = "FOLDER")]
+    clip: Option<PathBuf>,
     /// Guidance weight [default: the one the editor was trained for]
     #[arg(long)]
     guidance: Option<f64>,
+    /// Factor of the noise; less than 1 stays nearer to the mean of what was learned [default: the
+    /// one the editor was trained for]
+    #[arg(long)]
+    temperature: Option<f64>,
     /// Dataset folder, for a whole split or a stored clip
     #[arg(long)]
     dataset: Option<PathBuf>,
@@ -91,6 +98,7 @@ impl Args {
             run: &self.run,
             slot: self.checkpoint,
             coordinator: self.coordinator.as_deref(),
+            clip: self.clip.as_deref(),
         }
     }
 }
@@ -99,6 +107,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = EditConfig {
         count: args.count,
         guidance: args.guidance,
+        temperature: args.temperature,
         coordinator_strength: args.coordinator_strength,
         coordinator_steps: args.coordinator_steps,
         ..EditConfig::default()
@@ -246,7 +255,13 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
     }
     let original = opened(args, id)?;
     let layers = asked(args, &original)?;
-    let editor = args.source().load()?;
+    let source = args.source();
+    let texts: Vec<String> = layers
+        .iter()
+        .flatten()
+        .map(|asked| asked.text.clone())
+        .collect();
+    let editor = chain::with_texts(source.load()?, &source, &texts, &global.bars())?;
     let seed = global.seed();
     let settings = chain::edit_settings(&editor, config, seed);
     let edited = layered(&editor, id, &original, &layers, &settings, global)?;
@@ -406,6 +421,12 @@ impl Interactive<'_> {
             Some(editor) => editor,
             None => self.args.source().load()?,
         };
+        let texts: Vec<String> = instructions
+            .iter()
+            .map(|asked| asked.text.clone())
+            .collect();
+        let source = self.args.source();
+        let editor = chain::with_texts(editor, &source, &texts, &self.global.bars())?;
         let editor = self.editor.insert(editor);
         // Every edit of a history draws noise of its own.
         let count = history.edits().len().to_string();

@@ -10,6 +10,7 @@ pub(crate) mod export;
 pub(crate) mod ingest;
 pub(crate) mod inspect;
 pub(crate) mod masks;
+pub(crate) mod model;
 pub(crate) mod pairs;
 pub(crate) mod render;
 pub(crate) mod run;

@@ -49,6 +49,9 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default = "default_preset")]
     preset: String,
+    /// Folder of the CLIP text encoder, for settings that listen to it; none looks into the hub's
+    /// cache.
+    clip: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.
     #[serde(default = "default_triplets")]
     triplets: u64,
@@ -87,6 +90,7 @@ impl RunConfig {
             sources,
             out,
             preset: default_preset(),
+            clip: None,
             triplets: default_triplets(),
             ingest: IngestConfig::default(),
             masks: MaskConfig::default(),
@@ -135,7 +139,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut config: RunConfig =
         toml::from_str(&text).with_context(|| format!("in {}", args.config.display()))?;
     let base = args.config.parent().unwrap_or(Path::new("."));
-    for path in config.sources.iter_mut().chain([&mut config.out]) {
+    let folders = config.sources.iter_mut().chain([&mut config.out]);
+    for path in folders.chain(&mut config.clip) {
         *path = base.join(&*path);
     }
     if config.sources.is_empty() {
@@ -222,6 +227,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &TrainInputs {
             compose: &config.compose,
             windows: None,
+            clip: config.clip.as_deref(),
         },
         seed,
         &bars,
@@ -232,7 +238,10 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     }
     let (edits, _) = chain::edits(
         &places.dataset,
-        &EditorSource::best(&places.editor),
+        &EditorSource {
+            clip: config.clip.as_deref(),
+            ..EditorSource::best(&places.editor)
+        },
         &places.edits,
         Split::Test,
         &config.edit,

@@ -54,6 +54,9 @@ pub(crate) struct Args {
     /// Train on windows recorded by `stance triplets --windows` in place of composing them
     #[arg(long, value_name = "FOLDER")]
     windows: Option<PathBuf>,
+    /// Folder of the CLIP text encoder, for settings that listen to it [default: the hub's cache]
+    #[arg(long, value_name = "FOLDER")]
+    clip: Option<PathBuf>,
 }
 
 #[derive(clap::Subcommand, Debug)]
@@ -118,6 +121,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let inputs = TrainInputs {
                 compose: &args.compose.config()?,
                 windows: args.windows.as_deref(),
+                clip: args.clip.as_deref(),
             };
             chain::train_editor(dataset, out, &config, &inputs, seed, &bars)?
         }

@@ -7,4 +7,5 @@ mod export;
 mod golden;
 mod help;
 mod ingest;
+mod train;
 mod util;

@@ -107,8 +107,15 @@ pub struct DiffusionConfig {
     pub clip: bool,
     /// Probability of training a window without its text.
     pub text_dropout: f64,
+    /// Weight of the loss on differences from frame to frame beside the loss on the frames, where the
+    /// clean window or the change is predicted: it keeps what is generated from trembling (as in
+    /// Tevet et al. 2023, Eq. 5; neither publication has it).
+    pub motion_weight: f64,
     /// Guidance weight the editor uses unless told otherwise.
     pub guidance: f64,
+    /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
+    /// stays nearer to its mean.
+    pub temperature: f64,
 }
 
 /// How the frames before a window, which are its fixed first frames, enter the network.
@@ -251,7 +258,9 @@ impl TrainConfig {
                     previous: PreviousFrames::Encoded,
                     clip: true,
                     text_dropout: 0.1,
+                    motion_weight: 0.0,
                     guidance: 4.0,
+                    temperature: 1.0,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Clip,
@@ -327,7 +336,9 @@ impl TrainConfig {
                     previous: PreviousFrames::Inpainted,
                     clip: false,
                     text_dropout: 0.1,
+                    motion_weight: 0.0,
                     guidance: 1.25,
+                    temperature: 1.0,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Learned,
@@ -433,6 +444,26 @@ impl DiffusionConfig {
             return Err(Error::Config {
                 field: "diffusion.guidance",
                 problem: format!("it is {}", self.guidance),
+            });
+        }
+        for (field, value) in [
+            ("diffusion.motion_weight", self.motion_weight),
+            ("diffusion.temperature", self.temperature),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::Config {
+                    field,
+                    problem: format!("it is {value}, and must be finite and not negative"),
+                });
+            }
+        }
+        if self.motion_weight > 0.0
+            && matches!(self.prediction, Prediction::Noise | Prediction::Velocity)
+        {
+            return Err(Error::Config {
+                field: "diffusion.motion_weight",
+                problem: "frames follow each other in a clean window or a change, not in noise"
+                    .to_owned(),
             });
         }
         crate::diffusion::Schedule::new(self.schedule, self.num_steps).map(|_| ())

@@ -13,6 +13,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
 /// Batches prepared ahead of the trainer: one being taken and one ready.
@@ -95,6 +96,20 @@ pub trait TextVectors: Sync + std::fmt::Debug {
     fn encoder_hash(&self) -> &str;
 }
 
+impl TextVectors for EmbeddingTable {
+    fn width(&self) -> usize {
+        Self::width(self)
+    }
+
+    fn get(&self, text: &str) -> Option<&[f32]> {
+        Self::get(self, text)
+    }
+
+    fn encoder_hash(&self) -> &str {
+        self.encoder()
+    }
+}
+
 /// How instructions become what a network is given.
 #[derive(Clone, Copy, Debug)]
 pub enum Texts<'a> {
@@ -124,8 +139,9 @@ impl Texts<'_> {
             Self::Vectors(vectors) => {
                 let mut values = Vec::new();
                 for text in texts {
-                    let vector = vectors.get(text).ok_or_else(|| Error::NoVector {
-                        text: text.to_owned(),
+                    let vector = vectors.get(text).ok_or_else(|| Error::NotEmbedded {
+                        count: 1,
+                        examples: vec![text.to_owned()],
                     })?;
                     values.extend_from_slice(vector);
                 }

@@ -314,7 +314,8 @@ impl Loss {
     }
 }
 
-/// The training loss of a batch: the error of the prediction on the frames that are not fixed.
+/// The training loss of a batch: the error of the prediction on the frames that are not fixed, and
+/// with a weight of its own the error of its differences from frame to frame.
 ///
 /// # Shapes
 /// `text` `[B, d]`; the result is one number.
@@ -352,7 +353,17 @@ pub fn training_loss(
     };
     let predicted = denoiser.forward(x_t, &batch.timesteps, text, &batch.progress, original);
     let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
-    config.loss.mean(free(predicted), free(target))
+    let (predicted, target) = (free(predicted), free(target));
+    let loss = config.loss.mean(predicted.clone(), target.clone());
+    if config.motion_weight == 0.0 {
+        return loss;
+    }
+    let steps = |x: Tensor<3>| {
+        let rest = window - FIXED_FRAMES - 1;
+        x.clone().narrow(1, 1, rest) - x.narrow(1, 0, rest)
+    };
+    let motion = config.loss.mean(steps(predicted), steps(target));
+    loss + motion.mul_scalar(config.motion_weight)
 }
 
 #[cfg(test)]

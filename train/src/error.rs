@@ -86,14 +86,6 @@ pub enum Error {
         /// Values expected.
         expected: usize,
     },
-    /// A text has no vector of the frozen encoder the model listens to.
-    #[error(
-        "no vector was made of the text {text:?}; give the folder of the text encoder with --clip"
-    )]
-    NoVector {
-        /// The text.
-        text: String,
-    },
     /// Two models that are to work together were made for different things.
     #[error("{what} does not fit the editor: {problem}")]
     Misfit {

@@ -204,6 +204,8 @@ pub struct EditSettings {
     pub seed: Seed,
     /// Guidance weight; 1 follows the text without amplifying it.
     pub guidance: f64,
+    /// Factor of the noise; 1 samples what was learned, less stays nearer to its mean.
+    pub temperature: f64,
     /// Guidance by the coordinator, if the editor has one.
     pub coordinator: GuidanceConfig,
     /// Windows generated at a time.
@@ -498,10 +500,12 @@ impl Editor {
         let x = sampler.sample(
             &condition,
             |_| {
+                let scale = settings.temperature as f32;
                 let noise: Vec<f32> = rows
                     .iter_mut()
                     .flat_map(|row| {
-                        (0..frames * FRAME_WIDTH).map(|_| row.rng.sample::<f32, _>(StandardNormal))
+                        (0..frames * FRAME_WIDTH)
+                            .map(|_| scale * row.rng.sample::<f32, _>(StandardNormal))
                     })
                     .collect();
                 window(noise, frames)

@@ -197,6 +197,71 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
 }
 
 #[test]
+fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
+    use datasets_spec::normalise::Normalizer;
+    use train::checkpoint::Slot;
+    use train::exchange::{export, import_editor};
+    use train::fit::{EditorRecord, TextRecord};
+    use train::sample::Editor;
+
+    let golden = Golden::read("motionrefit_denoiser");
+    let mut config = TrainConfig::preset(Preset::Official);
+    config.model = golden.network("dim_model", "dim_feedforward");
+    let record = EditorRecord {
+        text: TextRecord::Frozen {
+            encoder_hash: "clip".to_owned(),
+            width: config.model.width,
+        },
+        train: config,
+        normalizer: Normalizer {
+            min: [-2.5; 3],
+            max: [2.5; 3],
+        },
+        compose: String::new(),
+    };
+    let recorded = golden.bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+    let released = |name: &str| name.strip_prefix("weights.").map(str::to_owned);
+    let tensors: Vec<_> = reference
+        .tensors()
+        .into_iter()
+        .filter_map(|(name, tensor)| Some((released(&name)?, tensor)))
+        .collect();
+    let bytes = safetensors::serialize(tensors.iter().cloned(), None).expect("serialises");
+
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    let device = Device::flex();
+    let import = |bytes: Vec<u8>| {
+        let path = Path::new("released.pth");
+        import_editor(&run, &record, "smplx-neutral", bytes, path, &device)
+    };
+    let fewer = safetensors::serialize(tensors[1..].iter().cloned(), None).expect("serialises");
+    let problem = import(fewer).expect_err("a tensor is missing").to_string();
+    assert!(problem.contains(&tensors[0].0), "{problem}");
+    import(bytes).expect("imported");
+    Editor::load(&run, Slot::Best, &device).expect("an editor");
+
+    let out = dir.path().join("out");
+    let files = export(&run, Slot::Best, &out).expect("exported");
+    let written = std::fs::read(&files[0]).expect("weights");
+    let written = SafeTensors::deserialize(&written).expect("a safetensors file");
+    for (name, tensor) in &tensors {
+        let found = written.tensor(name).expect("exported");
+        assert_eq!(found.data(), tensor.data(), "{name}");
+    }
+    // Row 1, column 1 of the table: the cosine of 1.
+    let table = written
+        .tensor("positional_encoder.pos_encoding")
+        .expect("a table");
+    let width = record.train.model.width;
+    assert_eq!(table.shape(), [5_000, 1, width]);
+    let at = 4 * (width + 1);
+    let value = f32::from_le_bytes(table.data()[at..at + 4].try_into().expect("four bytes"));
+    assert!((value - 1.0f32.cos()).abs() < 1e-6);
+}
+
+#[test]
 fn golden_schedule_arrays() {
     let golden = Golden::read("motionrefit_schedule");
     let steps = golden.values("out.betas").1[0];

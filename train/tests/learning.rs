@@ -544,6 +544,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
         let settings = EditSettings {
             seed: Seed(5),
             guidance: 1.0,
+            temperature: 1.0,
             coordinator: record.train.coordinator,
             max_batch: 2,
         };
@@ -556,7 +557,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
         edit("raise it").expect("edits"),
         edit("lower it").expect("edits")
     );
-    assert!(matches!(edit("wave"), Err(Error::NoVector { .. })));
+    assert!(matches!(edit("wave"), Err(Error::NotEmbedded { .. })));
 }
 
 fn steps_done(run: &Path) -> u64 {
@@ -629,6 +630,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let settings = EditSettings {
         seed: Seed(5),
         guidance: 2.0,
+        temperature: 1.0,
         coordinator: record.train.coordinator,
         max_batch: 2,
     };
@@ -786,6 +788,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     let settings = EditSettings {
         seed: Seed(5),
         guidance: 1.0,
+        temperature: 1.0,
         coordinator: record.train.coordinator,
         max_batch: 2,
     };

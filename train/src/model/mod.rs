@@ -1,7 +1,7 @@
 //! Networks.
 
-pub mod coordinator;
 pub mod clip;
+pub mod coordinator;
 pub mod denoiser;
 pub mod dropout;
 pub mod motionrefit;

@@ -657,8 +657,9 @@ impl<'a> Machine<'a> {
                 let node = self.wrapped_array(state)?;
                 self.nodes[target as usize] = node;
             }
-            // An ordered dictionary without attributes of its own.
-            Node::Dict(_) if matches!(self.node(state), Node::Dict(own) if own.is_empty()) => {}
+            // Attributes beside the entries of an ordered dictionary, such as the versions of
+            // layers that PyTorch notes in `_metadata`, are no part of its value.
+            Node::Dict(_) if matches!(self.node(state), Node::Dict(_)) => {}
             Node::Dict(_) if state == NONE => {}
             other => {
                 let kind = other.kind();

@@ -1,0 +1,179 @@
+//! `stance model`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::ValueEnum;
+use datasets_spec::normalise::Normalizer;
+use datasets_spec::{Progress, Skeleton};
+use train::checkpoint::Slot;
+use train::config::TrainConfig;
+use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
+use train::exchange;
+use train::fit::{EditorRecord, TextRecord};
+use train::model::torch::{StateDictOptions, state_dict_from_torch};
+use train::text::clip::{ClipFiles, ClipModel};
+use train::text::hub::Hub;
+
+use crate::chain;
+use crate::cli::Global;
+use crate::device::device;
+use crate::exit::Exit;
+use crate::report;
+
+/// Take over networks the released program trained, and give it those trained here.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Import(ImportArgs),
+    Export(ExportArgs),
+    /// Download the CLIP text encoder into the hub's cache, or go on with a download
+    ///
+    /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
+    /// HF_ENDPOINT names; what arrives is checked against the sums the server announces.
+    Fetch,
+}
+
+/// Make a run folder of a released checkpoint (.pth) or of a safetensors file under its names.
+///
+/// The file is read by an allow-list of what checkpoints hold; nothing in it is executed.
+#[derive(clap::Args, Debug)]
+struct ImportArgs {
+    /// The checkpoint
+    file: PathBuf,
+    /// What it holds
+    #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
+    model: Model,
+    /// Settings the network was made with
+    #[arg(long, default_value = "official")]
+    preset: String,
+    /// The released range of model units (norm_scaled.npy), or a range.json of `stance model export`
+    #[arg(long, value_name = "FILE")]
+    range: PathBuf,
+    /// Folder of the CLIP text encoder the editor listens to [default: the hub's cache]
+    #[arg(long, value_name = "FOLDER")]
+    clip: Option<PathBuf>,
+    /// Run folder to write
+    #[arg(long)]
+    out: PathBuf,
+}
+
+/// Write the network of a run as safetensors under the released names, with the range of model units
+/// beside it.
+#[derive(clap::Args, Debug)]
+struct ExportArgs {
+    /// Run folder of an editor or a coordinator
+    run: PathBuf,
+    /// Checkpoint to write: best, last or epoch-N
+    #[arg(long, default_value = "best")]
+    checkpoint: Slot,
+    /// Folder to write to
+    #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Model {
+    /// The editor's denoiser
+    Motionrefit,
+    /// The body-part coordinator
+    Coordinator,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let files = match &args.action {
+        Action::Import(args) => {
+            import(args)?;
+            vec![args.out.clone()]
+        }
+        Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
+        Action::Fetch => fetch(global)?,
+    };
+    if global.json {
+        report::json(&serde_json::json!({ "files": files }))?;
+    } else {
+        let lines: Vec<String> = files
+            .iter()
+            .map(|file| file.display().to_string())
+            .collect();
+        report::text(&lines.join("\n"));
+    }
+    Ok(Exit::Done)
+}
+
+fn fetch(global: &Global) -> anyhow::Result<Vec<PathBuf>> {
+    let hub = Hub::from_variables(|name| std::env::var_os(name))?;
+    let bars = global.bars();
+    bars.begin("fetch", None);
+    let files = ClipFiles::fetch(
+        ClipModel::VitB32,
+        &chain::hub_cache()?,
+        &hub,
+        &mut |done, total| {
+            let total = total.map_or(String::new(), |total| format!(" of {} MB", total >> 20));
+            bars.message(&format!("{} MB{total}", done >> 20));
+        },
+    )?;
+    bars.finish("CLIP is in the cache");
+    Ok(vec![files.weights, files.tokenizer])
+}
+
+fn import(args: &ImportArgs) -> anyhow::Result<()> {
+    let preset = chain::preset(&args.preset)?;
+    let bytes = read(&args.file)?;
+    let is_safetensors = args
+        .file
+        .extension()
+        .is_some_and(|ending| ending == "safetensors");
+    let weights = if is_safetensors {
+        bytes
+    } else {
+        state_dict_from_torch(&bytes, &args.file, &StateDictOptions::default())?
+    };
+    let normalizer = range(&args.range)?;
+    // The released models were trained on the male body; the skeleton of this program stands in
+    // wherever a motion is posed for them.
+    let skeleton = Skeleton::smplx_neutral();
+    let (out, file) = (&args.out, &args.file);
+    match args.model {
+        Model::Motionrefit => {
+            let clip = chain::clip(args.clip.as_deref())?;
+            let record = EditorRecord {
+                train: TrainConfig::preset(preset),
+                normalizer,
+                text: TextRecord::Frozen {
+                    encoder_hash: clip.identity().to_owned(),
+                    width: clip.width(),
+                },
+                compose: String::new(),
+            };
+            exchange::import_editor(out, &record, skeleton.name(), weights, file, &device())?;
+        }
+        Model::Coordinator => {
+            let record = CoordinatorRecord {
+                train: CoordinatorConfig::preset(preset),
+                normalizer,
+            };
+            exchange::import_coordinator(out, &record, skeleton.name(), weights, file, &device())?;
+        }
+    }
+    Ok(())
+}
+
+fn range(path: &Path) -> anyhow::Result<Normalizer> {
+    let bytes = read(path)?;
+    if path.extension().is_some_and(|ending| ending == "json") {
+        return serde_json::from_slice(&bytes)
+            .with_context(|| format!("{} is no range of model units", path.display()));
+    }
+    Ok(exchange::read_released_range(&bytes, path)?)
+}
+
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}
