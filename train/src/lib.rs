@@ -10,6 +10,7 @@
 //! [`model::denoiser::Denoiser`].
 
 pub mod checkpoint;
+mod compute;
 pub mod config;
 pub mod coordinator;
 pub mod data;

@@ -651,13 +651,14 @@ impl Sampler<'_> {
                 condition.progress.clone(),
             )
         };
+        let denoiser = self
+            .denoiser
+            .prepare(self.schedule.len(), text, &progress, original);
         let mut x = put_fixed(noise(None), condition.fixed.clone());
         for timestep in (0..self.schedule.len()).rev() {
             let input = if is_guided { twice(&x) } else { x.clone() };
-            let timesteps = vec![timestep; progress.len()];
-            let predicted =
-                self.denoiser
-                    .forward(input, &timesteps, text.clone(), &progress, original.clone());
+            let timesteps = vec![timestep; batch];
+            let predicted = denoiser.forward(input, timestep);
             let predicted = if is_guided {
                 guide(
                     predicted.clone().narrow(0, 0, batch),

@@ -1,13 +1,13 @@
 //! The body-part coordinator: tells windows composed of several motions from natural ones.
 
 use burn::module::Module;
-use burn::nn::{Linear, LinearConfig};
+use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::{sigmoid, silu};
 use burn::tensor::{Device, Tensor};
 use datasets_spec::normalise::FRAME_WIDTH;
 
 use super::denoiser::IndexEmbedding;
-use super::dropout::Dropout;
+use super::dropout::drop_out;
 use super::position::positions;
 use super::transformer::Encoder;
 use crate::config::NetworkConfig;
@@ -53,7 +53,7 @@ impl Coordinator {
                 hidden: linear(FRAME_WIDTH, FRAME_WIDTH),
                 output: linear(FRAME_WIDTH, 1),
             },
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
@@ -70,7 +70,9 @@ impl Coordinator {
         let step = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
         let tokens = Tensor::cat(vec![step, frames.mul_scalar((width as f64).sqrt())], 1);
         let tokens = tokens + positions(1 + window, width, &device);
-        let tokens = self.transformer.forward(self.dropout.forward(tokens), None);
+        let tokens = self
+            .transformer
+            .forward(drop_out(&self.dropout, tokens), None);
         let frames = self.out.forward(tokens.narrow(1, 1, window));
         let mean = frames.mean_dim(1).squeeze_dim::<2>(1);
         self.pred

@@ -1,13 +1,14 @@
 //! The MotionReFit denoiser.
 
 use burn::module::Module;
-use burn::nn::{Linear, LinearConfig};
+use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor};
 use datasets_spec::canonical::FIXED_FRAMES;
 use datasets_spec::normalise::FRAME_WIDTH;
 
-use super::dropout::Dropout;
+use super::dropout::drop_out;
+use super::fused::PreparedEncoder;
 use super::position::{positions, sinusoid};
 use super::transformer::Encoder;
 use crate::config::{NetworkConfig, PreviousFrames};
@@ -113,7 +114,7 @@ impl Denoiser {
             embed_prog_ind: IndexEmbedding::new(config.width, device),
             transformer: Encoder::new(config, device),
             out: LinearConfig::new(config.width, FRAME_WIDTH).init(device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
@@ -132,23 +133,12 @@ impl Denoiser {
     ) -> Tensor<3> {
         let [_, window, _] = x.dims();
         let device = x.device();
-        // A layer without bias keeps zeros zeros: no text stays no text.
-        let text = match &self.project_text {
-            Some(layer) => layer.forward(text),
-            None => text,
-        };
+        let text = self.project(text);
         let [_, width] = text.dims();
         let scale = (width as f64).sqrt();
 
-        let seen = match &self.embed_previous {
-            Some(embedding) => {
-                let previous = embedding.forward(x.clone().narrow(1, 0, FIXED_FRAMES));
-                let rest = x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
-                Tensor::cat(vec![previous, self.embedding_input.forward(rest)], 1)
-            }
-            None => self.embedding_input.forward(x),
-        };
-        let frames = (seen + self.embedding_original.forward(original)).mul_scalar(scale / 2.0);
+        let frames = (self.embed_frames(x) + self.embedding_original.forward(original))
+            .mul_scalar(scale / 2.0);
         let condition = self.embed_timestep.forward(timesteps)
             + text.div_scalar(TEXT_DIVISOR)
             + self.embed_prog_ind.forward(&progress_indices(progress));
@@ -156,8 +146,100 @@ impl Denoiser {
 
         let tokens = Tensor::cat(vec![condition, frames], 1);
         let tokens = tokens + positions(1 + window, width, &device);
-        let tokens = self.transformer.forward(self.dropout.forward(tokens), None);
+        let tokens = self
+            .transformer
+            .forward(drop_out(&self.dropout, tokens), None);
         self.out.forward(tokens.narrow(1, 1, window))
+    }
+}
+
+impl Denoiser {
+    /// Text vectors in the width of the network. The layer has no bias, which keeps zeros zeros: no
+    /// text stays no text.
+    fn project(&self, text: Tensor<2>) -> Tensor<2> {
+        match &self.project_text {
+            Some(layer) => layer.forward(text),
+            None => text,
+        }
+    }
+
+    /// The tokens of noisy frames, `[B, W, d]`.
+    fn embed_frames(&self, x: Tensor<3>) -> Tensor<3> {
+        let Some(embedding) = &self.embed_previous else {
+            return self.embedding_input.forward(x);
+        };
+        let [_, window, _] = x.dims();
+        let previous = embedding.forward(x.clone().narrow(1, 0, FIXED_FRAMES));
+        let rest = x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
+        Tensor::cat(vec![previous, self.embedding_input.forward(rest)], 1)
+    }
+
+    /// Computes once what does not change from step to step of sampling: the embeddings of all
+    /// diffusion steps, of the original windows, of progress and positions, and the layout in which
+    /// the weights are multiplied.
+    ///
+    /// # Shapes
+    /// As [`Denoiser::forward`].
+    pub fn prepare(
+        &self,
+        num_steps: usize,
+        text: Tensor<2>,
+        progress: &[f32],
+        original: Tensor<3>,
+    ) -> PreparedDenoiser<'_> {
+        let [_, window, _] = original.dims();
+        let text = self.project(text);
+        let [_, width] = text.dims();
+        let device = original.device();
+        let steps: Vec<usize> = (0..num_steps).collect();
+        PreparedDenoiser {
+            denoiser: self,
+            encoder: self.transformer.prepare(),
+            steps: self.embed_timestep.forward(&steps),
+            condition: text.div_scalar(TEXT_DIVISOR)
+                + self.embed_prog_ind.forward(&progress_indices(progress)),
+            original: self.embedding_original.forward(original),
+            positions: positions(1 + window, width, &device),
+        }
+    }
+}
+
+/// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
+/// through it on a processor.
+#[derive(Debug)]
+pub struct PreparedDenoiser<'a> {
+    denoiser: &'a Denoiser,
+    encoder: Option<PreparedEncoder>,
+    /// `[S, d]`
+    steps: Tensor<2>,
+    /// `[B, d]`
+    condition: Tensor<2>,
+    /// `[B, W, d]`
+    original: Tensor<3>,
+    /// `[1, 1 + W, d]`
+    positions: Tensor<3>,
+}
+
+impl PreparedDenoiser<'_> {
+    /// Predicts the noise in `x` at one diffusion step, as [`Denoiser::forward`] does.
+    ///
+    /// # Shapes
+    /// `x` and the result `[B, W, 84]`.
+    pub fn forward(&self, x: Tensor<3>, timestep: usize) -> Tensor<3> {
+        let [_, window, _] = x.dims();
+        let [_, width] = self.condition.dims();
+        let scale = (width as f64).sqrt();
+        let frames =
+            (self.denoiser.embed_frames(x) + self.original.clone()).mul_scalar(scale / 2.0);
+        let condition = self.steps.clone().narrow(0, timestep, 1) + self.condition.clone();
+        let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
+        let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
+        let encoded = self
+            .encoder
+            .as_ref()
+            .and_then(|encoder| encoder.forward(tokens.clone()))
+            .unwrap_or_else(|| self.denoiser.transformer.forward(tokens, None));
+        self.denoiser.out.forward(encoded.narrow(1, 1, window))
     }
 }
 
@@ -172,6 +254,51 @@ pub fn progress_indices(progress: &[f32]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_prepared_denoiser_predicts_the_same() {
+        use burn::tensor::Distribution;
+        use datasets_spec::Seed;
+
+        use crate::model::weights::draw;
+
+        let device = Device::flex();
+        let config = NetworkConfig {
+            width: 32,
+            num_layers: 2,
+            num_heads: 2,
+            feed_forward: 48,
+            dropout: 0.1,
+        };
+        for (previous, text_width) in [
+            (PreviousFrames::Inpainted, 32),
+            (PreviousFrames::Encoded, 12),
+        ] {
+            let denoiser = draw(
+                Denoiser::new(&config, previous, text_width, &device),
+                Seed(4),
+            );
+            let normal = |shape: [usize; 3]| {
+                Tensor::<3>::random(shape, Distribution::Normal(0.0, 1.0), &device)
+            };
+            let (x, original) = (normal([3, 16, FRAME_WIDTH]), normal([3, 16, FRAME_WIDTH]));
+            let text = normal([3, 1, text_width]).squeeze_dim::<2>(1);
+            let progress = [0.0, 0.4, 1.0];
+            let prepared = denoiser.prepare(10, text.clone(), &progress, original.clone());
+            for timestep in [0, 7] {
+                let found = prepared.forward(x.clone(), timestep);
+                let expected = denoiser.forward(
+                    x.clone(),
+                    &[timestep; 3],
+                    text.clone(),
+                    &progress,
+                    original.clone(),
+                );
+                let difference: f32 = (found - expected).abs().max().into_scalar();
+                assert!(difference < 1e-5, "{difference}");
+            }
+        }
+    }
 
     #[test]
     fn progress_is_rounded_half_to_even() {

@@ -1,11 +1,11 @@
 //! The TMR networks: two encoders into one space, and a decoder out of it.
 
 use burn::module::{Initializer, Module, Param};
-use burn::nn::{Embedding, EmbeddingConfig, Linear, LinearConfig};
+use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::Dropout;
+use super::dropout::drop_out;
 use super::position::positions;
 use super::text::token_tensor;
 use super::transformer::{Decoder, Encoder, padding_of};
@@ -75,7 +75,7 @@ impl SequenceEncoder {
             projection: LinearConfig::new(num_features, config.width).init(device),
             tokens: Initializer::Zeros.init([NUM_TOKENS, config.width], device),
             sequence_encoder: Encoder::new(config, device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
@@ -99,7 +99,7 @@ impl SequenceEncoder {
         let padding = padding_mask(&with_tokens, NUM_TOKENS + steps, &device);
         let x = self
             .sequence_encoder
-            .forward(self.dropout.forward(x), padding.as_ref());
+            .forward(drop_out(&self.dropout, x), padding.as_ref());
         let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
         Distribution {
             mu: token(0),
@@ -122,7 +122,7 @@ impl SequenceDecoder {
         Self {
             sequence_decoder: Decoder::new(config, device),
             final_layer: LinearConfig::new(config.width, num_features).init(device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
@@ -136,7 +136,7 @@ impl SequenceDecoder {
         let queries = positions(steps, width, &device).expand([batch, steps, width]);
         let padding = padding_mask(lengths, steps, &device);
         let x = self.sequence_decoder.forward(
-            self.dropout.forward(queries),
+            drop_out(&self.dropout, queries),
             latent.unsqueeze_dim(1),
             padding.as_ref(),
         );

@@ -1,13 +1,14 @@
 //! The post-norm transformer of `torch.nn`, in its own layout and names.
 
 use burn::module::Module;
-use burn::nn::{LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::nn::{Dropout, DropoutConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::{gelu, softmax};
 use burn::tensor::module::{attention, linear};
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::Dropout;
+use super::dropout::{draw_key, drop_out, probability};
+use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
 use crate::config::NetworkConfig;
 
 /// Multi-head self-attention with query, key and value in one projection.
@@ -25,7 +26,7 @@ impl SelfAttention {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
             num_heads: config.num_heads,
         }
     }
@@ -61,7 +62,7 @@ impl SelfAttention {
             if let Some(mask) = mask {
                 scores = scores.mask_fill(mask, f32::NEG_INFINITY);
             }
-            self.dropout.forward(softmax(scores, 3)).matmul(v)
+            drop_out(&self.dropout, softmax(scores, 3)).matmul(v)
         } else {
             attention(q, k, v, mask, None, AttentionModuleOptions::default())
         };
@@ -127,20 +128,61 @@ impl EncoderLayer {
             linear2: LinearConfig::new(config.feed_forward, config.width).init(device),
             norm1: LayerNormConfig::new(config.width).init(device),
             norm2: LayerNormConfig::new(config.width).init(device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
-    /// Applies the layer.
+    /// Applies the layer: as one operation where its tensors lie on a processor, and composed
+    /// elsewhere.
     ///
     /// # Shapes
     /// As [`SelfAttention::forward`].
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+        let fused = self.tensors().and_then(|tensors| {
+            let device = x.device();
+            encoder_layer(
+                &x,
+                tensors,
+                self.self_attn.num_heads,
+                padding.map(padding_values),
+                probability(&self.dropout, &device),
+                draw_key,
+            )
+        });
+        fused.unwrap_or_else(|| self.forward_composed(x, padding))
+    }
+
+    /// The trainable tensors, where the layer has all of them.
+    fn tensors(&self) -> Option<LayerTensors> {
+        let linears = [
+            &self.self_attn.in_proj,
+            &self.self_attn.out_proj,
+            &self.linear1,
+            &self.linear2,
+        ];
+        let [b0, b1, b2, b3] = linears.map(|linear| linear.bias.as_ref().map(|bias| bias.val()));
+        let beta = |norm: &LayerNorm| norm.beta.as_ref().map(|beta| beta.val());
+        Some(LayerTensors {
+            weights: linears.map(|linear| linear.weight.val()),
+            vectors: [
+                b0?,
+                b1?,
+                b2?,
+                b3?,
+                self.norm1.gamma.val(),
+                beta(&self.norm1)?,
+                self.norm2.gamma.val(),
+                beta(&self.norm2)?,
+            ],
+        })
+    }
+
+    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
         let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + self.dropout.forward(attended));
-        let hidden = self.dropout.forward(gelu(self.linear1.forward(x.clone())));
+        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
+        let hidden = drop_out(&self.dropout, gelu(self.linear1.forward(x.clone())));
         let hidden = self.linear2.forward(hidden);
-        self.norm2.forward(x + self.dropout.forward(hidden))
+        self.norm2.forward(x + drop_out(&self.dropout, hidden))
     }
 }
 
@@ -158,6 +200,16 @@ impl Encoder {
                 .map(|_| EncoderLayer::new(config, device))
                 .collect(),
         }
+    }
+
+    /// The layers with their weights packed for many passes, where they lie on a processor and are
+    /// not trained.
+    pub(crate) fn prepare(&self) -> Option<PreparedEncoder> {
+        PreparedEncoder::new(
+            self.layers.iter().map(|layer| {
+                PreparedLayer::for_inference(layer.tensors()?, layer.self_attn.num_heads)
+            }),
+        )
     }
 
     /// Applies all layers.
@@ -195,7 +247,7 @@ impl DecoderLayer {
             norm1: LayerNormConfig::new(config.width).init(device),
             norm2: LayerNormConfig::new(config.width).init(device),
             norm3: LayerNormConfig::new(config.width).init(device),
-            dropout: Dropout::new(config.dropout),
+            dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
 
@@ -210,12 +262,12 @@ impl DecoderLayer {
         padding: Option<&Tensor<4, Bool>>,
     ) -> Tensor<3> {
         let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + self.dropout.forward(attended));
+        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
         let remembered = self.multihead_attn.forward(memory);
-        let x = self.norm2.forward(x + self.dropout.forward(remembered));
-        let hidden = self.dropout.forward(gelu(self.linear1.forward(x.clone())));
+        let x = self.norm2.forward(x + drop_out(&self.dropout, remembered));
+        let hidden = drop_out(&self.dropout, gelu(self.linear1.forward(x.clone())));
         let hidden = self.linear2.forward(hidden);
-        self.norm3.forward(x + self.dropout.forward(hidden))
+        self.norm3.forward(x + drop_out(&self.dropout, hidden))
     }
 }
 
@@ -251,6 +303,11 @@ impl Decoder {
     }
 }
 
+/// Padding `[B, 1, 1, T]` as plain values.
+fn padding_values(padding: &Tensor<4, Bool>) -> Vec<bool> {
+    padding.clone().into_data().iter::<bool>().collect()
+}
+
 /// The mask of rows that end before `width` tokens: true from a row's length on.
 ///
 /// # Shapes
@@ -261,4 +318,122 @@ pub fn padding_of(lengths: &[usize], width: usize, device: &Device) -> Tensor<2,
         .flat_map(|&length| (0..width).map(move |token| token >= length))
         .collect();
     Tensor::from_data(TensorData::new(padded, [lengths.len(), width]), device)
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Distribution;
+    use datasets_spec::Seed;
+
+    use super::*;
+    use crate::model::weights::draw;
+
+    const CONFIG: NetworkConfig = NetworkConfig {
+        width: 24,
+        num_layers: 1,
+        num_heads: 3,
+        feed_forward: 40,
+        dropout: 0.0,
+    };
+
+    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+        tensor.into_data().try_into_vec_as().expect("floats")
+    }
+
+    fn check_equal(found: &[f32], expected: &[f32], tolerance: f32) {
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() <= tolerance, "{found} {expected}");
+        }
+    }
+
+    /// The layer's output, then the gradients of the input and of every tensor.
+    fn run(
+        layer: &EncoderLayer,
+        x: &Tensor<3>,
+        forward: impl Fn(&EncoderLayer, Tensor<3>) -> Tensor<3>,
+    ) -> Vec<Vec<f32>> {
+        let x = x.clone().require_grad();
+        let out = forward(layer, x.clone());
+        let slope: Vec<f32> = (0..out.shape().num_elements())
+            .map(|index| (index as f32 * 0.7).sin())
+            .collect();
+        let slope = Tensor::<3>::from_data(TensorData::new(slope, out.shape()), &out.device());
+        let grads = (out.clone() * slope).sum().backward();
+        let tensors = layer.tensors().expect("a whole layer");
+        let mut found = vec![values(out), values(x.grad(&grads).expect("a gradient"))];
+        for weight in tensors.weights {
+            found.push(values(weight.grad(&grads).expect("a gradient")));
+        }
+        for vector in tensors.vectors {
+            found.push(values(vector.grad(&grads).expect("a gradient")));
+        }
+        found
+    }
+
+    #[test]
+    fn the_fused_layer_is_the_composed_one_forwards_and_backwards() {
+        let device = Device::flex().autodiff();
+        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1));
+        let (batch, length) = (9, 11);
+        let x = Tensor::random([batch, length, 24], Distribution::Normal(0.0, 1.0), &device);
+        let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
+        let padding = padding_of(&lengths, length, &device)
+            .unsqueeze_dim::<3>(1)
+            .unsqueeze_dim::<4>(2);
+        for padding in [None, Some(&padding)] {
+            let fused = run(&layer, &x, |layer, x| layer.forward(x, padding));
+            let composed = run(&layer, &x, |layer, x| layer.forward_composed(x, padding));
+            for (fused, composed) in fused.iter().zip(&composed) {
+                check_equal(fused, composed, 3e-5);
+            }
+            let plain = layer.valid();
+            let inferred = plain.forward(
+                x.clone().inner(),
+                padding.map(|p| p.clone().inner()).as_ref(),
+            );
+            check_equal(&values(inferred), &fused[0], 1e-5);
+        }
+    }
+
+    #[test]
+    fn dropout_repeats_with_the_key_and_its_gradient_matches_finite_differences() {
+        let device = Device::flex().autodiff();
+        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(2));
+        let x = Tensor::<3>::random([2, 5, 24], Distribution::Normal(0.0, 1.0), &device);
+        let forward = |key: u64, x: Tensor<3>| {
+            let tensors = layer.tensors().expect("a whole layer");
+            encoder_layer(&x, tensors, 3, None, 0.2, || key).expect("on the processor")
+        };
+        let on_one_thread = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .expect("a pool")
+            .install(|| values(forward(1, x.clone())));
+        assert_eq!(values(forward(1, x.clone())), on_one_thread);
+        assert_ne!(values(forward(2, x.clone())), on_one_thread);
+        let input = x.clone().require_grad();
+        let weights: Vec<f32> = (0..240).map(|index| (index as f32 * 0.3).cos()).collect();
+        let weights = Tensor::<3>::from_data(TensorData::new(weights, [2, 5, 24]), &device);
+        let loss = |x: Tensor<3>| (forward(3, x) * weights.clone()).sum();
+        let grads = loss(input.clone()).backward();
+        let grad = values(input.grad(&grads).expect("a gradient"));
+        let at = values(x);
+        const STEP: f32 = 1e-2;
+        for index in (0..240).step_by(17) {
+            let moved = |by: f32| {
+                let mut at = at.clone();
+                at[index] += by;
+                let x = Tensor::<3>::from_data(TensorData::new(at, [2, 5, 24]), &device);
+                loss(x).into_scalar::<f32>()
+            };
+            let slope = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
+            // The error of the difference is of the order of the squared step.
+            assert!(
+                (slope - grad[index]).abs() < 5e-3,
+                "{slope} {}",
+                grad[index]
+            );
+        }
+    }
 }

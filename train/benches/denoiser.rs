@@ -1,0 +1,153 @@
+//! Training and sampling of the denoiser at the size of the paper.
+//!
+//! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Times are to be read
+//! against the matrix product of the same run.
+
+use std::hint::black_box;
+
+use burn::module::Module;
+use burn::optim::{AdamWConfig, GradientsParams};
+use burn::tensor::{Device, Distribution, Tensor};
+use datasets_spec::Seed;
+use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::normalise::FRAME_WIDTH;
+use divan::Bencher;
+use divan::counter::ItemsCount;
+use train::config::{NetworkConfig, Preset, TrainConfig};
+use train::data::{NoisyBatch, WINDOW_NUMBERS};
+use train::diffusion::{Prediction, Schedule, ScheduleName, training_loss};
+use train::model::denoiser::Denoiser;
+use train::model::weights::draw;
+use train::sample::{Condition, Sampler};
+use train::vocabulary::TokenBatch;
+
+/// Windows in a training step.
+const BATCH: usize = 64;
+
+fn main() {
+    divan::main();
+}
+
+/// The sizes of the paper (Sec. 4.1 and App. B.1).
+fn network(dropout: f64) -> NetworkConfig {
+    NetworkConfig {
+        width: 512,
+        num_layers: 6,
+        num_heads: 16,
+        feed_forward: 2048,
+        dropout,
+    }
+}
+
+fn denoiser(dropout: f64, device: &Device) -> Denoiser {
+    draw(Denoiser::new(&network(dropout), device), Seed(1))
+}
+
+fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
+}
+
+fn noisy_batch(device: &Device) -> NoisyBatch {
+    let values = || {
+        normal([BATCH, WINDOW_NUMBERS], device)
+            .into_data()
+            .try_into_vec_as()
+            .expect("floats")
+    };
+    NoisyBatch {
+        original: values(),
+        edited: values(),
+        noise: values(),
+        timesteps: (0..BATCH).collect(),
+        progress: vec![0.5; BATCH],
+        tokens: TokenBatch {
+            ids: Vec::new(),
+            width: 1,
+        },
+        text_kept: vec![1.0; BATCH],
+    }
+}
+
+/// Forward, loss, backward and AdamW of 64 windows.
+#[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
+fn training_step(bencher: Bencher, dropout: f64) {
+    let device = Device::flex().autodiff();
+    let batch = noisy_batch(&Device::flex());
+    let diffusion = TrainConfig::preset(Preset::Official).diffusion;
+    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
+    let text = normal([BATCH, network(0.0).width], &device);
+    let mut model = Some(denoiser(dropout, &device));
+    let mut optimizer = AdamWConfig::new().with_weight_decay(0.01).init();
+    let mut step = 0;
+    bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
+        device.seed(step);
+        step += 1;
+        let network = model.take().expect("put back after every step");
+        let loss = training_loss(&network, &schedule, &batch, text.clone(), &diffusion);
+        let value: f32 = loss.clone().into_scalar();
+        let gradients = GradientsParams::from_grads(loss.backward(), &network);
+        model = Some(optimizer.step(1e-4, network, gradients));
+        value
+    });
+}
+
+/// One pass over the two rows of a guided step.
+#[divan::bench(sample_count = 20)]
+fn forward(bencher: Bencher) {
+    let device = Device::flex();
+    let network = denoiser(0.1, &device.clone().autodiff()).valid();
+    let window = || normal([2, WINDOW_FRAMES, FRAME_WIDTH], &device);
+    let (x, original) = (window(), window());
+    let text = normal([2, 512], &device);
+    bencher.bench_local(|| {
+        black_box(network.forward(
+            x.clone(),
+            &[5, 5],
+            text.clone(),
+            &[0.1, 0.1],
+            original.clone(),
+        ))
+    });
+}
+
+/// 100 guided steps.
+#[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
+fn sample(bencher: Bencher, batch: usize) {
+    let device = Device::flex();
+    let network = denoiser(0.1, &device.clone().autodiff()).valid();
+    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
+    let condition = Condition {
+        original: normal([batch, WINDOW_FRAMES, FRAME_WIDTH], &device),
+        fixed: normal([batch, FIXED_FRAMES, FRAME_WIDTH], &device),
+        text: normal([batch, 512], &device),
+        progress: vec![0.5; batch],
+    };
+    let sampler = Sampler {
+        denoiser: &network,
+        schedule: &schedule,
+        prediction: Prediction::Noise,
+        clip: true,
+        guidance: 3.0,
+    };
+    bencher.counter(ItemsCount::new(batch)).bench_local(|| {
+        sampler
+            .sample(
+                &condition,
+                |_| normal([batch, WINDOW_FRAMES, FRAME_WIDTH], &device),
+                |_, _| {},
+            )
+            .into_data()
+    });
+}
+
+/// The backend's matrix product at the largest shape of a training step, in floating-point
+/// operations a second.
+#[divan::bench(sample_count = 20)]
+fn matrix_product(bencher: Bencher) {
+    let device = Device::flex();
+    let [m, k, n] = [BATCH * (1 + WINDOW_FRAMES), 512, 2048];
+    let (a, b) = (normal([m, k], &device), normal([k, n], &device));
+    bencher
+        .counter(ItemsCount::new(2 * m * k * n))
+        .bench_local(|| black_box(a.clone().matmul(b.clone())));
+}

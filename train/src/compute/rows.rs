@@ -1,0 +1,545 @@
+//! Steps that work on rows of numbers: dropout, GELU and layer norm, with their gradients.
+
+use datasets_spec::lanes::{Kernel, LANES, vectorised};
+use rayon::prelude::*;
+
+/// Rows a task works on. It is fixed, so that sums over rows do not depend on the threads.
+const TASK_ROWS: usize = 16;
+
+/// What LayerNorm adds to the variance (PyTorch's default).
+const EPSILON: f32 = 1e-5;
+
+/// A dropout: which numbers of an array it drops follows from the key and their places alone, so
+/// that the mask need not be stored for the backward pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Mask {
+    /// Smallest hash, of 24 bits, of a number that is kept.
+    threshold: i32,
+    /// What kept numbers are multiplied with.
+    scale: f32,
+    key: [u32; 2],
+}
+
+impl Mask {
+    /// A mask that drops a number with probability `prob`.
+    pub(crate) fn new(prob: f64, key: u64) -> Self {
+        Self {
+            threshold: (prob * f64::from(1u32 << 24)).round() as i32,
+            scale: (1.0 / (1.0 - prob)) as f32,
+            key: [key as u32, (key >> 32) as u32],
+        }
+    }
+
+    /// Whether anything is dropped.
+    pub(crate) fn is_active(self) -> bool {
+        self.threshold > 0
+    }
+
+    /// The factor of the number at `index`: 0 or the scale.
+    ///
+    /// # Source
+    /// The rounds are those of Chris Wellons' `lowbias32`; the key enters before and between them.
+    #[inline(always)]
+    pub(crate) fn factor(self, index: u32) -> f32 {
+        let mut hash = index ^ self.key[0];
+        hash = (hash ^ (hash >> 16)).wrapping_mul(0x7feb_352d);
+        hash = (hash ^ self.key[1] ^ (hash >> 15)).wrapping_mul(0x846c_a68b);
+        hash ^= hash >> 16;
+        if (hash >> 8) as i32 >= self.threshold {
+            self.scale
+        } else {
+            0.0
+        }
+    }
+}
+
+/// The factors of the first `count` numbers.
+pub(crate) fn factors(mask: Mask, count: usize) -> Vec<f32> {
+    struct Part<'a> {
+        mask: Mask,
+        first: usize,
+        out: &'a mut [f32],
+    }
+    impl Kernel for Part<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            for (index, out) in self.out.iter_mut().enumerate() {
+                *out = self.mask.factor((self.first + index) as u32);
+            }
+        }
+    }
+    /// Numbers a task makes.
+    const PART: usize = 1 << 14;
+    let mut factors = vec![0.0; count];
+    let parts = factors.par_chunks_mut(PART).enumerate();
+    parts.for_each(|(part, out)| {
+        let first = part * PART;
+        vectorised(Part { mask, first, out });
+    });
+    factors
+}
+
+/// e^x, relative error below 2e-7, for vector instructions.
+#[inline(always)]
+pub(crate) fn exp(x: f32) -> f32 {
+    /// Added and taken off again, it rounds to a whole number and leaves it in the last bits.
+    const SHIFT: f32 = 12_582_912.0;
+    const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+    // Below -87 the result is smaller than the smallest normal number; 88 is the last power.
+    let x = x.clamp(-87.0, 88.0);
+    let shifted = x * std::f32::consts::LOG2_E + SHIFT;
+    let power = shifted - SHIFT;
+    let rest = (x - power * LN_2[0]) - power * LN_2[1];
+    // Cephes expf.
+    let mut series = 1.987_569_1e-4;
+    for coefficient in [1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5] {
+        series = series * rest + coefficient;
+    }
+    let series = series * rest * rest + rest + 1.0;
+    series * f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23))
+}
+
+/// The exact GELU of a number and its slope. The error of both is below 1e-6.
+///
+/// # Source
+/// Abramowitz and Stegun 1964, formula 7.1.26, whose exponential is the density that the slope
+/// needs.
+#[inline(always)]
+pub(crate) fn gelu(x: f32) -> (f32, f32) {
+    /// 1 / sqrt(2 pi).
+    const DENSITY: f32 = 0.398_942_3;
+    let bell = exp(-0.5 * x * x);
+    let t = 1.0 / (1.0 + 0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2 * x.abs());
+    let mut series = 1.061_405_4;
+    for coefficient in [-1.453_152, 1.421_413_7, -0.284_496_74, 0.254_829_6] {
+        series = series * t + coefficient;
+    }
+    let tail = 0.5 * series * t * bell;
+    let below = if x < 0.0 { tail } else { 1.0 - tail };
+    (x * below, below + x * DENSITY * bell)
+}
+
+/// The sum of products of two rows.
+#[inline(always)]
+pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0f32; LANES];
+    let (a, a_rest) = a.as_chunks::<LANES>();
+    let (b, b_rest) = b.as_chunks::<LANES>();
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    for (lane, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
+        sums[lane] += a * b;
+    }
+    let mut width = LANES / 2;
+    while width > 0 {
+        for lane in 0..width {
+            sums[lane] += sums[lane + width];
+        }
+        width /= 2;
+    }
+    sums[0]
+}
+
+/// Adds `factor` times a row to another.
+#[inline(always)]
+pub(crate) fn add_scaled(to: &mut [f32], factor: f32, row: &[f32]) {
+    for (to, value) in to.iter_mut().zip(row) {
+        *to += factor * value;
+    }
+}
+
+/// Adds a bias to rows.
+pub(crate) fn add_bias(rows: &mut [f32], bias: &[f32]) {
+    rows.par_chunks_mut(TASK_ROWS * bias.len())
+        .for_each(|rows| {
+            for row in rows.chunks_exact_mut(bias.len()) {
+                for (value, bias) in row.iter_mut().zip(bias) {
+                    *value += bias;
+                }
+            }
+        });
+}
+
+/// Sums of the columns of rows.
+pub(crate) fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
+    let parts: Vec<Vec<f32>> = rows
+        .par_chunks(TASK_ROWS * width)
+        .map(|rows| {
+            let mut sums = vec![0.0; width];
+            for row in rows.chunks_exact(width) {
+                add_scaled(&mut sums, 1.0, row);
+            }
+            sums
+        })
+        .collect();
+    total(parts, width)
+}
+
+/// Sums partial sums in their order.
+fn total(parts: Vec<Vec<f32>>, width: usize) -> Vec<f32> {
+    let mut parts = parts.into_iter();
+    let mut sums = parts.next().unwrap_or_else(|| vec![0.0; width]);
+    for part in parts {
+        add_scaled(&mut sums, 1.0, &part);
+    }
+    sums
+}
+
+/// `out = dropout(gelu(hidden + bias))`. With `slopes`, `hidden` becomes the slope of that, which is
+/// all the backward pass needs.
+pub(crate) fn gelu_dropout(
+    hidden: &mut [f32],
+    bias: &[f32],
+    mask: Mask,
+    slopes: bool,
+    out: &mut [f32],
+) {
+    struct Rows<'a> {
+        hidden: &'a mut [f32],
+        out: &'a mut [f32],
+        bias: &'a [f32],
+        mask: Mask,
+        slopes: bool,
+        first: usize,
+    }
+    impl Kernel for Rows<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let width = self.bias.len();
+            let rows = self.hidden.chunks_exact_mut(width);
+            let outs = self.out.chunks_exact_mut(width);
+            for (row, (hidden, out)) in rows.zip(outs).enumerate() {
+                let first = (self.first + row * width) as u32;
+                let columns = hidden.iter_mut().zip(out).zip(self.bias).enumerate();
+                if self.mask.is_active() {
+                    for (column, ((hidden, out), bias)) in columns {
+                        let factor = self.mask.factor(first.wrapping_add(column as u32));
+                        let (value, slope) = gelu(*hidden + bias);
+                        *out = value * factor;
+                        *hidden = slope * factor;
+                    }
+                } else if self.slopes {
+                    for (_, ((hidden, out), bias)) in columns {
+                        (*out, *hidden) = gelu(*hidden + bias);
+                    }
+                } else {
+                    for (_, ((hidden, out), bias)) in columns {
+                        *out = gelu(*hidden + bias).0;
+                    }
+                }
+            }
+        }
+    }
+    let task = TASK_ROWS * bias.len();
+    hidden
+        .par_chunks_mut(task)
+        .zip(out.par_chunks_mut(task))
+        .enumerate()
+        .for_each(|(index, (hidden, out))| {
+            vectorised(Rows {
+                hidden,
+                out,
+                bias,
+                mask,
+                slopes,
+                first: index * task,
+            });
+        });
+}
+
+/// Multiplies a gradient with recorded slopes; returns the sums of its columns.
+pub(crate) fn times_slopes(grad: &mut [f32], slopes: &[f32], width: usize) -> Vec<f32> {
+    let task = TASK_ROWS * width;
+    let parts: Vec<Vec<f32>> = grad
+        .par_chunks_mut(task)
+        .zip(slopes.par_chunks(task))
+        .map(|(grad, slopes)| {
+            let mut sums = vec![0.0; width];
+            let rows = grad.chunks_exact_mut(width);
+            for (grad, slopes) in rows.zip(slopes.chunks_exact(width)) {
+                for ((grad, slope), sum) in grad.iter_mut().zip(slopes).zip(&mut sums) {
+                    *grad *= slope;
+                    *sum += *grad;
+                }
+            }
+            sums
+        })
+        .collect();
+    total(parts, width)
+}
+
+/// The trainable numbers of a layer norm.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Norm<'a> {
+    pub(crate) gamma: &'a [f32],
+    pub(crate) beta: &'a [f32],
+}
+
+/// `out = norm(residual + dropout(branch + bias))`. `branch` becomes the normalised rows before
+/// gamma and beta; the inverse deviations of the rows are returned. Both are what the backward pass
+/// needs.
+pub(crate) fn residual_norm(
+    branch: &mut [f32],
+    bias: &[f32],
+    residual: &[f32],
+    norm: Norm<'_>,
+    mask: Mask,
+    out: &mut [f32],
+) -> Vec<f32> {
+    struct Rows<'a> {
+        branch: &'a mut [f32],
+        residual: &'a [f32],
+        out: &'a mut [f32],
+        scales: &'a mut [f32],
+        bias: &'a [f32],
+        norm: Norm<'a>,
+        mask: Mask,
+        first: usize,
+    }
+    impl Kernel for Rows<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let width = self.bias.len();
+            let rows = self.branch.chunks_exact_mut(width);
+            let outs = self.out.chunks_exact_mut(width);
+            let residuals = self.residual.chunks_exact(width);
+            let rows = rows.zip(residuals).zip(outs).zip(self.scales);
+            for (row, (((x, residual), out), scale)) in rows.enumerate() {
+                let first = (self.first + row * width) as u32;
+                if self.mask.is_active() {
+                    let columns = x.iter_mut().zip(residual).zip(self.bias).enumerate();
+                    for (column, ((x, residual), bias)) in columns {
+                        let factor = self.mask.factor(first.wrapping_add(column as u32));
+                        *x = residual + (*x + bias) * factor;
+                    }
+                } else {
+                    for ((x, residual), bias) in x.iter_mut().zip(residual).zip(self.bias) {
+                        *x = residual + (*x + bias);
+                    }
+                }
+                let mean = sum(x) / width as f32;
+                for x in x.iter_mut() {
+                    *x -= mean;
+                }
+                *scale = 1.0 / (dot(x, x) / width as f32 + EPSILON).sqrt();
+                let columns = x.iter_mut().zip(out).zip(self.norm.gamma);
+                for (((x, out), gamma), beta) in columns.zip(self.norm.beta) {
+                    *x *= *scale;
+                    *out = *x * gamma + beta;
+                }
+            }
+        }
+    }
+    let width = bias.len();
+    let mut scales = vec![0.0; branch.len() / width];
+    let task = TASK_ROWS * width;
+    branch
+        .par_chunks_mut(task)
+        .zip(residual.par_chunks(task))
+        .zip(out.par_chunks_mut(task))
+        .zip(scales.par_chunks_mut(TASK_ROWS))
+        .enumerate()
+        .for_each(|(index, (((branch, residual), out), scales))| {
+            vectorised(Rows {
+                branch,
+                residual,
+                out,
+                scales,
+                bias,
+                norm,
+                mask,
+                first: index * task,
+            });
+        });
+    scales
+}
+
+/// The sum of a row.
+#[inline(always)]
+fn sum(row: &[f32]) -> f32 {
+    let mut sums = [0.0f32; LANES];
+    let (chunks, rest) = row.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            sums[lane] += chunk[lane];
+        }
+    }
+    sums.iter().sum::<f32>() + rest.iter().sum::<f32>()
+}
+
+/// Gradients of [`residual_norm`] of the trainable numbers.
+pub(crate) struct NormGrads {
+    pub(crate) gamma: Vec<f32>,
+    pub(crate) beta: Vec<f32>,
+    pub(crate) bias: Vec<f32>,
+}
+
+/// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch`
+/// that of the branch. Without dropout they are equal and `branch` is left alone.
+pub(crate) fn residual_norm_backward(
+    grad: &mut [f32],
+    normalised: &[f32],
+    scales: &[f32],
+    gamma: &[f32],
+    mask: Mask,
+    branch: &mut [f32],
+) -> NormGrads {
+    struct Rows<'a> {
+        grad: &'a mut [f32],
+        normalised: &'a [f32],
+        scales: &'a [f32],
+        gamma: &'a [f32],
+        mask: Mask,
+        branch: &'a mut [f32],
+        first: usize,
+    }
+    impl Kernel for Rows<'_> {
+        type Output = [Vec<f32>; 3];
+
+        #[inline(always)]
+        fn run(self) -> Self::Output {
+            let width = self.gamma.len();
+            let mut sums = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
+            let [of_gamma, of_beta, of_bias] = &mut sums;
+            let rows = self.grad.chunks_exact_mut(width);
+            let rows = rows
+                .zip(self.normalised.chunks_exact(width))
+                .zip(self.scales);
+            for (row, ((grad, x), scale)) in rows.enumerate() {
+                let columns = grad.iter_mut().zip(x).zip(self.gamma);
+                for (((grad, x), gamma), (of_gamma, of_beta)) in
+                    columns.zip(of_gamma.iter_mut().zip(of_beta.iter_mut()))
+                {
+                    *of_gamma += *grad * x;
+                    *of_beta += *grad;
+                    *grad *= gamma;
+                }
+                let mean = sum(grad) / width as f32;
+                let along = dot(grad, x) / width as f32;
+                for (grad, x) in grad.iter_mut().zip(x) {
+                    *grad = (*grad - mean - x * along) * scale;
+                }
+                if self.mask.is_active() {
+                    let first = (self.first + row * width) as u32;
+                    let branch = &mut self.branch[row * width..][..width];
+                    let columns = branch.iter_mut().zip(&*grad).zip(&mut *of_bias);
+                    for (column, ((branch, grad), of_bias)) in columns.enumerate() {
+                        *branch = grad * self.mask.factor(first.wrapping_add(column as u32));
+                        *of_bias += *branch;
+                    }
+                } else {
+                    add_scaled(of_bias, 1.0, grad);
+                }
+            }
+            sums
+        }
+    }
+    let width = gamma.len();
+    let task = TASK_ROWS * width;
+    let mut nothing: Vec<&mut [f32]> = Vec::new();
+    let branches: Vec<&mut [f32]> = if mask.is_active() {
+        branch.chunks_mut(task).collect()
+    } else {
+        nothing.resize_with(grad.len().div_ceil(task), Default::default);
+        nothing
+    };
+    let parts: Vec<[Vec<f32>; 3]> = grad
+        .par_chunks_mut(task)
+        .zip(normalised.par_chunks(task))
+        .zip(scales.par_chunks(TASK_ROWS))
+        .zip(branches)
+        .enumerate()
+        .map(|(index, (((grad, normalised), scales), branch))| {
+            vectorised(Rows {
+                grad,
+                normalised,
+                scales,
+                gamma,
+                mask,
+                branch,
+                first: index * task,
+            })
+        })
+        .collect();
+    let mut columns: [Vec<Vec<f32>>; 3] = Default::default();
+    for part in parts {
+        for (columns, part) in columns.iter_mut().zip(part) {
+            columns.push(part);
+        }
+    }
+    let [gamma, beta, bias] = columns.map(|parts| total(parts, width));
+    NormGrads { gamma, beta, bias }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exponentials_are_those_of_the_library() {
+        for step in -8_700..=8_700 {
+            let x = step as f32 * 0.01;
+            assert!((exp(x) / x.exp() - 1.0).abs() < 4e-7, "{x}");
+        }
+    }
+
+    #[test]
+    fn gelu_and_its_slope_match_a_sum_of_the_bell_curve() {
+        // The cumulative distribution by the trapezoidal rule, in double precision.
+        let bell = |x: f64| (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
+        let step = 1e-4;
+        let (mut below, mut x) = (0.0f64, -9.0f64);
+        for index in 0..180_000 {
+            below += 0.5 * step * (bell(x) + bell(x + step));
+            x = -9.0 + f64::from(index + 1) * step;
+            if index % 97 == 0 {
+                let (value, slope) = gelu(x as f32);
+                assert!((f64::from(value) - x * below).abs() < 1e-6, "{x}");
+                assert!((f64::from(slope) - below - x * bell(x)).abs() < 1e-6, "{x}");
+            }
+        }
+    }
+
+    #[test]
+    fn masks_follow_from_the_key_and_keep_the_share() {
+        let draw = |key: u64| -> Vec<f32> {
+            let mask = Mask::new(0.1, key);
+            (0..100_000).map(|index| mask.factor(index)).collect()
+        };
+        let first = draw(7);
+        assert_eq!(first, draw(7));
+        let kept = |mask: &[f32]| mask.iter().filter(|&&factor| factor > 0.0).count();
+        for key in [7, 8, 1 << 32, 7 << 32 | 9] {
+            let mask = draw(key);
+            assert!(
+                mask.iter()
+                    .all(|&f| f == 0.0 || (f - 1.0 / 0.9).abs() < 1e-6)
+            );
+            // Five standard deviations of that many draws.
+            assert!((kept(&mask) as f64 - 90_000.0).abs() < 5.0 * 95.0, "{key}");
+            if key != 7 {
+                // Independent masks agree on 0.9^2 + 0.1^2 of their places.
+                let equal = mask.iter().zip(&first).filter(|(a, b)| a == b).count();
+                assert!(
+                    (equal as f64 - 82_000.0).abs() < 5.0 * 122.0,
+                    "{key} {equal}"
+                );
+            }
+        }
+        // Neighbours are dropped together as often as chance has it.
+        let pairs = first
+            .windows(2)
+            .filter(|pair| pair[0] + pair[1] == 0.0)
+            .count();
+        assert!((pairs as f64 - 1_000.0).abs() < 5.0 * 35.0, "{pairs}");
+    }
+}

@@ -1,0 +1,514 @@
+//! The encoder layer on a processor: one operation with a backward pass of its own.
+//!
+//! Composed of tensor operations, a layer walks some forty times through arrays of activations, half
+//! of them to copy, mask or sum what another operation could have given. Here every array is read
+//! and written once, and the backward pass is written out. The layer is the same function, which
+//! the tests hold against the composed one.
+
+use std::sync::Arc;
+
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::NoCheckpointing;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Flex};
+use burn::tensor::{DType, Device, Tensor, TensorData};
+
+use crate::compute::attention::{self, Heads};
+use crate::compute::gemm::{Matrix, Packed, Write, multiply};
+use crate::compute::rows::{
+    Mask, Norm, add_bias, column_sums, gelu_dropout, residual_norm, residual_norm_backward,
+    times_slopes,
+};
+
+/// Numbers of a tensor of the processor's backend.
+type Buffer = FloatTensor<Flex>;
+/// The same with a place in the graph of gradients.
+type Tracked = FloatTensor<Autodiff<Flex>>;
+
+/// Whether a device computes in the memory of the processor.
+pub(crate) fn is_processor(device: &Device) -> bool {
+    device.clone().inner() == Device::flex()
+}
+
+/// The trainable tensors of a layer, the vectors being the biases of the four weights,
+/// then gamma and beta of both norms.
+pub(crate) struct LayerTensors {
+    pub(crate) weights: [Tensor<2>; 4],
+    pub(crate) vectors: [Tensor<1>; 8],
+}
+
+/// Places of the weights in [`LayerTensors::weights`].
+const IN_PROJ: usize = 0;
+const OUT_PROJ: usize = 1;
+const LINEAR1: usize = 2;
+const LINEAR2: usize = 3;
+
+/// A layer ready to be applied: its weights are packed.
+#[derive(Debug)]
+pub(crate) struct PreparedLayer {
+    weights: [Buffer; 4],
+    vectors: [Buffer; 8],
+    packed: [Packed; 4],
+    num_heads: usize,
+}
+
+impl PreparedLayer {
+    /// Prepares a layer whose tensors lie on the processor.
+    fn new(weights: [Buffer; 4], vectors: [Buffer; 8], num_heads: usize) -> Self {
+        let weights = weights.map(|weight| weight.to_contiguous());
+        let packed = weights.each_ref().map(|weight| Packed::new(matrix(weight)));
+        Self {
+            weights,
+            vectors: vectors.map(|vector| vector.to_contiguous()),
+            packed,
+            num_heads,
+        }
+    }
+
+    /// Prepares a layer for inference; none where its tensors lie elsewhere.
+    pub(crate) fn for_inference(tensors: LayerTensors, num_heads: usize) -> Option<Self> {
+        let weights = all(tensors.weights.map(plain))?;
+        let vectors = all(tensors.vectors.map(plain))?;
+        Some(Self::new(weights, vectors, num_heads))
+    }
+
+    fn width(&self) -> usize {
+        self.packed[OUT_PROJ].columns()
+    }
+}
+
+/// What the parts of a batch are dropped by.
+#[derive(Clone, Copy, Debug)]
+struct Masks {
+    weights: Mask,
+    attended: Mask,
+    hidden: Mask,
+    output: Mask,
+}
+
+impl Masks {
+    fn new(prob: f64, key: u64) -> Self {
+        // Keys of the parts differ in both halves; the constant is the golden ratio's.
+        let mask = |part: u64| {
+            let key = key.wrapping_add((part + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+            Mask::new(prob, key)
+        };
+        Self {
+            weights: mask(0),
+            attended: mask(1),
+            hidden: mask(2),
+            output: mask(3),
+        }
+    }
+}
+
+/// What the backward pass needs of a forward pass, `R` being rows of all sequences together.
+#[derive(Debug)]
+struct Saved {
+    /// Queries, keys and values, `[R, 3 d]`.
+    joint: Vec<f32>,
+    /// Attention weights before dropout, `[B, heads, T, T]`.
+    weights: Vec<f32>,
+    /// `[R, d]`
+    attended: Vec<f32>,
+    /// Normalised rows of the first norm, `[R, d]`, and their scales.
+    first: (Vec<f32>, Vec<f32>),
+    /// What enters the feed-forward block, `[R, d]`.
+    middle: Vec<f32>,
+    /// Slopes of the dropped-out GELU, `[R, f]`.
+    slopes: Vec<f32>,
+    /// Its values, `[R, f]`.
+    hidden: Vec<f32>,
+    /// As `first`, of the second norm.
+    second: (Vec<f32>, Vec<f32>),
+}
+
+impl PreparedLayer {
+    fn heads<'a>(&self, length: usize, padding: Option<&'a [bool]>) -> Heads<'a> {
+        Heads {
+            length,
+            width: self.width(),
+            count: self.num_heads,
+            padding,
+        }
+    }
+
+    /// Applies the layer to sequences of `length` tokens, `[R, d]`, without dropout.
+    pub(crate) fn infer(&self, x: &[f32], length: usize, padding: Option<&[bool]>) -> Vec<f32> {
+        self.forward(x, self.heads(length, padding), Masks::new(0.0, 0), false)
+            .0
+    }
+
+    fn product(&self, x: &[f32], weight: usize) -> Vec<f32> {
+        let x = Matrix::new(x, self.weights[weight].layout().shape()[0]);
+        product(x, &self.packed[weight])
+    }
+
+    fn norm(&self, index: usize) -> Norm<'_> {
+        Norm {
+            gamma: numbers(&self.vectors[4 + 2 * index]),
+            beta: numbers(&self.vectors[5 + 2 * index]),
+        }
+    }
+
+    fn forward(
+        &self,
+        x: &[f32],
+        heads: Heads<'_>,
+        masks: Masks,
+        with_slopes: bool,
+    ) -> (Vec<f32>, Saved) {
+        let bias = |weight: usize| numbers(&self.vectors[weight]);
+        let mut joint = self.product(x, IN_PROJ);
+        add_bias(&mut joint, bias(IN_PROJ));
+        let rows = x.len() / heads.width;
+        let mut weights = vec![0.0; rows * heads.count * heads.length];
+        let mut attended = vec![0.0; x.len()];
+        attention::forward(heads, &joint, masks.weights, &mut weights, &mut attended);
+
+        let mut branch = self.product(&attended, OUT_PROJ);
+        let mut middle = vec![0.0; x.len()];
+        let scales = residual_norm(
+            &mut branch,
+            bias(OUT_PROJ),
+            x,
+            self.norm(0),
+            masks.attended,
+            &mut middle,
+        );
+        let first = (branch, scales);
+
+        let mut slopes = self.product(&middle, LINEAR1);
+        let mut hidden = vec![0.0; slopes.len()];
+        gelu_dropout(
+            &mut slopes,
+            bias(LINEAR1),
+            masks.hidden,
+            with_slopes,
+            &mut hidden,
+        );
+        let mut branch = self.product(&hidden, LINEAR2);
+        let mut out = vec![0.0; x.len()];
+        let scales = residual_norm(
+            &mut branch,
+            bias(LINEAR2),
+            &middle,
+            self.norm(1),
+            masks.output,
+            &mut out,
+        );
+        let saved = Saved {
+            joint,
+            weights,
+            attended,
+            first,
+            middle,
+            slopes,
+            hidden,
+            second: (branch, scales),
+        };
+        (out, saved)
+    }
+}
+
+/// An encoder without padding and dropout, ready to be applied many times.
+#[derive(Debug)]
+pub(crate) struct PreparedEncoder {
+    layers: Vec<PreparedLayer>,
+}
+
+impl PreparedEncoder {
+    /// Gathers layers; none where one could not be prepared.
+    pub(crate) fn new(layers: impl IntoIterator<Item = Option<PreparedLayer>>) -> Option<Self> {
+        let layers = layers.into_iter().collect::<Option<_>>()?;
+        Some(Self { layers })
+    }
+
+    /// Applies all layers; none where `x` lies elsewhere.
+    ///
+    /// # Shapes
+    /// `[B, T, d]` to `[B, T, d]`
+    pub(crate) fn forward(&self, x: Tensor<3>) -> Option<Tensor<3>> {
+        let [_, length, _] = x.dims();
+        let x = plain(x)?.to_contiguous();
+        let mut layers = self.layers.iter();
+        let Some(first) = layers.next() else {
+            return Some(Tensor::from_primitive::<Flex>(x));
+        };
+        let out = layers.fold(first.infer(numbers(&x), length, None), |x, layer| {
+            layer.infer(&x, length, None)
+        });
+        Some(Tensor::from_primitive::<Flex>(shaped_like(out, &x)))
+    }
+}
+
+/// A layer on its way back.
+#[derive(Debug)]
+struct LayerBackward;
+
+/// What it goes by.
+#[derive(Debug)]
+struct LayerState {
+    layer: PreparedLayer,
+    x: Buffer,
+    length: usize,
+    padding: Option<Vec<bool>>,
+    masks: Masks,
+    saved: Saved,
+}
+
+impl Backward<Flex, 13> for LayerBackward {
+    type State = Arc<LayerState>;
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 13>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let grad = grads.consume::<Flex>(&ops.node);
+        let has_grad = ops.parents.each_ref().map(Option::is_some);
+        let found = ops.state.backward(grad, has_grad);
+        for (parent, grad) in ops.parents.into_iter().zip(found) {
+            if let (Some(parent), Some(grad)) = (parent, grad) {
+                grads.register::<Flex>(parent.id, grad);
+            }
+        }
+    }
+}
+
+impl LayerState {
+    /// Gradients of the input, the weights and the vectors, those of weights only where asked for.
+    fn backward(&self, grad: Buffer, has_grad: [bool; 13]) -> [Option<Buffer>; 13] {
+        let Self {
+            layer,
+            saved,
+            masks,
+            ..
+        } = self;
+        let heads = layer.heads(self.length, self.padding.as_deref());
+        let (width, shape) = (heads.width, self.x.layout().shape().clone());
+        let hidden_width = layer.packed[LINEAR1].columns();
+        let gamma = |norm: usize| layer.norm(norm).gamma;
+        let of_weight = |weight: usize, x: &[f32], grad: &[f32]| {
+            has_grad[1 + weight].then(|| {
+                let [inputs, outputs] = [x, grad].map(|values| values.len() / self.rows());
+                let grad = Packed::new(Matrix::new(grad, outputs));
+                let values = product(Matrix::new(x, inputs).transposed(), &grad);
+                buffer(values, [inputs, outputs])
+            })
+        };
+
+        // Second norm and feed-forward block.
+        let mut residual = numbers(&grad.to_contiguous()).to_vec();
+        let mut branch = branch_buffer(masks.output, residual.len());
+        let second = residual_norm_backward(
+            &mut residual,
+            &saved.second.0,
+            &saved.second.1,
+            gamma(1),
+            masks.output,
+            &mut branch,
+        );
+        let of_output = if masks.output.is_active() {
+            &branch
+        } else {
+            &residual
+        };
+        let of_linear2 = of_weight(LINEAR2, &saved.hidden, of_output);
+        let (left, right) = self.back(of_output, LINEAR2);
+        let mut of_hidden = product(left, &right);
+        let of_bias1 = times_slopes(&mut of_hidden, &saved.slopes, hidden_width);
+        let of_linear1 = of_weight(LINEAR1, &saved.middle, &of_hidden);
+        let (left, right) = self.back(&of_hidden, LINEAR1);
+        multiply(left, &right, &mut residual, Write::Add);
+
+        // First norm and attention.
+        let first = residual_norm_backward(
+            &mut residual,
+            &saved.first.0,
+            &saved.first.1,
+            gamma(0),
+            masks.attended,
+            &mut branch,
+        );
+        let of_output = if masks.attended.is_active() {
+            &branch
+        } else {
+            &residual
+        };
+        let of_out_proj = of_weight(OUT_PROJ, &saved.attended, of_output);
+        let (left, right) = self.back(of_output, OUT_PROJ);
+        let of_attended = product(left, &right);
+        let of_joint = attention::backward(
+            heads,
+            &saved.joint,
+            masks.weights,
+            &saved.weights,
+            &of_attended,
+        );
+        let x = numbers(&self.x);
+        let of_in_proj = of_weight(IN_PROJ, x, &of_joint);
+        let of_joint_bias = column_sums(&of_joint, 3 * width);
+        let of_x = has_grad[0].then(|| {
+            let (left, right) = self.back(&of_joint, IN_PROJ);
+            multiply(left, &right, &mut residual, Write::Add);
+            buffer(residual, [shape[0], shape[1], shape[2]])
+        });
+        let vector = |values: Vec<f32>| {
+            let length = values.len();
+            Some(buffer(values, [length]))
+        };
+        [
+            of_x,
+            of_in_proj,
+            of_out_proj,
+            of_linear1,
+            of_linear2,
+            vector(of_joint_bias),
+            vector(first.bias),
+            vector(of_bias1),
+            vector(second.bias),
+            vector(first.gamma),
+            vector(first.beta),
+            vector(second.gamma),
+            vector(second.beta),
+        ]
+    }
+
+    /// The factors of the gradient of what was multiplied with a weight.
+    fn back<'a>(&self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Packed) {
+        let weight = matrix(&self.layer.weights[weight]);
+        (
+            Matrix::new(grad, grad.len() / self.rows()),
+            Packed::new(weight.transposed()),
+        )
+    }
+
+    fn rows(&self) -> usize {
+        self.saved.middle.len() / self.layer.width()
+    }
+}
+
+/// Room for the gradient of a branch, where it differs from that of the residual.
+fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
+    if mask.is_active() {
+        vec![0.0; count]
+    } else {
+        Vec::new()
+    }
+}
+
+/// Applies a layer whose tensors all lie on the processor; none where one does not.
+///
+/// `draw_key` is asked for a key where `prob` is above zero.
+///
+/// # Shapes
+/// `x` and the result `[B, T, d]`; `padding` `[B * T]`.
+pub(crate) fn encoder_layer(
+    x: &Tensor<3>,
+    tensors: LayerTensors,
+    num_heads: usize,
+    padding: Option<Vec<bool>>,
+    prob: f64,
+    draw_key: impl FnOnce() -> u64,
+) -> Option<Tensor<3>> {
+    let [_, length, _] = x.dims();
+    if !x.device().is_autodiff() {
+        let layer = PreparedLayer::for_inference(tensors, num_heads)?;
+        let x = plain(x.clone())?.to_contiguous();
+        let out = layer.infer(numbers(&x), length, padding.as_deref());
+        return Some(Tensor::from_primitive::<Flex>(shaped_like(out, &x)));
+    }
+    let x = tracked(x.clone())?;
+    let weights = all(tensors.weights.map(tracked))?;
+    let vectors = all(tensors.vectors.map(tracked))?;
+    let key = if prob > 0.0 { draw_key() } else { 0 };
+    let masks = Masks::new(prob, key);
+
+    let layer = PreparedLayer::new(
+        weights.each_ref().map(|weight| weight.primitive().clone()),
+        vectors.each_ref().map(|vector| vector.primitive().clone()),
+        num_heads,
+    );
+    let input = x.primitive().to_contiguous();
+    let heads = layer.heads(length, padding.as_deref());
+    let (out, saved) = layer.forward(numbers(&input), heads, masks, true);
+    let out = shaped_like(out, &input);
+
+    let [w0, w1, w2, w3] = weights.each_ref().map(Tracked::node);
+    let [v0, v1, v2, v3, v4, v5, v6, v7] = vectors.each_ref().map(Tracked::node);
+    let nodes = [x.node(), w0, w1, w2, w3, v0, v1, v2, v3, v4, v5, v6, v7];
+    let out = match LayerBackward
+        .prepare::<NoCheckpointing>(nodes)
+        .compute_bound()
+        .stateful()
+    {
+        OpsKind::Tracked(prepared) => {
+            let state = LayerState {
+                layer,
+                x: input,
+                length,
+                padding,
+                masks,
+                saved,
+            };
+            prepared.finish(Arc::new(state), out)
+        }
+        OpsKind::UnTracked(prepared) => prepared.finish(out),
+    };
+    Some(Tensor::from_primitive::<Autodiff<Flex>>(out))
+}
+
+fn product(a: Matrix<'_>, b: &Packed) -> Vec<f32> {
+    let mut out = vec![0.0; a.rows() * b.columns()];
+    multiply(a, b, &mut out, Write::Replace);
+    out
+}
+
+fn all<T, const N: usize>(values: [Option<T>; N]) -> Option<[T; N]> {
+    let values: Vec<T> = values.into_iter().collect::<Option<_>>()?;
+    values.try_into().ok()
+}
+
+/// The numbers of a tensor that lies on the processor without gradients.
+fn plain<const D: usize>(tensor: Tensor<D>) -> Option<Buffer> {
+    if tensor.dtype() != DType::F32 {
+        return None;
+    }
+    tensor.try_into_primitive::<Flex>().ok()
+}
+
+/// A tensor on the processor with its place in the graph; one without gradients is a constant.
+fn tracked<const D: usize>(tensor: Tensor<D>) -> Option<Tracked> {
+    if tensor.dtype() != DType::F32 {
+        return None;
+    }
+    if tensor.device().is_autodiff() {
+        tensor.try_into_primitive::<Autodiff<Flex>>().ok()
+    } else {
+        plain(tensor).map(Tracked::new)
+    }
+}
+
+/// The numbers of a contiguous tensor.
+fn numbers(tensor: &Buffer) -> &[f32] {
+    tensor
+        .as_slice()
+        .expect("contiguous tensors of f32 are kept")
+}
+
+/// A contiguous matrix.
+fn matrix(tensor: &Buffer) -> Matrix<'_> {
+    Matrix::new(numbers(tensor), tensor.layout().shape()[1])
+}
+
+fn buffer<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Buffer {
+    Buffer::from_data(TensorData::new(values, shape))
+}
+
+fn shaped_like(values: Vec<f32>, tensor: &Buffer) -> Buffer {
+    Buffer::from_data(TensorData::new(values, tensor.layout().shape().clone()))
+}
