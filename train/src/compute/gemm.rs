@@ -22,6 +22,9 @@ const DEPTH: usize = 512;
 /// cache.
 const BLOCK_ROWS: usize = 96;
 
+/// Terms between two looks at the panel that comes next.
+const LOOK_AHEAD: usize = 4;
+
 /// A view of a matrix: row-major numbers or their transpose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Matrix<'a> {
@@ -184,9 +187,18 @@ impl Block<'_> {
                 let lines = &lines[start..start + depth];
                 let first_column = panel * PANEL;
                 let width = PANEL.min(b.columns - first_column);
+                // A weight comes from main memory, slower than a tile is summed but not slower than
+                // all tiles of a panel. Each tile therefore looks at some lines of the next panel,
+                // which sets the machine to fetching it.
+                let next = b.panels.get((panel + 1) * b.rows + start..).unwrap_or(&[]);
+                let mut looks = next[..next.len().min(depth)].chunks(depth.div_ceil(LOOK_AHEAD));
                 for strip in 0..strips {
-                    let sums =
-                        tile::<S, VECTORS, ROWS>(simd, &packed[strip * depth..][..depth], lines);
+                    let sums = tile::<S, VECTORS, ROWS>(
+                        simd,
+                        &packed[strip * depth..][..depth],
+                        lines,
+                        looks.next().unwrap_or(&[]),
+                    );
                     let first = strip * ROWS;
                     let height = ROWS.min(num_rows - first);
                     for (row, sums) in sums.iter().enumerate().take(height) {
@@ -254,14 +266,22 @@ fn tile<S: Simd, const VECTORS: usize, const ROWS: usize>(
     simd: S,
     a: &[[f32; ROWS]],
     b: &[[f32; PANEL]],
+    looks: &[[f32; PANEL]],
 ) -> [[S::f32s; VECTORS]; ROWS] {
     let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-    for (a, b) in a.iter().zip(b) {
-        let (line, _) = S::as_simd_f32s(b);
-        for row in 0..ROWS {
-            let factor = simd.splat_f32s(a[row]);
-            for vector in 0..VECTORS {
-                sums[row][vector] = simd.mul_add_e_f32s(factor, line[vector], sums[row][vector]);
+    let mut looks = looks.iter();
+    for (a, b) in a.chunks(LOOK_AHEAD).zip(b.chunks(LOOK_AHEAD)) {
+        if let Some(line) = looks.next() {
+            std::hint::black_box(line[0]);
+        }
+        for (a, b) in a.iter().zip(b) {
+            let (line, _) = S::as_simd_f32s(b);
+            for row in 0..ROWS {
+                let factor = simd.splat_f32s(a[row]);
+                for vector in 0..VECTORS {
+                    sums[row][vector] =
+                        simd.mul_add_e_f32s(factor, line[vector], sums[row][vector]);
+                }
             }
         }
     }

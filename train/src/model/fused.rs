@@ -105,7 +105,7 @@ impl Masks {
 }
 
 /// What the backward pass needs of a forward pass, `R` being rows of all sequences together.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Saved {
     /// Queries, keys and values, `[R, 3 d]`.
     joint: Vec<f32>,
@@ -135,15 +135,16 @@ impl PreparedLayer {
         }
     }
 
-    /// Applies the layer to sequences of `length` tokens, `[R, d]`, without dropout.
-    pub(crate) fn infer(&self, x: &[f32], length: usize, padding: Option<&[bool]>) -> Vec<f32> {
-        self.forward(x, self.heads(length, padding), Masks::new(0.0, 0), false)
-            .0
+    /// Applies the layer to sequences without dropout; `room` is written over.
+    fn infer(&self, x: &[f32], heads: Heads<'_>, room: &mut Saved, out: &mut [f32]) {
+        self.forward(x, heads, Masks::new(0.0, 0), false, room, out);
     }
 
-    fn product(&self, x: &[f32], weight: usize) -> Vec<f32> {
+    fn product(&self, x: &[f32], weight: usize, out: &mut Vec<f32>) {
         let x = Matrix::new(x, self.weights[weight].layout().shape()[0]);
-        product(x, &self.packed[weight])
+        let packed = &self.packed[weight];
+        fit(out, x.rows() * packed.columns());
+        multiply(x, packed, out, Write::Replace);
     }
 
     fn norm(&self, index: usize) -> Norm<'_> {
@@ -153,53 +154,18 @@ impl PreparedLayer {
         }
     }
 
+    /// `out` is as large as `x`; `saved` is written over.
     fn forward(
         &self,
         x: &[f32],
         heads: Heads<'_>,
         masks: Masks,
         with_slopes: bool,
-    ) -> (Vec<f32>, Saved) {
+        saved: &mut Saved,
+        out: &mut [f32],
+    ) {
         let bias = |weight: usize| numbers(&self.vectors[weight]);
-        let mut joint = self.product(x, IN_PROJ);
-        add_bias(&mut joint, bias(IN_PROJ));
-        let rows = x.len() / heads.width;
-        let mut weights = vec![0.0; rows * heads.count * heads.length];
-        let mut attended = vec![0.0; x.len()];
-        attention::forward(heads, &joint, masks.weights, &mut weights, &mut attended);
-
-        let mut branch = self.product(&attended, OUT_PROJ);
-        let mut middle = vec![0.0; x.len()];
-        let scales = residual_norm(
-            &mut branch,
-            bias(OUT_PROJ),
-            x,
-            self.norm(0),
-            masks.attended,
-            &mut middle,
-        );
-        let first = (branch, scales);
-
-        let mut slopes = self.product(&middle, LINEAR1);
-        let mut hidden = vec![0.0; slopes.len()];
-        gelu_dropout(
-            &mut slopes,
-            bias(LINEAR1),
-            masks.hidden,
-            with_slopes,
-            &mut hidden,
-        );
-        let mut branch = self.product(&hidden, LINEAR2);
-        let mut out = vec![0.0; x.len()];
-        let scales = residual_norm(
-            &mut branch,
-            bias(LINEAR2),
-            &middle,
-            self.norm(1),
-            masks.output,
-            &mut out,
-        );
-        let saved = Saved {
+        let Saved {
             joint,
             weights,
             attended,
@@ -207,10 +173,44 @@ impl PreparedLayer {
             middle,
             slopes,
             hidden,
-            second: (branch, scales),
-        };
-        (out, saved)
+            second,
+        } = saved;
+        self.product(x, IN_PROJ, joint);
+        add_bias(joint, bias(IN_PROJ));
+        let rows = x.len() / heads.width;
+        fit(weights, rows * heads.count * heads.length);
+        fit(attended, x.len());
+        attention::forward(heads, joint, masks.weights, weights, attended);
+
+        self.product(attended, OUT_PROJ, &mut first.0);
+        fit(middle, x.len());
+        first.1 = residual_norm(
+            &mut first.0,
+            bias(OUT_PROJ),
+            x,
+            self.norm(0),
+            masks.attended,
+            middle,
+        );
+
+        self.product(middle, LINEAR1, slopes);
+        fit(hidden, slopes.len());
+        gelu_dropout(slopes, bias(LINEAR1), masks.hidden, with_slopes, hidden);
+        self.product(hidden, LINEAR2, &mut second.0);
+        second.1 = residual_norm(
+            &mut second.0,
+            bias(LINEAR2),
+            middle,
+            self.norm(1),
+            masks.output,
+            out,
+        );
     }
+}
+
+/// Makes room for `count` numbers, all of which are to be written over.
+fn fit(values: &mut Vec<f32>, count: usize) {
+    values.resize(count, 0.0);
 }
 
 /// An encoder without padding and dropout, ready to be applied many times.
@@ -233,14 +233,13 @@ impl PreparedEncoder {
     pub(crate) fn forward(&self, x: Tensor<3>) -> Option<Tensor<3>> {
         let [_, length, _] = x.dims();
         let x = plain(x)?.to_contiguous();
-        let mut layers = self.layers.iter();
-        let Some(first) = layers.next() else {
-            return Some(Tensor::from_primitive::<Flex>(x));
-        };
-        let out = layers.fold(first.infer(numbers(&x), length, None), |x, layer| {
-            layer.infer(&x, length, None)
-        });
-        Some(Tensor::from_primitive::<Flex>(shaped_like(out, &x)))
+        let (mut from, mut to) = (numbers(&x).to_vec(), vec![0.0; numbers(&x).len()]);
+        let mut room = Saved::default();
+        for layer in &self.layers {
+            layer.infer(&from, layer.heads(length, None), &mut room, &mut to);
+            std::mem::swap(&mut from, &mut to);
+        }
+        Some(Tensor::from_primitive::<Flex>(shaped_like(from, &x)))
     }
 }
 
@@ -419,7 +418,9 @@ pub(crate) fn encoder_layer(
     if !x.device().is_autodiff() {
         let layer = PreparedLayer::for_inference(tensors, num_heads)?;
         let x = plain(x.clone())?.to_contiguous();
-        let out = layer.infer(numbers(&x), length, padding.as_deref());
+        let mut out = vec![0.0; numbers(&x).len()];
+        let heads = layer.heads(length, padding.as_deref());
+        layer.infer(numbers(&x), heads, &mut Saved::default(), &mut out);
         return Some(Tensor::from_primitive::<Flex>(shaped_like(out, &x)));
     }
     let x = tracked(x.clone())?;
@@ -435,7 +436,9 @@ pub(crate) fn encoder_layer(
     );
     let input = x.primitive().to_contiguous();
     let heads = layer.heads(length, padding.as_deref());
-    let (out, saved) = layer.forward(numbers(&input), heads, masks, true);
+    let mut saved = Saved::default();
+    let mut out = vec![0.0; numbers(&input).len()];
+    layer.forward(numbers(&input), heads, masks, true, &mut saved, &mut out);
     let out = shaped_like(out, &input);
 
     let [w0, w1, w2, w3] = weights.each_ref().map(Tracked::node);
