@@ -153,17 +153,19 @@ impl WithSimd for Block<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         // Twelve sums of a vector each hide the latency of the multiply-add.
         match S::F32_LANES {
-            16 => self.run::<S, 1, 12>(simd),
-            8 => self.run::<S, 2, 6>(simd),
-            4 => self.run::<S, 4, 3>(simd),
-            _ => self.run::<S, PANEL, 1>(simd),
+            16 => self.run::<S, 1, 12, 4>(simd),
+            8 => self.run::<S, 2, 6, 4>(simd),
+            4 => self.run::<S, 4, 3, 3>(simd),
+            _ => self.run::<S, PANEL, 1, 1>(simd),
         }
     }
 }
 
 impl Block<'_> {
+    /// `FEW` is the height of a cheaper tile for the last rows, of which there are 4 in the two
+    /// windows of a guided step.
     #[inline(always)]
-    fn run<S: Simd, const VECTORS: usize, const ROWS: usize>(self, simd: S) {
+    fn run<S: Simd, const VECTORS: usize, const ROWS: usize, const FEW: usize>(self, simd: S) {
         let Self {
             a,
             b,
@@ -193,14 +195,15 @@ impl Block<'_> {
                 let next = b.panels.get((panel + 1) * b.rows + start..).unwrap_or(&[]);
                 let mut looks = next[..next.len().min(depth)].chunks(depth.div_ceil(LOOK_AHEAD));
                 for strip in 0..strips {
-                    let sums = tile::<S, VECTORS, ROWS>(
-                        simd,
-                        &packed[strip * depth..][..depth],
-                        lines,
-                        looks.next().unwrap_or(&[]),
-                    );
                     let first = strip * ROWS;
                     let height = ROWS.min(num_rows - first);
+                    let packed = &packed[strip * depth..][..depth];
+                    let looks = looks.next().unwrap_or(&[]);
+                    let sums = if height <= FEW {
+                        tile::<S, VECTORS, ROWS, FEW>(simd, packed, lines, looks)
+                    } else {
+                        tile::<S, VECTORS, ROWS, ROWS>(simd, packed, lines, looks)
+                    };
                     for (row, sums) in sums.iter().enumerate().take(height) {
                         let at = (first + row) * b.columns + first_column;
                         let out = &mut out[at..at + width];
@@ -260,9 +263,9 @@ fn pack_strip<const ROWS: usize>(
     }
 }
 
-/// The product of a strip and a panel.
+/// The product of the first `USED` rows of a strip and a panel.
 #[inline(always)]
-fn tile<S: Simd, const VECTORS: usize, const ROWS: usize>(
+fn tile<S: Simd, const VECTORS: usize, const ROWS: usize, const USED: usize>(
     simd: S,
     a: &[[f32; ROWS]],
     b: &[[f32; PANEL]],
@@ -276,7 +279,7 @@ fn tile<S: Simd, const VECTORS: usize, const ROWS: usize>(
         }
         for (a, b) in a.iter().zip(b) {
             let (line, _) = S::as_simd_f32s(b);
-            for row in 0..ROWS {
+            for row in 0..USED {
                 let factor = simd.splat_f32s(a[row]);
                 for vector in 0..VECTORS {
                     sums[row][vector] =

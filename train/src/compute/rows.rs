@@ -217,20 +217,20 @@ pub(crate) fn gelu_dropout(
             let outs = self.out.chunks_exact_mut(width);
             for (row, (hidden, out)) in rows.zip(outs).enumerate() {
                 let first = (self.first + row * width) as u32;
-                let columns = hidden.iter_mut().zip(out).zip(self.bias).enumerate();
+                let columns = hidden.iter_mut().zip(out).zip(self.bias);
                 if self.mask.is_active() {
-                    for (column, ((hidden, out), bias)) in columns {
+                    for (column, ((hidden, out), bias)) in columns.enumerate() {
                         let factor = self.mask.factor(first.wrapping_add(column as u32));
                         let (value, slope) = gelu(*hidden + bias);
                         *out = value * factor;
                         *hidden = slope * factor;
                     }
                 } else if self.slopes {
-                    for (_, ((hidden, out), bias)) in columns {
+                    for ((hidden, out), bias) in columns {
                         (*out, *hidden) = gelu(*hidden + bias);
                     }
                 } else {
-                    for (_, ((hidden, out), bias)) in columns {
+                    for ((hidden, out), bias) in columns {
                         *out = gelu(*hidden + bias).0;
                     }
                 }
@@ -445,12 +445,10 @@ pub(crate) fn residual_norm_backward(
     }
     let width = gamma.len();
     let task = TASK_ROWS * width;
-    let mut nothing: Vec<&mut [f32]> = Vec::new();
     let branches: Vec<&mut [f32]> = if mask.is_active() {
         branch.chunks_mut(task).collect()
     } else {
-        nothing.resize_with(grad.len().div_ceil(task), Default::default);
-        nothing
+        grad.chunks(task).map(|_| Default::default()).collect()
     };
     let parts: Vec<[Vec<f32>; 3]> = grad
         .par_chunks_mut(task)
