@@ -13,10 +13,14 @@ use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use pipeline::compose::CoordinatorBatch;
 use train::checkpoint::Slot;
 use train::config::{
     Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
     TrainConfig,
+};
+use train::coordinator::{
+    CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
 };
 use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
 use train::diffusion::{Prediction, Schedule, training_loss};
@@ -815,6 +819,84 @@ fn windows_without_an_instruction_stay_as_they_were() {
         let (found, was) = (arm(points), arm(&original.points[2 * frame]));
         assert!((found - was).abs() < 1e-5, "{frame}: {found} {was}");
     }
+}
+
+/// Windows whose two halves swing together, and windows whose halves come from two of them.
+struct Swings;
+
+impl Swings {
+    fn window(item: u64) -> Vec<f32> {
+        let is_composed = item % 2 == 1;
+        let phase = |part: u64| (item * 7 + part * 3) as f32 * 0.9;
+        (0..WINDOW_NUMBERS)
+            .map(|index| {
+                let (frame, channel) = (index / FRAME_WIDTH, index % FRAME_WIDTH);
+                let part = u64::from(is_composed && channel >= FRAME_WIDTH / 2);
+                0.5 * (0.5 * frame as f32 + phase(part)).sin()
+            })
+            .collect()
+    }
+}
+
+impl SegmentSource for Swings {
+    fn epoch_len(&self) -> u64 {
+        512
+    }
+
+    fn window_len(&self) -> usize {
+        WINDOW_NUMBERS
+    }
+
+    fn fill(&self, _epoch: u64, first: u64, num_items: usize, batch: &mut CoordinatorBatch) {
+        let items = first..first + num_items as u64;
+        batch.windows = items.clone().flat_map(Self::window).collect();
+        batch.composed = items.map(|item| (item % 2) as f32).collect();
+    }
+}
+
+#[test]
+fn the_coordinator_learns_what_was_composed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = CoordinatorConfig::preset(Preset::Tiny);
+    config.model = small_config(1).model;
+    config.optimizer.learning_rate = 3e-3;
+    config.batch_size = 32;
+    config.max_part = 20;
+    config.length = RunLength::of_steps(150);
+    (config.val_every, config.val_windows) = (50, 64);
+    let normalizer = untrained_record().normalizer;
+    let report = quietly(|session| {
+        let segments = Segments {
+            train: &Swings,
+            val: &Swings,
+            normalizer,
+            skeleton: "smplx-neutral",
+            dataset_hash: "0",
+        };
+        train_coordinator(dir.path(), &config, segments, session)
+    })
+    .expect("trains");
+    // An untrained judge is as good as a coin: ln 2.
+    assert!((report.first_loss.expect("a line") - 0.69).abs() < 0.2);
+    assert!(report.best_val_loss.expect("validated") < 0.2);
+    let judge = TrainedCoordinator::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    let windows: Vec<f32> = (1000..1064).flat_map(Swings::window).collect();
+    let wrong = judge
+        .probabilities(&windows)
+        .iter()
+        .enumerate()
+        .filter(|&(item, &p)| (p > 0.5) != (item % 2 == 1))
+        .count();
+    assert!(wrong < 8, "{wrong} of 64");
+
+    // It guides no editor of another range.
+    let editor_dir = tempfile::tempdir().expect("a folder");
+    train(editor_dir.path(), &small_config(10), &Waves { items: 20 });
+    let editor = Editor::load(editor_dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    assert!(matches!(
+        editor.with_coordinator(judge),
+        Err(Error::Misfit { .. })
+    ));
 }
 
 /// Joints turned by a rotation vector in radians.

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use burn::nn::Dropout;
-use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 
 use super::fused::is_processor;
 use crate::compute::rows::{Mask, factors};
