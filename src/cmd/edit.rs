@@ -221,10 +221,10 @@ fn layered(
         let source = edited.as_ref().map_or(motion, |edited| &edited.motion);
         let layer: Vec<TimedInstruction> = layer
             .iter()
-            .map(|asked| TimedInstruction {
+            .map(|asked| match number {
+                0 => asked.clone(),
                 // An edit covers whole windows alone, so that the next has fewer frames.
-                frames: asked.frames.start..asked.frames.end.min(source.len()),
-                text: asked.text.clone(),
+                _ => whole(&asked.text, source),
             })
             .collect();
         // The first layer draws the noise an edit of its own would.

@@ -278,10 +278,10 @@ fn some_frames_are_edited_and_the_others_stay() {
         [a, b] => (b, a),
         _ => panic!("{} rows", rows.len()),
     };
-    // The first window is not asked for: it is what the fit makes of its own keypoints.
+    // The first window is not asked for: it is what ten frames a second and the fit leave of it.
     for frame in 0..28 {
         for (a, b) in source.transl[frame].iter().zip(&edit.transl[frame]) {
-            assert!((a - b).abs() < 0.01, "frame {frame}: {a} {b}");
+            assert!((a - b).abs() < 0.05, "frame {frame}: {a} {b}");
         }
     }
     let away = (32..56)

@@ -14,12 +14,11 @@ use datasets_spec::normalise::FRAME_WIDTH;
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use train::config::{NetworkConfig, Preset, TrainConfig};
-use train::data::{NoisyBatch, WINDOW_NUMBERS};
+use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::{Prediction, Schedule, ScheduleName, training_loss};
 use train::model::denoiser::Denoiser;
 use train::model::weights::draw;
 use train::sample::{Condition, Sampler};
-use train::vocabulary::TokenBatch;
 
 /// Windows in a training step.
 const BATCH: usize = 64;
@@ -28,19 +27,18 @@ fn main() {
     divan::main();
 }
 
-/// The sizes of the paper (Sec. 4.1 and App. B.1).
-fn network(dropout: f64) -> NetworkConfig {
-    NetworkConfig {
-        width: 512,
-        num_layers: 6,
-        num_heads: 16,
-        feed_forward: 2048,
-        dropout,
-    }
-}
-
+/// The network of the paper.
 fn denoiser(dropout: f64, device: &Device) -> Denoiser {
-    draw(Denoiser::new(&network(dropout), device), Seed(1))
+    let config = TrainConfig::preset(Preset::Paper);
+    let network = NetworkConfig {
+        dropout,
+        ..config.model
+    };
+    let previous = config.diffusion.previous;
+    draw(
+        Denoiser::new(&network, previous, network.width, device),
+        Seed(1),
+    )
 }
 
 fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
@@ -49,7 +47,7 @@ fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
 
 fn noisy_batch(device: &Device) -> NoisyBatch {
     let values = || {
-        normal([BATCH, WINDOW_NUMBERS], device)
+        normal([BATCH, WINDOW_FRAMES * FRAME_WIDTH], device)
             .into_data()
             .try_into_vec_as()
             .expect("floats")
@@ -60,10 +58,8 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
         noise: values(),
         timesteps: (0..BATCH).collect(),
         progress: vec![0.5; BATCH],
-        tokens: TokenBatch {
-            ids: Vec::new(),
-            width: 1,
-        },
+        // The text vectors are given to the loss.
+        texts: TextBatch::Vectors(Vec::new()),
         text_kept: vec![1.0; BATCH],
     }
 }
@@ -73,15 +69,12 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
 fn training_step(bencher: Bencher, dropout: f64) {
     let device = Device::flex().autodiff();
     let batch = noisy_batch(&Device::flex());
-    let diffusion = TrainConfig::preset(Preset::Official).diffusion;
+    let diffusion = TrainConfig::preset(Preset::Paper).diffusion;
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
-    let text = normal([BATCH, network(0.0).width], &device);
+    let text = normal([BATCH, 512], &device);
     let mut model = Some(denoiser(dropout, &device));
     let mut optimizer = AdamWConfig::new().with_weight_decay(0.01).init();
-    let mut step = 0;
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
-        device.seed(step);
-        step += 1;
         let network = model.take().expect("put back after every step");
         let loss = training_loss(&network, &schedule, &batch, text.clone(), &diffusion);
         let value: f32 = loss.clone().into_scalar();
@@ -127,7 +120,8 @@ fn sample(bencher: Bencher, batch: usize) {
         schedule: &schedule,
         prediction: Prediction::Noise,
         clip: true,
-        guidance: 3.0,
+        guidance: 4.0,
+        coordinator: None,
     };
     bencher.counter(ItemsCount::new(batch)).bench_local(|| {
         sampler

@@ -11,9 +11,9 @@ use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
 use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
 use glam::{DQuat, DVec3};
+use pipeline::compose::CoordinatorBatch;
 use rand::RngExt;
 use rand_distr::StandardNormal;
-use pipeline::compose::CoordinatorBatch;
 use train::checkpoint::Slot;
 use train::config::{
     Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
