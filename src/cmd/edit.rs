@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, MotionRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Motion, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
@@ -669,7 +669,8 @@ impl Shown<'_> {
         replace_file(out, &bytes).with_context(|| format!("cannot write {}", out.display()))
     }
 
-    /// Writes original and edit as rows of the `edits` table.
+    /// Writes original and edit as rows of the `edits` table, both at the store's rate and equally
+    /// long.
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
         let row = |system: &str, hash: &str, motion: &Motion, fit_error_m| EditRow {
             id: self.id.to_owned(),
@@ -688,8 +689,10 @@ impl Shown<'_> {
             body_pose: motion.body_pose().to_vec(),
             fit_error_m,
         };
+        let original = Resample::Exact.apply(self.original, Fps::STORE)?;
+        let both = self.edited.motion.len().min(original.len());
         let rows = [
-            row(EditRow::SOURCE, "", self.original, None),
+            row(EditRow::SOURCE, "", &original.crop(0..both)?, None),
             row(
                 "MotionReFit",
                 self.editor,

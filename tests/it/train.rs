@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::EditRow;
+use datasets_spec::record::{EditRow, MotionRow};
 use datasets_spec::table::Row;
 use serde_json::Value;
 
@@ -256,13 +256,24 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
 fn some_frames_are_edited_and_the_others_stay() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "6").expect_code(0);
-    let (editor, clip) = (workshop.path("editor"), workshop.clip());
+    let (editor, dataset) = (workshop.path("editor"), workshop.dataset());
+    let motions: Vec<MotionRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    // Frames are counted at the rate of the motion, here that of the store.
+    let clip = motions
+        .iter()
+        .find(|row| row.n_frames >= 100)
+        .expect("a clip of five seconds");
     let out = workshop.path("timed");
     stance(&[
         "edit",
         arg(&editor),
+        "--dataset",
+        arg(&dataset),
         "--motion",
-        arg(&clip),
+        clip.id.as_str(),
         "--during",
         "34:58 The person is waving.",
         "--out",
