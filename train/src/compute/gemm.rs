@@ -174,9 +174,11 @@ impl Block<'_> {
             write,
         } = self;
         let num_rows = out.len() / b.columns;
-        let mut packed = vec![[0.0f32; ROWS]; num_rows.div_ceil(ROWS) * DEPTH.min(b.rows)];
-        for start in (0..b.rows).step_by(DEPTH) {
-            let depth = DEPTH.min(b.rows - start);
+        // Equal parts: a short last one would write every tile again for little.
+        let most = b.rows.div_ceil(b.rows.div_ceil(DEPTH).max(1)).max(1);
+        let mut packed = vec![[0.0f32; ROWS]; num_rows.div_ceil(ROWS) * most];
+        for start in (0..b.rows).step_by(most) {
+            let depth = most.min(b.rows - start);
             let strips = num_rows.div_ceil(ROWS);
             for strip in 0..strips {
                 let first = strip * ROWS;

@@ -7,3 +7,12 @@
 pub(crate) mod attention;
 pub(crate) mod gemm;
 pub(crate) mod rows;
+
+/// Does work that splits itself over threads many times on one of the threads that share it.
+///
+/// From any other thread each split would put that thread to sleep and wake one of theirs, which on
+/// a virtual machine costs as much as a small product. The work must hold no lock and take none: while
+/// its thread waits for a part, it may do another such work.
+pub(crate) fn on_workers<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| work())
+}

@@ -17,6 +17,7 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use crate::compute::attention::{self, Heads};
 use crate::compute::gemm::{Matrix, Packed, Write, multiply};
+use crate::compute::on_workers;
 use crate::compute::rows::{
     Mask, Norm, add_bias, column_sums, gelu_dropout, residual_norm, residual_norm_backward,
     times_slopes,
@@ -235,10 +236,12 @@ impl PreparedEncoder {
         let x = plain(x)?.to_contiguous();
         let (mut from, mut to) = (numbers(&x).to_vec(), vec![0.0; numbers(&x).len()]);
         let mut room = Saved::default();
-        for layer in &self.layers {
-            layer.infer(&from, layer.heads(length, None), &mut room, &mut to);
-            std::mem::swap(&mut from, &mut to);
-        }
+        on_workers(|| {
+            for layer in &self.layers {
+                layer.infer(&from, layer.heads(length, None), &mut room, &mut to);
+                std::mem::swap(&mut from, &mut to);
+            }
+        });
         Some(Tensor::from_primitive::<Flex>(shaped_like(from, &x)))
     }
 }
@@ -269,7 +272,7 @@ impl Backward<Flex, 13> for LayerBackward {
     ) {
         let grad = grads.consume::<Flex>(&ops.node);
         let has_grad = ops.parents.each_ref().map(Option::is_some);
-        let found = ops.state.backward(grad, has_grad);
+        let found = on_workers(|| ops.state.backward(grad, has_grad));
         for (parent, grad) in ops.parents.into_iter().zip(found) {
             if let (Some(parent), Some(grad)) = (parent, grad) {
                 grads.register::<Flex>(parent.id, grad);
@@ -416,11 +419,15 @@ pub(crate) fn encoder_layer(
 ) -> Option<Tensor<3>> {
     let [_, length, _] = x.dims();
     if !x.device().is_autodiff() {
-        let layer = PreparedLayer::for_inference(tensors, num_heads)?;
+        let weights = all(tensors.weights.map(plain))?;
+        let vectors = all(tensors.vectors.map(plain))?;
         let x = plain(x.clone())?.to_contiguous();
         let mut out = vec![0.0; numbers(&x).len()];
-        let heads = layer.heads(length, padding.as_deref());
-        layer.infer(numbers(&x), heads, &mut Saved::default(), &mut out);
+        on_workers(|| {
+            let layer = PreparedLayer::new(weights, vectors, num_heads);
+            let heads = layer.heads(length, padding.as_deref());
+            layer.infer(numbers(&x), heads, &mut Saved::default(), &mut out);
+        });
         return Some(Tensor::from_primitive::<Flex>(shaped_like(out, &x)));
     }
     let x = tracked(x.clone())?;
@@ -429,16 +436,17 @@ pub(crate) fn encoder_layer(
     let key = if prob > 0.0 { draw_key() } else { 0 };
     let masks = Masks::new(prob, key);
 
-    let layer = PreparedLayer::new(
-        weights.each_ref().map(|weight| weight.primitive().clone()),
-        vectors.each_ref().map(|vector| vector.primitive().clone()),
-        num_heads,
-    );
+    let buffers = weights.each_ref().map(|weight| weight.primitive().clone());
+    let norms_and_biases = vectors.each_ref().map(|vector| vector.primitive().clone());
     let input = x.primitive().to_contiguous();
-    let heads = layer.heads(length, padding.as_deref());
     let mut saved = Saved::default();
     let mut out = vec![0.0; numbers(&input).len()];
-    layer.forward(numbers(&input), heads, masks, true, &mut saved, &mut out);
+    let layer = on_workers(|| {
+        let layer = PreparedLayer::new(buffers, norms_and_biases, num_heads);
+        let heads = layer.heads(length, padding.as_deref());
+        layer.forward(numbers(&input), heads, masks, true, &mut saved, &mut out);
+        layer
+    });
     let out = shaped_like(out, &input);
 
     let [w0, w1, w2, w3] = weights.each_ref().map(Tracked::node);

@@ -1,5 +1,7 @@
 //! Weights in and out under PyTorch's names, and their first values.
 
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::Path;
 
 use burn::module::{Module, ModuleMapper, Param, ParamId};
@@ -10,6 +12,7 @@ use burn_store::{
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use safetensors::SafeTensors;
 
 use crate::Error;
 
@@ -98,6 +101,7 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
     path: &Path,
     names: &[(&str, &str)],
 ) -> Result<(), Error> {
+    let found = shapes(&bytes, prefix, path)?;
     let mut store =
         SafetensorsStore::from_bytes(Some(bytes)).with_from_adapter(PyTorchToBurnAdapter);
     if !prefix.is_empty() {
@@ -109,10 +113,48 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
     for (theirs, ours) in names {
         store = store.with_key_remapping(*theirs, *ours);
     }
-    store
-        .apply_to(network)
-        .map(|_| ())
-        .map_err(|problem| Error::weights(path, problem))
+    let Err(problem) = store.apply_to(network) else {
+        return Ok(());
+    };
+    // The store speaks of our names; whoever brought the file knows PyTorch's. Names that differ
+    // in further ways are known in one direction only.
+    let expected = if names.is_empty() {
+        shapes(&to_safetensors(network, path)?, "", path)?
+    } else {
+        BTreeMap::new()
+    };
+    let differences: Vec<String> = expected
+        .iter()
+        .filter_map(|(name, shape)| match found.get(name) {
+            None => Some(format!("{prefix}{name} is missing")),
+            Some(other) if other != shape => {
+                Some(format!("{prefix}{name} is {other:?}, not {shape:?}"))
+            }
+            Some(_) => None,
+        })
+        .collect();
+    if differences.is_empty() {
+        return Err(Error::weights(path, problem));
+    }
+    let mut detail = differences[..differences.len().min(LISTED)].join(", ");
+    if differences.len() > LISTED {
+        let _ = write!(detail, ", and {} more differ", differences.len() - LISTED);
+    }
+    Err(Error::weights(path, detail))
+}
+
+/// Tensors an error names before it only counts them.
+const LISTED: usize = 5;
+
+/// Shapes of the tensors of a safetensors file whose names start with `prefix`, by the rest.
+fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Vec<usize>>, Error> {
+    let file = SafeTensors::deserialize(bytes).map_err(|error| Error::weights(path, error))?;
+    Ok(file
+        .iter()
+        .filter_map(|(name, view)| {
+            Some((name.strip_prefix(prefix)?.to_owned(), view.shape().to_vec()))
+        })
+        .collect())
 }
 
 /// Draws every parameter of a network, and names it, by its place in the network.
