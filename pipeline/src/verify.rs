@@ -5,8 +5,8 @@ use std::path::Path;
 
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
-    EditRow, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, ScoreRow,
-    TripletRow,
+    EditRow, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow, QuarantineRow,
+    ScoreRow, TripletRow, WindowRow,
 };
 use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Row, read_rows};
@@ -268,6 +268,8 @@ impl Read {
             }),
             MarkerRow::TABLE => read.rows_of(&path, file, |_: &MarkerRow| Vec::new()),
             TripletRow::TABLE => read.rows_of(&path, file, |_: &TripletRow| Vec::new()),
+            NormalizerRow::TABLE => read.rows_of(&path, file, |_: &NormalizerRow| Vec::new()),
+            WindowRow::TABLE => read.rows_of(&path, file, |_: &WindowRow| Vec::new()),
             EditRow::TABLE => read.rows_of(&path, file, |_: &EditRow| Vec::new()),
             ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
             QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),

@@ -114,6 +114,9 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
         range(&recorded),
         range(&Dataset::open(&dataset).expect("a dataset"))
     );
+    for sound in [&dataset, &windows] {
+        stance(&["verify", arg(sound)]).expect_code(0);
+    }
     let config = at("train.toml");
     fs::write(&config, "batch_size = 16\n").expect("writes");
     let train = |windows: &std::path::Path, run: &std::path::Path| {
