@@ -18,8 +18,13 @@ use datasets_spec::record::{
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, Motion, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use eval::EncoderError;
+use eval::compare::{Comparison, compare};
+use eval::linalg::Matrix;
+use eval::metric::matching::{CrossRetrieval, cross_retrieval};
+use eval::metric::retrieval::unit_rows;
 use eval::protocol::Protocol;
-use eval::score::MotionEncoder;
+use eval::score::{Instruments, MotionEncoder, MotionJudge};
+use eval::times::WindowTimes;
 use pipeline::compose::{ComposeConfig, Library, ReadOrder, Stream, WindowLoader, edit_items};
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::masks::{MaskConfig, automatic_masks};
@@ -32,7 +37,7 @@ use train::checkpoint::Slot;
 use train::config::{GuidanceConfig, Preset, TextEncoder, TrainConfig};
 use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
 use train::fit::{Corpus, TextRecord, TrainReport, train_motionrefit};
-use train::j2s::{self, J2sConfig, J2sReport};
+use train::j2s::{self, J2sConfig, J2sReport, PoseNet};
 use train::sample::{EditSettings, EditTimes, Editor};
 use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
 use train::text::hub::HubCache;
@@ -70,7 +75,7 @@ pub(crate) fn skeleton_of(dataset: &Dataset) -> anyhow::Result<Skeleton> {
 }
 
 /// A hash of whatever a stage depends on, as the plan of its table.
-fn plan<T: Serialize>(stage: &str, inputs: &T) -> anyhow::Result<String> {
+pub(crate) fn plan<T: Serialize>(stage: &str, inputs: &T) -> anyhow::Result<String> {
     let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))?;
     Ok(blake3::hash(text.as_bytes()).to_hex().to_string())
 }
@@ -668,6 +673,62 @@ pub(crate) fn train_j2s(
     })?)
 }
 
+/// Id, motion and captions of a clip.
+type Captioned = (String, Motion, Vec<String>);
+
+/// The clips of a split that have a caption.
+fn captioned(dataset: &Dataset, split: Split) -> anyhow::Result<Vec<Captioned>> {
+    let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+    let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
+    clips
+        .map(|row| {
+            let motion = row.motion().with_context(|| row.id.to_string())?;
+            let captions = row.captions.into_iter().map(|caption| caption.text);
+            Ok((row.id.to_string(), motion, captions.collect()))
+        })
+        .collect()
+}
+
+/// How well an encoder's texts and motions find each other in a split: one result a repeat.
+pub(crate) fn cross_scores(
+    root: &Path,
+    run: &Path,
+    split: Split,
+    protocol: &Protocol,
+) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
+    protocol.check()?;
+    let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
+    let clips = captioned(&Dataset::open(root)?, split)?;
+    if clips.is_empty() {
+        bail!("no clip of split {split} has a caption; ask for another one with --split");
+    }
+    let texts: Vec<&str> = clips
+        .iter()
+        .map(|(_, _, captions)| captions[0].as_str())
+        .collect();
+    let motions: Vec<&Motion> = clips.iter().map(|(_, motion, _)| motion).collect();
+    let unit = |latents: Vec<Vec<f32>>| {
+        let rows: Vec<Vec<f64>> = latents
+            .into_iter()
+            .map(|row| row.into_iter().map(f64::from).collect())
+            .collect();
+        unit_rows(&Matrix::from_rows(&rows))
+    };
+    let (texts_at, motions_at) = (
+        unit(encoder.encode_texts(&texts))?,
+        unit(encoder.encode(&motions)?)?,
+    );
+    let repeats = (0..protocol.repeats)
+        .map(|repeat| {
+            let galleries = protocol.galleries(clips.len(), repeat);
+            cross_retrieval(&texts_at, &motions_at, &galleries, |a, b| {
+                texts[a] == texts[b]
+            })
+        })
+        .collect::<Result<_, _>>()?;
+    Ok((clips.len(), repeats))
+}
+
 /// Trains the encoder that evaluation measures with, or continues its run.
 pub(crate) fn train_encoder(
     root: &Path,
@@ -676,19 +737,11 @@ pub(crate) fn train_encoder(
     progress: &dyn Progress,
 ) -> anyhow::Result<TrainReport> {
     let dataset = Dataset::open(root)?;
-    let clips = |split| -> anyhow::Result<Vec<(String, Motion, Vec<String>)>> {
-        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
-        let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
-        clips
-            .map(|row| {
-                let motion = row.motion().with_context(|| row.id.to_string())?;
-                let captions = row.captions.into_iter().map(|caption| caption.text);
-                Ok((row.id.to_string(), motion, captions.collect()))
-            })
-            .collect()
-    };
-    let (train, val) = (clips(Split::Train)?, clips(Split::Val)?);
-    fn views(clips: &[(String, Motion, Vec<String>)]) -> Vec<CaptionedMotion<'_>> {
+    let (train, val) = (
+        captioned(&dataset, Split::Train)?,
+        captioned(&dataset, Split::Val)?,
+    );
+    fn views(clips: &[Captioned]) -> Vec<CaptionedMotion<'_>> {
         clips
             .iter()
             .map(|(id, motion, captions)| CaptionedMotion {
@@ -720,6 +773,9 @@ pub(crate) struct EditConfig {
     pub(crate) temperature: Option<f64>,
     /// Windows generated at a time.
     pub(crate) max_batch: usize,
+    /// Weight in m^2/rad^2 by which the fit holds rotations to those it starts from; none is that
+    /// of [`NETWORK_PRIOR`] with a pose network, and none without.
+    pub(crate) prior: Option<f64>,
     /// How strongly a coordinator guides; none is what the editor's settings say.
     pub(crate) coordinator_strength: Option<f64>,
     /// Last steps a coordinator guides; none is what the editor's settings say.
@@ -733,11 +789,17 @@ impl Default for EditConfig {
             guidance: None,
             temperature: None,
             max_batch: 64,
+            prior: None,
             coordinator_strength: None,
             coordinator_steps: None,
         }
     }
 }
+
+/// Weight of a pose network's rotations in the fit, in m^2/rad^2: it moves the joints of head and
+/// hands, whose points lie centimetres apart, and hardly those of limbs. On edited clips of the
+/// Bandai-Namco set it is the best of 1e-4 to 3e-2 by E2T AvgR.
+const NETWORK_PRIOR: f64 = 0.01;
 
 /// The settings the editor samples with.
 pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) -> EditSettings {
@@ -755,6 +817,11 @@ pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) ->
                 .coordinator_steps
                 .unwrap_or(trained.coordinator.num_steps),
         },
+        prior: config.prior.unwrap_or(if editor.has_poses() {
+            NETWORK_PRIOR
+        } else {
+            0.0
+        }),
         max_batch: config.max_batch,
     }
 }
@@ -768,6 +835,8 @@ pub(crate) struct EditorSource<'a> {
     pub(crate) slot: Slot,
     /// Run folder of the coordinator that guides it.
     pub(crate) coordinator: Option<&'a Path>,
+    /// Run folder of the network whose twists its poses get.
+    pub(crate) poses: Option<&'a Path>,
     /// Folder of CLIP, where it listens to it; none looks into the hub's cache.
     pub(crate) clip: Option<&'a Path>,
 }
@@ -779,6 +848,7 @@ impl<'a> EditorSource<'a> {
             run,
             slot: Slot::Best,
             coordinator: None,
+            poses: None,
             clip: None,
         }
     }
@@ -786,7 +856,11 @@ impl<'a> EditorSource<'a> {
     /// Loads the editor.
     pub(crate) fn load(&self) -> anyhow::Result<Editor> {
         let device = device();
-        let editor = Editor::load(self.run, self.slot, &device)?;
+        let mut editor = Editor::load(self.run, self.slot, &device)?;
+        if let Some(run) = self.poses {
+            let (net, hash) = PoseNet::load(run, Slot::Best, &device)?;
+            editor = editor.with_poses(net, &hash);
+        }
         match self.coordinator {
             Some(run) => {
                 let coordinator = TrainedCoordinator::load(run, Slot::Best, &device)?;
@@ -849,6 +923,9 @@ pub(crate) fn edits(
         &plan_hash,
         &global.holder(),
     )?;
+    let path = out.join(TIMES);
+    std::fs::write(&path, serde_json::to_vec_pretty(&per_window(&times))?)
+        .with_context(|| format!("cannot write {}", path.display()))?;
     Ok((done, Some(times)))
 }
 
@@ -879,6 +956,7 @@ impl MotionEncoder for Encoder {
 }
 
 /// Scores and the recipes of the encoders behind them.
+#[derive(Debug)]
 pub(crate) struct Scores {
     pub(crate) rows: Vec<ScoreRow>,
     pub(crate) recipes: BTreeMap<String, String>,
@@ -887,11 +965,124 @@ pub(crate) struct Scores {
 /// Scores every system of one or more tables of edits.
 pub(crate) fn scores(
     edits: &[PathBuf],
-    encoder_run: &Path,
+    judges: &Judges<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> anyhow::Result<Scores> {
-    let encoder = Encoder(TmrEncoder::load(encoder_run, Slot::Best, &device())?);
+    let (items, skeleton) = edit_rows(edits)?;
+    judges.with(&skeleton, |instruments| {
+        let rows = eval::score::score(&items, instruments, protocol, progress)?;
+        let encoder = instruments.encoder;
+        Ok(Scores {
+            rows,
+            recipes: BTreeMap::from([(encoder.hash(), encoder.recipe())]),
+        })
+    })
+}
+
+/// Compares two systems of one or more tables of edits item by item.
+pub(crate) fn comparison(
+    edits: [&Path; 2],
+    judges: &Judges<'_>,
+    protocol: &Protocol,
+    progress: &dyn Progress,
+) -> anyhow::Result<Vec<Comparison>> {
+    let mut items: Vec<EditRow> = Vec::new();
+    let mut names: Vec<String> = Vec::new();
+    let mut body = None;
+    for (path, side) in edits.into_iter().zip(["A", "B"]) {
+        let (rows, skeleton) = edit_rows(&[path.to_owned()])?;
+        body = Some(skeleton);
+        let systems: BTreeSet<String> = rows
+            .iter()
+            .map(|row| row.system.clone())
+            .filter(|system| !is_side(system))
+            .collect();
+        let [system] = Vec::from_iter(systems)
+            .try_into()
+            .map_err(|found: Vec<String>| {
+                anyhow::anyhow!(
+                    "{} holds {} systems ({}), and a comparison needs one",
+                    path.display(),
+                    found.len(),
+                    found.join(", ")
+                )
+            })?;
+        // Two runs of one method bear the same name.
+        let name = format!("{system} ({side})");
+        for mut row in rows {
+            let held = is_side(&row.system);
+            if held {
+                let seen = |other: &EditRow| other.system == row.system && other.id == row.id;
+                if items.iter().any(seen) {
+                    continue;
+                }
+            } else {
+                row.system.clone_from(&name);
+            }
+            items.push(row);
+        }
+        names.push(name);
+    }
+    let skeleton = body.context("two tables were read")?;
+    judges.with(&skeleton, |instruments| {
+        let names = [names[0].as_str(), names[1].as_str()];
+        Ok(compare(&items, names, instruments, protocol, progress)?)
+    })
+}
+
+fn is_side(system: &str) -> bool {
+    [EditRow::SOURCE, EditRow::TARGET].contains(&system)
+}
+
+/// Run folders of what motions are judged by.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Judges<'a> {
+    /// The evaluation encoder.
+    pub(crate) encoder: &'a Path,
+    /// A coordinator.
+    pub(crate) coordinator: Option<&'a Path>,
+}
+
+impl Judges<'_> {
+    fn with<T>(
+        &self,
+        skeleton: &Skeleton,
+        act: impl FnOnce(Instruments<'_>) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let encoder = Encoder(TmrEncoder::load(self.encoder, Slot::Best, &device())?);
+        let judge = match self.coordinator {
+            Some(run) => Some(Judge {
+                network: TrainedCoordinator::load(run, Slot::Best, &device())?,
+                skeleton,
+            }),
+            None => None,
+        };
+        act(Instruments {
+            encoder: &encoder,
+            judge: judge.as_ref().map(|judge| judge as &dyn MotionJudge),
+            skeleton,
+        })
+    }
+}
+
+/// A coordinator as evaluation asks for it.
+struct Judge<'a> {
+    network: TrainedCoordinator,
+    skeleton: &'a Skeleton,
+}
+
+impl MotionJudge for Judge<'_> {
+    fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError> {
+        motions
+            .iter()
+            .map(|motion| Ok(self.network.composed_share(motion, self.skeleton)?))
+            .collect()
+    }
+}
+
+/// The rows of tables of edits, and the body they are of.
+pub(crate) fn edit_rows(edits: &[PathBuf]) -> anyhow::Result<(Vec<EditRow>, Skeleton)> {
     let mut items: Vec<EditRow> = Vec::new();
     let mut skeleton = None;
     for path in edits {
@@ -899,8 +1090,7 @@ pub(crate) fn scores(
         skeleton = Some(skeleton_of(&table)?);
         for row in table.read::<EditRow>(None)? {
             // Originals and targets of the same items come with every table; one copy is enough.
-            let side = [EditRow::SOURCE, EditRow::TARGET].contains(&row.system.as_str());
-            if !side
+            if !is_side(&row.system)
                 || !items
                     .iter()
                     .any(|seen| seen.system == row.system && seen.id == row.id)
@@ -912,11 +1102,33 @@ pub(crate) fn scores(
     let Some(skeleton) = skeleton else {
         bail!("no table of edits was given");
     };
-    let rows = eval::score::score(&items, &encoder, &skeleton, protocol, progress)?;
-    Ok(Scores {
-        rows,
-        recipes: BTreeMap::from([(encoder.hash(), encoder.recipe())]),
-    })
+    Ok((items, skeleton))
+}
+
+/// Beside a table of edits: where the time of making it went, which its hash does not cover.
+const TIMES: &str = "times.json";
+
+/// The times recorded beside a table of edits.
+pub(crate) fn window_times(edits: &Path) -> anyhow::Result<WindowTimes> {
+    let path = edits.join(TIMES);
+    let bytes = std::fs::read(&path).with_context(|| {
+        format!(
+            "cannot read {}; it is written when `stance edit` edits a split",
+            path.display()
+        )
+    })?;
+    serde_json::from_slice(&bytes).with_context(|| format!("in {}", path.display()))
+}
+
+/// The times of editing, for one window.
+pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
+    let windows = times.num_windows.max(1) as f64;
+    WindowTimes {
+        window: times.window,
+        diffusion_secs: times.diffusion_secs / windows,
+        coordinator_secs: times.coordinator_secs / windows,
+        fit_secs: times.fit_secs / windows,
+    }
 }
 
 /// Commits scores as a dataset of their own.
@@ -955,7 +1167,8 @@ pub(crate) fn overlay<T: Serialize + for<'de> Deserialize<'de>>(
     Ok(value.try_into()?)
 }
 
-fn merge(base: &mut toml::Value, own: &toml::Value) {
+/// Puts values in place of others, table by table.
+pub(crate) fn merge(base: &mut toml::Value, own: &toml::Value) {
     match (base, own) {
         (toml::Value::Table(base), toml::Value::Table(own)) => {
             for (key, value) in own {

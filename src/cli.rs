@@ -96,5 +96,7 @@ pub(crate) enum Command {
     Model(cmd::model::Args),
     Edit(cmd::edit::Args),
     Eval(cmd::eval::Args),
+    Sweep(cmd::sweep::Args),
+    Report(cmd::page::Args),
     Render(cmd::render::Args),
 }

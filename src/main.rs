@@ -47,6 +47,8 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Model(args) => cmd::model::run(args, global),
         Command::Edit(args) => cmd::edit::run(args, global),
         Command::Eval(args) => cmd::eval::run(args, global),
+        Command::Sweep(args) => cmd::sweep::run(args, global),
+        Command::Report(args) => cmd::page::run(args, global),
         Command::Render(args) => cmd::render::run(args, global),
     }
 }

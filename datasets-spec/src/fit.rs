@@ -57,8 +57,9 @@ pub struct FitOptions {
     /// The fit ends when a step moves no point further than this, in metres.
     pub tolerance_m: f64,
     /// Weight in m^2/rad^2 of the squared angle between a joint's global rotation and the one it
-    /// starts from ([`fit_pose`]) or had in the frame before ([`fit_motion`]). At 0, the default,
-    /// exact keypoints are recovered exactly; about 1e-4 calms the output of a network.
+    /// starts from ([`fit_pose`], [`fit_motion_from`]) or had in the frame before ([`fit_motion`]). At 0, the default,
+    /// exact keypoints are recovered exactly; about 1e-4 calms trembling points, and also holds the
+    /// twists that no point shows where they were in the first frame.
     pub smoothness: f64,
 }
 
@@ -139,6 +140,39 @@ pub fn fit_motion(
     fps: Fps,
     options: &FitOptions,
 ) -> Result<FittedMotion, Error> {
+    fit_frames(skeleton, frames, |_| None, fps, options)
+}
+
+/// As [`fit_motion`], but each frame keeps the twists that no point shows of a pose of its own, such
+/// as that of the motion an edit was made from, and smoothness holds it to that pose in place of the
+/// frame before.
+///
+/// # Shapes
+/// `frames` and `twists` `[L]`.
+///
+/// # Errors
+/// As [`fit_motion`].
+///
+/// # Panics
+/// As [`fit_motion`], or if there are fewer poses than frames.
+pub fn fit_motion_from(
+    skeleton: &Skeleton,
+    frames: &[KeypointFrame],
+    twists: &[Pose],
+    fps: Fps,
+    options: &FitOptions,
+) -> Result<FittedMotion, Error> {
+    assert!(twists.len() >= frames.len(), "a pose for every frame");
+    fit_frames(skeleton, frames, |frame| twists.get(frame), fps, options)
+}
+
+fn fit_frames<'a>(
+    skeleton: &Skeleton,
+    frames: &[KeypointFrame],
+    twists: impl Fn(usize) -> Option<&'a Pose>,
+    fps: Fps,
+    options: &FitOptions,
+) -> Result<FittedMotion, Error> {
     if let Some(frame) = frames
         .iter()
         .position(|points| points.iter().any(|point| !point.is_finite()))
@@ -151,10 +185,11 @@ pub fn fit_motion(
     let fitter = Fitter::new(skeleton, options);
     let mut poses: Vec<Pose> = Vec::with_capacity(frames.len());
     let mut error_m = Vec::with_capacity(frames.len());
-    for target in frames {
-        // Each frame starts from its own geometry: carrying the twists over from the frame before
-        // would let them drift along with the swing of the limbs.
-        let result = fitter.fit(target, None, poses.last());
+    for (frame, target) in frames.iter().enumerate() {
+        // Each frame starts by itself: carrying the twists over from the frame before would let
+        // them drift along with the swing of the limbs.
+        let own = twists(frame);
+        let result = fitter.fit(target, own, own.or(poses.last()));
         poses.push(result.pose);
         error_m.push(result.error_m);
     }

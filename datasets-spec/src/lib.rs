@@ -21,6 +21,7 @@ pub mod lanes;
 pub mod manifest;
 pub mod motion;
 pub mod normalise;
+pub mod product;
 mod progress;
 pub mod record;
 pub mod resample;

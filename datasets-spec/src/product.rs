@@ -27,7 +27,7 @@ const LOOK_AHEAD: usize = 4;
 
 /// A view of a matrix: row-major numbers or their transpose.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Matrix<'a> {
+pub struct Matrix<'a> {
     values: &'a [f32],
     rows: usize,
     columns: usize,
@@ -36,7 +36,10 @@ pub(crate) struct Matrix<'a> {
 
 impl<'a> Matrix<'a> {
     /// Row-major numbers with `columns` in a row.
-    pub(crate) fn new(values: &'a [f32], columns: usize) -> Self {
+    ///
+    /// # Panics
+    /// If they do not fill the last row.
+    pub fn new(values: &'a [f32], columns: usize) -> Self {
         assert!(columns > 0 && values.len().is_multiple_of(columns));
         Self {
             values,
@@ -46,12 +49,13 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    pub(crate) fn rows(self) -> usize {
+    /// Rows.
+    pub fn rows(self) -> usize {
         self.rows
     }
 
     /// The transpose.
-    pub(crate) fn transposed(self) -> Self {
+    pub fn transposed(self) -> Self {
         Self {
             rows: self.columns,
             columns: self.rows,
@@ -63,7 +67,7 @@ impl<'a> Matrix<'a> {
 
 /// A matrix packed as the right factor of products.
 #[derive(Clone, Debug)]
-pub(crate) struct Packed {
+pub struct Packed {
     /// Panel after panel, each `rows` times 16 numbers; missing columns are zero.
     panels: Vec<[f32; PANEL]>,
     rows: usize,
@@ -72,7 +76,7 @@ pub(crate) struct Packed {
 
 impl Packed {
     /// Packs a matrix.
-    pub(crate) fn new(matrix: Matrix<'_>) -> Self {
+    pub fn new(matrix: Matrix<'_>) -> Self {
         let (rows, columns) = (matrix.rows, matrix.columns);
         let mut panels = vec![[0.0; PANEL]; rows * columns.div_ceil(PANEL)];
         panels
@@ -103,20 +107,28 @@ impl Packed {
     }
 
     /// Columns of a product with this right factor.
-    pub(crate) fn columns(&self) -> usize {
+    pub fn columns(&self) -> usize {
         self.columns
     }
 }
 
 /// What happens to the numbers a product is written to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Write {
+pub enum Write {
+    /// They are written over.
     Replace,
+    /// The product is added to them.
     Add,
 }
 
 /// The product `a b`, written to or added to `out`, row-major.
-pub(crate) fn multiply(a: Matrix<'_>, b: &Packed, out: &mut [f32], write: Write) {
+///
+/// # Shapes
+/// `[M, K]` and `[K, N]` give `[M, N]`.
+///
+/// # Panics
+/// If the sizes disagree.
+pub fn multiply(a: Matrix<'_>, b: &Packed, out: &mut [f32], write: Write) {
     assert_eq!(a.columns, b.rows, "the inner sizes agree");
     assert_eq!(out.len(), a.rows * b.columns, "the result has its size");
     if out.is_empty() {

@@ -334,6 +334,8 @@ table! {
         pub body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
         /// Mean distance between generated keypoints and the fitted body
         pub fit_error_m: Option<f32> ["m"],
+        /// Mean distance of the bones of generated keypoints from their lengths in the body
+        pub bone_drift_m: Option<f32> ["m"],
     }
 }
 

@@ -61,6 +61,14 @@ pub enum Error {
         /// The name.
         system: String,
     },
+    /// No row is of a system that was asked for.
+    #[error("there is no system {system:?} among the edits; there are: {known}")]
+    UnknownSystem {
+        /// The name asked for.
+        system: String,
+        /// The names there are.
+        known: String,
+    },
     /// The columns of a row make no motion.
     #[error("system {system:?}, item {id:?}: not a motion")]
     Motion {

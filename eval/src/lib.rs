@@ -8,6 +8,7 @@
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 
+pub mod compare;
 pub mod draw;
 mod error;
 pub mod format;
@@ -18,6 +19,8 @@ pub mod published;
 pub mod report;
 pub mod score;
 pub mod table;
+pub mod times;
+mod viewer;
 
 #[cfg(test)]
 mod golden;

@@ -120,13 +120,7 @@ impl Protocol {
     /// The protocol in words as it applies to a number of items, so that a table says what was done
     /// and not only what was asked for.
     pub fn name(&self, num_items: usize) -> String {
-        let gallery = match self.gallery {
-            Gallery::Full => format!("one gallery of all {num_items}"),
-            Gallery::Batches(size) if num_items < size => {
-                format!("one gallery of all {num_items} (fewer than {size})")
-            }
-            Gallery::Batches(size) => format!("galleries of {size}"),
-        };
+        let gallery = self.gallery_name(num_items);
         let pairs = self.diversity_pairs.min(num_items);
         let fid = match self.fid_sample {
             FidSample::Halves => format!("FID between halves of {}", num_items / 2),
@@ -149,6 +143,17 @@ impl Protocol {
             "{gallery}, {queries}, {pairs} diversity pairs, {fid}, {floor}{length}, seed {}",
             self.seed.0
         )
+    }
+
+    /// The galleries in words.
+    pub fn gallery_name(&self, num_items: usize) -> String {
+        match self.gallery {
+            Gallery::Full => format!("one gallery of all {num_items}"),
+            Gallery::Batches(size) if num_items < size => {
+                format!("one gallery of all {num_items} (fewer than {size})")
+            }
+            Gallery::Batches(size) => format!("galleries of {size}"),
+        }
     }
 
     /// The galleries of a repeat, as positions of items.
@@ -184,6 +189,16 @@ impl Protocol {
     /// The generator of a repeat's Diversity pairs.
     pub fn diversity_rng(&self, repeat: usize) -> Rng {
         self.rng("diversity", repeat)
+    }
+
+    /// The generator of a repeat's Multimodality pairs.
+    pub fn multimodality_rng(&self, repeat: usize) -> Rng {
+        self.rng("multimodality", repeat)
+    }
+
+    /// The generator of the resamples of a comparison.
+    pub(crate) fn bootstrap_rng(&self, resample: usize) -> Rng {
+        self.rng("bootstrap", resample)
     }
 
     fn rng(&self, what: &str, repeat: usize) -> Rng {

@@ -8,6 +8,7 @@ use crate::draw::strip::{Row, Style, strip};
 use crate::format::{PUBLISHED_HEADING, RowGroup};
 use crate::metric::Metric;
 use crate::table::{Cell, Column, Table};
+use crate::viewer;
 
 /// What a report shows, from top to bottom. Sections without content are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,8 +67,8 @@ pub struct Strip {
 const STYLE: &str = include_str!("report.css");
 
 impl Report {
-    /// Writes the page. All text of the report is escaped, the page runs no script, and its policy
-    /// forbids loading anything.
+    /// Writes the page. All text of the report is escaped, the page runs no script but its own
+    /// viewer's, and its policy forbids loading anything.
     pub fn to_html(&self) -> String {
         let mut html = String::new();
         let title = escaped(&self.title);
@@ -77,12 +78,13 @@ impl Report {
                 "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n",
                 "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n",
                 "<meta http-equiv=\"Content-Security-Policy\" ",
-                "content=\"default-src 'none'; style-src 'unsafe-inline'\">\n",
+                "content=\"default-src 'none'; style-src 'unsafe-inline'; script-src {script}\">\n",
                 "<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<header>\n",
                 "<h1>{title}</h1>\n<p class=\"lead\">{subtitle}</p>\n</header>\n",
             ),
             title = title,
             style = STYLE,
+            script = viewer::script_source(),
             subtitle = escaped(&self.subtitle),
         );
         let sections = self.sections();
@@ -95,7 +97,11 @@ impl Report {
                 section.anchor, section.title, section.body
             );
         }
-        html.push_str("</main>\n</body>\n</html>\n");
+        html.push_str("</main>\n");
+        if !self.strips.is_empty() {
+            let _ = writeln!(html, "<script>{}</script>", viewer::SCRIPT);
+        }
+        html.push_str("</body>\n</html>\n");
         html
     }
 
@@ -103,6 +109,11 @@ impl Report {
         [
             Section::new("summary", "Summary", cards(&self.cards)),
             Section::new("results", "Results", tables(&self.tables)),
+            Section::new(
+                "viewer-section",
+                "Motions in 3D",
+                viewer::body(&self.strips),
+            ),
             Section::new("edits", "Edited motions", strips(&self.strips)),
             Section::new("training", "Training and data", charts(&self.charts)),
             Section::new("dataset", "Dataset", definitions(&self.facts)),
@@ -403,14 +414,29 @@ mod tests {
         }
     }
 
+    /// The page without what its script elements hold, which is no markup.
+    fn without_scripts(html: &str) -> String {
+        let mut parts = html.split("<script");
+        let mut markup = parts.next().unwrap_or_default().to_owned();
+        for part in parts {
+            let (script, rest) = part.split_once("</script>").expect("scripts end");
+            let (attributes, _) = script.split_once('>').expect("tags end");
+            markup.push_str(&format!("<script{attributes}></script>{rest}"));
+        }
+        markup
+    }
+
     #[test]
     fn no_text_of_a_report_becomes_markup() {
         let html = hostile().to_html();
-        check_nesting(&html);
-        assert!(!html.contains("<script") && !html.contains("<img"));
+        check_nesting(&without_scripts(&html));
+        // The data of the viewer and its program are the only scripts.
+        assert_eq!(html.matches("<script").count(), 2);
+        assert_eq!(html.matches("</script>").count(), 2);
+        assert!(!html.contains("<img"));
         assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
         // An attribute would be left by a bare quotation mark.
-        assert!(!html.contains("\"'>"));
+        assert!(!without_scripts(&html).contains("\"'>"));
     }
 
     #[test]
@@ -441,7 +467,7 @@ mod tests {
         check_nesting(&empty);
         assert!(!empty.contains("<section") && !empty.contains("<nav"));
         let full = hostile().to_html();
-        assert_eq!(full.matches("<section").count(), 7);
+        assert_eq!(full.matches("<section").count(), 8);
         for section in full.split("<a href=\"#").skip(1) {
             let anchor = section.split('"').next().expect("an anchor");
             assert!(

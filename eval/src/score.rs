@@ -16,6 +16,7 @@ use crate::metric::diversity::{self, diversity};
 use crate::metric::fid::{Gaussian, Reference};
 use crate::metric::foot_score::{FOOT_JOINTS, MIN_FRAMES, foot_score};
 use crate::metric::interval::Interval;
+use crate::metric::multimodality::{self, multimodality};
 use crate::metric::position_error::mean_position_error;
 use crate::metric::retrieval::{retrieval, unit_rows};
 use crate::protocol::{Protocol, Queries};
@@ -49,6 +50,26 @@ pub trait MotionEncoder {
     fn recipe(&self) -> String;
 }
 
+/// A network that tells motions composed of several from natural ones.
+pub trait MotionJudge {
+    /// The share of each motion's windows taken for composed, in [0, 1].
+    ///
+    /// # Errors
+    /// Whatever keeps the network from judging.
+    fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError>;
+}
+
+/// What motions are measured with.
+#[derive(Clone, Copy)]
+pub struct Instruments<'a> {
+    /// Turns motions into latents.
+    pub encoder: &'a dyn MotionEncoder,
+    /// Judges motions, where there is such a network.
+    pub judge: Option<&'a dyn MotionJudge>,
+    /// The body motions are of.
+    pub skeleton: &'a Skeleton,
+}
+
 /// Measures every system of a table of edits.
 ///
 /// The rows must hold the systems [`EditRow::SOURCE`] and [`EditRow::TARGET`] and may hold any
@@ -69,55 +90,14 @@ pub trait MotionEncoder {
 /// ones, the pair that explains the published magnitudes.
 pub fn score(
     items: &[EditRow],
-    encoder: &dyn MotionEncoder,
-    skeleton: &Skeleton,
+    instruments: Instruments<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<ScoreRow>, Error> {
     protocol.check()?;
     let test_set = TestSet::new(items)?;
-    let measuring = Measuring {
-        encoder,
-        skeleton,
-        protocol,
-        progress,
-    };
-
-    progress.begin("encode", Some(test_set.num_motions() as u64));
-    let sources = measuring.take(&test_set.sources, &test_set.targets, Cut::Never)?;
-    let mut systems = vec![
-        System {
-            name: REAL_DATA,
-            takes: vec![measuring.take(&test_set.targets, &test_set.targets, Cut::Never)?],
-        },
-        System {
-            name: IDENTITY,
-            takes: vec![if protocol.truncate_to_target {
-                measuring.take(&test_set.sources, &test_set.targets, Cut::ToTarget)?
-            } else {
-                sources.clone()
-            }],
-        },
-    ];
-    let cut = if protocol.truncate_to_target {
-        Cut::ToTarget
-    } else {
-        Cut::Never
-    };
-    for (&name, takes) in &test_set.systems {
-        let takes = takes
-            .iter()
-            .map(|rows| measuring.take(rows, &test_set.targets, cut))
-            .collect::<Result<Vec<_>, Error>>()?;
-        systems.push(System { name, takes });
-    }
-    progress.finish(&format!(
-        "{} items, {} rows",
-        test_set.targets.len(),
-        systems.len()
-    ));
-
-    let encoder_hash = encoder.hash();
+    let (sources, systems) = measured(&test_set, instruments, protocol, progress)?;
+    let encoder_hash = instruments.encoder.hash();
     let tasks = test_set.tasks();
     progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
     let mut scores = Vec::new();
@@ -125,14 +105,7 @@ pub fn score(
         let sources = sources.select(&indices);
         let systems: Vec<System<'_>> = systems
             .iter()
-            .map(|system| System {
-                name: system.name,
-                takes: system
-                    .takes
-                    .iter()
-                    .map(|take| take.select(&indices))
-                    .collect(),
-            })
+            .map(|system| system.select(&indices))
             .collect();
         let repeats = (0..protocol.repeats)
             .into_par_iter()
@@ -170,16 +143,65 @@ pub fn score(
     Ok(scores)
 }
 
+/// Encodes the originals and all systems, the real data being the first of them.
+pub(crate) fn measured<'a>(
+    test_set: &TestSet<'a>,
+    instruments: Instruments<'_>,
+    protocol: &Protocol,
+    progress: &dyn Progress,
+) -> Result<(Take, Vec<System<'a>>), Error> {
+    let measuring = Measuring {
+        instruments,
+        protocol,
+        progress,
+    };
+    progress.begin("encode", Some(test_set.num_motions() as u64));
+    let sources = measuring.take(&test_set.sources, &test_set.targets, Cut::Never)?;
+    let mut systems = vec![
+        System {
+            name: REAL_DATA,
+            takes: vec![measuring.take(&test_set.targets, &test_set.targets, Cut::Never)?],
+        },
+        System {
+            name: IDENTITY,
+            takes: vec![if protocol.truncate_to_target {
+                measuring.take(&test_set.sources, &test_set.targets, Cut::ToTarget)?
+            } else {
+                sources.clone()
+            }],
+        },
+    ];
+    let cut = if protocol.truncate_to_target {
+        Cut::ToTarget
+    } else {
+        Cut::Never
+    };
+    for (&name, takes) in &test_set.systems {
+        let takes = takes
+            .iter()
+            .map(|rows| measuring.take(rows, &test_set.targets, cut))
+            .collect::<Result<Vec<_>, Error>>()?;
+        systems.push(System { name, takes });
+    }
+    progress.finish(&format!(
+        "{} items, {} rows",
+        test_set.targets.len(),
+        systems.len()
+    ));
+
+    Ok((sources, systems))
+}
+
 /// The rows of a table of edits, by role and in the order of the item ids.
-struct TestSet<'a> {
+pub(crate) struct TestSet<'a> {
     sources: Vec<&'a EditRow>,
-    targets: Vec<&'a EditRow>,
+    pub(crate) targets: Vec<&'a EditRow>,
     /// Takes of each system, each with one row for every item.
-    systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
+    pub(crate) systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
 }
 
 impl<'a> TestSet<'a> {
-    fn new(items: &'a [EditRow]) -> Result<Self, Error> {
+    pub(crate) fn new(items: &'a [EditRow]) -> Result<Self, Error> {
         let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
         for row in items {
             if row.system == REAL_DATA || row.system == IDENTITY {
@@ -218,7 +240,7 @@ impl<'a> TestSet<'a> {
     }
 
     /// Positions of the items of each task.
-    fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
+    pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (index, row) in self.targets.iter().enumerate() {
             kinds.entry(&row.kind).or_default().push(index);
@@ -310,35 +332,49 @@ enum Cut {
     ToTarget,
 }
 
-struct System<'a> {
-    name: &'a str,
-    takes: Vec<Take>,
+pub(crate) struct System<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) takes: Vec<Take>,
+}
+
+impl System<'_> {
+    /// The system on some of the items.
+    pub(crate) fn select(&self, indices: &[usize]) -> Self {
+        Self {
+            name: self.name,
+            takes: self.takes.iter().map(|take| take.select(indices)).collect(),
+        }
+    }
 }
 
 /// What the metrics need of one motion for each item.
 #[derive(Clone)]
-struct Take {
-    raw: Matrix,
-    unit: Matrix,
-    foot_scores: Vec<f64>,
-    position_errors_m: Vec<f64>,
+pub(crate) struct Take {
+    pub(crate) raw: Matrix,
+    pub(crate) unit: Matrix,
+    /// Metrics whose value is the mean over the items.
+    pub(crate) of_items: Vec<(Metric, Vec<f64>)>,
 }
 
 impl Take {
-    fn select(&self, indices: &[usize]) -> Self {
-        let pick = |values: &[f64]| indices.iter().map(|&index| values[index]).collect();
+    pub(crate) fn select(&self, indices: &[usize]) -> Self {
         Self {
             raw: self.raw.select_rows(indices),
             unit: self.unit.select_rows(indices),
-            foot_scores: pick(&self.foot_scores),
-            position_errors_m: pick(&self.position_errors_m),
+            of_items: self
+                .of_items
+                .iter()
+                .map(|(metric, values)| {
+                    let picked = indices.iter().map(|&index| values[index]).collect();
+                    (*metric, picked)
+                })
+                .collect(),
         }
     }
 }
 
 struct Measuring<'a> {
-    encoder: &'a dyn MotionEncoder,
-    skeleton: &'a Skeleton,
+    instruments: Instruments<'a>,
     protocol: &'a Protocol,
     progress: &'a dyn Progress,
 }
@@ -349,13 +385,14 @@ impl Measuring<'_> {
     fn take(&self, rows: &[&EditRow], targets: &[&EditRow], cut: Cut) -> Result<Take, Error> {
         let mut latents = Vec::with_capacity(rows.len());
         let mut foot_scores = Vec::with_capacity(rows.len());
-        let mut position_errors_m = Vec::with_capacity(rows.len());
+        let mut position_errors = Vec::with_capacity(rows.len());
+        let mut composed = Vec::new();
         for (rows, targets) in rows
             .chunks(MOTIONS_PER_CALL)
             .zip(targets.chunks(MOTIONS_PER_CALL))
         {
             // The encoder stays on this thread: it need not be shareable.
-            let (skeleton, protocol) = (self.skeleton, self.protocol);
+            let (skeleton, protocol) = (self.instruments.skeleton, self.protocol);
             let measured = rows
                 .par_iter()
                 .zip(targets)
@@ -363,19 +400,41 @@ impl Measuring<'_> {
                 .collect::<Result<Vec<_>, Error>>()?;
             for measured in &measured {
                 foot_scores.push(measured.foot_score);
-                position_errors_m.push(measured.position_error_m);
+                position_errors.push(CM_PER_M * measured.position_error_m);
             }
             let motions: Vec<&Motion> = measured.iter().map(|measured| &measured.motion).collect();
             latents.extend(self.encode(rows, &motions, latents.first().map(Vec::len))?);
+            if let Some(judge) = self.instruments.judge {
+                let judged = judge.composed(&motions).map_err(|source| Error::Encoder {
+                    system: rows[0].system.clone(),
+                    source,
+                })?;
+                composed.extend(judged.into_iter().map(|share| 100.0 * share));
+            }
             self.progress.advance(rows.len() as u64);
         }
+        let mut of_items = vec![
+            (Metric::FootScore, foot_scores),
+            (Metric::PositionError, position_errors),
+        ];
+        if self.instruments.judge.is_some() {
+            of_items.push((Metric::Composed, composed));
+        }
+        let recorded = |of: fn(&EditRow) -> Option<f32>| -> Option<Vec<f64>> {
+            rows.iter()
+                .map(|row| of(row).map(|metres| CM_PER_M * f64::from(metres)))
+                .collect()
+        };
+        let fit_errors = recorded(|row| row.fit_error_m);
+        let drifts = recorded(|row| row.bone_drift_m);
+        of_items.extend(fit_errors.map(|values| (Metric::FitError, values)));
+        of_items.extend(drifts.map(|values| (Metric::BoneDrift, values)));
         let raw = Matrix::from_rows(&latents);
         let unit = unit_rows(&raw)?;
         Ok(Take {
             raw,
             unit,
-            foot_scores,
-            position_errors_m,
+            of_items,
         })
     }
 
@@ -387,13 +446,14 @@ impl Measuring<'_> {
         width: Option<usize>,
     ) -> Result<Vec<Vec<f64>>, Error> {
         let system = || rows[0].system.clone();
-        let latents = self
-            .encoder
-            .encode(motions)
-            .map_err(|source| Error::Encoder {
-                system: system(),
-                source,
-            })?;
+        let latents =
+            self.instruments
+                .encoder
+                .encode(motions)
+                .map_err(|source| Error::Encoder {
+                    system: system(),
+                    source,
+                })?;
         if latents.len() != motions.len() {
             return Err(Error::LatentCount {
                 system: system(),
@@ -522,8 +582,15 @@ fn evaluate(
 
     takes
         .into_iter()
-        .map(|take| {
+        .zip(systems)
+        .map(|(take, system)| {
             let mut values = BTreeMap::new();
+            if system.takes.len() > multimodality::T2M_PAIRS {
+                let conditions = conditions(&system.takes);
+                let mut rng = protocol.multimodality_rng(repeat);
+                let value = multimodality(&conditions, multimodality::T2M_PAIRS, &mut rng)?;
+                values.insert(Metric::Multimodality, value);
+            }
             if let Some((unit, raw, compared)) = &references {
                 let unit =
                     unit.distance(&Gaussian::of_latents(&take.unit.select_rows(compared))?)?;
@@ -536,11 +603,9 @@ fn evaluate(
                 let value = diversity(&take.raw, protocol.diversity_pairs, &mut rng)?;
                 values.insert(Metric::Diversity, value);
             }
-            values.insert(Metric::FootScore, mean(&take.foot_scores));
-            values.insert(
-                Metric::PositionError,
-                CM_PER_M * mean(&take.position_errors_m),
-            );
+            for (metric, of_items) in &take.of_items {
+                values.insert(*metric, mean(of_items));
+            }
             let to_source = ask(sources, take)?;
             let to_target = ask(targets, take)?;
             for (place, (source, target)) in
@@ -552,7 +617,20 @@ fn evaluate(
             }
             values.insert(Metric::SourceAverageRank, to_source.average_rank);
             values.insert(Metric::TargetAverageRank, to_target.average_rank);
+            values.insert(Metric::SourceMedianRank, to_source.median_rank);
+            values.insert(Metric::TargetMedianRank, to_target.median_rank);
             Ok(values)
+        })
+        .collect()
+}
+
+/// The latents of all takes of each item, for at most as many items as the reference compares.
+fn conditions(takes: &[Take]) -> Vec<Matrix> {
+    let num_items = takes.first().map_or(0, |take| take.raw.num_rows());
+    (0..num_items.min(multimodality::T2M_CONDITIONS))
+        .map(|item| {
+            let rows: Vec<&[f64]> = takes.iter().map(|take| take.raw.row(item)).collect();
+            Matrix::from_rows(&rows)
         })
         .collect()
 }
@@ -621,6 +699,7 @@ mod tests {
             global_orient: motion.global_orient().to_vec(),
             body_pose: motion.body_pose().to_vec(),
             fit_error_m: None,
+            bone_drift_m: None,
         }
     }
 
@@ -656,13 +735,12 @@ mod tests {
     }
 
     fn scored(rows: &[EditRow], protocol: &Protocol) -> Result<Vec<ScoreRow>, Error> {
-        score(
-            rows,
-            &FirstFrame,
-            &Skeleton::smplx_neutral(),
-            protocol,
-            &NoProgress,
-        )
+        let instruments = Instruments {
+            encoder: &FirstFrame,
+            judge: None,
+            skeleton: &Skeleton::smplx_neutral(),
+        };
+        score(rows, instruments, protocol, &NoProgress)
     }
 
     fn value(scores: &[ScoreRow], task: &str, system: &str, metric: Metric) -> f64 {
@@ -680,10 +758,22 @@ mod tests {
         with_system(&mut rows, "lazy", EditRow::SOURCE);
         let scores = scored(&rows, &Protocol::default()).expect("valid");
         let tasks = ["all", "semantic", "style"];
-        // Three tasks, four systems, all metrics.
-        assert_eq!(scores.len(), 3 * 4 * Metric::ALL.len());
+        // Neither generated keypoints, nor a judge, nor several takes.
+        let absent = [
+            Metric::FitError,
+            Metric::BoneDrift,
+            Metric::Composed,
+            Metric::Multimodality,
+        ];
+        let metrics = || {
+            Metric::ALL
+                .into_iter()
+                .filter(|metric| !absent.contains(metric))
+        };
+        // Three tasks, four systems.
+        assert_eq!(scores.len(), 3 * 4 * metrics().count());
         for task in tasks {
-            for metric in Metric::ALL {
+            for metric in metrics() {
                 for (system, row) in [("perfect", REAL_DATA), ("lazy", IDENTITY)] {
                     assert_eq!(
                         value(&scores, task, system, metric),
@@ -943,14 +1033,13 @@ mod tests {
                 "system \"source\", item \"item001\": the latent is zero, so it has no direction to compare",
             ),
         ] {
-            let error = score(
-                &rows,
-                &Constant(latents),
-                &skeleton,
-                &Protocol::default(),
-                &NoProgress,
-            )
-            .expect_err("broken latents");
+            let instruments = Instruments {
+                encoder: &Constant(latents),
+                judge: None,
+                skeleton: &skeleton,
+            };
+            let error = score(&rows, instruments, &Protocol::default(), &NoProgress)
+                .expect_err("broken latents");
             assert_eq!(error.to_string(), expected);
         }
     }

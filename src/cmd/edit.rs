@@ -13,7 +13,7 @@ use eval::draw::strip::{self, Style};
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
-use train::edit::{Edited, edit_motion};
+use train::edit::{Edited, Misfit, edit_motion};
 use train::history::EditHistory;
 use train::sample::{EditSettings, EditTimes, Editor, TimedInstruction};
 
@@ -38,6 +38,14 @@ pub(crate) struct Args {
     /// Run folder of a coordinator, which keeps the parts of the body together
     #[arg(long, value_name = "RUN")]
     coordinator: Option<PathBuf>,
+    /// Run folder of a pose network (`stance train j2s`), which guesses the twists that no keypoint
+    /// shows; without it they are those of the original
+    #[arg(long, value_name = "RUN")]
+    poses: Option<PathBuf>,
+    /// Weight in m²/rad² by which the fit holds rotations to those of --poses, or of the original
+    /// [default: 0.01 with --poses, otherwise 0]
+    #[arg(long, value_name = "WEIGHT")]
+    prior: Option<f64>,
     /// How strongly the coordinator guides [default: what the editor's settings say]
     #[arg(long, value_name = "FACTOR", requires = "coordinator")]
     coordinator_strength: Option<f64>,
@@ -98,6 +106,7 @@ impl Args {
             run: &self.run,
             slot: self.checkpoint,
             coordinator: self.coordinator.as_deref(),
+            poses: self.poses.as_deref(),
             clip: self.clip.as_deref(),
         }
     }
@@ -108,6 +117,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         count: args.count,
         guidance: args.guidance,
         temperature: args.temperature,
+        prior: args.prior,
         coordinator_strength: args.coordinator_strength,
         coordinator_steps: args.coordinator_steps,
         ..EditConfig::default()
@@ -155,19 +165,8 @@ fn split(args: &Args, config: &EditConfig, global: &Global) -> anyhow::Result<Ex
 
 /// Where the time went, in the columns of the paper's Table A4.
 fn profile(times: &EditTimes) -> String {
-    let windows = times.num_windows.max(1) as f64;
-    let parts =
-        [times.diffusion_secs, times.coordinator_secs, times.fit_secs].map(|secs| secs / windows);
-    let total: f64 = parts.iter().sum();
-    let [diffusion, coordinator, fit] = parts;
-    format!(
-        "seconds a window, of {} windows\n\
-         window    diffusion sampling  body part coordinator  SMPL-X optimization    total      FPS\n\
-         {:>2}-frame {diffusion:>19.4} {coordinator:>22.4} {fit:>20.4} {total:>8.4} {:>8.2}",
-        times.num_windows,
-        times.window,
-        times.window as f64 / total.max(1e-9)
-    )
+    let name = format!("mean of {}", times.num_windows);
+    eval::times::table(&[(name, chain::per_window(times))]).text()
 }
 
 /// What is asked for, one edit after another.
@@ -291,7 +290,8 @@ fn say(args: &Args, edited: &Edited, global: &Global) -> anyhow::Result<Exit> {
             "out": args.out,
             "frames": edited.motion.len(),
             "fps": Fps::STORE.get(),
-            "fit_error_m": edited.fit_error_m,
+            "fit_error_m": edited.misfit.fit_error_m,
+            "bone_drift_m": edited.misfit.bone_drift_m,
             "times": edited.times,
         }))?;
         return Ok(Exit::Done);
@@ -305,7 +305,7 @@ fn say(args: &Args, edited: &Edited, global: &Global) -> anyhow::Result<Exit> {
         "{} frames at {}, fitted to {:.1} cm{}",
         edited.motion.len(),
         Fps::STORE,
-        100.0 * edited.fit_error_m,
+        100.0 * edited.misfit.fit_error_m,
         if places.is_empty() {
             String::new()
         } else {
@@ -462,7 +462,7 @@ impl Interactive<'_> {
         let last = history.edits().last();
         let edited = Edited {
             motion: history.current()?,
-            fit_error_m: last.map_or(0.0, |edit| edit.fit_error_m),
+            misfit: last.map_or_else(Misfit::default, |edit| edit.misfit),
             times: EditTimes::default(),
         };
         Shown {
@@ -527,7 +527,7 @@ impl Interactive<'_> {
                         "instructions": edit.instructions,
                         "seed": edit.seed,
                         "guidance": edit.guidance,
-                        "fit_error_m": edit.fit_error_m,
+                        "fit_error_m": edit.misfit.fit_error_m,
                     }))
                     .collect::<Vec<_>>(),
                 "undone": history.num_undone(),
@@ -672,7 +672,7 @@ impl Shown<'_> {
     /// Writes original and edit as rows of the `edits` table, both at the store's rate and equally
     /// long.
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
-        let row = |system: &str, hash: &str, motion: &Motion, fit_error_m| EditRow {
+        let row = |system: &str, hash: &str, motion: &Motion, misfit: Option<Misfit>| EditRow {
             id: self.id.to_owned(),
             split: Split::Test,
             system: system.to_owned(),
@@ -687,7 +687,8 @@ impl Shown<'_> {
             transl: motion.transl().to_vec(),
             global_orient: motion.global_orient().to_vec(),
             body_pose: motion.body_pose().to_vec(),
-            fit_error_m,
+            fit_error_m: misfit.map(|misfit| misfit.fit_error_m),
+            bone_drift_m: misfit.map(|misfit| misfit.bone_drift_m),
         };
         let original = Resample::Exact.apply(self.original, Fps::STORE)?;
         let both = self.edited.motion.len().min(original.len());
@@ -697,7 +698,7 @@ impl Shown<'_> {
                 "MotionReFit",
                 self.editor,
                 &self.edited.motion,
-                Some(self.edited.fit_error_m),
+                Some(self.edited.misfit),
             ),
         ];
         let plan = blake3::hash(format!("{} {} {:?}", self.id, self.text, rows[1]).as_bytes());

@@ -2,44 +2,157 @@
 
 use std::path::PathBuf;
 
-use datasets_spec::Skeleton;
+use anyhow::bail;
+use datasets_spec::{Skeleton, Split};
 use eval::format;
 use eval::metric::Metric;
-use eval::protocol::{Gallery, Protocol};
+use eval::metric::foot_score::Floor;
+use eval::metric::interval::Interval;
+use eval::metric::matching::CrossRetrieval;
+use eval::metric::retrieval::Retrieval;
+use eval::protocol::{FidSample, Gallery, Protocol, Queries};
+use eval::published::PaperTable;
+use eval::score::ALL_TASKS;
 use eval::table::Table;
+use eval::times::{self, WindowTimes};
 
-use crate::chain::{self, Scores};
+use crate::chain::{self, Judges, Scores};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
 
-/// Score tables of edits and print the result table.
+/// Score tables of edits and print a result table of the paper's shape, or compare two of them.
 ///
 /// Every table also gets the rows a reader compares with: the real data, and the identity editor
 /// that returns each original unchanged.
 #[derive(clap::Args, Debug)]
+#[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
-    /// Tables of edits, as `stance edit` writes them
+    #[command(subcommand)]
+    action: Option<Action>,
+    /// Tables of edits, as `stance edit` writes them; takes of other seeds count as one system
     #[arg(long, required = true, num_args = 1..)]
     edits: Vec<PathBuf>,
-    /// Run folder of the encoder
+    /// Which table of the paper
+    #[arg(long, value_enum, default_value_t = TableArg::One)]
+    table: TableArg,
+    /// Print the columns the paper lacks below: median ranks, raw FID, multimodality, errors
     #[arg(long)]
-    encoder: PathBuf,
-    /// How to print the table; --json prints the scores
-    #[arg(long, value_enum, default_value_t = FormatArg::Text)]
-    format: FormatArg,
-    /// Rank among all items in place of galleries of 32
-    #[arg(long)]
-    full_gallery: bool,
-    /// Evaluations behind each value
-    #[arg(long, default_value_t = Protocol::default().repeats)]
-    repeats: usize,
+    further: bool,
     /// Print the published rows of the paper as well, marked as published
     #[arg(long)]
     published: bool,
     /// Folder to commit the scores to
     #[arg(long)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    measure: Measure,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Compare(CompareArgs),
+    Encoder(EncoderArgs),
+}
+
+/// Tell how well an encoder's texts and motions find each other: is it fit to judge by?
+///
+/// Motions described in equal words may stand for each other.
+#[derive(clap::Args, Debug)]
+struct EncoderArgs {
+    /// Dataset with captions
+    dataset: PathBuf,
+    /// Split to look in
+    #[arg(long, default_value = "test")]
+    split: Split,
+    #[command(flatten)]
+    measure: Measure,
+}
+
+/// Compare two systems item by item, with bootstrap intervals of their differences.
+#[derive(clap::Args, Debug)]
+struct CompareArgs {
+    /// Table of edits of the first system
+    a: PathBuf,
+    /// Table of edits of the second, of the same items
+    b: PathBuf,
+    #[command(flatten)]
+    measure: Measure,
+}
+
+/// With what and how scores are measured.
+#[derive(clap::Args, Debug)]
+struct Measure {
+    /// Run folder of the encoder; not needed for Table A4
+    #[arg(long, value_name = "RUN")]
+    encoder: Option<PathBuf>,
+    /// Run folder of a coordinator, to also say how much of each system it takes for composed
+    #[arg(long, value_name = "RUN")]
+    coordinator: Option<PathBuf>,
+    /// How to print; --json prints the scores
+    #[arg(long, value_enum, default_value_t = FormatArg::Text)]
+    format: FormatArg,
+    /// Rank among all items in place of the table's galleries
+    #[arg(long, conflicts_with = "gallery")]
+    full_gallery: bool,
+    /// Items of a gallery, in place of the table's
+    #[arg(long, value_name = "N")]
+    gallery: Option<usize>,
+    /// Evaluations behind each value
+    #[arg(long, default_value_t = Protocol::default().repeats)]
+    repeats: usize,
+    /// Let the edited motions ask and the real ones answer, as the words of the paper say; its
+    /// code and this program do the reverse
+    #[arg(long)]
+    transpose: bool,
+    /// Cut edited motions to the length of their target, as the MotionFix evaluation does
+    #[arg(long)]
+    truncate: bool,
+    /// Compare whole sets by FID in place of random halves
+    #[arg(long)]
+    fid_all: bool,
+    /// Height of the floor in metres [default: the lowest foot of each motion]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    floor: Option<f64>,
+}
+
+impl Measure {
+    fn protocol(&self, table: Option<PaperTable>, global: &Global) -> Protocol {
+        let default = Protocol::default();
+        Protocol {
+            gallery: match (self.full_gallery, self.gallery, table) {
+                (true, ..) => Gallery::Full,
+                (false, Some(size), _) => Gallery::Batches(size),
+                (false, None, Some(table)) => table.gallery(),
+                (false, None, None) => default.gallery,
+            },
+            repeats: self.repeats,
+            queries: if self.transpose {
+                Queries::Edited
+            } else {
+                Queries::Real
+            },
+            truncate_to_target: self.truncate,
+            fid_sample: if self.fid_all {
+                FidSample::All
+            } else {
+                FidSample::Halves
+            },
+            floor: self.floor.map_or(default.floor, Floor::At),
+            seed: global.seed(),
+            ..default
+        }
+    }
+
+    fn judges(&self) -> anyhow::Result<Judges<'_>> {
+        let Some(encoder) = &self.encoder else {
+            bail!("say what motions are compared by: --encoder RUN, of `stance train tmr`");
+        };
+        Ok(Judges {
+            encoder,
+            coordinator: self.coordinator.as_deref(),
+        })
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -51,31 +164,67 @@ enum FormatArg {
     Json,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum TableArg {
+    #[value(name = "1", help = "body part replacement and style transfer")]
+    One,
+    #[value(name = "2", help = "MotionFix, galleries of 32")]
+    Two,
+    #[value(name = "a1", help = "fine-grained adjustment")]
+    A1,
+    #[value(name = "a2", help = "ablations, without Diversity and FS")]
+    A2,
+    #[value(name = "a3", help = "MotionFix, one gallery of the test set")]
+    A3,
+    #[value(name = "a4", help = "seconds for one window")]
+    A4,
+}
+
+impl TableArg {
+    fn scored(self) -> Option<PaperTable> {
+        Some(match self {
+            Self::One => PaperTable::One,
+            Self::Two => PaperTable::Two,
+            Self::A1 => PaperTable::A1,
+            Self::A2 => PaperTable::A2,
+            Self::A3 => PaperTable::A3,
+            Self::A4 => return None,
+        })
+    }
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let protocol = Protocol {
-        gallery: if args.full_gallery {
-            Gallery::Full
-        } else {
-            Protocol::default().gallery
-        },
-        repeats: args.repeats,
-        seed: global.seed(),
-        ..Protocol::default()
+    match &args.action {
+        Some(Action::Compare(args)) => return compared(args, global),
+        Some(Action::Encoder(args)) => return encoder(args, global),
+        None => {}
+    }
+    let Some(table) = args.table.scored() else {
+        return timed(args, global);
     };
-    let scores = chain::scores(&args.edits, &args.encoder, &protocol, &global.bars())?;
+    let protocol = args.measure.protocol(Some(table), global);
+    let bars = global.bars();
+    let scores = chain::scores(&args.edits, &args.measure.judges()?, &protocol, &bars)?;
     if let Some(out) = &args.out {
         chain::commit_scores(out, &scores, &Skeleton::smplx_neutral(), global)?;
     }
-    let text = if global.json || args.format == FormatArg::Json {
+    let text = if global.json || args.measure.format == FormatArg::Json {
         format::json::render(&scores.rows)?
     } else {
-        let mut tables = tables(&scores);
+        let mut tables = paper_tables(&scores, table);
         if args.published {
-            for table in &mut tables {
-                table.append_published();
+            for laid_out in &mut tables {
+                laid_out.append_published(table);
             }
         }
-        match args.format {
+        if args.further {
+            tables.extend(Table::from_scores(
+                &scores.rows,
+                &scores.recipes,
+                Metric::FURTHER,
+            ));
+        }
+        match args.measure.format {
             FormatArg::Text => format::text::render(&tables),
             FormatArg::Markdown => format::markdown::render(&tables),
             FormatArg::Latex => format::latex::render(&tables),
@@ -86,7 +235,151 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The scores in the shape of the paper's Table 1.
+/// The scores in the shape of a table of the paper: its tasks, where the edits are of any of them,
+/// and the tasks there are otherwise.
+fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
+    let mut tables = Table::from_scores(&scores.rows, &scores.recipes, &table.columns());
+    let wanted =
+        |found: &Table| found.task == ALL_TASKS || table.tasks().contains(&found.task.as_str());
+    if tables
+        .iter()
+        .any(|found| table.tasks().contains(&found.task.as_str()))
+    {
+        tables.retain(wanted);
+    } else {
+        report::note(&format!(
+            "{} is about {} edits, and there are none; these are the tasks there are",
+            table.title(),
+            table.tasks().join(" and ")
+        ));
+    }
+    tables
+}
+
+/// Table A4.
+fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let mut rows: Vec<(String, WindowTimes)> = args
+        .edits
+        .iter()
+        .map(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            Ok((name.into_owned(), chain::window_times(path)?))
+        })
+        .collect::<anyhow::Result<_>>()?;
+    if args.published {
+        let name = || "RTX 3090 (published)".to_owned();
+        rows.extend(times::PUBLISHED.map(|times| (name(), times)));
+    }
+    if global.json || args.measure.format == FormatArg::Json {
+        let rows: Vec<_> = rows
+            .iter()
+            .map(|(name, times)| {
+                serde_json::json!({
+                    "name": name,
+                    "window": times.window,
+                    "diffusion_secs": times.diffusion_secs,
+                    "coordinator_secs": times.coordinator_secs,
+                    "fit_secs": times.fit_secs,
+                    "total_secs": times.total_secs(),
+                    "fps": times.fps(),
+                })
+            })
+            .collect();
+        report::json(&rows)?;
+    } else {
+        report::text(&printed(&times::table(&rows), args.measure.format));
+    }
+    Ok(Exit::Done)
+}
+
+fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
+    let protocol = args.measure.protocol(None, global);
+    let comparisons = chain::comparison(
+        [&args.a, &args.b],
+        &args.measure.judges()?,
+        &protocol,
+        &global.bars(),
+    )?;
+    if global.json || args.measure.format == FormatArg::Json {
+        report::json(&comparisons)?;
+        return Ok(Exit::Done);
+    }
+    let grids: Vec<String> = comparisons
+        .iter()
+        .map(|comparison| printed(&comparison.grid(), args.measure.format))
+        .collect();
+    report::text(&grids.join("\n"));
+    Ok(Exit::Done)
+}
+
+fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
+    let protocol = args.measure.protocol(None, global);
+    let judges = args.measure.judges()?;
+    let (n, repeats) = chain::cross_scores(&args.dataset, judges.encoder, args.split, &protocol)?;
+    type Side = fn(&CrossRetrieval) -> &Retrieval;
+    type Column = fn(&Retrieval) -> f64;
+    let sides: [(&str, Side); 2] = [
+        ("text to motion", |found| &found.text_to_motion),
+        ("motion to text", |found| &found.motion_to_text),
+    ];
+    let columns: [(&str, Column); 5] = [
+        ("R@1", |found| found.recall[0]),
+        ("R@2", |found| found.recall[1]),
+        ("R@3", |found| found.recall[2]),
+        ("MedR", |found| found.median_rank),
+        ("AvgR", |found| found.average_rank),
+    ];
+    let values = |side: Side, column: Column| {
+        let values: Vec<f64> = repeats.iter().map(|found| column(side(found))).collect();
+        Interval::of(&values)
+    };
+    if global.json || args.measure.format == FormatArg::Json {
+        let mut rows = Vec::new();
+        for (queries, side) in sides {
+            for (metric, column) in columns {
+                let Interval { mean, ci95 } = values(side, column);
+                rows.push(serde_json::json!({
+                    "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
+                }));
+            }
+        }
+        report::json(&rows)?;
+        return Ok(Exit::Done);
+    }
+    let head = std::iter::once("Queries").chain(columns.iter().map(|(name, _)| *name));
+    let grid = format::grid::Grid {
+        title: format!(
+            "{n} clips of {}, {} repeats; {}",
+            args.split,
+            protocol.repeats,
+            protocol.gallery_name(n)
+        ),
+        head: head.map(str::to_owned).collect(),
+        rows: sides
+            .iter()
+            .map(|(name, side)| {
+                let cells = columns.iter().map(|(_, column)| {
+                    let Interval { mean, ci95 } = values(*side, *column);
+                    format!("{mean:.2}±{ci95:.2}")
+                });
+                std::iter::once((*name).to_owned()).chain(cells).collect()
+            })
+            .collect(),
+    };
+    report::text(&printed(&grid, args.measure.format));
+    Ok(Exit::Done)
+}
+
+fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
+    match format {
+        FormatArg::Text | FormatArg::Json => grid.text(),
+        FormatArg::Markdown => grid.markdown(),
+        FormatArg::Latex => grid.latex(),
+        FormatArg::Csv => grid.csv(),
+    }
+}
+
+/// The scores in the shape of the paper's Table 1, for all tasks there are.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
     Table::from_scores(&scores.rows, &scores.recipes, Metric::PAPER)
 }

@@ -21,7 +21,9 @@ use train::config::TrainConfig;
 use train::fit::TrainReport;
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, EditorSource, IngestConfig, Judged, Scores, TrainInputs};
+use crate::chain::{
+    self, EditConfig, EditorSource, IngestConfig, Judged, Judges, Scores, TrainInputs,
+};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
 use crate::exit::Exit;
@@ -255,7 +257,10 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     };
     let scores = chain::scores(
         std::slice::from_ref(&places.edits),
-        &places.encoder,
+        &Judges {
+            encoder: &places.encoder,
+            coordinator: None,
+        },
         &protocol,
         &bars,
     )

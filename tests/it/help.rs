@@ -3,9 +3,9 @@
 use crate::util::stance;
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 18] = [
+const VERBS: [&str; 20] = [
     "demo", "run", "build", "corpus", "doctor", "ingest", "inspect", "verify", "stats", "export",
-    "masks", "pairs", "triplets", "train", "model", "edit", "eval", "render",
+    "masks", "pairs", "triplets", "train", "model", "edit", "eval", "sweep", "report", "render",
 ];
 
 #[test]

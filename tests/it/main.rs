@@ -3,6 +3,7 @@
 
 mod chain;
 mod compose;
+mod evaluate;
 mod export;
 mod golden;
 mod help;

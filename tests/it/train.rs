@@ -30,12 +30,12 @@ const SMALL: &str = "
 ";
 
 /// A dataset with masks, and settings of small networks.
-struct Workshop {
+pub(crate) struct Workshop {
     dir: tempfile::TempDir,
 }
 
 impl Workshop {
-    fn open() -> Self {
+    pub(crate) fn open() -> Self {
         let dir = corpus(CLIPS);
         let workshop = Self { dir };
         let sources = workshop.path("corpus");
@@ -46,16 +46,16 @@ impl Workshop {
         workshop
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
-    fn dataset(&self) -> PathBuf {
+    pub(crate) fn dataset(&self) -> PathBuf {
         self.path("dataset")
     }
 
     /// Trains a model for so many steps.
-    fn train(&self, model: &str, out: &str, steps: &str) -> Ran {
+    pub(crate) fn train(&self, model: &str, out: &str, steps: &str) -> Ran {
         let (dataset, out) = (self.dataset(), self.path(out));
         stance(&[
             "--json",

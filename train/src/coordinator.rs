@@ -4,9 +4,9 @@ use std::path::Path;
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::Seed;
-use datasets_spec::canonical::WINDOW_FRAMES;
+use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
+use datasets_spec::{Fps, Motion, Resample, Seed, Skeleton};
 use pipeline::compose::{CoordinatorBatch, Stream};
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -435,6 +435,46 @@ impl TrainedCoordinator {
     /// What identifies the weights: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
+    }
+
+    /// The share of a motion's windows taken for composed, in [0, 1]. Windows follow each other as
+    /// those of an edit do; a motion shorter than one is an error.
+    ///
+    /// # Errors
+    /// The motion is shorter than a window.
+    pub fn composed_share(&self, motion: &Motion, skeleton: &Skeleton) -> Result<f64, Error> {
+        let no_motion = |source| Error::Motion {
+            id: "a motion to judge".to_owned(),
+            source,
+        };
+        let window = self.record.config.train.window;
+        let poses = Resample::Exact
+            .apply(motion, Fps::MODEL)
+            .map_err(no_motion)?
+            .poses();
+        let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
+        if starts.is_empty() {
+            return Err(no_motion(datasets_spec::Error::TooShort {
+                frames: poses.len(),
+                fps: Fps::MODEL.get(),
+                needed: window,
+            }));
+        }
+        let normalizer = &self.record.config.normalizer;
+        let mut values = Vec::with_capacity(starts.len() * window * FRAME_WIDTH);
+        for start in &starts {
+            let mut segment = poses[*start..start + window].to_vec();
+            canonicalise(&mut segment, Anchor::Pelvis, skeleton);
+            for pose in &segment {
+                values.extend(normalizer.normalize(&skeleton.keypoints(pose)));
+            }
+        }
+        let judged = self.probabilities(&values);
+        let composed = judged
+            .iter()
+            .filter(|&&probability| probability > 0.5)
+            .count();
+        Ok(composed as f64 / judged.len() as f64)
     }
 
     /// The probability that each clean window was composed, `[B]`.

@@ -1,19 +1,17 @@
 //! Editing whole test items: from composed triplets to rows of the `edits` table.
 
 use datasets_spec::canonical::KeypointFrame;
-use datasets_spec::fit::{FitOptions, fit_motion};
+use datasets_spec::fit::{FitOptions, fit_motion_from};
 use datasets_spec::record::EditRow;
 use datasets_spec::resample::double_rate;
+use datasets_spec::skeleton::{KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Resample, Skeleton};
 use pipeline::compose::Triplet;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
 use crate::{Error, Session};
-
-/// Weight in m^2/rad^2 that calms unobservable twists of a body fitted to generated points: well
-/// below the square of the centimetre by which such points miss any body.
-const GENERATED_SMOOTHNESS: f64 = 1e-4;
 
 /// Edits the original of every item and returns three rows an item: the original (`source`), the
 /// ground truth (`target`) and what the editor made of the original (`system`). All three are at
@@ -52,9 +50,10 @@ pub fn edit_items(
     session.progress.begin("fit", Some(items.len() as u64));
     let rows: Vec<[EditRow; 3]> = items
         .par_iter()
-        .zip(&edited)
-        .map(|(item, frames)| {
-            let rows = item_rows(editor, system, item, frames, skeleton, settings);
+        .zip(prepared.par_iter().zip(&edited))
+        .map(|(item, (prepared, frames))| {
+            let made = fit_edited(editor, prepared, frames, skeleton, settings.prior)?;
+            let rows = item_rows(editor, system, item, made, settings);
             session.progress.advance(1);
             rows
         })
@@ -66,13 +65,46 @@ pub fn edit_items(
     Ok((rows.into_iter().flatten().collect(), times))
 }
 
+/// How far generated points are from any body: they know no bones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Misfit {
+    /// Mean distance in metres between the points and the fitted body.
+    pub fit_error_m: f32,
+    /// Mean distance in metres of the bones from their lengths in the body.
+    pub bone_drift_m: f32,
+}
+
+impl Misfit {
+    fn of(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Self {
+        let bones = 1..NUM_KEYPOINTS;
+        let parent = |slot: usize| usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0);
+        let lengths: Vec<f64> = bones
+            .clone()
+            .map(|slot| skeleton.offset(KEYPOINT_JOINTS[slot]).length())
+            .collect();
+        let drift: f64 = frames
+            .iter()
+            .flat_map(|frame| {
+                bones.clone().zip(&lengths).map(|(slot, length)| {
+                    (frame[slot].distance(frame[parent(slot)]) - length).abs()
+                })
+            })
+            .sum();
+        Self {
+            fit_error_m: (error_m.iter().sum::<f64>() / error_m.len() as f64) as f32,
+            bone_drift_m: (drift / (frames.len() * lengths.len()) as f64) as f32,
+        }
+    }
+}
+
 /// An edited motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edited {
     /// The motion, at 20 fps, over whole windows.
     pub motion: Motion,
-    /// Mean distance in metres between the generated points and the fitted body.
-    pub fit_error_m: f32,
+    /// How far the generated points are from a body.
+    pub misfit: Misfit,
     /// Where the time went.
     pub times: EditTimes,
 }
@@ -94,30 +126,36 @@ pub fn edit_motion(
     let mut times = EditTimes::default();
     let record = &editor.record().config;
     let item = EditItem::timed(id, motion, instructions, skeleton, record)?;
-    let edited = editor.edit_batch(&[item], skeleton, settings, session, &mut times)?;
+    let items = [item];
+    let edited = editor.edit_batch(&items, skeleton, settings, session, &mut times)?;
     let begun = session.secs();
-    let (motion, fit_error_m) = fit_edited(id, &edited[0], skeleton)?;
+    let (motion, misfit) = fit_edited(editor, &items[0], &edited[0], skeleton, settings.prior)?;
     times.fit_secs += session.secs() - begun;
     Ok(Edited {
         motion,
-        fit_error_m,
+        misfit,
         times,
     })
 }
 
+/// SMPL-X parameters of a generated motion at 20 fps, and by how much they miss it.
 fn fit_edited(
-    id: &str,
+    editor: &Editor,
+    item: &EditItem,
     frames: &[KeypointFrame],
     skeleton: &Skeleton,
-) -> Result<(Motion, f32), Error> {
+    prior: f64,
+) -> Result<(Motion, Misfit), Error> {
     let options = FitOptions {
-        smoothness: GENERATED_SMOOTHNESS,
+        smoothness: prior,
         ..FitOptions::default()
     };
-    let fitted = fit_motion(skeleton, &double_rate(frames), Fps::STORE, &options)
-        .map_err(motion_error(id))?;
-    let error_m = fitted.error_m.iter().sum::<f64>() / fitted.error_m.len() as f64;
-    Ok((fitted.motion, error_m as f32))
+    let frames = double_rate(frames);
+    let twists = editor.twists(item, &frames, skeleton);
+    let fitted = fit_motion_from(skeleton, &frames, &twists, Fps::STORE, &options)
+        .map_err(motion_error(&item.id))?;
+    let misfit = Misfit::of(&frames, &fitted.error_m, skeleton);
+    Ok((fitted.motion, misfit))
 }
 
 fn motion_error(id: &str) -> impl Fn(datasets_spec::Error) -> Error {
@@ -131,37 +169,37 @@ fn item_rows(
     editor: &Editor,
     system: &str,
     item: &Triplet,
-    frames: &[KeypointFrame],
-    skeleton: &Skeleton,
+    (made, misfit): (Motion, Misfit),
     settings: &EditSettings,
 ) -> Result<[EditRow; 3], Error> {
-    let (made, error_m) = fit_edited(&item.id, frames, skeleton)?;
     let side = |motion: &Motion| {
         Resample::Exact
             .apply(motion, Fps::STORE)
             .and_then(|motion| motion.crop(0..made.len().min(motion.len())))
             .map_err(motion_error(&item.id))
     };
-    let row = |system: &str, checkpoint_hash: &str, motion: &Motion, fit_error_m| EditRow {
-        id: item.id.clone(),
-        split: item.split,
-        system: system.to_owned(),
-        checkpoint_hash: checkpoint_hash.to_owned(),
-        source_id: item.source_id.to_string(),
-        target_id: item.target_id.to_string(),
-        instruction: item.instruction.clone(),
-        kind: item.kind.to_owned(),
-        seed: settings.seed.0,
-        fps: motion.fps().get() as f32,
-        n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        fit_error_m,
-    };
+    let row =
+        |system: &str, checkpoint_hash: &str, motion: &Motion, misfit: Option<Misfit>| EditRow {
+            id: item.id.clone(),
+            split: item.split,
+            system: system.to_owned(),
+            checkpoint_hash: checkpoint_hash.to_owned(),
+            source_id: item.source_id.to_string(),
+            target_id: item.target_id.to_string(),
+            instruction: item.instruction.clone(),
+            kind: item.kind.to_owned(),
+            seed: settings.seed.0,
+            fps: motion.fps().get() as f32,
+            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            fit_error_m: misfit.map(|misfit| misfit.fit_error_m),
+            bone_drift_m: misfit.map(|misfit| misfit.bone_drift_m),
+        };
     Ok([
         row(EditRow::SOURCE, "", &side(&item.original)?, None),
         row(EditRow::TARGET, "", &side(&item.edited)?, None),
-        row(system, editor.hash(), &made, Some(error_m)),
+        row(system, editor.hash(), &made, Some(misfit)),
     ])
 }

@@ -6,10 +6,11 @@ use datasets_spec::{Fps, Motion};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::edit::Misfit;
 use crate::sample::TimedInstruction;
 
 /// Version of the document.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// A motion and the edits made of it, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,8 +37,8 @@ pub struct HistoryStep {
     pub guidance: f64,
     /// What identifies the weights that made it.
     pub editor: String,
-    /// Mean distance in metres between the generated points and the fitted body.
-    pub fit_error_m: f32,
+    /// How far the generated points were from a body.
+    pub misfit: Misfit,
     result: StoredMotion,
 }
 
@@ -182,7 +183,7 @@ impl EditHistory {
             seed,
             guidance,
             editor: editor.to_owned(),
-            fit_error_m: edited.fit_error_m,
+            misfit: edited.misfit,
             result: StoredMotion::of(&edited.motion),
         });
         self.held += 1;
@@ -220,7 +221,10 @@ mod tests {
     fn push(history: &mut EditHistory, height: f64) {
         let edited = Edited {
             motion: motion(height),
-            fit_error_m: 0.01,
+            misfit: Misfit {
+                fit_error_m: 0.01,
+                bone_drift_m: 0.02,
+            },
             times: EditTimes::default(),
         };
         let asked = TimedInstruction {
@@ -255,7 +259,7 @@ mod tests {
         push(&mut history, 1.0);
         let text = history.to_json();
         for (from, to, reason) in [
-            ("\"version\":1", "\"version\":9", "version 9"),
+            ("\"version\":2", "\"version\":9", "version 9"),
             ("\"held\":1", "\"held\":5", "more edits"),
             ("\"body_pose\":[[", "\"body_pose\":[[1.0,", "63"),
             ("{", "", "not one"),

@@ -16,7 +16,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Files, Run, RunRecord, take};
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
 use crate::config::{Decay, OptimizerConfig};
 use crate::learn::{Course, Task, learn};
 use crate::model::pose_net::{
@@ -348,6 +348,21 @@ fn inputs(frames: &[KeypointFrame], preset: J2sPreset) -> Vec<f32> {
 }
 
 impl PoseNet {
+    /// Loads a trained network from its run folder, and what identifies it: BLAKE3, hexadecimal.
+    ///
+    /// # Errors
+    /// The folder is no such run, or its checkpoint is missing or damaged.
+    pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<(Self, String), Error> {
+        let record: RunRecord<J2sConfig> = checkpoint::read_record(run_dir, KIND)?;
+        let mut files = read_for_use(run_dir, slot, KIND)?;
+        let bytes = take(&mut files, WEIGHTS, run_dir)?;
+        let hash = weights_hash(&record.config, &[&bytes]);
+        let config = &record.config;
+        let path = run_dir.join(WEIGHTS);
+        let net = Self::from_safetensors(config.preset, config.width, bytes, "", &path, device)?;
+        Ok((net, hash))
+    }
+
     /// Loads a network from safetensors under the names it is published or recorded with, or those
     /// it is saved with here.
     ///

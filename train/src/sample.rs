@@ -1,5 +1,6 @@
 //! Editing motions: windows generated one after another and merged.
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::ops::Range;
 use std::path::Path;
@@ -21,6 +22,7 @@ use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
 use crate::diffusion::{Prediction, Schedule, guide, put_fixed};
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
+use crate::j2s::PoseNet;
 use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::Denoiser;
 use crate::model::motionrefit::MotionRefit;
@@ -48,6 +50,9 @@ pub struct EditItem {
     pub windows: Vec<EditWindow>,
     /// Where the first window stands in the world.
     pub placement: GroundTransform,
+    /// The original at the store's rate: what an edit keeps of it are the twists that no keypoint
+    /// shows.
+    pub original: Vec<Pose>,
 }
 
 /// A window to edit.
@@ -118,13 +123,17 @@ impl EditItem {
             }
         }
         let to_model = Fps::MODEL.get() / motion.fps().get();
-        let motion = Resample::Exact
-            .apply(motion, Fps::MODEL)
-            .map_err(|source| Error::Motion {
-                id: id.clone(),
-                source,
-            })?;
-        let poses: Vec<Pose> = motion.poses();
+        let poses_at = |fps| {
+            Resample::Exact
+                .apply(motion, fps)
+                .map(|motion| motion.poses())
+                .map_err(|source| Error::Motion {
+                    id: id.clone(),
+                    source,
+                })
+        };
+        let poses: Vec<Pose> = poses_at(Fps::MODEL)?;
+        let original = poses_at(Fps::STORE)?;
         let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
         if starts.is_empty() {
             return Err(Error::Motion {
@@ -193,6 +202,7 @@ impl EditItem {
             id,
             windows,
             placement: placement.expect("there is a first window"),
+            original,
         })
     }
 }
@@ -208,6 +218,10 @@ pub struct EditSettings {
     pub temperature: f64,
     /// Guidance by the coordinator, if the editor has one.
     pub coordinator: GuidanceConfig,
+    /// Weight in m^2/rad^2 by which the fit holds rotations to those of the pose network or, without
+    /// one, of the original: what short bones gain by it, such as those of head and hands, long ones
+    /// hardly feel.
+    pub prior: f64,
     /// Windows generated at a time.
     pub max_batch: usize,
 }
@@ -250,6 +264,7 @@ pub struct Editor {
     device: Device,
     vectors: Option<Box<dyn TextVectors + Send>>,
     coordinator: Option<TrainedCoordinator>,
+    poses: Option<PoseNet>,
 }
 
 impl Editor {
@@ -282,7 +297,42 @@ impl Editor {
             record,
             vectors: None,
             coordinator: None,
+            poses: None,
         })
+    }
+
+    /// Gives the editor a network that guesses poses from keypoints. The twists that no keypoint
+    /// shows are then its own; without it they are those of the original.
+    #[must_use]
+    pub fn with_poses(mut self, net: PoseNet, hash: &str) -> Self {
+        self.mix_hash(hash);
+        self.poses = Some(net);
+        self
+    }
+
+    /// Whether the editor has a pose network.
+    pub fn has_poses(&self) -> bool {
+        self.poses.is_some()
+    }
+
+    /// Scores of an editor with helpers are not those of the editor alone.
+    fn mix_hash(&mut self, other: &str) {
+        let both = [self.hash.as_bytes(), other.as_bytes()].concat();
+        self.hash = blake3::hash(&both).to_hex().to_string();
+    }
+
+    /// Poses whose twists a fit to generated frames at the store's rate keeps, at least as many as
+    /// there are frames.
+    pub(crate) fn twists<'a>(
+        &self,
+        item: &'a EditItem,
+        frames: &[KeypointFrame],
+        skeleton: &Skeleton,
+    ) -> Cow<'a, [Pose]> {
+        match &self.poses {
+            Some(net) => net.poses(frames, skeleton, &self.device).into(),
+            None => item.original.as_slice().into(),
+        }
     }
 
     /// Gives the editor the vectors of the instructions it will be asked, of the frozen encoder it
@@ -314,8 +364,7 @@ impl Editor {
         {
             "it was trained for another diffusion"
         } else {
-            let both = [self.hash.as_bytes(), coordinator.hash().as_bytes()].concat();
-            self.hash = blake3::hash(&both).to_hex().to_string();
+            self.mix_hash(coordinator.hash());
             self.coordinator = Some(coordinator);
             return Ok(self);
         };

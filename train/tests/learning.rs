@@ -550,6 +550,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
             guidance: 1.0,
             temperature: 1.0,
             coordinator: record.train.coordinator,
+            prior: 0.0,
             max_batch: 2,
         };
         quietly(|session| {
@@ -636,6 +637,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         guidance: 2.0,
         temperature: 1.0,
         coordinator: record.train.coordinator,
+        prior: 0.0,
         max_batch: 2,
     };
     let edit = |items: &[EditItem], settings: &EditSettings| {
@@ -794,6 +796,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
         guidance: 1.0,
         temperature: 1.0,
         coordinator: record.train.coordinator,
+        prior: 0.0,
         max_batch: 2,
     };
     let mut times = EditTimes::default();

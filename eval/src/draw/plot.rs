@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::{FAINT, line, open, text};
+use super::{FAINT, Rgb, line, open, text};
 
 /// A named line.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,6 +48,91 @@ pub struct Bars {
     pub x_label: String,
     /// Label and height of each bar, from left to right.
     pub bars: Vec<(String, f64)>,
+}
+
+/// A value for every pair of settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeatMap {
+    /// Title above the cells; empty for none.
+    pub title: String,
+    /// What tells the columns apart, and the columns.
+    pub x: (String, Vec<String>),
+    /// What tells the rows apart, and the rows, from top to bottom.
+    pub y: (String, Vec<String>),
+    /// Values, row after row; one that is not finite is left blank.
+    pub values: Vec<f64>,
+}
+
+/// Colours of the lowest and the highest value of a heat map. Both are pale enough for dark text.
+const COLD: Rgb = Rgb([214.0, 230.0, 244.0]);
+const HOT: Rgb = Rgb([244.0, 178.0, 110.0]);
+
+/// Draws a value for every pair of settings as one SVG document.
+///
+/// # Panics
+/// If there is not one value for every pair.
+pub fn heat_map(map: &HeatMap) -> String {
+    let (columns, rows) = (&map.x.1, &map.y.1);
+    assert_eq!(
+        map.values.len(),
+        columns.len() * rows.len(),
+        "a value for every pair"
+    );
+    let mut svg = String::new();
+    open(&mut svg, SIZE.x, SIZE.y, &map.title);
+    heading(&mut svg, &map.title);
+    let Some((low, high)) = extent(map.values.iter().copied().filter(|v| v.is_finite())) else {
+        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
+        svg.push_str("</svg>");
+        return svg;
+    };
+    let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
+    let cell = (end - start) / DVec2::new(columns.len() as f64, rows.len() as f64);
+    for (row, label) in rows.iter().enumerate() {
+        let middle = start.y + cell.y * (row as f64 + 0.5);
+        let at = DVec2::new(start.x - 8.0, middle + 4.0);
+        text(&mut svg, at, "end", 11.0, FAINT, label);
+        for column in 0..columns.len() {
+            let value = map.values[row * columns.len() + column];
+            if !value.is_finite() {
+                continue;
+            }
+            let share = if high > low {
+                (value - low) / (high - low)
+            } else {
+                0.5
+            };
+            let corner = start + cell * DVec2::new(column as f64, row as f64);
+            svg.push_str(&format!(
+                r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="{}"/>"#,
+                corner.x + 1.5,
+                corner.y + 1.5,
+                cell.x - 3.0,
+                cell.y - 3.0,
+                COLD.towards(HOT, share).hex(),
+            ));
+            let at = DVec2::new(corner.x + cell.x / 2.0, middle + 4.0);
+            let shown = format!("{value:.2}");
+            text(&mut svg, at, "middle", 12.0, r##"fill="#1D1F23""##, &shown);
+        }
+    }
+    for (column, label) in columns.iter().enumerate() {
+        let at = DVec2::new(start.x + cell.x * (column as f64 + 0.5), end.y + 16.0);
+        text(&mut svg, at, "middle", 11.0, FAINT, label);
+    }
+    axis_label(&mut svg, &map.x.0);
+    let middle = f64::midpoint(start.y, end.y);
+    let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
+    text(
+        &mut svg,
+        DVec2::new(14.0, middle),
+        "middle",
+        12.0,
+        &turned,
+        &map.y.0,
+    );
+    svg.push_str("</svg>");
+    svg
 }
 
 /// Colours of the lines: the first six of Okabe and Ito's palette, which all kinds of colour vision
@@ -458,6 +543,28 @@ mod tests {
                 },
             ],
         }
+    }
+
+    #[test]
+    fn a_heat_map_colours_from_the_lowest_to_the_highest_value() {
+        let labels = |labels: [&str; 2]| labels.map(str::to_owned).to_vec();
+        let map = HeatMap {
+            title: "strength and steps".to_owned(),
+            x: ("steps".to_owned(), labels(["10", "20"])),
+            y: ("strength".to_owned(), labels(["0.5", "1"])),
+            values: vec![4.0, 3.0, f64::NAN, 3.5],
+        };
+        let svg = heat_map(&map);
+        check_nesting(&svg);
+        assert_eq!(svg.matches("<rect").count(), 3);
+        let place = |colour: Rgb| svg.find(&colour.hex()).expect("drawn");
+        assert!(place(HOT) < place(COLD));
+        assert!(svg.contains(">3.50<") && !svg.contains("NaN"));
+        let empty = HeatMap {
+            values: vec![f64::NAN; 4],
+            ..map
+        };
+        assert!(heat_map(&empty).contains("no values yet"));
     }
 
     #[test]

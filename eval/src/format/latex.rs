@@ -58,14 +58,14 @@ pub fn render(tables: &[Table]) -> String {
 }
 
 /// A text that ends with its line, as a comment must.
-fn comment(text: &str) -> String {
+pub(super) fn comment(text: &str) -> String {
     text.chars()
         .map(|c| if c.is_control() { ' ' } else { c })
         .collect()
 }
 
 /// Takes the meaning off the ten characters TeX acts on.
-fn escaped(text: &str) -> String {
+pub(super) fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

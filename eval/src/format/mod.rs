@@ -1,6 +1,7 @@
 //! Tables and scores as text for people and for programs.
 
 pub mod csv;
+pub mod grid;
 pub mod json;
 pub mod latex;
 pub mod markdown;

@@ -222,6 +222,7 @@ fn wrapped(text: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::published::PaperTable;
     use crate::table::tests::sample_table;
 
     #[test]
@@ -276,7 +277,7 @@ mod tests {
     #[test]
     fn published_rows_stand_apart_under_a_heading_of_their_own() {
         let mut table = sample_table();
-        assert!(table.append_published());
+        assert!(table.append_published(PaperTable::One));
         let text = render(&[table]);
         let (measured, published) = text.split_once(PUBLISHED_HEADING).expect("a heading");
         assert!(measured.ends_with("\n\n"), "{text}");

@@ -1,5 +1,6 @@
 //! How well motions match their texts in a shared space: R-precision and matching score.
 
+use super::retrieval::{Retrieval, ranks_among_equivalents};
 use super::{check_finite, check_size, distance};
 use crate::Error;
 use crate::linalg::Matrix;
@@ -75,10 +76,82 @@ pub fn matching(texts: &Matrix, motions: &Matrix, batch_size: usize) -> Result<M
     })
 }
 
+/// How well texts find their motions, and motions their texts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CrossRetrieval {
+    /// Texts ask, motions answer.
+    pub text_to_motion: Retrieval,
+    /// Motions ask, texts answer.
+    pub motion_to_text: Retrieval,
+}
+
+/// Ranks motions by texts and texts by motions within galleries, by cosine. With `same_text`,
+/// motions that are described in equal words may stand for each other.
+///
+/// # Shapes
+/// `texts` and `motions` are `[N, D]` of unit length; `galleries` lists positions.
+///
+/// # Errors
+/// There is no gallery or an empty one, or a number is not finite.
+///
+/// # Source
+/// TMR's protocols: "all" and, with equal texts, "threshold" at the strictest threshold.
+pub fn cross_retrieval(
+    texts: &Matrix,
+    motions: &Matrix,
+    galleries: &[Vec<usize>],
+    same_text: impl Fn(usize, usize) -> bool,
+) -> Result<CrossRetrieval, Error> {
+    if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
+        return Err(Error::TooFewRows {
+            metric: METRIC,
+            needed: 1,
+            found: 0,
+        });
+    }
+    let mut found: [Vec<Retrieval>; 2] = [Vec::new(), Vec::new()];
+    for indices in galleries {
+        let similarity = texts
+            .select_rows(indices)
+            .times_transposed(&motions.select_rows(indices));
+        let same = |query: usize, other: usize| same_text(indices[query], indices[other]);
+        for (found, similarity) in found
+            .iter_mut()
+            .zip([&similarity, &similarity.transposed()])
+        {
+            let ranks = ranks_among_equivalents(similarity, same)?;
+            found.push(Retrieval::of_ranks(&ranks));
+        }
+    }
+    let [text_to_motion, motion_to_text] = found.map(|parts| Retrieval::mean(&parts));
+    Ok(CrossRetrieval {
+        text_to_motion,
+        motion_to_text,
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::golden::Golden;
+
+    #[test]
+    fn texts_and_motions_find_each_other_and_equal_texts_share_their_motions() {
+        let texts = Matrix::from_rows(&[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
+        let motions = Matrix::from_rows(&[[0.8, 0.6], [1.0, 0.0], [0.0, 1.0]]);
+        let galleries = [vec![0, 1, 2]];
+        let exact = cross_retrieval(&texts, &motions, &galleries, |a, b| a == b).expect("valid");
+        // The first text is nearest to the motion of the second, in the same words.
+        assert_eq!(exact.text_to_motion.recall[0], 200.0 / 3.0);
+        assert_eq!(exact.text_to_motion.average_rank, 4.0 / 3.0);
+        // The two equal texts tie for the first motion.
+        assert_eq!(exact.motion_to_text.recall[0], 100.0);
+        assert_eq!(exact.motion_to_text.average_rank, 4.0 / 3.0);
+        let same = |a: usize, b: usize| a == b || a.max(b) == 1;
+        let shared = cross_retrieval(&texts, &motions, &galleries, same).expect("valid");
+        assert_eq!(shared.text_to_motion.recall[0], 100.0);
+        assert!(cross_retrieval(&texts, &motions, &[], same).is_err());
+    }
 
     #[test]
     fn golden_r_precision_agrees_with_the_reference() {

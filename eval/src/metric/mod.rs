@@ -36,8 +36,20 @@ pub enum Metric {
     TargetRecall(u8),
     /// Edits retrieved by their targets: mean rank.
     TargetAverageRank,
+    /// Edits retrieved by their originals: median rank.
+    SourceMedianRank,
+    /// Edits retrieved by their targets: median rank.
+    TargetMedianRank,
+    /// Mean distance of latents of one item, generated from several seeds.
+    Multimodality,
     /// Mean distance to the keypoints of the target, in centimetres.
     PositionError,
+    /// Mean distance of generated keypoints from the body fitted to them, in centimetres.
+    FitError,
+    /// Mean difference of generated bones from their lengths in the body, in centimetres.
+    BoneDrift,
+    /// Share of windows that a coordinator takes for composed of several motions, in percent.
+    Composed,
 }
 
 /// Which values of a metric are good.
@@ -64,7 +76,7 @@ impl Better {
 
 impl Metric {
     /// All metrics in the order of the paper's Table 1, those it lacks last.
-    pub const ALL: [Metric; 13] = [
+    pub const ALL: [Metric; 19] = [
         Metric::FidUnit,
         Metric::Diversity,
         Metric::FootScore,
@@ -77,7 +89,13 @@ impl Metric {
         Metric::TargetRecall(3),
         Metric::TargetAverageRank,
         Metric::FidRaw,
+        Metric::SourceMedianRank,
+        Metric::TargetMedianRank,
+        Metric::Multimodality,
         Metric::PositionError,
+        Metric::FitError,
+        Metric::BoneDrift,
+        Metric::Composed,
     ];
 
     /// The columns of the paper's Table 1.
@@ -101,7 +119,13 @@ impl Metric {
             Self::TargetRecall(2) => "E2T R@2",
             Self::TargetRecall(_) => "E2T R@3",
             Self::TargetAverageRank => "E2T AvgR",
+            Self::SourceMedianRank => "E2S MedR",
+            Self::TargetMedianRank => "E2T MedR",
+            Self::Multimodality => "Multimodality",
             Self::PositionError => "Position error (cm)",
+            Self::FitError => "Fit error (cm)",
+            Self::BoneDrift => "Bone drift (cm)",
+            Self::Composed => "Composed (%)",
         }
     }
 
@@ -117,14 +141,22 @@ impl Metric {
     /// original too well has not edited it. Table A1 (fine-grained) and Table 2 ask for more.
     pub fn better(self, task: &str) -> Better {
         match self {
-            Self::FidUnit | Self::FidRaw | Self::TargetAverageRank | Self::PositionError => {
+            Self::FidUnit
+            | Self::FidRaw
+            | Self::TargetAverageRank
+            | Self::TargetMedianRank
+            | Self::PositionError
+            | Self::FitError
+            | Self::BoneDrift => Better::Lower,
+            Self::FootScore | Self::TargetRecall(_) | Self::Multimodality => Better::Higher,
+            Self::Diversity | Self::Composed => Better::NearReal,
+            Self::SourceRecall(_) if KEEPING.contains(&task) => Better::Higher,
+            Self::SourceAverageRank | Self::SourceMedianRank if KEEPING.contains(&task) => {
                 Better::Lower
             }
-            Self::FootScore | Self::TargetRecall(_) => Better::Higher,
-            Self::Diversity => Better::NearReal,
-            Self::SourceRecall(_) if task == FINE_GRAINED => Better::Higher,
-            Self::SourceAverageRank if task == FINE_GRAINED => Better::Lower,
-            Self::SourceRecall(_) | Self::SourceAverageRank => Better::NearReal,
+            Self::SourceRecall(_) | Self::SourceAverageRank | Self::SourceMedianRank => {
+                Better::NearReal
+            }
         }
     }
 
@@ -138,7 +170,13 @@ impl Metric {
             | Self::SourceAverageRank
             | Self::TargetRecall(_)
             | Self::TargetAverageRank
-            | Self::PositionError => 2,
+            | Self::SourceMedianRank
+            | Self::TargetMedianRank
+            | Self::Multimodality
+            | Self::PositionError
+            | Self::FitError
+            | Self::BoneDrift
+            | Self::Composed => 2,
         }
     }
 }
@@ -149,8 +187,8 @@ impl fmt::Display for Metric {
     }
 }
 
-/// The kind of edit whose originals and targets nearly coincide.
-const FINE_GRAINED: &str = "fine-grained";
+/// Kinds of edit that keep most of their original.
+const KEEPING: [&str; 2] = ["fine-grained", "motionfix"];
 
 /// Draws distinct positions below `size` in random order.
 ///
@@ -229,6 +267,7 @@ mod tests {
     fn only_fine_grained_edits_are_asked_to_stay_near_their_originals() {
         let recall = Metric::SourceRecall(1);
         assert_eq!(recall.better("fine-grained"), Better::Higher);
+        assert_eq!(recall.better("motionfix"), Better::Higher);
         assert_eq!(recall.better("style"), Better::NearReal);
         assert_eq!(
             Metric::SourceAverageRank.better("fine-grained"),

@@ -11,6 +11,8 @@ const METRIC: &str = "Multimodality";
 
 /// Motions generated for each condition in the T2M evaluation.
 pub const T2M_REPEATS: usize = 30;
+/// Conditions compared in the T2M evaluation.
+pub const T2M_CONDITIONS: usize = 100;
 /// Pairs drawn for each condition in the T2M evaluation.
 pub const T2M_PAIRS: usize = 10;
 

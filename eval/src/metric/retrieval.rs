@@ -1,10 +1,11 @@
 //! Whether a motion finds its counterpart among others.
 
+use datasets_spec::product::{self, Packed, Write, multiply};
 use rayon::prelude::*;
 
 use super::{check_finite, check_size};
 use crate::Error;
-use crate::linalg::{Matrix, dot, dots};
+use crate::linalg::{Matrix, dot};
 
 const METRIC: &str = "retrieval";
 
@@ -14,10 +15,9 @@ pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 /// Galleries in the paper's main tables.
 pub const PAPER_GALLERY: usize = 32;
 
-/// Queries a thread ranks while a tile of the gallery is in its cache.
-const QUERIES_PER_TASK: usize = 32;
-/// Gallery rows compared with one query at once.
-const TILE: usize = 4;
+/// Queries a thread ranks at a time: as many as a block of the product has rows, and 4 MB of
+/// similarities with a gallery of 10,000.
+const QUERIES_PER_TASK: usize = 96;
 
 /// What a set of ranks amounts to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -189,10 +189,11 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// The rank of gallery row i for query row i by dot product, counted from zero. The similarities
-/// themselves are never stored, so the memory needed does not grow with the product of the sizes.
+/// The rank of gallery row i for query row i by dot product, counted from zero. Only some rows of
+/// similarities are held at a time, so that memory does not grow with the product of the sizes.
 ///
-/// Equal gallery rows are exact ties, wherever they stand.
+/// Similarities are in single precision, as those of the reference. Equal gallery rows are exact
+/// ties, wherever they stand.
 ///
 /// # Shapes
 /// Both are `[N, D]`; pass rows of unit length to rank by cosine.
@@ -200,6 +201,37 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
 /// # Errors
 /// The sizes differ or a number is not finite.
 pub fn ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
+    let (queries, gallery) = compared(queries, gallery)?;
+    Ok(ranks_of_rows(&queries, &gallery))
+}
+
+/// Rows of latents in single precision.
+struct Rows {
+    values: Vec<f32>,
+    width: usize,
+}
+
+impl Rows {
+    fn of(matrix: &Matrix) -> Self {
+        Self {
+            values: matrix.rows().flatten().map(|&value| value as f32).collect(),
+            width: matrix.num_cols(),
+        }
+    }
+
+    fn select(&self, indices: &[usize]) -> Self {
+        let mut values = Vec::with_capacity(indices.len() * self.width);
+        for &index in indices {
+            values.extend_from_slice(&self.values[index * self.width..][..self.width]);
+        }
+        Self {
+            values,
+            width: self.width,
+        }
+    }
+}
+
+fn compared(queries: &Matrix, gallery: &Matrix) -> Result<(Rows, Rows), Error> {
     check_size(
         METRIC,
         "gallery size",
@@ -214,37 +246,40 @@ pub fn ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
     )?;
     check_finite(METRIC, queries)?;
     check_finite(METRIC, gallery)?;
-    let size = queries.num_rows();
-    let tasks: Vec<usize> = (0..size).step_by(QUERIES_PER_TASK).collect();
-    let ranks: Vec<Vec<f64>> = tasks
-        .into_par_iter()
-        .map(|first| {
-            let task = first..(first + QUERIES_PER_TASK).min(size);
-            let own: Vec<f64> = task
-                .clone()
-                .map(|query| dot(queries.row(query), gallery.row(query)))
-                .collect();
-            let mut counts = vec![(0, 0); task.len()];
-            for tile in (0..size).step_by(TILE) {
-                let width = TILE.min(size - tile);
-                let columns: [&[f64]; TILE] =
-                    std::array::from_fn(|j| gallery.row(tile + j.min(width - 1)));
-                for (slot, query) in task.clone().enumerate() {
-                    let products = dots(queries.row(query), columns);
-                    counts[slot] = products[..width]
-                        .iter()
-                        .fold(counts[slot], |counts, &other| {
-                            count(counts, other, own[slot])
-                        });
-                }
-            }
-            counts
-                .into_iter()
-                .map(|(nearer, equal)| mean_position(nearer, equal))
+    Ok((Rows::of(queries), Rows::of(gallery)))
+}
+
+fn ranks_of_rows(queries: &Rows, gallery: &Rows) -> Vec<f64> {
+    if queries.values.is_empty() {
+        return Vec::new();
+    }
+    let width = queries.width;
+    let packed = Packed::new(product::Matrix::new(&gallery.values, width).transposed());
+    let size = packed.columns();
+    let ranks: Vec<Vec<f64>> = queries
+        .values
+        .par_chunks(QUERIES_PER_TASK * width)
+        .enumerate()
+        .map(|(task, queries)| {
+            let queries = product::Matrix::new(queries, width);
+            let mut similarities = vec![0.0; queries.rows() * size];
+            multiply(queries, &packed, &mut similarities, Write::Replace);
+            similarities
+                .chunks_exact(size)
+                .enumerate()
+                .map(|(row, similarities)| {
+                    let own = similarities[task * QUERIES_PER_TASK + row];
+                    let (mut nearer, mut equal) = (0u32, 0u32);
+                    for &other in similarities {
+                        nearer += u32::from(other > own);
+                        equal += u32::from(other == own);
+                    }
+                    mean_position(nearer as usize, equal as usize)
+                })
                 .collect()
         })
         .collect();
-    Ok(ranks.concat())
+    ranks.concat()
 }
 
 /// Ranks within each gallery and averages the results over the galleries.
@@ -266,6 +301,19 @@ pub fn retrieval(
     gallery: &Matrix,
     galleries: &[Vec<usize>],
 ) -> Result<Retrieval, Error> {
+    let parts: Vec<Retrieval> = gallery_ranks(queries, gallery, galleries)?
+        .iter()
+        .map(|ranks| Retrieval::of_ranks(ranks))
+        .collect();
+    Ok(Retrieval::mean(&parts))
+}
+
+/// The ranks of [`ranks`] within each gallery, in its order.
+pub(crate) fn gallery_ranks(
+    queries: &Matrix,
+    gallery: &Matrix,
+    galleries: &[Vec<usize>],
+) -> Result<Vec<Vec<f64>>, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
         return Err(Error::TooFewRows {
             metric: METRIC,
@@ -273,14 +321,11 @@ pub fn retrieval(
             found: 0,
         });
     }
-    let parts = galleries
-        .iter()
-        .map(|indices| {
-            let ranks = ranks(&queries.select_rows(indices), &gallery.select_rows(indices))?;
-            Ok(Retrieval::of_ranks(&ranks))
-        })
-        .collect::<Result<Vec<_>, Error>>()?;
-    Ok(Retrieval::mean(&parts))
+    let (queries, gallery) = compared(queries, gallery)?;
+    Ok(galleries
+        .par_iter()
+        .map(|indices| ranks_of_rows(&queries.select(indices), &gallery.select(indices)))
+        .collect())
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@
 //! walks through an array of its own; on a processor that costs as much as the matrix products.
 
 pub(crate) mod attention;
-pub(crate) mod gemm;
 pub(crate) mod rows;
 
 /// Does work that splits itself over threads many times on one of the threads that share it.

@@ -14,9 +14,9 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use datasets_spec::product::{Matrix, Packed, Write, multiply};
 
 use crate::compute::attention::{self, Heads};
-use crate::compute::gemm::{Matrix, Packed, Write, multiply};
 use crate::compute::on_workers;
 use crate::compute::rows::{
     Mask, Norm, add_bias, column_sums, gelu_dropout, residual_norm, residual_norm_backward,

@@ -1,0 +1,133 @@
+//! Small tables of text: a head, and rows with a name.
+
+/// A table whose cells are text already.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// What stands above the table.
+    pub title: String,
+    /// Names of the columns, that of the row names first.
+    pub head: Vec<String>,
+    /// Rows, each as long as the head.
+    pub rows: Vec<Vec<String>>,
+}
+
+/// Spaces between columns.
+const GAP: &str = "  ";
+
+impl Grid {
+    /// For a terminal: names to the left, values to the right.
+    pub fn text(&self) -> String {
+        let width = |text: &str| text.chars().count();
+        let widths: Vec<usize> = (0..self.head.len())
+            .map(|column| {
+                let cells = self.rows.iter().map(|row| width(&row[column]));
+                cells.chain([width(&self.head[column])]).max().unwrap_or(0)
+            })
+            .collect();
+        let line = |cells: &[String]| {
+            let cells: Vec<String> = cells
+                .iter()
+                .zip(&widths)
+                .enumerate()
+                .map(|(column, (cell, &width))| match column {
+                    0 => format!("{cell:<width$}"),
+                    _ => format!("{cell:>width$}"),
+                })
+                .collect();
+            format!("{}\n", cells.join(GAP).trim_end())
+        };
+        let total = widths.iter().sum::<usize>() + GAP.len() * (widths.len().max(1) - 1);
+        let rule = format!("{}\n", "─".repeat(total));
+        let rows: String = self.rows.iter().map(|row| line(row)).collect();
+        format!(
+            "{}\n{rule}{}{rule}{rows}{rule}",
+            self.title,
+            line(&self.head)
+        )
+    }
+
+    /// For a README.
+    pub fn markdown(&self) -> String {
+        let line = |cells: &[String]| {
+            let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let mut text = format!("### {}\n\n{}", self.title, line(&self.head));
+        text.push_str("| :-- |");
+        text.push_str(&" --: |".repeat(self.head.len().saturating_sub(1)));
+        text.push('\n');
+        text.extend(self.rows.iter().map(|row| line(row)));
+        text
+    }
+
+    /// For a paper, with the rules of `booktabs`.
+    pub fn latex(&self) -> String {
+        let line = |cells: &[String]| {
+            let cells: Vec<String> = cells
+                .iter()
+                .map(|cell| super::latex::escaped(cell))
+                .collect();
+            format!("{} \\\\\n", cells.join(" & "))
+        };
+        let columns = "r".repeat(self.head.len().saturating_sub(1));
+        let rows: String = self.rows.iter().map(|row| line(row)).collect();
+        format!(
+            "% {}\n\\begin{{tabular}}{{l{columns}}}\n\\toprule\n{}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n",
+            super::latex::comment(&self.title),
+            line(&self.head),
+        )
+    }
+
+    /// For a spreadsheet.
+    pub fn csv(&self) -> String {
+        let line = |cells: &[String]| {
+            let cells: Vec<String> = cells.iter().map(|cell| super::csv::quoted(cell)).collect();
+            format!("{}\n", cells.join(","))
+        };
+        let rows: String = self.rows.iter().map(|row| line(row)).collect();
+        format!("{}{rows}", line(&self.head))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid() -> Grid {
+        let texts = |texts: [&str; 2]| texts.map(str::to_owned).to_vec();
+        Grid {
+            title: "Times".to_owned(),
+            head: texts(["window", "FPS"]),
+            rows: vec![
+                texts(["16-frame", "24.76"]),
+                texts(["a|b, \"c\" & 5%", "9"]),
+            ],
+        }
+    }
+
+    #[test]
+    fn columns_of_a_terminal_are_straight() {
+        let text = grid().text();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "Times");
+        assert_eq!(lines[2], "window           FPS");
+        assert_eq!(lines[4], "16-frame       24.76");
+        assert_eq!(lines[5], "a|b, \"c\" & 5%      9");
+        assert!(lines[1].chars().count() == lines[2].chars().count());
+    }
+
+    #[test]
+    fn marks_of_each_format_are_escaped() {
+        let grid = grid();
+        assert!(grid.markdown().contains("| a\\|b, \"c\" & 5% | 9 |"));
+        assert!(grid.markdown().contains("| :-- | --: |"));
+        assert!(
+            grid.latex()
+                .contains("a\\textbar{}b, \"c\" \\& 5\\% & 9 \\\\")
+        );
+        assert_eq!(
+            grid.csv(),
+            "window,FPS\n16-frame,24.76\n\"a|b, \"\"c\"\" & 5%\",9\n"
+        );
+    }
+}

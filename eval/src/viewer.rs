@@ -1,0 +1,121 @@
+//! The motions of a report in three dimensions: data and script of its viewer.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use datasets_spec::Keypoints;
+use datasets_spec::skeleton::KEYPOINT_PARENTS;
+use glam::DVec3;
+use serde_json::json;
+use sha2::{Digest, Sha256};
+
+use crate::report::Strip;
+
+/// The program of the viewer. It makes its elements from the data and loads nothing.
+pub(crate) const SCRIPT: &str = include_str!("viewer.js");
+
+/// Millimetres in a metre: the unit of stored positions.
+const MM_PER_M: f64 = 1e3;
+
+/// The source by which a content security policy allows the script and no other.
+pub(crate) fn script_source() -> String {
+    format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
+}
+
+/// Place and data of the viewer; empty without motions.
+pub(crate) fn body(strips: &[Strip]) -> String {
+    if strips.is_empty() {
+        return String::new();
+    }
+    let items: Vec<_> = strips.iter().map(item).collect();
+    let data = json!({ "parents": KEYPOINT_PARENTS, "items": items });
+    // Within a script element only the markup that ends it has a meaning.
+    let data = data.to_string().replace('<', "\\u003c");
+    format!(
+        "<p class=\"head\">All motions of an item on one clock. Drag to orbit, scroll to zoom; \
+         Space plays, the arrows step, with Shift by ten. Colour runs with time from orange to \
+         blue; left limbs are pale.</p>\n<div id=\"viewer\" class=\"viewer\"></div>\n\
+         <script type=\"application/json\" id=\"viewer-data\">{data}</script>\n"
+    )
+}
+
+fn item(strip: &Strip) -> serde_json::Value {
+    // One origin for all motions of an item: how they lie towards each other is part of the edit.
+    let origin = strip
+        .rows
+        .iter()
+        .find_map(|row| row.keypoints.points.first())
+        .map_or(DVec3::ZERO, |frame| DVec3::new(frame[0].x, 0.0, frame[0].z));
+    let motions: Vec<_> = strip
+        .rows
+        .iter()
+        .map(|row| json!({ "label": row.label, "points": points(&row.keypoints, origin) }))
+        .collect();
+    let fps = strip
+        .rows
+        .first()
+        .map_or(1.0, |row| row.keypoints.fps.get());
+    json!({ "caption": strip.caption, "note": strip.note, "fps": fps, "motions": motions })
+}
+
+/// Positions in millimetres from the origin, little-endian, 16 bits each; what lies further away
+/// than 32 m is drawn there.
+fn points(keypoints: &Keypoints, origin: DVec3) -> String {
+    let mut bytes = Vec::with_capacity(keypoints.points.len() * size_of_val(&KEYPOINT_PARENTS));
+    for point in keypoints.points.iter().flatten() {
+        for value in (*point - origin).to_array() {
+            // The conversion saturates.
+            bytes.extend(((MM_PER_M * value).round() as i16).to_le_bytes());
+        }
+    }
+    STANDARD.encode(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{Fps, Motion, Pose, Skeleton};
+
+    use super::*;
+    use crate::draw::strip::Row;
+
+    #[test]
+    fn positions_survive_to_half_a_millimetre_around_the_first_pelvis() {
+        let mut pose = Pose::REST;
+        pose.transl = DVec3::new(3.0, 0.5, -70.0);
+        let mut far = pose;
+        far.transl.x += 40.0;
+        let motion = Motion::from_poses(Fps::STORE, &[pose, far]).expect("valid");
+        let skeleton = Skeleton::smplx_neutral();
+        let strip = Strip {
+            caption: "</script><b>".to_owned(),
+            note: String::new(),
+            rows: vec![Row::new("original", &motion, &skeleton)],
+        };
+        let html = body(std::slice::from_ref(&strip));
+        assert_eq!(html.matches("</script>").count(), 1);
+        let data = html
+            .split_once("viewer-data\">")
+            .and_then(|(_, rest)| rest.split_once("</script>"))
+            .expect("data")
+            .0;
+        let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
+        assert_eq!(data["items"][0]["caption"], "</script><b>");
+        assert_eq!(data["items"][0]["fps"], 20.0);
+        let text = data["items"][0]["motions"][0]["points"].as_str();
+        let bytes = STANDARD.decode(text.expect("text")).expect("base64");
+        let expected = &strip.rows[0].keypoints.points;
+        let pelvis = expected[0][0];
+        let found: Vec<f64> = bytes
+            .chunks_exact(2)
+            .map(|pair| f64::from(i16::from_le_bytes([pair[0], pair[1]])) / MM_PER_M)
+            .collect();
+        for (found, expected) in found.chunks_exact(3).zip(&expected[0]) {
+            let expected = *expected - DVec3::new(pelvis.x, 0.0, pelvis.z);
+            // Half a unit and the rounding of a sum.
+            assert!(DVec3::from_slice(found).abs_diff_eq(expected, 0.5e-3 + 1e-12));
+        }
+        // 40 m away: as far as the numbers reach.
+        let first_of_second = found[expected[0].len() * 3];
+        assert!((first_of_second - 32.767).abs() < 1e-12);
+        assert!(body(&[]).is_empty());
+    }
+}

@@ -1,0 +1,291 @@
+//! Tables in every form, comparisons, sweeps and the page of edits.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::train::Workshop;
+use crate::util::{Ran, arg, stance};
+
+/// Settings of an evaluation encoder that is trained in a second.
+const SMALL_ENCODER: &str = "
+    batch_size = 8
+    val_every = 3
+    log_every = 3
+    num_steps = 3
+    word_width = 16
+    [model]
+    width = 32
+    num_layers = 1
+    num_heads = 4
+    feed_forward = 64
+";
+
+/// A workshop with an editor and an encoder.
+struct Bench {
+    workshop: Workshop,
+    encoder: PathBuf,
+}
+
+impl Bench {
+    fn open() -> Self {
+        let workshop = Workshop::open();
+        workshop.train("motionrefit", "editor", "4").expect_code(0);
+        let encoder = workshop.path("encoder");
+        let settings = workshop.path("encoder.toml");
+        fs::write(&settings, SMALL_ENCODER).expect("writes");
+        stance(&[
+            "train",
+            "tmr",
+            arg(&workshop.dataset()),
+            "--out",
+            arg(&encoder),
+            "--config",
+            arg(&settings),
+        ])
+        .expect_code(0);
+        Self { workshop, encoder }
+    }
+
+    /// Edits eight items and returns the folder.
+    fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
+        let out = self.workshop.path(name);
+        let (editor, dataset) = (self.workshop.path("editor"), self.workshop.dataset());
+        let mut args = vec![
+            "edit",
+            arg(&editor),
+            "--dataset",
+            arg(&dataset),
+            "--count",
+            "8",
+            "--out",
+            arg(&out),
+        ];
+        args.extend(more);
+        stance(&args).expect_code(0);
+        out
+    }
+
+    fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
+        let mut args = vec!["eval", "--encoder", arg(&self.encoder), "--repeats", "2"];
+        args.extend(more);
+        args.push("--edits");
+        args.extend(edits.iter().map(|path| arg(path)));
+        stance(&args)
+    }
+}
+
+#[test]
+fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
+    let bench = Bench::open();
+    let first = bench.edits("first", &[]);
+    let second = bench.edits("second", &["--guidance", "1"]);
+
+    let table = bench
+        .eval(&[&first], &["--published"])
+        .expect_code(0)
+        .stdout;
+    for text in [
+        "Real Data",
+        "Identity",
+        "MotionReFit",
+        "E2T",
+        "TMED w/ MCM",
+        "135",
+    ] {
+        assert!(table.contains(text), "{text}: {table}");
+    }
+    let ran = bench
+        .eval(
+            &[&first],
+            &["--table", "a3", "--format", "markdown", "--further"],
+        )
+        .expect_code(0);
+    assert!(ran.stderr.contains("Table A3 is about motionfix edits"));
+    assert!(
+        ran.stdout.contains("one gallery of all 8"),
+        "{}",
+        ran.stdout
+    );
+    assert!(!ran.stdout.contains("Diversity →") && ran.stdout.contains("Bone drift (cm) ↓"));
+    assert!(ran.stdout.contains("E2T MedR ↓"));
+
+    let times = bench
+        .eval(
+            &[&first],
+            &["--table", "a4", "--published", "--format", "latex"],
+        )
+        .expect_code(0)
+        .stdout;
+    assert!(times.contains("16-frame, first &") && times.contains("0.474 & 0.046 & 0.126"));
+
+    let fit: Value = stance(&[
+        "--json",
+        "eval",
+        "encoder",
+        arg(&bench.workshop.dataset()),
+        "--encoder",
+        arg(&bench.encoder),
+    ])
+    .expect_code(0)
+    .json();
+    let rows = fit.as_array().expect("rows");
+    assert_eq!(rows.len(), 10);
+    let recalls: Vec<f64> = rows[..3]
+        .iter()
+        .map(|row| row["mean"].as_f64().expect("a number"))
+        .collect();
+    assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
+
+    let compare = |b: &Path| -> Value {
+        stance(&[
+            "--json",
+            "eval",
+            "compare",
+            arg(&first),
+            arg(b),
+            "--encoder",
+            arg(&bench.encoder),
+            "--repeats",
+            "2",
+        ])
+        .expect_code(0)
+        .json()
+    };
+    let same = compare(&first);
+    let differences = |document: &Value| -> Vec<Value> {
+        let tasks = document.as_array().expect("tasks");
+        tasks
+            .iter()
+            .flat_map(|task| task["differences"].as_array().expect("metrics").clone())
+            .collect()
+    };
+    assert!(!differences(&same).is_empty());
+    for difference in differences(&same) {
+        assert_eq!(difference["difference"], 0.0, "{difference}");
+        assert_eq!(difference["interval"], serde_json::json!([0.0, 0.0]));
+        assert_eq!(difference["better"], Value::Null);
+    }
+    let other = compare(&second);
+    let moved = differences(&other)
+        .into_iter()
+        .find(|row| row["metric"] == "Position error (cm)")
+        .expect("measured");
+    let number = |value: &Value| value.as_f64().expect("a number");
+    assert!(number(&moved["difference"]) != 0.0);
+    let [low, high] = [0, 1].map(|end| number(&moved["interval"][end]));
+    assert!(low <= number(&moved["difference"]) && number(&moved["difference"]) <= high);
+}
+
+#[test]
+fn a_sweep_goes_on_where_it_stopped_and_is_drawn() {
+    let bench = Bench::open();
+    let plan = bench.workshop.path("plan.toml");
+    let write = |key: &str| {
+        let settings = bench.workshop.path("small.toml");
+        let train = fs::read_to_string(settings)
+            .expect("settings")
+            .replace("[model]", "[train.model]");
+        let text = format!(
+            "dataset = \"dataset\"\nout = \"sweep\"\nencoder = \"encoder\"\n\
+             metrics = [\"E2T AvgR\", \"FS\"]\n[eval]\nrepeats = 2\n[edit]\ncount = 6\n\
+             [[axis]]\nname = \"MCM ratio\"\nkey = \"{key}\"\nvalues = [0.2, 1.0]\n\
+             [[axis]]\nname = \"guidance\"\nkey = \"edit.guidance\"\nvalues = [1.0, 2.0]\n\
+             second_key = \"edit.temperature\"\nsecond_values = [0.5]\n\
+             [train]\nlength = {{ steps = 3 }}\n{train}"
+        );
+        fs::write(&plan, text).expect("writes");
+    };
+    write("compose.nonsense");
+    let refused = stance(&["sweep", arg(&plan)]).expect_code(1);
+    assert!(refused.stderr.contains("nonsense"), "{}", refused.stderr);
+    write("mcm_ratio");
+    let refused = stance(&["sweep", arg(&plan)]).expect_code(1);
+    assert!(
+        refused.stderr.contains("compose.mcm_ratio"),
+        "{}",
+        refused.stderr
+    );
+
+    write("compose.mcm_ratio");
+    let listed = stance(&["sweep", arg(&plan), "--dry-run"])
+        .expect_code(0)
+        .stdout;
+    assert_eq!(
+        listed.lines().collect::<Vec<_>>(),
+        [
+            "unchanged",
+            "compose.mcm_ratio = 0.2",
+            "compose.mcm_ratio = 1.0",
+            "edit.guidance = 1.0, edit.temperature = 0.5",
+            "edit.guidance = 2.0, edit.temperature = 0.5",
+        ]
+    );
+    assert!(!bench.workshop.path("sweep").exists());
+    let first: Value = stance(&["--json", "sweep", arg(&plan)])
+        .expect_code(0)
+        .json();
+    let out = bench.workshop.path("sweep");
+    // The ratio of 1 is the default: two trainings serve five points.
+    let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
+    assert_eq!((count("runs"), count("edits"), count("scores")), (2, 4, 4));
+    for drawing in [
+        "mcm-ratio-e2t-avgr.svg",
+        "mcm-ratio-fs.svg",
+        "guidance-e2t-avgr.svg",
+    ] {
+        let svg = fs::read_to_string(out.join(drawing)).expect("drawn");
+        assert!(
+            svg.starts_with("<svg") && !svg.contains("no values"),
+            "{drawing}"
+        );
+    }
+    let again: Value = stance(&["--json", "sweep", arg(&plan)])
+        .expect_code(0)
+        .json();
+    assert_eq!(first, again);
+}
+
+#[test]
+fn a_page_of_edits_holds_every_system_and_loads_nothing() {
+    let bench = Bench::open();
+    let first = bench.edits("first", &[]);
+    let page = bench.workshop.path("page.html");
+    let made: Value = stance(&[
+        "--json",
+        "report",
+        arg(&first),
+        "--encoder",
+        arg(&bench.encoder),
+        "--items",
+        "3",
+        "--out",
+        arg(&page),
+    ])
+    .expect_code(0)
+    .json();
+    let html = fs::read_to_string(&page).expect("written");
+    assert_eq!(made["bytes"], html.len());
+    let data = html
+        .split_once("id=\"viewer-data\">")
+        .and_then(|(_, rest)| rest.split_once("</script>"))
+        .expect("data of the viewer")
+        .0;
+    let data: Value = serde_json::from_str(data).expect("JSON");
+    let items = data["items"].as_array().expect("items");
+    assert_eq!(items.len(), 3);
+    for item in items {
+        let labels: Vec<&str> = item["motions"]
+            .as_array()
+            .expect("motions")
+            .iter()
+            .map(|motion| motion["label"].as_str().expect("a label"))
+            .collect();
+        assert_eq!(labels[0], "source");
+        assert_eq!(labels[2], "target");
+    }
+    assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
+    let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
+    assert!(refused.stderr.contains("encoder"), "{}", refused.stderr);
+}
