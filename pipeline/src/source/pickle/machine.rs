@@ -1015,7 +1015,7 @@ fn unquote(line: &[u8]) -> Option<String> {
     Some(text)
 }
 
-/// The text of a protocol-0 string: Latin-1 with `\uXXXX` and `\UXXXXXXXX`.
+/// The text of a protocol-0 string: Latin-1, with `\u` and four or `\U` and eight hexadecimal digits.
 fn unescape_unicode(line: &[u8]) -> String {
     let mut text = String::new();
     let mut rest = line;
