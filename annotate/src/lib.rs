@@ -8,6 +8,8 @@
 //!
 //! Read [`Judgement`] and [`accept`] first.
 
+pub mod wire;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::MaskRow;
