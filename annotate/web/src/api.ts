@@ -1,0 +1,115 @@
+/** Requests. A 401 waits for a login over the page and is then repeated; nothing is lost by it. */
+
+import type { Problem } from "./wire";
+
+export class ApiError extends Error {
+  constructor(readonly problem: Problem) {
+    super(problem.detail || problem.title);
+  }
+
+  get code(): string {
+    return this.problem.code;
+  }
+}
+
+/** The server could not be reached, or answered with something that is not ours. */
+export class Unreachable extends Error {}
+
+/** A request is given up after this long, a little more than the server's own limit. */
+const TIMEOUT_MS = 20_000;
+
+export class Api {
+  /** Opens the login box; resolves when somebody has logged in. */
+  onUnauthenticated: () => Promise<void> = () => Promise.reject(new Unreachable("not logged in"));
+
+  constructor(private readonly base = "/api/v1") {}
+
+  async json<T>(method: string, path: string, body?: unknown): Promise<T> {
+    const response = await this.request(method, path, body);
+    if (response.status === 204) return undefined as T;
+    return (await response.json()) as T;
+  }
+
+  get<T>(path: string): Promise<T> {
+    return this.json<T>("GET", path);
+  }
+
+  post<T>(path: string, body: unknown = undefined): Promise<T> {
+    return this.json<T>("POST", path, body);
+  }
+
+  async floats(method: string, path: string, body?: unknown): Promise<Float32Array> {
+    const response = await this.request(method, path, body);
+    const bytes = await response.arrayBuffer();
+    return littleEndian(bytes);
+  }
+
+  /** One try without the login box, as the outbox and the login itself need it. */
+  async once(method: string, path: string, body?: unknown): Promise<Response> {
+    const headers: Record<string, string> = {};
+    if (method !== "GET") headers["X-Annotate"] = "1";
+    const init: RequestInit = { method, headers, credentials: "same-origin", redirect: "error" };
+    if (body instanceof Blob) {
+      init.body = body;
+    } else if (body !== undefined) {
+      headers["Content-Type"] = "application/json";
+      init.body = JSON.stringify(body);
+    }
+    // Uploads may take longer than any time limit that suits the rest.
+    if (!(body instanceof Blob)) init.signal = AbortSignal.timeout(TIMEOUT_MS);
+    let response: Response;
+    try {
+      response = await fetch(`${this.base}/${path}`, init);
+    } catch (error) {
+      throw new Unreachable(error instanceof Error ? error.message : "no answer");
+    }
+    if (response.ok) return response;
+    throw new ApiError(await problemOf(response));
+  }
+
+  private async request(method: string, path: string, body?: unknown): Promise<Response> {
+    for (;;) {
+      try {
+        return await this.once(method, path, body);
+      } catch (error) {
+        if (!(error instanceof ApiError) || error.problem.status !== 401) throw error;
+        await this.onUnauthenticated();
+      }
+    }
+  }
+}
+
+/** The problem in a response, or one made of its status. */
+async function problemOf(response: Response): Promise<Problem> {
+  try {
+    const problem = (await response.json()) as Problem;
+    if (typeof problem.code === "string") return { ...problem, status: response.status };
+  } catch {
+    // Not JSON: something between the browser and the server answered.
+  }
+  return {
+    type: "about:blank",
+    title: response.statusText || "unexpected answer",
+    status: response.status,
+    code: response.status === 401 ? "unauthenticated" : "internal",
+    detail: `the server answered ${response.status}`,
+  };
+}
+
+function littleEndian(bytes: ArrayBuffer): Float32Array {
+  if (new Uint8Array(new Uint16Array([1]).buffer)[0] === 1) return new Float32Array(bytes);
+  const view = new DataView(bytes);
+  return Float32Array.from({ length: bytes.byteLength / 4 }, (_, index) => view.getFloat32(index * 4, true));
+}
+
+/** A new key for an event; the same key is sent with every repetition. */
+export function idemKey(): string {
+  return crypto.randomUUID();
+}
+
+/** What to tell a person about any failure. */
+export function reason(error: unknown): string {
+  if (error instanceof ApiError) return error.problem.detail || error.problem.title;
+  if (error instanceof Unreachable) return "the server cannot be reached";
+  return error instanceof Error ? error.message : String(error);
+}

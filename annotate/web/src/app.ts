@@ -1,0 +1,408 @@
+/** What all screens share: who is logged in, requests, keys, the outbox, and the frame of the page. */
+
+import { Api, ApiError, Unreachable, reason } from "./api";
+import { BrowserStore, MemoryStore, type KeyValue } from "./db";
+import { fill, h, isTextField, setAttr } from "./dom";
+import { KeyMap, chordOf, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
+import { showKeySheet } from "./keysheet";
+import { Motions } from "./motions";
+import { Outbox, type OutboxStatus, type Outcome } from "./outbox";
+import { Parts } from "./parts";
+import { CanvasRenderer } from "./stage/canvas2d";
+import { PARENTS } from "./stage/body";
+import type { MakeRenderer } from "./stage/stage";
+import { Toasts } from "./ui";
+import { showUnsent } from "./unsent";
+import type { EventResult, Me, NewEvent, Prefs, Role, SkeletonInfo } from "./wire";
+
+export interface Screen {
+  readonly element: HTMLElement;
+  readonly title: string;
+  /** Sets of keys that work here, beside the global ones. */
+  readonly scopes: readonly Scope[];
+  /** Does what a key asks; false if it has no meaning now. */
+  perform(action: ActionId, ten: boolean): boolean;
+  /** Where the focus goes when nothing is typed. */
+  readonly focusTarget: HTMLElement | null;
+  draw?(nowMs: number): void;
+  leave?(): void;
+}
+
+/** A task that is being worked on, as far as the page as a whole needs it. */
+export interface OpenSession {
+  readonly chain: string;
+  readonly isEditing: boolean;
+  active(): void;
+  flushDraft(): Promise<void>;
+  heard(outcome: Outcome): Promise<void>;
+}
+
+export type Open = (app: App, argument: string) => Promise<Screen>;
+
+interface Route {
+  label: string;
+  role: Role;
+  open: Open;
+  /** Whether the navigation shows it. */
+  listed: boolean;
+}
+
+const RANK: Readonly<Record<Role, number>> = { annotator: 0, reviewer: 1, admin: 2 };
+
+export class App {
+  readonly api = new Api();
+  readonly toasts = new Toasts();
+  readonly keys = new KeyMap();
+  readonly motions = new Motions(this.api);
+  readonly sessions = new Set<OpenSession>();
+  store!: KeyValue;
+  outbox!: Outbox;
+  me!: Me;
+  parts!: Parts;
+  private screen: Screen | null = null;
+  private makeWebgl: MakeRenderer | null = null;
+  private login: Promise<void> | null = null;
+  private status: OutboxStatus = { phase: "idle", waiting: 0, stuck: 0, trouble: null };
+  private readonly main = h("main", { id: "main" });
+  private readonly nav = h("nav", { attrs: { "aria-label": "Screens" } });
+  private readonly chip = h("output", { class: "chip", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
+  private readonly stuck = h("button", { class: "stuck", attrs: { type: "button" }, on: { click: () => void this.showStuck() } });
+  private readonly banner = h("div", { class: "banner", attrs: { role: "alert" } });
+  private readonly header: HTMLElement;
+  private readonly tab: string;
+  /** Counts openings, so that a slow one does not replace a newer one. */
+  private opening = 0;
+
+  constructor(
+    private readonly routes: Readonly<Record<string, Route>>,
+    private readonly showLogin: (app: App, over: boolean) => Promise<Me>,
+  ) {
+    const known = sessionStorage.getItem("tab");
+    this.tab = known ?? crypto.randomUUID().slice(0, 8);
+    sessionStorage.setItem("tab", this.tab);
+    this.stuck.hidden = true;
+    this.banner.hidden = true;
+    this.header = h("header", { class: "top" });
+    this.header.hidden = true;
+    this.api.onUnauthenticated = () => this.requireLogin();
+  }
+
+  /** Logs in, fetches what never changes, and shows the page in the address. */
+  async start(): Promise<void> {
+    document.body.append(this.banner, this.header, this.main, this.toasts.element);
+    this.store = await BrowserStore.open().catch(() => new MemoryStore() as KeyValue);
+    this.me = await this.firstLogin();
+    const [skeleton] = await Promise.all([this.api.get<SkeletonInfo>("skeleton"), this.prepareWebgl(), this.keys.learnLayout()]);
+    if (skeleton.parents.join() !== PARENTS.join()) {
+      throw new Error("the server draws another skeleton than this page; reload the page");
+    }
+    this.parts = new Parts(skeleton);
+    this.keys.override(this.me.prefs.keys as KeyOverrides);
+    this.outbox = new Outbox(this.store, this.me.user.id, {
+      send: (task, events) => this.sendEvents(task, events),
+      login: () => this.requireLogin(),
+      sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
+      alone: (action) => alone("annotate-outbox", action),
+      status: (status) => {
+        this.status = status;
+        this.refreshChip();
+      },
+      outcome: (outcome) => void this.heard(outcome),
+    });
+    await this.outbox.open();
+    void this.outbox.flush();
+    this.buildHeader();
+    this.listen();
+    await this.route();
+    const frame = (now: number): void => {
+      this.screen?.draw?.(now);
+      requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
+  }
+
+  /** The name under which a task's edits of this tab are kept. */
+  chain(task: number): string {
+    return `${this.me.user.id}:${task}:${this.tab}`;
+  }
+
+  may(role: Role): boolean {
+    return RANK[this.me.user.role] >= RANK[role];
+  }
+
+  readonly makeRenderer: MakeRenderer = () => {
+    if (!this.makeWebgl) return new CanvasRenderer();
+    return this.makeWebgl();
+  };
+
+  go(path: string): void {
+    window.history.pushState(null, "", `/app/${path}`);
+    void this.route();
+  }
+
+  /** A link to a screen that does not load the page anew. */
+  link(path: string, text: string, className = ""): HTMLAnchorElement {
+    const link = h("a", { class: className }, text);
+    link.href = `/app/${path}`;
+    link.addEventListener("click", (event) => {
+      if (event.ctrlKey || event.metaKey || event.shiftKey || event.button !== 0) return;
+      event.preventDefault();
+      this.go(path);
+    });
+    return link;
+  }
+
+  focusStage(): void {
+    this.screen?.focusTarget?.focus({ preventScroll: true });
+  }
+
+  /** Opens the login box over the page; everything that waits for it goes on afterwards. */
+  requireLogin(): Promise<void> {
+    this.login ??= this.showLogin(this, true)
+      .then((me) => {
+        // Another person: what waits here is not theirs to send.
+        if (this.me && me.user.id !== this.me.user.id) window.location.reload();
+        this.me = me;
+        void this.outbox?.flush();
+      })
+      .finally(() => {
+        this.login = null;
+      });
+    return this.login;
+  }
+
+  async savePrefs(change: Partial<Prefs>): Promise<void> {
+    this.me.prefs = { ...this.me.prefs, ...change };
+    try {
+      this.me.prefs = await this.api.json<Prefs>("PUT", "prefs", this.me.prefs);
+    } catch (error) {
+      this.toasts.show(`The setting holds for this page only: ${reason(error)}`, { kind: "error" });
+    }
+  }
+
+  setReadOnly(why: string | null): void {
+    this.banner.hidden = why === null;
+    fill(this.banner, why === null ? null : `Nothing can be saved on the server: ${why}. What you write is kept in this browser.`);
+  }
+
+  /** Four words: editing, saving, saved, offline. */
+  refreshChip(): void {
+    const { phase, waiting, stuck, trouble } = this.status;
+    const editing = [...this.sessions].some((session) => session.isEditing);
+    const word = phase === "offline" ? "offline" : editing ? "editing" : waiting > 0 || phase === "sending" ? "saving" : "saved";
+    this.chip.dataset.state = word;
+    this.chip.textContent = word === "offline" ? `offline (${waiting} waiting)` : word;
+    this.chip.title = trouble ?? "";
+    this.stuck.hidden = stuck === 0;
+    this.stuck.textContent = `${stuck} not taken`;
+    if (phase === "idle" && waiting === 0) this.setReadOnly(this.me?.read_only ?? null);
+  }
+
+  private async firstLogin(): Promise<Me> {
+    const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
+    if (token) {
+      // The token leaves the address bar and the history before anything else happens.
+      window.history.replaceState(null, "", window.location.pathname);
+      try {
+        const response = await this.api.once("POST", "session", { token });
+        return (await response.json()) as Me;
+      } catch (error) {
+        this.toasts.show(`The token in the address was not taken: ${reason(error)}`, { kind: "error" });
+      }
+    }
+    try {
+      const response = await this.api.once("GET", "me");
+      return (await response.json()) as Me;
+    } catch (error) {
+      if (error instanceof ApiError || error instanceof Unreachable) return this.showLogin(this, false);
+      throw error;
+    }
+  }
+
+  private async prepareWebgl(): Promise<void> {
+    const probe = document.createElement("canvas").getContext("webgl2");
+    if (!probe) return;
+    probe.getExtension("WEBGL_lose_context")?.loseContext();
+    const [lib, { WebglRenderer }] = await Promise.all([import("./vendor-three"), import("./stage/webgl")]);
+    this.makeWebgl = () => new WebglRenderer(lib);
+  }
+
+  private async sendEvents(task: number, events: NewEvent[]): Promise<EventResult[]> {
+    try {
+      const response = await this.api.once("POST", `tasks/${task}/events`, { events });
+      const body = (await response.json()) as { results: EventResult[] };
+      this.setReadOnly(null);
+      return body.results;
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      const { problem } = error;
+      if (problem.code === "read_only") this.setReadOnly(problem.detail);
+      if (problem.status >= 500 || problem.status === 429 || problem.status === 401) throw error;
+      // The batch as a whole was refused: its first event carries the reason.
+      const first = events[0] as NewEvent;
+      return [{ idem_key: first.idem_key, status: problem.status, seq: null, rev: 0, state: null, lease: null, problem }];
+    }
+  }
+
+  private async heard(outcome: Outcome): Promise<void> {
+    const session = [...this.sessions].find((own) => own.chain === outcome.item.chain);
+    if (session) await session.heard(outcome);
+    else if (outcome.result.problem) {
+      this.toasts.show(`Task ${outcome.item.task}: ${outcome.result.problem.detail}`, { kind: "error", ms: 15_000 });
+    }
+  }
+
+  private buildHeader(): void {
+    const links = Object.entries(this.routes)
+      .filter(([, route]) => route.listed && this.may(route.role))
+      .map(([name, route]) => {
+        const link = this.link(name, route.label);
+        link.dataset.route = name;
+        return link;
+      });
+    fill(this.nav, ...links);
+    const keys = h(
+      "button",
+      { attrs: { type: "button", title: "Key sheet" }, on: { click: () => void showKeySheet(this) } },
+      h("kbd", {}, this.keys.hint("key_sheet")),
+      "Keys",
+    );
+    const out = h("button", { attrs: { type: "button" }, on: { click: () => void this.logOut() } }, "Log out");
+    fill(
+      this.header,
+      h("span", { class: "brand" }, this.me.project.name || "Annotation"),
+      this.nav,
+      h("span", { class: "spacer" }),
+      this.stuck,
+      this.chip,
+      keys,
+      h("span", { class: "who" }, `${this.me.user.name} · ${this.me.user.role}`),
+      out,
+    );
+    this.header.hidden = false;
+    this.refreshChip();
+    if (this.me.read_only) this.setReadOnly(this.me.read_only);
+  }
+
+  private async logOut(): Promise<void> {
+    for (const session of this.sessions) await session.flushDraft();
+    await this.api.once("DELETE", "session").catch(() => undefined);
+    window.location.assign("/");
+  }
+
+  private async route(): Promise<void> {
+    const [name = "home", argument = ""] = window.location.pathname.replace(/^\/app\/?/, "").replace(/^\/$/, "").split("/");
+    const known = this.routes[name] ?? this.routes.home;
+    const route = known && this.may(known.role) ? known : this.routes.home;
+    if (!route) return;
+    const turn = ++this.opening;
+    this.leave();
+    this.main.setAttribute("aria-busy", "true");
+    for (const link of this.nav.querySelectorAll("a")) {
+      const here = link.dataset.route === name || (link.dataset.route === "home" && route === this.routes.home);
+      setAttr(link, "aria-current", here ? "page" : null);
+    }
+    try {
+      const screen = await route.open(this, decodeURIComponent(argument));
+      if (turn !== this.opening) {
+        screen.leave?.();
+        return;
+      }
+      this.show(screen);
+    } catch (error) {
+      if (turn !== this.opening) return;
+      const again = h("button", { class: "primary", attrs: { type: "button" }, on: { click: () => void this.route() } }, "Try again");
+      fill(this.main, h("div", { class: "page" }, h("h1", {}, "This page cannot be shown"), h("p", {}, reason(error)), again));
+      again.focus();
+    } finally {
+      this.main.removeAttribute("aria-busy");
+    }
+  }
+
+  /** Replaces what is shown, as when the next task comes. */
+  show(screen: Screen): void {
+    if (this.screen !== screen) this.leave();
+    this.screen = screen;
+    document.title = `${screen.title} · ${this.me.project.name || "annotation"}`;
+    fill(this.main, screen.element);
+    this.focusStage();
+  }
+
+  private leave(): void {
+    this.screen?.leave?.();
+    this.screen = null;
+  }
+
+  private listen(): void {
+    window.addEventListener("popstate", () => void this.route());
+    window.addEventListener("online", () => void this.outbox.flush());
+    document.addEventListener("visibilitychange", () => {
+      if (document.visibilityState !== "hidden") return;
+      for (const session of this.sessions) void session.flushDraft();
+    });
+    window.addEventListener("pagehide", () => {
+      for (const session of this.sessions) void session.flushDraft();
+    });
+    // With the mouse, the focus goes back to the stage, so that keys go on working after a click.
+    document.addEventListener("click", (event) => {
+      const target = event.target instanceof Element ? event.target.closest("button, summary") : null;
+      if (event.detail > 0 && target && !target.closest("dialog") && document.activeElement === target) this.focusStage();
+    });
+    document.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  private key(event: KeyboardEvent): void {
+    if (event.isComposing || event.defaultPrevented) return;
+    if (document.querySelector("dialog[open]")) return;
+    for (const session of this.sessions) session.active();
+    const chord = chordOf(event);
+    if (chord === null || !this.screen) return;
+    const found = this.keys.find(chord, ["global", ...this.screen.scopes], focusOf(event.target));
+    if (!found) return;
+    let done = true;
+    if (found.id === "key_sheet") void showKeySheet(this);
+    else if (found.id === "next_region") this.nextRegion();
+    else done = this.screen.perform(found.id, found.ten);
+    if (!done && found.id === "stage") {
+      this.focusStage();
+      done = true;
+    }
+    if (done) {
+      event.preventDefault();
+      event.stopPropagation();
+    }
+  }
+
+  /** Moves the focus between navigation, stage, panel and playback. */
+  private nextRegion(): void {
+    const regions = [this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")].filter(
+      (region): region is HTMLElement => region !== null,
+    );
+    const targets = regions.map((region) => (region.matches("a, button, [tabindex]") ? region : firstFocusable(region))).filter((target) => target !== null);
+    const current = document.activeElement;
+    const at = targets.findIndex((target, index) => target === current || (regions[index]?.contains(current) ?? false));
+    targets[(at + 1) % targets.length]?.focus();
+  }
+
+  private async showStuck(): Promise<void> {
+    await showUnsent(this);
+  }
+}
+
+function firstFocusable(region: HTMLElement): HTMLElement | null {
+  return region.querySelector<HTMLElement>("[tabindex='0'], button:not([disabled]), input, select, textarea, a[href]");
+}
+
+function focusOf(target: EventTarget | null): Focus {
+  if (target instanceof HTMLElement && target.dataset.cardText !== undefined) return "card";
+  if (isTextField(target) || target instanceof HTMLSelectElement) return "text";
+  if (target instanceof HTMLInputElement && (target.type === "range" || target.type === "radio")) return "text";
+  if (target instanceof HTMLElement && target.closest("button, a, summary, input")) return "button";
+  return "stage";
+}
+
+/** Runs while no other tab of this browser does the same. */
+async function alone<T>(name: string, action: () => Promise<T>): Promise<T> {
+  if (!navigator.locks) return action();
+  return navigator.locks.request(name, action) as Promise<T>;
+}

@@ -1,0 +1,165 @@
+/**
+ * One frame counter for every view. Time plays, frames step: while playing, the position advances by
+ * real seconds times speed times the native rate, and what is shown is its whole part. Views never
+ * count frames themselves, so two of them cannot drift apart.
+ */
+
+export const SPEEDS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
+
+/** After a hidden tab or a stall the motion goes on where it was instead of jumping. */
+const LONGEST_TICK_SECS = 0.25;
+
+export interface ClockState {
+  frame: number;
+  frames: number;
+  fps: number;
+  playing: boolean;
+  speed: number;
+  /** First and last frame that plays, both included. */
+  loopIn: number;
+  loopOut: number;
+}
+
+export class Clock {
+  private position = 0;
+  private state: ClockState = {
+    frame: 0,
+    frames: 1,
+    fps: 20,
+    playing: false,
+    speed: 1,
+    loopIn: 0,
+    loopOut: 0,
+  };
+  private readonly listeners = new Set<(state: Readonly<ClockState>) => void>();
+  private lastTick: number | null = null;
+
+  get now(): Readonly<ClockState> {
+    return this.state;
+  }
+
+  /** Calls `listener` now and after every change; returns how to stop. */
+  subscribe(listener: (state: Readonly<ClockState>) => void): () => void {
+    this.listeners.add(listener);
+    listener(this.state);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** A new motion: back to its first frame, the whole of it in the loop, speed kept. */
+  load(frames: number, fps: number): void {
+    const last = Math.max(0, frames - 1);
+    this.position = 0;
+    this.set({ frame: 0, frames: Math.max(1, frames), fps, loopIn: 0, loopOut: last });
+  }
+
+  /** Another length of the same viewing, as when two clips are aligned; the loop is reset. */
+  resize(frames: number): void {
+    const last = Math.max(0, frames - 1);
+    this.position = Math.min(this.position, last);
+    this.set({
+      frames: Math.max(1, frames),
+      frame: Math.min(this.state.frame, last),
+      loopIn: 0,
+      loopOut: last,
+    });
+  }
+
+  toggle(): void {
+    this.play(!this.state.playing);
+  }
+
+  play(playing: boolean): void {
+    this.lastTick = null;
+    const { frame, loopIn, loopOut } = this.state;
+    if (playing && (frame < loopIn || frame > loopOut)) this.position = loopIn;
+    this.set({ playing, frame: Math.floor(this.position) });
+  }
+
+  /** Whole frames forwards or backwards; pauses, and stays within the motion. */
+  step(frames: number): void {
+    this.seek(this.state.frame + frames);
+  }
+
+  /** Shows a frame and pauses. */
+  seek(frame: number): void {
+    const target = Math.min(this.state.frames - 1, Math.max(0, Math.round(frame)));
+    this.position = target;
+    this.lastTick = null;
+    this.set({ frame: target, playing: false });
+  }
+
+  /** Shows a frame and goes on playing if it was. */
+  scrub(frame: number): void {
+    const playing = this.state.playing;
+    this.seek(frame);
+    if (playing) this.set({ playing });
+  }
+
+  setLoopIn(): void {
+    const { frame, loopOut } = this.state;
+    this.set({ loopIn: frame, loopOut: loopOut > frame ? loopOut : this.state.frames - 1 });
+  }
+
+  setLoopOut(): void {
+    const { frame, loopIn } = this.state;
+    this.set({ loopOut: frame, loopIn: loopIn < frame ? loopIn : 0 });
+  }
+
+  clearLoop(): void {
+    this.set({ loopIn: 0, loopOut: this.state.frames - 1 });
+  }
+
+  /** The next slower (-1) or faster (1) of [`SPEEDS`]. */
+  changeSpeed(direction: -1 | 1): void {
+    const nearest = SPEEDS.reduce((best, speed, index) => {
+      const distance = Math.abs(speed - this.state.speed);
+      return distance < Math.abs((SPEEDS[best] ?? 1) - this.state.speed) ? index : best;
+    }, 0);
+    const next = Math.min(SPEEDS.length - 1, Math.max(0, nearest + direction));
+    this.set({ speed: SPEEDS[next] ?? 1 });
+  }
+
+  /** Advances to this time; called once for each animation frame. */
+  tick(nowMs: number): void {
+    if (!this.state.playing) return;
+    if (this.lastTick === null) {
+      this.lastTick = nowMs;
+      return;
+    }
+    const seconds = Math.min(LONGEST_TICK_SECS, Math.max(0, (nowMs - this.lastTick) / 1000));
+    this.lastTick = nowMs;
+    const { fps, speed, loopIn, loopOut } = this.state;
+    const length = loopOut - loopIn + 1;
+    let offset = this.position - loopIn + seconds * fps * speed;
+    if (offset < 0) offset = 0;
+    this.position = loopIn + (offset % length);
+    const frame = Math.floor(this.position);
+    if (frame !== this.state.frame) this.set({ frame });
+  }
+
+  private set(change: Partial<ClockState>): void {
+    this.state = { ...this.state, ...change };
+    for (const listener of this.listeners) listener(this.state);
+  }
+}
+
+/** What the clock needs to know of a clip. */
+export interface Length {
+  frames: number;
+  fps: number;
+}
+
+/**
+ * The frame of a clip that is shown with a frame of the clock: the same moment in seconds, the last
+ * frame once the clip is over. With `stretch` the whole clip is spread over the whole clock, for
+ * viewing two clips of different length side by side.
+ */
+export function clipFrame(clockFrame: number, clock: Length, clip: Length, stretch: boolean): number {
+  const last = Math.max(0, clip.frames - 1);
+  if (stretch) {
+    if (clock.frames <= 1) return 0;
+    return Math.min(last, Math.round((clockFrame * last) / (clock.frames - 1)));
+  }
+  // A hair above, so that equal rates never fall to the frame before by rounding.
+  return Math.min(last, Math.floor((clockFrame * clip.fps) / clock.fps + 1e-6));
+}

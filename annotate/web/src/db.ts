@@ -1,0 +1,88 @@
+/**
+ * The browser's own store. What is typed is here before it is sent, and leaves only on a durable
+ * acknowledgement.
+ */
+
+const NAME = "annotate";
+const VERSION = 1;
+const STORES = ["outbox", "chains", "histories"] as const;
+
+export type StoreName = (typeof STORES)[number];
+
+/** The little of a key-value store that is needed; tests use one in memory. */
+export interface KeyValue {
+  all<T>(store: StoreName): Promise<T[]>;
+  get<T>(store: StoreName, key: string): Promise<T | undefined>;
+  put(store: StoreName, key: string, value: unknown): Promise<void>;
+  remove(store: StoreName, key: string): Promise<void>;
+}
+
+export class MemoryStore implements KeyValue {
+  private readonly stores = new Map<StoreName, Map<string, string>>(STORES.map((name) => [name, new Map()]));
+
+  async all<T>(store: StoreName): Promise<T[]> {
+    return [...(this.stores.get(store)?.values() ?? [])].map((text) => JSON.parse(text) as T);
+  }
+
+  async get<T>(store: StoreName, key: string): Promise<T | undefined> {
+    const text = this.stores.get(store)?.get(key);
+    return text === undefined ? undefined : (JSON.parse(text) as T);
+  }
+
+  async put(store: StoreName, key: string, value: unknown): Promise<void> {
+    this.stores.get(store)?.set(key, JSON.stringify(value));
+  }
+
+  async remove(store: StoreName, key: string): Promise<void> {
+    this.stores.get(store)?.delete(key);
+  }
+}
+
+export class BrowserStore implements KeyValue {
+  private constructor(private readonly database: IDBDatabase) {}
+
+  static open(): Promise<BrowserStore> {
+    return new Promise((resolve, reject) => {
+      const request = indexedDB.open(NAME, VERSION);
+      request.onupgradeneeded = () => {
+        for (const name of STORES) {
+          if (!request.result.objectStoreNames.contains(name)) request.result.createObjectStore(name);
+        }
+      };
+      request.onsuccess = () => resolve(new BrowserStore(request.result));
+      request.onerror = () => reject(request.error ?? new Error("the browser's store cannot be opened"));
+    });
+  }
+
+  all<T>(store: StoreName): Promise<T[]> {
+    return this.run<T[]>(store, "readonly", (objects) => objects.getAll());
+  }
+
+  get<T>(store: StoreName, key: string): Promise<T | undefined> {
+    return this.run<T | undefined>(store, "readonly", (objects) => objects.get(key));
+  }
+
+  async put(store: StoreName, key: string, value: unknown): Promise<void> {
+    await this.run(store, "readwrite", (objects) => objects.put(value, key));
+  }
+
+  async remove(store: StoreName, key: string): Promise<void> {
+    await this.run(store, "readwrite", (objects) => objects.delete(key));
+  }
+
+  /** Resolves when the transaction is complete, not when the request is, so that it is on disk. */
+  private run<T>(
+    store: StoreName,
+    mode: IDBTransactionMode,
+    action: (objects: IDBObjectStore) => IDBRequest,
+  ): Promise<T> {
+    return new Promise((resolve, reject) => {
+      const options: IDBTransactionOptions = mode === "readwrite" ? { durability: "strict" } : {};
+      const transaction = this.database.transaction(store, mode, options);
+      const request = action(transaction.objectStore(store));
+      transaction.oncomplete = () => resolve(request.result as T);
+      transaction.onerror = () => reject(transaction.error ?? new Error("the browser's store failed"));
+      transaction.onabort = () => reject(transaction.error ?? new Error("the browser's store is full"));
+    });
+  }
+}

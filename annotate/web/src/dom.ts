@@ -1,0 +1,81 @@
+/**
+ * Elements without markup strings. Everything that reaches the page does so as a text node or as an
+ * attribute of a fixed name, so data of any content stays data.
+ */
+
+export type Child = Node | string | number | null | undefined | false;
+
+export interface Props {
+  class?: string;
+  id?: string;
+  /** Attributes by name; `true` sets an empty one, `false` and `null` leave it out. */
+  attrs?: Record<string, string | number | boolean | null | undefined>;
+  data?: Record<string, string>;
+  on?: { [K in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[K]) => void };
+}
+
+/** Attributes that can run code or load something; none of them may come from data. */
+const FORBIDDEN = /^(on|style$|src$|href$|srcdoc$|formaction$|action$)/i;
+
+export function h<K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  props: Props = {},
+  ...children: Child[]
+): HTMLElementTagNameMap[K] {
+  const element = document.createElement(tag);
+  if (props.class) element.className = props.class;
+  if (props.id) element.id = props.id;
+  for (const [name, value] of Object.entries(props.attrs ?? {})) {
+    setAttr(element, name, value);
+  }
+  for (const [name, value] of Object.entries(props.data ?? {})) {
+    element.dataset[name] = value;
+  }
+  for (const [name, listener] of Object.entries(props.on ?? {})) {
+    element.addEventListener(name, listener as EventListener);
+  }
+  append(element, children);
+  return element;
+}
+
+export function append(parent: Element, children: Child[]): void {
+  for (const child of children) {
+    if (child === null || child === undefined || child === false) continue;
+    parent.append(child instanceof Node ? child : String(child));
+  }
+}
+
+/** Replaces all children. */
+export function fill(parent: Element, ...children: Child[]): void {
+  parent.replaceChildren();
+  append(parent, children);
+}
+
+export function setAttr(
+  element: Element,
+  name: string,
+  value: string | number | boolean | null | undefined,
+): void {
+  if (FORBIDDEN.test(name)) throw new Error(`attribute ${name} is not set this way`);
+  if (value === null || value === undefined || value === false) {
+    element.removeAttribute(name);
+  } else {
+    element.setAttribute(name, value === true ? "" : String(value));
+  }
+}
+
+/** A link within the page; the target is one of our own routes. */
+export function routeLink(route: string, text: string, props: Props = {}): HTMLAnchorElement {
+  const link = h("a", props, text);
+  link.href = `#/${route}`;
+  return link;
+}
+
+/** Whether keys typed here are text. */
+export function isTextField(target: EventTarget | null): boolean {
+  if (target instanceof HTMLTextAreaElement) return true;
+  if (target instanceof HTMLInputElement) {
+    return !["checkbox", "radio", "range", "button", "submit"].includes(target.type);
+  }
+  return target instanceof HTMLElement && target.isContentEditable;
+}

@@ -1,0 +1,289 @@
+/**
+ * The key map. Keys are bound by their physical position (`KeyboardEvent.code`), so hands find them
+ * on any layout; labels show what is printed on the key where the browser tells. Bare keys do nothing
+ * while text is typed; chords with Ctrl work everywhere, but undo in a text field is the field's own.
+ */
+
+export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "review";
+
+export interface Action {
+  id: ActionId;
+  label: string;
+  scope: Scope;
+  /** First chord is the one shown; all of them work. */
+  chords: readonly string[];
+}
+
+/** Names are those of `wire::Action`, under which the server keeps remapped keys. */
+const ACTIONS = [
+  ["key_sheet", "Key sheet", "global", ["Shift+Slash"]],
+  ["next_region", "Next region of the page", "global", ["F6"]],
+  ["undo", "Undo", "global", ["Ctrl+KeyZ"]],
+  ["redo", "Redo", "global", ["Ctrl+Shift+KeyZ", "Ctrl+KeyY"]],
+  ["stage", "Back to the stage", "global", ["Escape"]],
+
+  ["text", "Go to the text", "work", ["KeyT", "Enter"]],
+  ["submit", "Submit and next", "work", ["Ctrl+Enter"]],
+  ["skip", "Skip with a reason", "work", ["KeyK"]],
+  ["postpone", "Postpone", "work", ["KeyP"]],
+  ["draft_use", "Use the draft", "work", ["KeyV"]],
+
+  ["play_pause", "Play or pause", "transport", ["Space"]],
+  ["step_back", "Frame back (Shift: ten)", "transport", ["Comma", "ArrowLeft"]],
+  ["step_forward", "Frame forward (Shift: ten)", "transport", ["Period", "ArrowRight"]],
+  ["go_start", "First frame", "transport", ["Home"]],
+  ["go_end", "Last frame", "transport", ["End"]],
+  ["loop_in", "Loop from here", "transport", ["BracketLeft"]],
+  ["loop_out", "Loop to here", "transport", ["BracketRight"]],
+  ["loop_clear", "Clear the loop", "transport", ["Backslash"]],
+  ["slower", "Slower", "transport", ["Minus"]],
+  ["faster", "Faster", "transport", ["Equal"]],
+  ["camera_front", "Camera in front", "transport", ["F1"]],
+  ["camera_side", "Camera at the side", "transport", ["F2"]],
+  ["camera_top", "Camera above", "transport", ["F3"]],
+  ["camera_follow", "Camera follows the body", "transport", ["KeyF"]],
+
+  ["part_1", "Upper body", "parts", ["Digit1"]],
+  ["part_2", "Lower body", "parts", ["Digit2"]],
+  ["part_3", "Both arms", "parts", ["Digit3"]],
+  ["part_4", "Left arm", "parts", ["Digit4"]],
+  ["part_5", "Right arm", "parts", ["Digit5"]],
+
+  ["soft_ring", "Soft ring", "mask", ["KeyS"]],
+  ["mask_new", "New mask", "mask", ["KeyN"]],
+  ["mask_delete", "Delete this mask", "mask", ["Delete"]],
+  ["card_next", "Next mask", "mask", ["Tab"]],
+  ["card_previous", "Previous mask", "mask", ["Shift+Tab"]],
+  ["preview", "Blend preview", "mask", ["KeyB"]],
+  ["preview_partner", "Blend with another motion", "mask", ["Shift+KeyB"]],
+  ["accept_heat", "Take the suggested parts", "mask", ["KeyH"]],
+
+  ["unnatural", "Unnatural", "pair", ["KeyX"]],
+  ["unclear", "Unclear", "pair", ["KeyU"]],
+  ["identical", "Identical", "pair", ["KeyI"]],
+  ["side_by_side", "Side by side or ghost", "pair", ["KeyG"]],
+  ["swap", "Swap", "pair", ["KeyW"]],
+  ["largest_difference", "Largest difference", "pair", ["KeyD"]],
+  ["edit_type", "Next edit type", "pair", ["KeyE"]],
+  ["template", "Template phrase", "pair", ["KeyY"]],
+  ["style", "Next style", "pair", ["KeyC"]],
+  ["extent", "Next extent", "pair", ["KeyO"]],
+  ["align", "Align lengths", "pair", ["KeyL"]],
+  ["bundle_previous", "Previous pair of the bundle", "pair", ["PageUp"]],
+  ["bundle_next", "Next pair of the bundle", "pair", ["PageDown"]],
+
+  ["review_accept", "Accept", "review", ["KeyA"]],
+  ["review_return", "Return with a comment", "review", ["KeyR"]],
+  ["review_merge", "Merge and edit", "review", ["KeyM"]],
+  ["review_drop", "Drop with a reason", "review", ["Delete"]],
+  ["candidate_1", "First answer", "review", ["Digit1"]],
+  ["candidate_2", "Second answer", "review", ["Digit2"]],
+  ["candidate_3", "Third answer", "review", ["Digit3"]],
+  ["candidate_4", "Fourth answer", "review", ["Digit4"]],
+] as const satisfies readonly (readonly [string, string, Scope, readonly string[]])[];
+
+/** Scopes that are active at the same time: on the screens of masks, of pairs, and of reviews. */
+export const TOGETHER: readonly (readonly Scope[])[] = [
+  ["global", "work", "transport", "parts", "mask"],
+  ["global", "work", "transport", "parts", "pair"],
+  ["global", "transport", "review"],
+];
+
+export type ActionId = (typeof ACTIONS)[number][0];
+
+export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope, chords]) => ({
+  id,
+  label,
+  scope,
+  chords,
+}));
+
+/** Keys by action, where they differ from the defaults. */
+export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
+
+/**
+ * What has the focus: the stage or nothing in particular, a button, a field that takes keys for
+ * itself, or the text of a mask card, where Tab goes to the next card.
+ */
+export type Focus = "stage" | "button" | "text" | "card";
+
+export interface Found {
+  id: ActionId;
+  /** A step of ten. */
+  ten: boolean;
+}
+
+/** Positions that can be bound; nothing else is taken from stored preferences. */
+const CODE =
+  /^(Key[A-Z]|Digit[0-9]|F([1-9]|1[0-2])|Space|Enter|Escape|Tab|Comma|Period|Slash|Semicolon|Quote|BracketLeft|BracketRight|Backslash|Backquote|Minus|Equal|IntlBackslash|Arrow(Left|Right|Up|Down)|Home|End|PageUp|PageDown|Delete|Insert|Numpad[0-9])$/;
+
+/** A chord in its one spelling, or nothing if it is not one. */
+export function parseChord(text: string): string | null {
+  const pieces = text.split("+");
+  const code = pieces.pop() ?? "";
+  if (!CODE.test(code)) return null;
+  const ctrl = pieces.includes("Ctrl");
+  const shift = pieces.includes("Shift");
+  const known = pieces.every((piece) => piece === "Ctrl" || piece === "Shift");
+  if (!known || pieces.length !== Number(ctrl) + Number(shift)) return null;
+  return `${ctrl ? "Ctrl+" : ""}${shift ? "Shift+" : ""}${code}`;
+}
+
+/** What of a key event the map looks at. */
+export interface Press {
+  code: string;
+  ctrlKey: boolean;
+  metaKey: boolean;
+  altKey: boolean;
+  shiftKey: boolean;
+}
+
+/** The chord of an event; none with Alt, which belongs to the browser and to typing. */
+export function chordOf(press: Press): string | null {
+  if (press.altKey) return null;
+  const code = press.code === "NumpadEnter" ? "Enter" : press.code;
+  const ctrl = press.ctrlKey || press.metaKey;
+  return parseChord(`${ctrl ? "Ctrl+" : ""}${press.shiftKey ? "Shift+" : ""}${code}`);
+}
+
+/** Whether a chord belongs to what has the focus. */
+function inert(chord: string, focus: Focus): boolean {
+  if (focus === "stage") return false;
+  if (chord === "Tab" || chord === "Shift+Tab") return focus !== "card";
+  if (chord === "Escape" || /^(Shift\+)?F\d+$/.test(chord)) return false;
+  if (focus === "button") return chord === "Enter" || chord === "Space";
+  if (!chord.startsWith("Ctrl+")) return true;
+  // The field's own undo, clipboard and caret movements.
+  return /^Ctrl\+(Shift\+)?(KeyZ|KeyY|KeyA|KeyC|KeyV|KeyX|Arrow\w+|Home|End|Delete)$/.test(chord);
+}
+
+const STEPS: ReadonlySet<ActionId> = new Set<ActionId>(["step_back", "step_forward"]);
+
+/** Names of keys where they are not the printed letter. */
+const CODE_LABELS: Readonly<Record<string, string>> = {
+  Space: "Space",
+  Enter: "Enter",
+  Escape: "Esc",
+  Tab: "Tab",
+  Comma: ",",
+  Period: ".",
+  Slash: "/",
+  Semicolon: ";",
+  Quote: "'",
+  BracketLeft: "[",
+  BracketRight: "]",
+  Backslash: "\\",
+  Backquote: "`",
+  Minus: "-",
+  Equal: "=",
+  IntlBackslash: "<",
+  ArrowLeft: "←",
+  ArrowRight: "→",
+  ArrowUp: "↑",
+  ArrowDown: "↓",
+  PageUp: "PgUp",
+  PageDown: "PgDn",
+  Delete: "Del",
+  Insert: "Ins",
+};
+
+export class KeyMap {
+  private readonly chords = new Map<ActionId, readonly string[]>();
+  /** What is printed on the keys of this keyboard, as far as known. */
+  private printed = new Map<string, string>();
+
+  constructor(overrides: KeyOverrides = {}) {
+    this.override(overrides);
+  }
+
+  /** Replaces all overrides; chords that are none, and actions that do not exist, are left out. */
+  override(overrides: KeyOverrides): void {
+    for (const action of DEFAULT_ACTIONS) {
+      const wanted: unknown = overrides[action.id];
+      const chords = (Array.isArray(wanted) ? wanted : [])
+        .map((chord) => (typeof chord === "string" ? parseChord(chord) : null))
+        .filter((chord) => chord !== null);
+      this.chords.set(action.id, chords.length === 0 ? action.chords : chords);
+    }
+  }
+
+  /** What differs from the defaults. */
+  get overrides(): KeyOverrides {
+    const found: KeyOverrides = {};
+    for (const action of DEFAULT_ACTIONS) {
+      const chords = this.chords.get(action.id) ?? action.chords;
+      if (chords !== action.chords) found[action.id] = chords;
+    }
+    return found;
+  }
+
+  /** Learns what is printed on the keys, where the browser tells. */
+  async learnLayout(): Promise<void> {
+    type Keyboard = { getLayoutMap?(): Promise<ReadonlyMap<string, string>> };
+    const keyboard = (navigator as { keyboard?: Keyboard }).keyboard;
+    try {
+      const layout = await keyboard?.getLayoutMap?.();
+      if (layout) this.setPrinted(new Map(layout));
+    } catch {
+      // Not allowed here; the usual names are shown.
+    }
+  }
+
+  setPrinted(labels: Map<string, string>): void {
+    this.printed = labels;
+  }
+
+  /** The action that a chord stands for in these scopes, with this focus. */
+  find(chord: string, scopes: readonly Scope[], focus: Focus): Found | null {
+    if (inert(chord, focus)) return null;
+    const exact = this.lookUp(chord, scopes);
+    if (exact) return { id: exact, ten: false };
+    if (!chord.startsWith("Shift+")) return null;
+    const plain = this.lookUp(chord.slice("Shift+".length), scopes);
+    return plain && STEPS.has(plain) ? { id: plain, ten: true } : null;
+  }
+
+  private lookUp(chord: string, scopes: readonly Scope[]): ActionId | null {
+    const action = DEFAULT_ACTIONS.find(
+      ({ id, scope, chords }) => scopes.includes(scope) && (this.chords.get(id) ?? chords).includes(chord),
+    );
+    return action?.id ?? null;
+  }
+
+  /** Actions that could not be told apart if `id` had this chord. */
+  clashes(id: ActionId, chord: string): ActionId[] {
+    const own = DEFAULT_ACTIONS.find((action) => action.id === id);
+    if (!own) return [];
+    return DEFAULT_ACTIONS.filter(
+      (other) =>
+        other.id !== id &&
+        TOGETHER.some((scopes) => scopes.includes(own.scope) && scopes.includes(other.scope)) &&
+        (this.chords.get(other.id) ?? other.chords).includes(chord),
+    ).map((other) => other.id);
+  }
+
+  /** The first chord of an action. */
+  chord(id: ActionId): string {
+    return this.chords.get(id)?.[0] ?? "";
+  }
+
+  /** How the first chord of an action is written on buttons. */
+  hint(id: ActionId): string {
+    return this.labelOf(this.chord(id));
+  }
+
+  /** How all chords of an action are written. */
+  hints(id: ActionId): string[] {
+    return (this.chords.get(id) ?? []).map((chord) => this.labelOf(chord));
+  }
+
+  labelOf(chord: string): string {
+    if (chord === "Shift+Slash" && (this.printed.get("Slash") ?? "/") === "/") return "?";
+    const pieces = chord.split("+");
+    const code = pieces.pop() ?? "";
+    const printed = this.printed.get(code);
+    const plain = CODE_LABELS[code] ?? code.replace(/^(Key|Digit|Numpad)/, "");
+    const label = printed && printed.trim() !== "" ? printed.toUpperCase() : plain;
+    return [...pieces, label].join(" ");
+  }
+}

@@ -1,0 +1,101 @@
+/** The sheet of keys, where every key can be changed. */
+
+import type { App } from "./app";
+import { fill, h } from "./dom";
+import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyOverrides, type Scope } from "./keys";
+import { ask } from "./ui";
+
+const HEADINGS: readonly (readonly [Scope, string])[] = [
+  ["global", "Everywhere"],
+  ["work", "Tasks"],
+  ["transport", "Playback and camera"],
+  ["parts", "Body parts"],
+  ["mask", "Masks"],
+  ["pair", "Pairs and styles"],
+  ["review", "Review"],
+];
+
+const label = (id: ActionId): string => DEFAULT_ACTIONS.find((action) => action.id === id)?.label ?? id;
+
+export async function showKeySheet(app: App): Promise<void> {
+  const { keys } = app;
+  const note = h("p", { class: "note", attrs: { role: "status", "aria-live": "polite" } });
+  const list = h("div", { class: "key-sheet" });
+  let waiting: ActionId | null = null;
+
+  const save = (overrides: KeyOverrides): void => {
+    keys.override(overrides);
+    const stored = Object.fromEntries(Object.entries(overrides).map(([id, chords]) => [id, [...(chords ?? [])]]));
+    void app.savePrefs({ keys: stored });
+    draw();
+  };
+  const draw = (): void => {
+    const sections = HEADINGS.map(([scope, heading]) => {
+      const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map((action) =>
+        h(
+          "div",
+          { class: "key-row" },
+          h("span", {}, action.label),
+          h("span", { class: "key-chords" }, ...keys.hints(action.id).map((hint) => h("kbd", {}, hint))),
+          h(
+            "button",
+            {
+              attrs: { type: "button", "aria-label": `Change the key of ${action.label}`, "data-action": action.id },
+              on: { click: () => capture(action.id) },
+            },
+            waiting === action.id ? "press a key…" : "change",
+          ),
+        ),
+      );
+      return h("section", {}, h("h3", {}, heading), ...rows);
+    });
+    fill(list, ...sections);
+  };
+  const capture = (id: ActionId): void => {
+    waiting = id;
+    note.textContent = `Press the new key of “${label(id)}”. Esc leaves it as it is.`;
+    draw();
+    list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
+  };
+  const pressed = (event: KeyboardEvent): void => {
+    if (waiting === null || ["Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    const id = waiting;
+    const chord = chordOf(event);
+    if (event.code === "Escape") {
+      waiting = null;
+      note.textContent = "";
+    } else if (chord === null) {
+      note.textContent = "That key cannot be used; press another.";
+    } else {
+      const clash = keys.clashes(id, chord);
+      if (clash.length > 0) {
+        note.textContent = `${keys.labelOf(chord)} is the key of “${clash.map(label).join("”, “")}”; press another.`;
+      } else {
+        waiting = null;
+        note.textContent = `“${label(id)}” is now on ${keys.labelOf(chord)}.`;
+        save({ ...keys.overrides, [id]: [chord] });
+      }
+    }
+    draw();
+    list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
+  };
+  window.addEventListener("keydown", pressed, true);
+  draw();
+  const choice = await ask(
+    "Keys",
+    [
+      h("p", { class: "note" }, "Keys are bound by their place on the keyboard. While you type text, keys without Ctrl only type."),
+      note,
+      list,
+    ],
+    [
+      { label: "Close", value: "close" as const, kind: "primary" },
+      { label: "Back to the defaults", value: "reset" as const },
+    ],
+  );
+  window.removeEventListener("keydown", pressed, true);
+  if (choice === "reset") save({});
+  app.focusStage();
+}

@@ -1,0 +1,131 @@
+/**
+ * Remarks on a description that is probably wrong. They warn and never block: a person may well
+ * mean what looks odd.
+ */
+
+export type LintCode = "side" | "limb" | "empty" | "long" | "same_text" | "same_mask" | "draft_unchanged";
+
+export interface Lint {
+  code: LintCode;
+  message: string;
+}
+
+/** The server refuses longer texts. */
+export const TEXT_LIMIT = 2000;
+
+type Side = "left" | "right";
+type Limb = "arm" | "leg";
+
+const SIDES: Readonly<Record<string, readonly Side[]>> = {
+  LEFT_ARM: ["left"],
+  RIGHT_ARM: ["right"],
+  LEFT_LEG: ["left"],
+  RIGHT_LEG: ["right"],
+};
+
+const LIMBS: Readonly<Record<string, readonly Limb[]>> = {
+  UPPER_BODY: ["arm"],
+  LOWER_BODY: ["leg"],
+  BOTH_ARMS: ["arm"],
+  LEFT_ARM: ["arm"],
+  RIGHT_ARM: ["arm"],
+  BOTH_LEGS: ["leg"],
+  LEFT_LEG: ["leg"],
+  RIGHT_LEG: ["leg"],
+  TORSO: [],
+  HEAD: [],
+};
+
+const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
+  arm: /\b(arms?|hands?|elbows?|wrists?|forearms?|fists?|fingers?|palms?)\b/i,
+  leg: /\b(legs?|foot|feet|knees?|ankles?|thighs?|shins?|toes?|heels?)\b/i,
+};
+
+/**
+ * "turns left", "to the right", "right away", "all right" say a direction or nothing about sides; what
+ * follows may make it a body side again: "to the left hand" is a hand.
+ */
+const BODY_WORD = "(?:\\s+(?:upper\\s+|lower\\s+)?(?:arm|hand|elbow|wrist|shoulder|forearm|fist|leg|foot|knee|hip|ankle|thigh|shin|toe|heel|side)s?\\b)";
+const DIRECTIONS = new RegExp(
+  `\\b(?:(?:to|toward|towards|from)\\s+(?:the|its|his|her|their)\\s+|(?:turn|step|lean|move|walk|look|veer|twist|sway)(?:s|ed|ing)?\\s+|all\\s+)(?:left|right)\\b(?!${BODY_WORD})|\\bright\\s+(?:away|after|before|now|then)\\b`,
+  "gi",
+);
+
+/** The sides of the body that a text names. */
+export function sidesNamed(text: string): Side[] {
+  const rest = text.replace(DIRECTIONS, " ");
+  return (["left", "right"] as const).filter((side) => new RegExp(`\\b${side}\\b`, "i").test(rest));
+}
+
+/** The limbs that a text names. */
+export function limbsNamed(text: string): Limb[] {
+  return (["arm", "leg"] as const).filter((limb) => LIMB_WORDS[limb].test(text));
+}
+
+function union<T>(parts: readonly string[], table: Readonly<Record<string, readonly T[]>>): Set<T> {
+  return new Set(parts.flatMap((part) => [...(table[part] ?? [])]));
+}
+
+/** Remarks on one text under one mask. */
+export function lintText(text: string, parts: readonly string[]): Lint[] {
+  const found: Lint[] = [];
+  const trimmed = text.trim();
+  if (trimmed === "") {
+    return [{ code: "empty", message: "The description is empty." }];
+  }
+  if ([...text].length > TEXT_LIMIT) {
+    found.push({ code: "long", message: `The description is longer than ${TEXT_LIMIT} characters.` });
+  }
+  const sided = parts.length > 0 && parts.every((part) => SIDES[part] !== undefined);
+  const maskSides = union(parts, SIDES);
+  if (sided && maskSides.size === 1) {
+    const named = sidesNamed(trimmed);
+    const wrong = named.filter((side) => !maskSides.has(side));
+    if (wrong.length > 0 && !named.some((side) => maskSides.has(side))) {
+      const mask = [...maskSides].join("");
+      found.push({
+        code: "side",
+        message: `The text says “${wrong.join("")}”, the mask is on the ${mask}. Sides are the character's own.`,
+      });
+    }
+  }
+  const maskLimbs = union(parts, LIMBS);
+  if (maskLimbs.size === 1) {
+    const named = limbsNamed(trimmed);
+    const other = named.filter((limb) => !maskLimbs.has(limb));
+    if (other.length > 0 && !named.some((limb) => maskLimbs.has(limb))) {
+      found.push({
+        code: "limb",
+        message: `The text is about ${other.join(" and ")}s, the mask is not.`,
+      });
+    }
+  }
+  return found;
+}
+
+export interface LintCard {
+  parts: readonly string[];
+  text: string;
+  /** The draft that was shown for this card, if any. */
+  draft?: string | null;
+}
+
+/** Remarks on all cards of a task, by card. */
+export function lintCards(cards: readonly LintCard[]): Lint[][] {
+  const key = (parts: readonly string[]): string => [...parts].sort().join("+");
+  return cards.map((card, index) => {
+    const found = lintText(card.text, card.parts);
+    const earlier = cards.slice(0, index);
+    const text = card.text.trim().toLowerCase();
+    if (text !== "" && earlier.some((other) => other.text.trim().toLowerCase() === text)) {
+      found.push({ code: "same_text", message: "Another card has the same description." });
+    }
+    if (card.parts.length > 0 && earlier.some((other) => key(other.parts) === key(card.parts))) {
+      found.push({ code: "same_mask", message: "Another card has the same mask." });
+    }
+    if (card.draft && card.draft.trim() === card.text.trim() && text !== "") {
+      found.push({ code: "draft_unchanged", message: "This is the draft, unchanged. Does every word of it hold?" });
+    }
+    return found;
+  });
+}

@@ -1,0 +1,32 @@
+/** The entry of the page. */
+
+import { reason } from "./api";
+import { App } from "./app";
+import { fill, h } from "./dom";
+import { openAdmin } from "./screens/admin";
+import { openDashboard } from "./screens/dashboard";
+import { openGuide, openHome } from "./screens/home";
+import { showLogin } from "./screens/login";
+import { openMask } from "./screens/mask";
+import { openPair, openStyle } from "./screens/pair";
+import { openReview } from "./screens/review";
+import { openShelf } from "./screens/shelf";
+
+const app = new App(
+  {
+    home: { label: "Home", role: "annotator", listed: true, open: openHome },
+    mask: { label: "Masks", role: "annotator", listed: true, open: openMask },
+    pair: { label: "Pairs", role: "annotator", listed: true, open: openPair },
+    style: { label: "Styles", role: "annotator", listed: true, open: openStyle },
+    shelf: { label: "Examples", role: "annotator", listed: true, open: openShelf },
+    guide: { label: "Guide", role: "annotator", listed: true, open: openGuide },
+    review: { label: "Review", role: "reviewer", listed: true, open: openReview },
+    dashboard: { label: "Dashboard", role: "reviewer", listed: true, open: openDashboard },
+    admin: { label: "Admin", role: "admin", listed: true, open: openAdmin },
+  },
+  showLogin,
+);
+
+app.start().catch((error: unknown) => {
+  fill(document.body, h("main", { class: "page" }, h("h1", {}, "The page could not be started"), h("p", {}, reason(error))));
+});

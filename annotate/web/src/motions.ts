@@ -1,0 +1,50 @@
+/** Motions as they are drawn, kept for a while. They are small, so each is loaded whole. */
+
+import type { Api } from "./api";
+import type { Track } from "./stage/body";
+import type { MotionInfo } from "./wire";
+
+const POINTS = 28;
+/** Motions kept; a bundle of pairs needs sixteen. */
+const KEPT = 48;
+
+export class Motions {
+  private readonly joints = new Map<string, Promise<Float32Array>>();
+  private readonly heats = new Map<string, Promise<Float32Array>>();
+
+  constructor(private readonly api: Api) {}
+
+  async track(motion: MotionInfo): Promise<Track> {
+    const data = await this.load(this.joints, motion.hash, "joints");
+    return { frames: Math.floor(data.length / (POINTS * 3)), points: POINTS, fps: motion.fps, data };
+  }
+
+  heat(motion: MotionInfo): Promise<Float32Array> {
+    return this.load(this.heats, motion.hash, "heat");
+  }
+
+  /** Fetches what will be wanted next; failures show when it is wanted. */
+  prefetch(hashes: readonly string[]): void {
+    for (const hash of hashes) {
+      this.load(this.joints, hash, "joints").catch(() => {});
+    }
+  }
+
+  private load(kept: Map<string, Promise<Float32Array>>, hash: string, what: string): Promise<Float32Array> {
+    const known = kept.get(hash);
+    if (known) {
+      // The newest at the end, so that the first is the one unused for longest.
+      kept.delete(hash);
+      kept.set(hash, known);
+      return known;
+    }
+    const loading = this.api.floats("GET", `motions/${encodeURIComponent(hash)}/${what}`);
+    kept.set(hash, loading);
+    loading.catch(() => kept.delete(hash));
+    for (const oldest of kept.keys()) {
+      if (kept.size <= KEPT) break;
+      kept.delete(oldest);
+    }
+    return loading;
+  }
+}

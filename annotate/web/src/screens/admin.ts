@@ -1,0 +1,314 @@
+/** Administration: exports and imports, people and tokens, settings, the log. */
+
+import { reason } from "../api";
+import type { App, Screen } from "../app";
+import { fill, h, type Child } from "../dom";
+import { ask, field, table, when } from "../ui";
+import type { Audit, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
+
+/** Between looks at a job that runs. */
+const POLL_MS = 500;
+const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
+
+export async function openAdmin(app: App): Promise<Screen> {
+  const sections = [exportsSection(app), await peopleSection(app), await settingsSection(app), auditSection(app)];
+  const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
+  const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
+  return { element, title: "Administration", scopes: [], perform: () => false, focusTarget: heading };
+}
+
+function button(label: string, run: () => Promise<void>, app: App, className = ""): HTMLButtonElement {
+  const own = h("button", { class: className, attrs: { type: "button" } }, label);
+  own.addEventListener("click", () => {
+    own.disabled = true;
+    run()
+      .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error", ms: 15_000 }))
+      .finally(() => {
+        own.disabled = false;
+      });
+  });
+  return own;
+}
+
+function select<T extends string>(options: readonly (readonly [T, string])[], value?: T): HTMLSelectElement {
+  const own = h("select", {}, ...options.map(([name, label]) => h("option", { attrs: { value: name } }, label)));
+  if (value !== undefined) own.value = value;
+  return own;
+}
+
+function exportsSection(app: App): HTMLElement {
+  const jobs = h("div", { class: "jobs" });
+  const format = select([
+    ["parquet", "Parquet tables, for `stance triplets`"],
+    ["stance", "JSON of the STANCE release"],
+    ["csv", "CSV of all labels"],
+  ]);
+  const events = h("input", { attrs: { type: "checkbox" } });
+  const file = h("input", { attrs: { type: "file" } });
+  const importFormat = select([
+    ["stance", "STANCE release (mask_all, part_annotations)"],
+    ["dataset", "New motions of this dataset"],
+  ]);
+  const refresh = async (): Promise<void> => {
+    const all = await app.api.get<Job[]>("jobs");
+    fill(jobs, jobTable(all));
+  };
+  const follow = async (job: Job): Promise<void> => {
+    let current = job;
+    while (current.state === "running") {
+      await refresh();
+      await new Promise((resolve) => window.setTimeout(resolve, POLL_MS));
+      current = await app.api.get<Job>(`jobs/${job.id}`);
+    }
+    await refresh();
+    app.toasts.show(`${current.kind} ${current.id} (${current.format}): ${current.state}`, { kind: current.state === "failed" ? "error" : "info" });
+  };
+  refresh().catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
+  return h(
+    "section",
+    { class: "card wide" },
+    h("h2", {}, "Export and import"),
+    h(
+      "div",
+      { class: "forms" },
+      h(
+        "div",
+        { class: "row" },
+        field("Layout", format),
+        h("label", { class: "inline" }, events, "with the whole log"),
+        button("Export", async () => {
+          const job = await app.api.post<Job>("exports", { format: format.value, splits: [], events: events.checked });
+          await follow(job);
+        }, app, "primary"),
+      ),
+      h(
+        "div",
+        { class: "row" },
+        field("File", file),
+        field("Layout of the file", importFormat),
+        button("Import", async () => {
+          const chosen = file.files?.[0];
+          if (!chosen && importFormat.value !== "dataset") throw new Error("choose a file first");
+          const response = await app.api.once("POST", `imports?format=${importFormat.value}`, chosen ?? new Blob([]));
+          await follow((await response.json()) as Job);
+        }, app),
+      ),
+    ),
+    jobs,
+  );
+}
+
+function jobTable(jobs: Job[]): HTMLElement {
+  return table(
+    "Runs",
+    ["Run", "State", "Done", "Counts", "Messages", "Files"],
+    jobs.map((job) => [
+      `${job.id} · ${job.kind} ${job.format} · ${when(job.started)}`,
+      job.state,
+      job.total === null ? job.done : `${job.done} of ${job.total}`,
+      Object.entries(job.counts).map(([name, count]) => `${name} ${count}`).join(", "),
+      job.messages.join("; "),
+      h("span", {}, ...job.files.flatMap((name): Child[] => {
+        const link = h("a", {}, name);
+        link.href = `/api/v1/jobs/${job.id}/files/${encodeURIComponent(name)}`;
+        link.download = name;
+        return [link, " "];
+      })),
+    ]),
+  );
+}
+
+async function peopleSection(app: App): Promise<HTMLElement> {
+  const box = h("div", {});
+  const refresh = async (): Promise<void> => {
+    const users = await app.api.get<User[]>("users");
+    fill(
+      box,
+      table(
+        "People",
+        ["Name", "Role", "May log in", "Tokens"],
+        users.map((user) => [
+          user.name,
+          roleSelect(user),
+          button(user.active ? "yes; close" : "no; open", async () => {
+            await app.api.json<User>("PATCH", `users/${user.id}`, { active: !user.active });
+            await refresh();
+          }, app),
+          h("span", { class: "row" }, button("new token", () => newToken(user), app), button("tokens", () => tokens(user), app)),
+        ]),
+      ),
+    );
+  };
+  const roleSelect = (user: User): HTMLSelectElement => {
+    const own = select(ROLES.map((role) => [role, role] as const), user.role);
+    own.setAttribute("aria-label", `Role of ${user.name}`);
+    own.addEventListener("change", () => {
+      app.api
+        .json<User>("PATCH", `users/${user.id}`, { role: own.value })
+        .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }))
+        .finally(() => void refresh());
+    });
+    return own;
+  };
+  const newToken = async (user: User): Promise<void> => {
+    await showToken(await app.api.post<TokenShown>(`users/${user.id}/tokens`, { days: 90 }));
+  };
+  const tokens = async (user: User): Promise<void> => {
+    const all = await app.api.get<TokenInfo[]>(`users/${user.id}/tokens`);
+    const list = table(
+      `Tokens of ${user.name}`,
+      ["Made", "Ends", "Last used", ""],
+      all.map((token) => [
+        when(token.created),
+        when(token.expires),
+        when(token.last_used),
+        token.revoked
+          ? "revoked"
+          : button("revoke", async () => {
+              await app.api.json<void>("DELETE", `tokens/${token.id}`);
+              app.toasts.show("Revoked.");
+            }, app),
+      ]),
+    );
+    await ask(`Tokens of ${user.name}`, [list], [{ label: "Close", value: true, kind: "primary" }]);
+  };
+  const showToken = async (shown: TokenShown): Promise<void> => {
+    const value = h("input", { attrs: { type: "text", readonly: true } });
+    value.value = shown.token;
+    await ask(
+      `Token of ${shown.user.name}`,
+      [h("p", {}, "It is shown this once. Hand it over in a private way."), field(`Ends ${when(shown.expires)}`, value)],
+      [{ label: "Done", value: true, kind: "primary" }],
+      value,
+    );
+  };
+  const name = h("input", { attrs: { type: "text", maxlength: 64 } });
+  const role = select(ROLES.map((own) => [own, own] as const));
+  await refresh();
+  return h(
+    "section",
+    { class: "card" },
+    h("h2", {}, "People"),
+    box,
+    h(
+      "div",
+      { class: "row" },
+      field("New name", name),
+      field("Role", role),
+      button("Add", async () => {
+        const shown = await app.api.post<TokenShown>("users", { name: name.value.trim(), role: role.value });
+        name.value = "";
+        await refresh();
+        await showToken(shown);
+      }, app, "primary"),
+    ),
+  );
+}
+
+type NumberKey = {
+  [K in keyof Settings]: Settings[K] extends number ? K : never;
+}[keyof Settings];
+
+const NUMBERS: readonly (readonly [NumberKey, string])[] = [
+  ["answers_per_task", "Answers per overlapping task"],
+  ["overlap_percent", "Tasks with more than one person, %"],
+  ["gold_percent", "Hidden gold tasks, %"],
+  ["blind_percent", "Tasks without any draft, %"],
+  ["review_percent", "Review sample, %"],
+  ["lease_minutes", "Minutes a task is held"],
+  ["returned_days", "Days a returned task waits"],
+  ["min_masks", "Fewest masks"],
+  ["max_masks", "Most masks"],
+  ["quota", "Pairs wanted per category and edit type (0: any)"],
+];
+
+async function settingsSection(app: App): Promise<HTMLElement> {
+  let settings = await app.api.get<Settings>("settings");
+  const name = h("input", { attrs: { type: "text" } });
+  const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
+  const styles = h("input", { attrs: { type: "text" } });
+  const templates = h("textarea", { attrs: { rows: 4 } });
+  const guide = h("textarea", { attrs: { rows: 8 } });
+  const show = (): void => {
+    name.value = settings.name;
+    for (const [key, input] of numbers) input.value = String(settings[key]);
+    styles.value = settings.styles.join(", ");
+    templates.value = settings.templates.join("\n");
+    guide.value = settings.guide;
+  };
+  show();
+  const list = (text: string, separator: RegExp): string[] =>
+    text.split(separator).map((item) => item.trim()).filter((item) => item !== "");
+  return h(
+    "section",
+    { class: "card" },
+    h("h2", {}, "Settings"),
+    field("Project", name),
+    h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
+    field("Styles, with commas between", styles),
+    field("Template phrases, one a line", templates),
+    field("Guide (plain text; # heading, - item)", guide),
+    button("Save settings", async () => {
+      const changed: Settings = {
+        ...settings,
+        name: name.value.trim(),
+        styles: list(styles.value, /,/),
+        templates: list(templates.value, /\n/),
+        guide: guide.value,
+      };
+      for (const [key, input] of numbers) changed[key] = Number(input.value);
+      settings = await app.api.json<Settings>("PUT", "settings", changed);
+      show();
+      app.toasts.show("Settings are saved.");
+    }, app, "primary"),
+  );
+}
+
+function auditSection(app: App): HTMLElement {
+  const results = h("div", {});
+  const actor = h("input", { attrs: { type: "number", min: 1 } });
+  const kind = h("input", { attrs: { type: "text" } });
+  const task = h("input", { attrs: { type: "number", min: 1 } });
+  let before: number | null = null;
+  const search = async (more: boolean): Promise<void> => {
+    const query = new URLSearchParams({ limit: "50" });
+    if (actor.value) query.set("actor", actor.value);
+    if (kind.value.trim()) query.set("kind", kind.value.trim());
+    if (task.value) query.set("task", task.value);
+    if (more && before !== null) query.set("before", String(before));
+    const audit = await app.api.get<Audit>(`audit?${query.toString()}`);
+    before = audit.next;
+    const rows = table(
+      "The log, newest first",
+      ["Place", "When", "Who", "What", "Task", "More"],
+      audit.entries.map((entry) => [
+        entry.seq,
+        when(entry.at),
+        entry.actor_name ?? "the program",
+        entry.kind,
+        entry.task ?? "",
+        h("code", {}, shorten(JSON.stringify(entry.body))),
+      ]),
+    );
+    fill(results, rows, before !== null && button("Older", () => search(true), app));
+  };
+  return h(
+    "section",
+    { class: "card wide" },
+    h("h2", {}, "Log"),
+    h(
+      "div",
+      { class: "row" },
+      field("Person (number)", actor),
+      field("Kind", kind),
+      field("Task", task),
+      button("Search", () => search(false), app, "primary"),
+    ),
+    results,
+  );
+}
+
+function shorten(text: string): string {
+  const limit = 160;
+  return text.length > limit ? `${text.slice(0, limit)}…` : text;
+}

@@ -1,0 +1,111 @@
+/** Home: what there is to do, what came back, how it goes. */
+
+import type { App, Screen } from "../app";
+import { h } from "../dom";
+import { estimate, seconds, until } from "../ui";
+import { KIND_WORDS, type Home, type QueueInfo, type TaskKind } from "../wire";
+
+export const ROUTE_OF: Readonly<Record<TaskKind, string>> = { mask_text: "mask", pair: "pair", style: "style" };
+
+const WHAT: Readonly<Record<TaskKind, string>> = {
+  mask_text: "Which parts of the body actively take part, and what each of them does.",
+  pair: "What turns the first motion into the second, in one instruction.",
+  style: "In which style the second motion is done.",
+};
+
+export async function openHome(app: App): Promise<Screen> {
+  const home = await app.api.get<Home>("home");
+  const card = (queue: QueueInfo): HTMLElement => {
+    const held = home.held.length > 0;
+    const start = app.link(ROUTE_OF[queue.kind], held ? "Continue" : "Start", "button primary");
+    start.setAttribute("aria-label", `${start.textContent}: ${KIND_WORDS[queue.kind]}`);
+    const share = queue.total > 0 ? queue.done / queue.total : 0;
+    const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[queue.kind]}: done by all` } });
+    return h(
+      "section",
+      { class: "card queue", data: { kind: queue.kind } },
+      h("h2", {}, KIND_WORDS[queue.kind]),
+      h("p", {}, WHAT[queue.kind]),
+      meter,
+      h(
+        "dl",
+        { class: "figures" },
+        h("div", {}, h("dt", {}, "for you now"), h("dd", {}, queue.open)),
+        h("div", {}, h("dt", {}, "by you"), h("dd", {}, queue.mine)),
+        h("div", {}, h("dt", {}, "complete"), h("dd", {}, queue.done)),
+        h("div", {}, h("dt", {}, "in all"), h("dd", {}, queue.total)),
+      ),
+      queue.open > 0 || held ? start : h("p", { class: "note" }, "Nothing for you at present."),
+    );
+  };
+  const returned = home.returned.map((task) =>
+    h(
+      "li",
+      {},
+      app.link(`${ROUTE_OF[task.kind]}/${task.task}`, `Fix task ${task.task}`, "button"),
+      h("span", {}, task.comment || "no comment"),
+      h("span", { class: "note" }, `yours alone ${until(task.until)}`),
+    ),
+  );
+  const element = h(
+    "div",
+    { class: "page home" },
+    h("h1", {}, `Good to see you, ${app.me.user.name}`),
+    returned.length > 0 &&
+      h("section", { class: "card returned" }, h("h2", {}, `Fix ${returned.length} that came back`), h("ul", {}, ...returned)),
+    h("div", { class: "cards" }, ...home.queues.map(card)),
+    h(
+      "section",
+      { class: "card" },
+      h("h2", {}, "Today"),
+      h(
+        "dl",
+        { class: "figures" },
+        h("div", {}, h("dt", {}, "by you"), h("dd", {}, home.today)),
+        h("div", {}, h("dt", {}, "by everybody"), h("dd", {}, home.today_all)),
+        h("div", {}, h("dt", {}, "your median"), h("dd", {}, seconds(home.median_secs))),
+        h("div", {}, h("dt", {}, "your agreement"), h("dd", {}, home.agreement ? estimate(home.agreement) : "after 30 shared items")),
+      ),
+      h("p", {}, app.link("guide", "Guide"), " · ", app.link("shelf", "Accepted examples")),
+    ),
+  );
+  const first = element.querySelector<HTMLElement>("a.button");
+  return { element, title: "Home", scopes: [], perform: () => false, focusTarget: first };
+}
+
+export async function openGuide(app: App): Promise<Screen> {
+  const guide = await app.api.get<{ text: string }>("guide");
+  const element = h("div", { class: "page guide", attrs: { tabindex: -1 } }, ...formatGuide(guide.text));
+  return { element, title: "Guide", scopes: [], perform: () => false, focusTarget: element };
+}
+
+/** Plain text with three conventions: `#` before headings, `-` before list items, empty lines. */
+export function formatGuide(text: string): HTMLElement[] {
+  const blocks: HTMLElement[] = [];
+  let list: HTMLElement | null = null;
+  let paragraph: string[] = [];
+  const endParagraph = (): void => {
+    if (paragraph.length > 0) blocks.push(h("p", {}, paragraph.join(" ")));
+    paragraph = [];
+  };
+  for (const line of text.split("\n")) {
+    const item = /^\s*[-*]\s+(.*)$/.exec(line);
+    const heading = /^(#{1,3})\s+(.*)$/.exec(line);
+    if (!item) list = null;
+    if (item || heading || line.trim() === "") endParagraph();
+    if (item) {
+      if (!list) {
+        list = h("ul", {});
+        blocks.push(list);
+      }
+      list.append(h("li", {}, item[1] ?? ""));
+    } else if (heading) {
+      const level = heading[1]?.length ?? 1;
+      blocks.push(h(level === 1 ? "h1" : level === 2 ? "h2" : "h3", {}, heading[2] ?? ""));
+    } else if (line.trim() !== "") {
+      paragraph.push(line.trim());
+    }
+  }
+  endParagraph();
+  return blocks.length > 0 ? blocks : [h("p", {}, "No guide has been written yet.")];
+}

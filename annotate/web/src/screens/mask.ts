@@ -1,0 +1,176 @@
+/** Masks and descriptions of one motion. */
+
+import type { App, Screen } from "../app";
+import { h } from "../dom";
+import type { ActionId } from "../keys";
+import { BLANK_MASKS, MaskEditor } from "../mask-editor";
+import { TaskSession } from "../session";
+import { PLAIN } from "../stage/body";
+import { Strip } from "../strips";
+import { keyButton } from "../ui";
+import { Viewer, type Clip } from "../viewer";
+import type { MaskTextAnswer, Next, Suggestion, TaskView } from "../wire";
+import { askSkip } from "./skip";
+import { emptyScreen } from "./empty";
+
+/** Activity of a part that is drawn darkest: its 95th percentile over the training split. */
+const HEAT_FULL = 1;
+
+export async function openMask(app: App, argument: string): Promise<Screen> {
+  if (argument !== "") {
+    const view = await openTask(app, Number(argument));
+    return maskScreen(app, view);
+  }
+  const next = await app.api.post<Next>("queue/next", { kind: "mask_text" });
+  app.motions.prefetch(next.prefetch);
+  return next.task ? maskScreen(app, next.task) : emptyScreen(app, "mask_text", next.empty);
+}
+
+/** A task by its number: as it is held, or taken anew. */
+export async function openTask(app: App, id: number): Promise<TaskView> {
+  const view = await app.api.get<TaskView>(`tasks/${id}`);
+  return view.lease ? view : app.api.post<TaskView>(`tasks/${id}/claim`);
+}
+
+export function heatStrip(app: App, viewer: Viewer): Strip {
+  const rows = app.parts.release.map((part, index) => ({
+    name: part.name,
+    label: part.phrase,
+    hint: app.keys.hint((["part_1", "part_2", "part_3", "part_4", "part_5"] as const)[index] ?? "part_1"),
+  }));
+  return new Strip("Activity of the five parts over time", rows, HEAT_FULL, (frame) => viewer.clock.scrub(frame));
+}
+
+async function maskScreen(app: App, view: TaskView): Promise<Screen> {
+  const motion = view.task.motions[0];
+  if (!motion) throw new Error(`task ${view.task.id} has no motion`);
+  const [track, heat] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
+  const viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+  const strip = heatStrip(app, viewer);
+  strip.setValues(heat, Math.floor(heat.length / 5));
+  viewer.setStrips([strip]);
+  const clip: Clip = { track, paint: PLAIN, label: motion.id };
+  viewer.load([clip], "single");
+
+  let editor: MaskEditor | null = null;
+  const session = await TaskSession.open<MaskTextAnswer>(app, view, BLANK_MASKS, (answer) => editor?.setAnswer(answer));
+  editor = new MaskEditor(
+    app,
+    viewer,
+    strip,
+    motion,
+    clip,
+    view.suggestions,
+    {
+      change: (answer, kind) => session.change(answer, kind),
+      seal: () => session.seal(),
+      suggestionUsed: (id, used) => void session.suggestionUsed(id, used),
+      askDraft:
+        app.me.model && !view.blind
+          ? (parts) => app.api.post<Suggestion>(`tasks/${view.task.id}/suggest`, { parts })
+          : null,
+    },
+    session.answer,
+  );
+  const masks = editor;
+
+  let busy = false;
+  const finish = async (run: () => Promise<"done" | "waiting" | "refused">): Promise<void> => {
+    if (busy) return;
+    busy = true;
+    try {
+      const outcome = await run();
+      if (outcome === "done") app.go("mask");
+      else if (outcome === "waiting") {
+        app.toasts.show("The server has not answered yet. Your answer is kept and goes out by itself; go on when it is saved.", {
+          id: "waiting",
+          kind: "error",
+          ms: 10_000,
+        });
+      }
+    } finally {
+      busy = false;
+    }
+  };
+  const submit = async (): Promise<void> => {
+    const answer = await masks.complete();
+    if (answer) await finish(() => session.submit(answer));
+  };
+  const skip = async (): Promise<void> => {
+    const choice = await askSkip();
+    if (choice) await finish(() => session.skip(choice.reason, choice.note));
+    else app.focusStage();
+  };
+  const postpone = (): Promise<void> => finish(() => session.postpone());
+
+  const perform = (action: ActionId, ten: boolean): boolean => {
+    switch (action) {
+      case "submit":
+        void submit();
+        return true;
+      case "skip":
+        void skip();
+        return true;
+      case "postpone":
+        void postpone();
+        return true;
+      case "undo":
+        if (!session.undo()) app.toasts.show("Nothing to undo.", { id: "undo", ms: 1500 });
+        return true;
+      case "redo":
+        if (!session.redo()) app.toasts.show("Nothing to redo.", { id: "undo", ms: 1500 });
+        return true;
+      default:
+        return viewer.perform(action, ten) || masks.perform(action);
+    }
+  };
+
+  const captions = h(
+    "div",
+    { class: "captions" },
+    h("h2", {}, motion.captions.length > 1 ? "Captions of the source" : "Caption of the source"),
+    motion.captions.length > 0
+      ? h("ul", {}, ...motion.captions.map((caption) => h("li", {}, caption)))
+      : h("p", { class: "note" }, "The source has none."),
+  );
+  const panel = h(
+    "aside",
+    { class: "panel", attrs: { "aria-label": "Masks and descriptions" }, data: { region: "panel" } },
+    h(
+      "div",
+      { class: "panel-scroll" },
+      view.comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, "Came back: "), view.comment),
+      captions,
+      h(
+        "p",
+        { class: "rule" },
+        h("strong", {}, "Choose what actively takes part"),
+        " — not what stands still or only supports. Then say what each mask does.",
+      ),
+      view.blind && h("p", { class: "note" }, "For this task no suggestions are shown."),
+      masks.element,
+    ),
+    h(
+      "div",
+      { class: "panel-foot" },
+      keyButton("Submit and next", app.keys.hint("submit"), () => void submit(), "primary submit"),
+      keyButton("Skip", app.keys.hint("skip"), () => void skip()),
+      keyButton("Postpone", app.keys.hint("postpone"), () => void postpone()),
+    ),
+  );
+  viewer.element.dataset.region = "stage";
+  const element = h("div", { class: "work mask", data: { task: String(view.task.id) } }, viewer.element, panel);
+  return {
+    element,
+    title: `Masks of ${motion.id}`,
+    scopes: ["work", "transport", "parts", "mask"],
+    perform,
+    focusTarget: viewer.focusTarget,
+    draw: (now) => viewer.draw(now),
+    leave: () => {
+      session.dispose();
+      masks.dispose();
+      viewer.dispose();
+    },
+  };
+}

@@ -1,0 +1,327 @@
+/** Fine-grained pairs and style pairs: two motions on one clock. */
+
+import type { App, Screen } from "../app";
+import { fill, h, setAttr } from "../dom";
+import type { ActionId } from "../keys";
+import { PairEditor, blankTwo, type TwoAnswer } from "../pair-editor";
+import { TaskSession } from "../session";
+import { PLAIN } from "../stage/body";
+import { Strip } from "../strips";
+import { keyButton } from "../ui";
+import { Viewer, type Clip } from "../viewer";
+import type { BundleItem, Next, Suggestion, Task, TaskKind, TaskView, Verdict } from "../wire";
+import { emptyScreen } from "./empty";
+import { ROUTE_OF } from "./home";
+import { openTask } from "./mask";
+import { askSkip } from "./skip";
+
+/** How long a rejection can be taken back at once. */
+const TOAST_MS = 5000;
+
+/** The difference in metres that is drawn darkest, unless a pair differs more. */
+const DIFF_FULL = 0.15;
+
+export const openPair = (app: App, argument: string): Promise<Screen> => open(app, "pair", argument);
+export const openStyle = (app: App, argument: string): Promise<Screen> => open(app, "style", argument);
+
+async function open(app: App, kind: TaskKind, argument: string): Promise<Screen> {
+  if (argument !== "") return pairScreen(app, await openTask(app, Number(argument)));
+  const next = await app.api.post<Next>("queue/next", { kind });
+  app.motions.prefetch(next.prefetch);
+  return next.task ? pairScreen(app, next.task) : emptyScreen(app, kind, next.empty);
+}
+
+/** Two clips of a task, with the strip of their difference. */
+export class PairView {
+  readonly viewer: Viewer;
+  readonly strip: Strip;
+  readonly clips: Clip[];
+
+  private constructor(
+    private readonly app: App,
+    private readonly task: Task,
+    clips: Clip[],
+  ) {
+    this.clips = clips;
+    this.viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+    const rows = [
+      { name: "root", label: "root", hint: "" },
+      ...app.parts.release.map((part) => ({ name: part.name, label: part.phrase, hint: "" })),
+    ];
+    this.strip = new Strip("Distance of the two motions over time, by part", rows, 1, (frame) => this.viewer.clock.scrub(frame));
+    this.viewer.setStrips([this.strip]);
+  }
+
+  static async open(app: App, task: Task): Promise<PairView> {
+    const [before, after] = task.motions;
+    if (!before || !after) throw new Error(`task ${task.id} does not have two motions`);
+    const [first, second] = await Promise.all([app.motions.track(before), app.motions.track(after)]);
+    const label = (word: string, id: string): string => `${word} · ${id}`;
+    const view = new PairView(app, task, [
+      { track: first, paint: PLAIN, label: label("Before", before.id) },
+      { track: second, paint: PLAIN, label: label("After", after.id) },
+    ]);
+    await view.loadDiff("none");
+    view.viewer.load(view.clips, (app.me.prefs.ghost ?? false) ? "ghost" : "side_by_side");
+    return view;
+  }
+
+  paint(parts: readonly string[], glow = 0): void {
+    const paint = this.app.parts.paint(parts, false, glow);
+    this.viewer.setPaint(0, paint);
+    this.viewer.setPaint(1, paint);
+  }
+
+  perform(action: ActionId, ten: boolean): boolean {
+    switch (action) {
+      case "side_by_side": {
+        const ghost = this.viewer.currentLayout !== "ghost";
+        this.viewer.setLayout(ghost ? "ghost" : "side_by_side");
+        void this.app.savePrefs({ ghost });
+        return true;
+      }
+      case "swap":
+        this.viewer.swap();
+        return true;
+      case "largest_difference":
+        this.toLargest();
+        return true;
+      case "align":
+        void this.align();
+        return true;
+      default:
+        return this.viewer.perform(action, ten);
+    }
+  }
+
+  /** To the frame where some part differs most. */
+  private toLargest(): void {
+    const best = [1, 2, 3, 4, 5]
+      .map((row) => ({ column: this.strip.peak(row), value: this.strip.value(row, this.strip.peak(row)) }))
+      .reduce((a, b) => (b.value > a.value ? b : a));
+    this.viewer.clock.seek(best.column);
+  }
+
+  /** Stretches for viewing alone; what is stored stays as it is. */
+  private async align(): Promise<void> {
+    const stretch = !this.viewer.isStretched;
+    this.viewer.setStretch(stretch);
+    await this.loadDiff(stretch ? "stretch" : "none");
+    this.app.toasts.show(
+      stretch ? "Both motions are spread over the same time, for viewing only." : "Both motions run in their own time.",
+      { id: "align", ms: 2500 },
+    );
+  }
+
+  private async loadDiff(align: "none" | "stretch"): Promise<void> {
+    const diff = await this.app.api.floats("GET", `pairs/${this.task.id}/diff?align=${align}`);
+    const columns = Math.floor(diff.length / 6);
+    const largest = diff.reduce((a, b) => Math.max(a, b), DIFF_FULL);
+    this.strip.setValues(diff.map((value) => value / largest), columns);
+    this.strip.element.title = `darkest: ${largest.toFixed(2)} m apart`;
+  }
+}
+
+async function pairScreen(app: App, view: TaskView): Promise<Screen> {
+  const { task } = view;
+  const route = ROUTE_OF[task.kind];
+  const pair = await PairView.open(app, task);
+  let editor: PairEditor | null = null;
+  const session = await TaskSession.open<TwoAnswer>(app, view, blankTwo(task), (answer) => editor?.setAnswer(answer));
+
+  let busy = false;
+  const finish = async (run: () => Promise<"done" | "waiting" | "refused">, after?: () => void): Promise<void> => {
+    if (busy) return;
+    busy = true;
+    try {
+      const outcome = await run();
+      if (outcome === "done") {
+        app.go(route);
+        after?.();
+      } else if (outcome === "waiting") {
+        app.toasts.show("The server has not answered yet. Your answer is kept and goes out by itself; go on when it is saved.", {
+          id: "waiting",
+          kind: "error",
+          ms: 10_000,
+        });
+      }
+    } finally {
+      busy = false;
+    }
+  };
+  const takeBack = async (): Promise<void> => {
+    app.toasts.clear("verdict");
+    if (await TaskSession.takeBack(app, task.id)) app.go(`${route}/${task.id}`);
+  };
+  const reject = (verdict: Verdict): void => {
+    const answer: TwoAnswer = { ...pairEditor.current, verdict };
+    void finish(
+      () => session.submit(answer),
+      () => {
+        lastVerdict = { takeBack, until: Date.now() + TOAST_MS };
+        app.toasts.show(`Pair ${task.id}: ${verdict}.`, {
+          id: "verdict",
+          ms: TOAST_MS,
+          action: { label: `Undo (${app.keys.hint("undo")})`, run: () => void takeBack() },
+        });
+      },
+    );
+  };
+  editor = new PairEditor(
+    app,
+    {
+      change: (answer, kind) => session.change(answer, kind),
+      seal: () => session.seal(),
+      suggestionUsed: (id, used) => void session.suggestionUsed(id, used),
+      askDraft:
+        app.me.model && !view.blind ? (parts) => app.api.post<Suggestion>(`tasks/${task.id}/suggest`, { parts }) : null,
+      reject,
+    },
+    [...view.suggestions],
+    (parts) => pair.paint(parts),
+    session.answer,
+  );
+  const pairEditor = editor;
+
+  const submit = async (): Promise<void> => {
+    const answer = pairEditor.complete();
+    if (answer) await finish(() => session.submit(answer));
+  };
+  const skip = async (): Promise<void> => {
+    const choice = await askSkip();
+    if (choice) await finish(() => session.skip(choice.reason, choice.note));
+    else app.focusStage();
+  };
+  const step = (by: 1 | -1): boolean => {
+    const tasks = task.bundle?.tasks ?? [];
+    const at = tasks.findIndex((item) => item.task === task.id);
+    const target = tasks[(at + by + tasks.length) % tasks.length];
+    if (!target || target.task === task.id) return false;
+    openItem(target);
+    return true;
+  };
+  const openItem = (item: BundleItem): void => {
+    if (handedIn(item)) {
+      app.toasts.show(`Pair ${item.task} is handed in${item.verdict ? `: ${item.verdict}` : ""}.`, {
+        id: "handed-in",
+        action: {
+          label: "Take back",
+          run: () => void TaskSession.takeBack(app, item.task).then((done) => done && app.go(`${route}/${item.task}`)),
+        },
+      });
+    } else {
+      app.go(`${route}/${item.task}`);
+    }
+  };
+
+  const perform = (action: ActionId, ten: boolean): boolean => {
+    switch (action) {
+      case "submit":
+        void submit();
+        return true;
+      case "skip":
+        void skip();
+        return true;
+      case "postpone":
+        void finish(() => session.postpone());
+        return true;
+      case "undo":
+        if (session.undo()) return true;
+        if (lastVerdict && Date.now() < lastVerdict.until) void lastVerdict.takeBack();
+        else app.toasts.show("Nothing to undo.", { id: "undo", ms: 1500 });
+        return true;
+      case "redo":
+        if (!session.redo()) app.toasts.show("Nothing to redo.", { id: "undo", ms: 1500 });
+        return true;
+      case "bundle_next":
+        return step(1);
+      case "bundle_previous":
+        return step(-1);
+      default:
+        return pair.perform(action, ten) || pairEditor.perform(action);
+    }
+  };
+
+  const { keys } = app;
+  const viewButtons = h(
+    "div",
+    { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
+    keyButton("Ghost", keys.hint("side_by_side"), () => perform("side_by_side", false)),
+    keyButton("Swap", keys.hint("swap"), () => perform("swap", false)),
+    keyButton("Largest difference", keys.hint("largest_difference"), () => perform("largest_difference", false)),
+    task.kind === "style" && keyButton("Align", keys.hint("align"), () => perform("align", false)),
+  );
+  pair.viewer.transport.append(viewButtons);
+  const facts = [task.hint, task.category && `category: ${task.category}`, task.style && `source style: ${task.style}`].filter(
+    (fact): fact is string => typeof fact === "string" && fact !== "",
+  );
+  const panel = h(
+    "aside",
+    { class: "panel", attrs: { "aria-label": task.kind === "style" ? "Style pair" : "Fine-grained pair" }, data: { region: "panel" } },
+    h(
+      "div",
+      { class: "panel-scroll" },
+      view.comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, "Came back: "), view.comment),
+      bundleDots(task, openItem),
+      h(
+        "p",
+        { class: "rule" },
+        task.kind === "style"
+          ? "In which style is the second motion done, and where does it show?"
+          : "What turns the first motion into the second? Reject at once what no person would do, or what words cannot say.",
+      ),
+      facts.length > 0 && h("ul", { class: "facts" }, ...facts.map((fact) => h("li", {}, fact))),
+      pairEditor.element,
+    ),
+    h(
+      "div",
+      { class: "panel-foot" },
+      keyButton("Keep, submit and next", keys.hint("submit"), () => void submit(), "primary submit"),
+      keyButton("Skip", keys.hint("skip"), () => void skip()),
+      keyButton("Postpone", keys.hint("postpone"), () => perform("postpone", false)),
+    ),
+  );
+  pair.viewer.element.dataset.region = "stage";
+  app.motions.prefetch(task.motions.map((motion) => motion.hash));
+  return {
+    element: h("div", { class: `work ${task.kind}`, data: { task: String(task.id) } }, pair.viewer.element, panel),
+    title: task.kind === "style" ? `Style pair ${task.id}` : `Pair ${task.id}`,
+    scopes: ["work", "transport", "parts", "pair"],
+    perform,
+    focusTarget: pair.viewer.focusTarget,
+    draw: (now) => pair.viewer.draw(now),
+    leave: () => {
+      session.dispose();
+      pair.viewer.dispose();
+    },
+  };
+}
+
+/** The verdict that was given last, for Ctrl Z on the pair after it. */
+let lastVerdict: { takeBack: () => Promise<void>; until: number } | null = null;
+
+function handedIn(item: BundleItem): boolean {
+  return item.mine !== null && item.mine !== "draft" && item.mine !== "returned";
+}
+
+function bundleDots(task: Task, open: (item: BundleItem) => void): HTMLElement | null {
+  const items = task.bundle?.tasks ?? [];
+  if (items.length < 2) return null;
+  const box = h("div", { class: "bundle", attrs: { role: "group", "aria-label": "Pairs of this bundle" } });
+  const dots = items.map((item, index) => {
+    const state = handedIn(item) ? (item.verdict ?? "done") : "open";
+    const dot = h(
+      "button",
+      {
+        class: `dot ${state}`,
+        attrs: { type: "button", "aria-label": `Pair ${index + 1} of ${items.length}: ${state}` },
+        on: { click: () => open(item) },
+      },
+      index + 1,
+    );
+    setAttr(dot, "aria-current", item.task === task.id ? "true" : null);
+    return dot;
+  });
+  fill(box, ...dots);
+  return box;
+}

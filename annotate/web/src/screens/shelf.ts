@@ -1,0 +1,84 @@
+/** The shelf: accepted answers of other tasks, to learn from. */
+
+import { reason } from "../api";
+import type { App, Screen } from "../app";
+import { fill, h, setAttr } from "../dom";
+import { describe } from "../merge";
+import { field } from "../ui";
+import { Viewer } from "../viewer";
+import { KIND_WORDS, type Shelf } from "../wire";
+
+type Item = Shelf["items"][number];
+
+export async function openShelf(app: App): Promise<Screen> {
+  const viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+  const list = h("div", { class: "shelf-list" });
+  const query = h("input", { attrs: { type: "search" } });
+  const part = h(
+    "select",
+    {},
+    h("option", { attrs: { value: "" } }, "any part"),
+    ...app.parts.release.map((own) => h("option", { attrs: { value: own.name } }, own.phrase)),
+  );
+  let items: Item[] = [];
+  let next: number | null = null;
+
+  const play = async (item: Item, button: HTMLElement): Promise<void> => {
+    for (const other of list.querySelectorAll("button")) setAttr(other, "aria-pressed", other === button ? "true" : "false");
+    const tracks = await Promise.all(item.task.motions.map((motion) => app.motions.track(motion)));
+    const { answer } = item;
+    const parts = answer.kind === "mask_text" ? (answer.masks[0]?.parts ?? []) : answer.parts;
+    const paint = app.parts.paint(parts, true);
+    const clips = tracks.map((track, index) => ({ track, paint, label: item.task.motions[index]?.id ?? "" }));
+    viewer.load(clips, clips.length > 1 ? "side_by_side" : "single");
+  };
+  const draw = (): void => {
+    const cards = items.map((item) => {
+      const button = h(
+        "button",
+        { class: "shelf-item", attrs: { type: "button", "aria-pressed": "false" } },
+        h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => motion.id).join(" → ")}`),
+        ...describe(app, item.answer).map((line) => h("span", {}, line)),
+      );
+      button.addEventListener("click", () => {
+        play(item, button).catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
+      });
+      return button;
+    });
+    const more = h("button", { attrs: { type: "button" }, on: { click: () => void load(true) } }, "More");
+    fill(list, ...cards, items.length === 0 && h("p", { class: "note" }, "Nothing has been accepted yet."), next !== null && more);
+  };
+  const load = async (more: boolean): Promise<void> => {
+    const search = new URLSearchParams({ limit: "20" });
+    if (query.value.trim()) search.set("q", query.value.trim());
+    if (part.value) search.set("part", part.value);
+    if (more && next !== null) search.set("before", String(next));
+    const shelf = await app.api.get<Shelf>(`shelf?${search.toString()}`);
+    items = more ? [...items, ...shelf.items] : shelf.items;
+    next = shelf.next;
+    draw();
+  };
+  const search = (): void => {
+    load(false).catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
+  };
+  query.addEventListener("change", search);
+  part.addEventListener("change", search);
+  await load(false);
+  viewer.element.dataset.region = "stage";
+  const panel = h(
+    "aside",
+    { class: "panel", attrs: { "aria-label": "Accepted examples" }, data: { region: "panel" } },
+    h("div", { class: "panel-scroll" }, h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part)), list),
+  );
+  const first = list.querySelector<HTMLElement>("button.shelf-item");
+  first?.click();
+  return {
+    element: h("div", { class: "work shelf" }, viewer.element, panel),
+    title: "Accepted examples",
+    scopes: ["transport"],
+    perform: (action, ten) => viewer.perform(action, ten),
+    focusTarget: viewer.focusTarget,
+    draw: (now) => viewer.draw(now),
+    leave: () => viewer.dispose(),
+  };
+}

@@ -1,0 +1,160 @@
+/**
+ * How a body is drawn: which keypoints are joined, how thick, and in what colour. Only drawing; all
+ * positions come from the server.
+ */
+
+/** Keypoints of a clip, in metres, y up: `data[(frame * points + point) * 3 + axis]`. */
+export interface Track {
+  frames: number;
+  points: number;
+  fps: number;
+  data: Float32Array;
+}
+
+/** Parent of each keypoint: 22 body joints, two eyes, two knuckles of each hand. */
+export const PARENTS = [
+  -1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 15, 15, 20, 20, 21, 21,
+] as const;
+
+export const PELVIS = 0;
+export const LEFT_HIP = 1;
+export const RIGHT_HIP = 2;
+export const NECK = 12;
+export const HEAD = 15;
+export const LEFT_EYE = 22;
+export const RIGHT_EYE = 23;
+
+const LEFT = new Set([1, 4, 7, 10, 13, 16, 18, 20, 22, 24, 25]);
+const RIGHT = new Set([2, 5, 8, 11, 14, 17, 19, 21, 23, 26, 27]);
+
+/** Radius in metres of the limb that ends at each keypoint. */
+const RADII = [
+  0.11, 0.09, 0.09, 0.105, 0.075, 0.075, 0.108, 0.052, 0.052, 0.112, 0.042, 0.042, 0.055, 0.07, 0.07, 0.05,
+  0.06, 0.06, 0.047, 0.047, 0.038, 0.038, 0, 0, 0.022, 0.022, 0.022, 0.022,
+] as const;
+
+export const HEAD_RADIUS = 0.108;
+export const EYE_RADIUS = 0.016;
+
+/** A limb from one keypoint to another. It is moved by the joint it starts at. */
+export interface Limb {
+  from: number;
+  to: number;
+  radius: number;
+  /** The body joint whose mask colours the limb. */
+  joint: number;
+}
+
+export const LIMBS: readonly Limb[] = PARENTS.flatMap((from, to) => {
+  const radius = RADII[to] ?? 0;
+  return from < 0 || radius === 0 ? [] : [{ from, to, radius, joint: from }];
+});
+
+export type Side = "left" | "right" | "middle";
+
+/** The side of a limb: that of its end, so that hips and collars carry their side's colour. */
+export function sideOf(point: number): Side {
+  if (LEFT.has(point)) return "left";
+  if (RIGHT.has(point)) return "right";
+  return "middle";
+}
+
+export type Rgb = readonly [number, number, number];
+
+/** Character's own left is blue, right is orange, in every view. */
+export const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
+  left: [0.11, 0.42, 0.83],
+  right: [0.88, 0.45, 0.07],
+  middle: [0.33, 0.4, 0.48],
+};
+
+const GREY: Rgb = [0.78, 0.8, 0.83];
+const GLOW: Rgb = [0.86, 0.1, 0.45];
+
+/** Bits of joints. */
+export type JointBits = number;
+
+export function bits(joints: readonly number[]): JointBits {
+  return joints.reduce((set, joint) => set | (1 << joint), 0);
+}
+
+export function has(set: JointBits, joint: number): boolean {
+  return ((set >>> joint) & 1) === 1;
+}
+
+/** What is painted on a body. */
+export interface Paint {
+  /** Painted joints; nothing painted at all shows the plain side colours. */
+  hard: JointBits;
+  soft: JointBits;
+  /** Whether joints outside the mask are greyed. */
+  masked: boolean;
+  /** Joints where answers differ. */
+  glow: JointBits;
+}
+
+export const PLAIN: Paint = { hard: 0, soft: 0, masked: false, glow: 0 };
+
+export type Tone = "solid" | "half" | "rest";
+
+export function toneOf(paint: Paint, joint: number): Tone {
+  if (!paint.masked || has(paint.hard, joint)) return "solid";
+  return has(paint.soft, joint) ? "half" : "rest";
+}
+
+export function mix(a: Rgb, b: Rgb, t: number): Rgb {
+  return [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t];
+}
+
+/** The base colour of a limb; half tones are hatched on top of the resting colour. */
+export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
+  const full = SIDE_COLOURS[side];
+  const tone = toneOf(paint, joint);
+  const base = tone === "rest" ? mix(GREY, full, 0.14) : full;
+  return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
+}
+
+/** What shows between the hatching of a half tone. */
+export function restColour(side: Side): Rgb {
+  return mix(GREY, SIDE_COLOURS[side], 0.14);
+}
+
+export function css(colour: Rgb, alpha = 1): string {
+  const [r, g, b] = colour.map((value) => Math.round(value * 255));
+  return `rgba(${r}, ${g}, ${b}, ${alpha})`;
+}
+
+export type Vec3 = [number, number, number];
+
+export function pointAt(track: Track, frame: number, point: number, out: Vec3): Vec3 {
+  const at = (frame * track.points + point) * 3;
+  out[0] = track.data[at] ?? 0;
+  out[1] = track.data[at + 1] ?? 0;
+  out[2] = track.data[at + 2] ?? 0;
+  return out;
+}
+
+/** The middle of the head's ball, from neck, head joint and eyes. */
+export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
+  const neck = pointAt(track, frame, NECK, [0, 0, 0]);
+  const head = pointAt(track, frame, HEAD, [0, 0, 0]);
+  const left = pointAt(track, frame, LEFT_EYE, [0, 0, 0]);
+  const right = pointAt(track, frame, RIGHT_EYE, [0, 0, 0]);
+  for (const axis of [0, 1, 2] as const) {
+    const eyes = (left[axis] + right[axis]) / 2;
+    out[axis] = head[axis] + 0.5 * (eyes - head[axis]) + 0.3 * (head[axis] - neck[axis]);
+  }
+  return out;
+}
+
+/**
+ * Which way the body faces in a frame, as an angle about the vertical from +z, from its hips; used
+ * to place the front camera in front.
+ */
+export function headingAt(track: Track, frame: number): number {
+  const left = pointAt(track, frame, LEFT_HIP, [0, 0, 0]);
+  const right = pointAt(track, frame, RIGHT_HIP, [0, 0, 0]);
+  const x = left[0] - right[0];
+  const z = left[2] - right[2];
+  return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
+}

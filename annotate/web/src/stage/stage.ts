@@ -1,0 +1,247 @@
+/**
+ * A view of bodies: a renderer, an overlay for tags, the mouse, and attributes that say what is
+ * shown. Renderers are exchangeable; where WebGL is absent or lost, Canvas 2D takes over.
+ */
+
+import { h } from "../dom";
+import { OrbitCamera, type Preset } from "./camera";
+import { CanvasRenderer } from "./canvas2d";
+import type { Body, Renderer, Scene } from "./scene";
+import { PELVIS, headingAt, pointAt, type Vec3 } from "./body";
+
+/** How a stage gets its renderer; throws where it cannot. */
+export type MakeRenderer = () => Renderer;
+
+/** Keypoints that carry a tag: wrists and feet. */
+const TAGS: readonly (readonly [number, string, string])[] = [
+  [20, "L", "#1c6bd4"],
+  [10, "L", "#1c6bd4"],
+  [21, "R", "#b9560a"],
+  [11, "R", "#b9560a"],
+];
+
+export class Stage {
+  readonly element: HTMLElement;
+  readonly camera = new OrbitCamera();
+  private renderer: Renderer;
+  private readonly overlay: HTMLCanvasElement;
+  private readonly caption: HTMLElement;
+  private bodies: Body[] = [];
+  private dirty = true;
+  private disposed = false;
+  private readonly observer: ResizeObserver;
+  followRoot = true;
+  /** Other stages whose cameras move with this one. */
+  private followers: Stage[] = [];
+
+  constructor(label: string, make: MakeRenderer) {
+    this.renderer = tryMake(make);
+    this.overlay = h("canvas", { class: "stage-overlay", attrs: { "aria-hidden": "true" } });
+    this.caption = h("div", { class: "stage-caption" });
+    this.element = h(
+      "div",
+      {
+        class: "stage",
+        attrs: { tabindex: 0, role: "img", "aria-label": label },
+        data: { frame: "0", renderer: this.renderer.kind, bodies: "0" },
+      },
+      this.renderer.canvas,
+      this.overlay,
+      this.caption,
+      h("div", { class: "stage-sides", attrs: { "aria-hidden": "true" } },
+        h("span", { class: "side-left" }, "L left"),
+        h("span", { class: "side-right" }, "R right"),
+        h("span", {}, "sides are the character's own"),
+      ),
+    );
+    this.renderer.canvas.setAttribute("aria-hidden", "true");
+    this.renderer.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      if (!this.disposed) this.fallBack();
+    });
+    this.observer = new ResizeObserver(() => this.redraw());
+    this.observer.observe(this.element);
+    this.mouse();
+  }
+
+  get kind(): Renderer["kind"] {
+    return this.renderer.kind;
+  }
+
+  /** Cameras of both move together from now on. */
+  link(other: Stage): void {
+    this.followers.push(other);
+    other.followers.push(this);
+  }
+
+  setCaption(text: string): void {
+    this.caption.textContent = text;
+  }
+
+  setLabel(text: string): void {
+    this.element.setAttribute("aria-label", text);
+  }
+
+  /** Shows these bodies with a frame of the clock. */
+  show(bodies: Body[], clockFrame: number): void {
+    this.bodies = bodies;
+    this.element.dataset.frame = String(clockFrame);
+    this.element.dataset.clipFrame = String(bodies[0]?.frame ?? 0);
+    this.element.dataset.bodies = String(bodies.length);
+    this.follow();
+    this.redraw();
+  }
+
+  /** Puts the camera in front of the body as it stands in its first frame. */
+  frameBody(): void {
+    const first = this.bodies[0];
+    if (!first) return;
+    this.camera.heading = headingAt(first.track, 0);
+    this.camera.use(this.camera.preset);
+    this.camera.target = pointAt(first.track, 0, PELVIS, [0, 0, 0]);
+    this.camera.target[1] = 0.9;
+    this.redraw();
+  }
+
+  useCamera(preset: Preset): void {
+    this.camera.use(preset);
+    this.element.dataset.camera = preset;
+    this.follow();
+    this.redraw();
+    for (const other of this.followers) {
+      other.camera.heading = this.camera.heading;
+      other.camera.use(preset);
+      other.element.dataset.camera = preset;
+      other.redraw();
+    }
+  }
+
+  setFollow(follow: boolean): void {
+    this.followRoot = follow;
+    this.follow();
+    this.redraw();
+  }
+
+  redraw(): void {
+    this.dirty = true;
+  }
+
+  /** Draws if anything changed; called once for each animation frame. */
+  drawIfNeeded(): void {
+    if (!this.dirty || this.disposed || !this.element.isConnected) return;
+    const width = this.element.clientWidth;
+    const height = this.element.clientHeight;
+    if (width === 0 || height === 0) return;
+    this.dirty = false;
+    const pixelRatio = Math.min(2, window.devicePixelRatio || 1);
+    const scene: Scene = { bodies: this.bodies, camera: this.camera, width, height, pixelRatio };
+    try {
+      this.renderer.draw(scene);
+    } catch (error) {
+      if (this.renderer.kind === "canvas2d") throw error;
+      this.fallBack();
+      this.renderer.draw(scene);
+    }
+    this.drawTags(scene);
+  }
+
+  dispose(): void {
+    this.disposed = true;
+    this.observer.disconnect();
+    this.renderer.dispose();
+  }
+
+  private fallBack(): void {
+    const canvas = this.renderer.canvas;
+    this.renderer = new CanvasRenderer();
+    this.renderer.canvas.setAttribute("aria-hidden", "true");
+    canvas.replaceWith(this.renderer.canvas);
+    this.element.dataset.renderer = this.renderer.kind;
+    this.redraw();
+  }
+
+  private follow(): void {
+    const first = this.bodies[0];
+    if (!first || !this.followRoot) return;
+    const root: Vec3 = pointAt(first.track, first.frame, PELVIS, [0, 0, 0]);
+    this.camera.target[0] = root[0];
+    this.camera.target[2] = root[2];
+  }
+
+  private drawTags(scene: Scene): void {
+    const { overlay } = this;
+    const width = Math.round(scene.width * scene.pixelRatio);
+    const height = Math.round(scene.height * scene.pixelRatio);
+    if (overlay.width !== width || overlay.height !== height) {
+      overlay.width = width;
+      overlay.height = height;
+    }
+    const context = overlay.getContext("2d");
+    if (!context) return;
+    context.setTransform(scene.pixelRatio, 0, 0, scene.pixelRatio, 0, 0);
+    context.clearRect(0, 0, scene.width, scene.height);
+    const project = scene.camera.projector(scene.width, scene.height);
+    context.font = "600 11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    for (const body of scene.bodies) {
+      if (body.ghost) continue;
+      for (const [point, text, colour] of TAGS) {
+        const at = project(pointAt(body.track, body.frame, point, [0, 0, 0]));
+        if (!at) continue;
+        context.fillStyle = "rgba(255, 255, 255, 0.86)";
+        context.beginPath();
+        context.arc(at.x, at.y, 8, 0, 2 * Math.PI);
+        context.fill();
+        context.fillStyle = colour;
+        context.fillText(text, at.x, at.y + 0.5);
+      }
+    }
+  }
+
+  private mouse(): void {
+    const { element } = this;
+    element.addEventListener("pointerdown", (event) => {
+      if (event.button > 2) return;
+      element.focus({ preventScroll: true });
+      element.setPointerCapture(event.pointerId);
+      const pan = event.button !== 0 || event.shiftKey;
+      const move = (step: PointerEvent): void => {
+        const act = (stage: Stage): void => {
+          if (pan) stage.camera.pan(step.movementX, step.movementY, element.clientHeight);
+          else stage.camera.orbit(step.movementX, step.movementY);
+          stage.redraw();
+        };
+        for (const stage of [this, ...this.followers]) act(stage);
+      };
+      const end = (): void => {
+        element.removeEventListener("pointermove", move);
+        element.removeEventListener("pointerup", end);
+        element.removeEventListener("pointercancel", end);
+      };
+      element.addEventListener("pointermove", move);
+      element.addEventListener("pointerup", end);
+      element.addEventListener("pointercancel", end);
+    });
+    element.addEventListener("contextmenu", (event) => event.preventDefault());
+    element.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        for (const stage of [this, ...this.followers]) {
+          stage.camera.zoom(Math.exp(event.deltaY * 0.001));
+          stage.redraw();
+        }
+      },
+      { passive: false },
+    );
+  }
+}
+
+function tryMake(make: MakeRenderer): Renderer {
+  try {
+    return make();
+  } catch {
+    return new CanvasRenderer();
+  }
+}

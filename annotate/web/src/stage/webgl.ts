@@ -1,0 +1,257 @@
+/** The stage in three.js: bodies of instanced spheres and cylinders, which together are capsules. */
+
+import type * as Three from "../vendor-three";
+import type { Body, Renderer, Scene } from "./scene";
+import { FLOOR } from "./scene";
+import {
+  EYE_RADIUS,
+  HEAD,
+  HEAD_RADIUS,
+  LEFT_EYE,
+  LIMBS,
+  PELVIS,
+  RIGHT_EYE,
+  colourOf,
+  headCentre,
+  pointAt,
+  restColour,
+  sideOf,
+  toneOf,
+  type Rgb,
+  type Vec3,
+} from "./body";
+
+type Lib = typeof Three;
+
+const BACKGROUND = 0xeef1f4;
+/** Two ends of every limb, the pelvis, the head and two eyes. */
+const SPHERES = LIMBS.length * 2 + 4;
+
+/** Half tones: diagonal stripes of the resting colour, in screen space so that they stay readable. */
+function hatch(material: Three.MeshLambertMaterial): void {
+  material.onBeforeCompile = (shader) => {
+    shader.vertexShader = shader.vertexShader
+      .replace("#include <common>", "#include <common>\nattribute vec4 rest;\nvarying vec4 vRest;")
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvRest = rest;");
+    shader.fragmentShader = shader.fragmentShader
+      .replace("#include <common>", "#include <common>\nvarying vec4 vRest;")
+      .replace(
+        "#include <color_fragment>",
+        "#include <color_fragment>\nif (vRest.a > 0.5 && mod(gl_FragCoord.x + gl_FragCoord.y, 8.0) < 4.0) diffuseColor.rgb = vRest.rgb;",
+      );
+  };
+}
+
+class BodyMesh {
+  readonly group: Three.Group;
+  private readonly spheres: Three.InstancedMesh;
+  private readonly tubes: Three.InstancedMesh;
+  private readonly material: Three.MeshLambertMaterial;
+  private readonly shadowMaterial: Three.MeshBasicMaterial;
+  private readonly sphereRest: Three.InstancedBufferAttribute;
+  private readonly tubeRest: Three.InstancedBufferAttribute;
+  private readonly matrix: Three.Matrix4;
+  private readonly quaternion: Three.Quaternion;
+  private readonly position: Three.Vector3;
+  private readonly size: Three.Vector3;
+  private readonly direction: Three.Vector3;
+  private readonly up: Three.Vector3;
+  private readonly colour: Three.Color;
+
+  constructor(lib: Lib) {
+    this.group = new lib.Group();
+    this.material = new lib.MeshLambertMaterial({ transparent: true });
+    hatch(this.material);
+    const sphere = new lib.SphereGeometry(1, 20, 14);
+    const tube = new lib.CylinderGeometry(1, 1, 1, 18, 1, true);
+    this.sphereRest = new lib.InstancedBufferAttribute(new Float32Array(SPHERES * 4), 4);
+    this.tubeRest = new lib.InstancedBufferAttribute(new Float32Array(LIMBS.length * 4), 4);
+    sphere.setAttribute("rest", this.sphereRest);
+    tube.setAttribute("rest", this.tubeRest);
+    this.spheres = new lib.InstancedMesh(sphere, this.material, SPHERES);
+    this.tubes = new lib.InstancedMesh(tube, this.material, LIMBS.length);
+    this.group.add(this.spheres, this.tubes);
+
+    // A shadow straight down: the same instances, flattened. Drawn only where nothing nearer or
+    // equally near was, so that overlapping limbs do not darken each other.
+    this.shadowMaterial = new lib.MeshBasicMaterial({
+      color: 0x1c2733,
+      transparent: true,
+      opacity: 0.16,
+      depthFunc: lib.LessDepth,
+    });
+    const shadow = new lib.Group();
+    for (const mesh of [this.spheres, this.tubes]) {
+      const flat = new lib.InstancedMesh(mesh.geometry, this.shadowMaterial, mesh.count);
+      flat.instanceMatrix = mesh.instanceMatrix;
+      flat.frustumCulled = false;
+      shadow.add(flat);
+    }
+    shadow.scale.y = 1e-4;
+    shadow.position.y = 0.004;
+    this.group.add(shadow);
+    this.spheres.frustumCulled = false;
+    this.tubes.frustumCulled = false;
+
+    this.matrix = new lib.Matrix4();
+    this.quaternion = new lib.Quaternion();
+    this.position = new lib.Vector3();
+    this.size = new lib.Vector3();
+    this.direction = new lib.Vector3();
+    this.up = new lib.Vector3(0, 1, 0);
+    this.colour = new lib.Color();
+  }
+
+  update(body: Body): void {
+    const { track, paint, ghost } = body;
+    this.material.opacity = ghost ? 0.38 : 1;
+    this.material.depthWrite = !ghost;
+    this.shadowMaterial.visible = !ghost;
+    const from: Vec3 = [0, 0, 0];
+    const to: Vec3 = [0, 0, 0];
+    let sphere = 0;
+    LIMBS.forEach((limb, index) => {
+      pointAt(track, body.frame, limb.from, from);
+      pointAt(track, body.frame, limb.to, to);
+      const side = sideOf(limb.to);
+      const colour = colourOf(paint, limb.joint, side);
+      const half = toneOf(paint, limb.joint) === "half" ? restColour(side) : null;
+      this.direction.set(to[0] - from[0], to[1] - from[1], to[2] - from[2]);
+      const length = Math.max(1e-5, this.direction.length());
+      this.direction.divideScalar(length);
+      this.quaternion.setFromUnitVectors(this.up, this.direction);
+      this.position.set((from[0] + to[0]) / 2, (from[1] + to[1]) / 2, (from[2] + to[2]) / 2);
+      this.size.set(limb.radius, length, limb.radius);
+      this.place(this.tubes, index, colour, half, this.tubeRest);
+      this.quaternion.identity();
+      this.size.setScalar(limb.radius);
+      for (const end of [from, to]) {
+        this.position.set(...end);
+        this.place(this.spheres, sphere++, colour, half, this.sphereRest);
+      }
+    });
+    this.quaternion.identity();
+    this.ball(sphere++, pointAt(track, body.frame, PELVIS, from), 0.11, body, PELVIS);
+    this.ball(sphere++, headCentre(track, body.frame, from), HEAD_RADIUS, body, HEAD);
+    for (const eye of [LEFT_EYE, RIGHT_EYE]) {
+      pointAt(track, body.frame, eye, from);
+      this.position.set(...from);
+      this.size.setScalar(EYE_RADIUS);
+      this.place(this.spheres, sphere++, [0.12, 0.14, 0.17], null, this.sphereRest);
+    }
+    for (const mesh of [this.spheres, this.tubes]) {
+      mesh.instanceMatrix.needsUpdate = true;
+      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+    }
+    this.sphereRest.needsUpdate = true;
+    this.tubeRest.needsUpdate = true;
+  }
+
+  dispose(): void {
+    this.spheres.geometry.dispose();
+    this.tubes.geometry.dispose();
+    this.spheres.dispose();
+    this.tubes.dispose();
+    this.material.dispose();
+    this.shadowMaterial.dispose();
+  }
+
+  private ball(index: number, at: Vec3, radius: number, body: Body, joint: number): void {
+    this.position.set(...at);
+    this.size.setScalar(radius);
+    const half = toneOf(body.paint, joint) === "half" ? restColour("middle") : null;
+    this.place(this.spheres, index, colourOf(body.paint, joint, "middle"), half, this.sphereRest);
+  }
+
+  private place(
+    mesh: Three.InstancedMesh,
+    index: number,
+    colour: Rgb,
+    half: Rgb | null,
+    rest: Three.InstancedBufferAttribute,
+  ): void {
+    this.matrix.compose(this.position, this.quaternion, this.size);
+    mesh.setMatrixAt(index, this.matrix);
+    this.colour.setRGB(...colour, "srgb");
+    mesh.setColorAt(index, this.colour);
+    this.colour.setRGB(...(half ?? colour), "srgb");
+    rest.setXYZW(index, this.colour.r, this.colour.g, this.colour.b, half ? 1 : 0);
+  }
+}
+
+function floor(lib: Lib): Three.Group {
+  const group = new lib.Group();
+  const lines = (step: number, skip: (k: number) => boolean, colour: number): void => {
+    const points: number[] = [];
+    for (let k = -FLOOR / step; k <= FLOOR / step; k += 1) {
+      if (skip(k)) continue;
+      points.push(k * step, 0, -FLOOR, k * step, 0, FLOOR, -FLOOR, 0, k * step, FLOOR, 0, k * step);
+    }
+    const geometry = new lib.BufferGeometry();
+    geometry.setAttribute("position", new lib.BufferAttribute(new Float32Array(points), 3));
+    group.add(new lib.LineSegments(geometry, new lib.LineBasicMaterial({ color: colour })));
+  };
+  lines(0.5, (k) => k % 2 === 0, 0xdfe4e9);
+  lines(1, (k) => k === 0, 0xc9d1d9);
+  lines(FLOOR, (k) => k !== 0, 0xa9b5c1);
+  return group;
+}
+
+export class WebglRenderer implements Renderer {
+  readonly kind = "webgl2";
+  readonly canvas: HTMLCanvasElement;
+  private readonly renderer: Three.WebGLRenderer;
+  private readonly scene: Three.Scene;
+  private readonly camera: Three.PerspectiveCamera;
+  private readonly meshes: BodyMesh[] = [];
+  private width = 0;
+  private height = 0;
+  private ratio = 0;
+
+  /** Throws where WebGL 2 cannot be had. */
+  constructor(private readonly lib: Lib) {
+    // The buffer is kept so that a page can be copied or inspected at any time.
+    this.renderer = new lib.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.canvas = this.renderer.domElement;
+    this.renderer.setClearColor(BACKGROUND, 1);
+    this.scene = new lib.Scene();
+    this.scene.add(new lib.HemisphereLight(0xffffff, 0xb8c0c8, 2.2));
+    const sun = new lib.DirectionalLight(0xffffff, 1.6);
+    sun.position.set(2, 5, 3);
+    this.scene.add(sun, floor(lib));
+    this.camera = new lib.PerspectiveCamera(38, 1, 0.05, 60);
+  }
+
+  draw(scene: Scene): void {
+    if (scene.width !== this.width || scene.height !== this.height || scene.pixelRatio !== this.ratio) {
+      this.width = scene.width;
+      this.height = scene.height;
+      this.ratio = scene.pixelRatio;
+      this.renderer.setPixelRatio(scene.pixelRatio);
+      this.renderer.setSize(scene.width, scene.height, false);
+      this.camera.aspect = scene.width / Math.max(1, scene.height);
+    }
+    const pose = scene.camera.pose;
+    this.camera.fov = (pose.fieldOfView * 180) / Math.PI;
+    this.camera.position.set(...pose.eye);
+    this.camera.lookAt(...pose.target);
+    this.camera.updateProjectionMatrix();
+    while (this.meshes.length < scene.bodies.length) {
+      const mesh = new BodyMesh(this.lib);
+      this.meshes.push(mesh);
+      this.scene.add(mesh.group);
+    }
+    this.meshes.forEach((mesh, index) => {
+      const body = scene.bodies[index];
+      mesh.group.visible = body !== undefined;
+      if (body) mesh.update(body);
+    });
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  dispose(): void {
+    for (const mesh of this.meshes) mesh.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+}

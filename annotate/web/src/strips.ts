@@ -1,0 +1,174 @@
+/** Strips along the timeline: activity of the parts, and the distance of two motions. */
+
+import { h } from "./dom";
+
+export interface Row {
+  name: string;
+  label: string;
+  /** The key that toggles the part, if it does. */
+  hint: string;
+}
+
+type Stop = readonly [number, number, number];
+
+/** Light to dark in one direction, so that it also reads without colour. */
+const HEAT: readonly Stop[] = [
+  [244, 246, 248],
+  [253, 226, 164],
+  [244, 151, 66],
+  [196, 64, 40],
+  [107, 18, 42],
+];
+
+export function heatColour(value: number): string {
+  const x = Math.min(1, Math.max(0, Number.isFinite(value) ? value : 0)) * (HEAT.length - 1);
+  const index = Math.min(HEAT.length - 2, Math.floor(x));
+  const from = HEAT[index] as Stop;
+  const to = HEAT[index + 1] as Stop;
+  const t = x - index;
+  const mixed = from.map((channel, axis) => Math.round(channel + ((to[axis] ?? 0) - channel) * t));
+  return `rgb(${mixed.join(", ")})`;
+}
+
+const ROW_HEIGHT = 16;
+const GAP = 2;
+
+/** Rows of values over the frames of the clock, with playhead and loop. */
+export class Strip {
+  readonly element: HTMLElement;
+  private readonly canvas: HTMLCanvasElement;
+  private readonly labels: HTMLElement[];
+  private values: Float32Array = new Float32Array();
+  private columns = 0;
+  private frame = 0;
+  private frames = 1;
+  private loop: readonly [number, number] = [0, 0];
+  private dirty = true;
+  private readonly observer: ResizeObserver;
+  private image: HTMLCanvasElement | null = null;
+
+  constructor(
+    title: string,
+    private readonly rows: readonly Row[],
+    /** The value that is drawn darkest. */
+    private readonly full: number,
+    seek: (frame: number) => void,
+  ) {
+    this.canvas = h("canvas", { class: "strip-canvas", attrs: { "aria-hidden": "true" } });
+    this.labels = rows.map((row) =>
+      h("div", { class: "strip-label", data: { row: row.name } }, row.hint ? h("kbd", {}, row.hint) : null, row.label),
+    );
+    this.element = h(
+      "div",
+      { class: "strip", attrs: { role: "img", "aria-label": title } },
+      h("div", { class: "strip-labels" }, ...this.labels),
+      h("div", { class: "strip-plot" }, this.canvas),
+    );
+    this.element.style.setProperty("--strip-rows", String(rows.length));
+    const at = (event: PointerEvent): number => {
+      const box = this.canvas.getBoundingClientRect();
+      return Math.floor(((event.clientX - box.left) / Math.max(1, box.width)) * this.frames);
+    };
+    this.canvas.addEventListener("pointerdown", (event) => {
+      this.canvas.setPointerCapture(event.pointerId);
+      seek(at(event));
+    });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (event.buttons === 1) seek(at(event));
+    });
+    this.observer = new ResizeObserver(() => {
+      this.dirty = true;
+    });
+    this.observer.observe(this.canvas);
+  }
+
+  /** Values `[rows][columns]`, spread over the frames of the clock. */
+  setValues(values: Float32Array, columns: number): void {
+    this.values = values;
+    this.columns = columns;
+    this.image = null;
+    this.dirty = true;
+    this.element.dataset.columns = String(columns);
+  }
+
+  /** Marks rows: parts that are suggested, and parts that are chosen. */
+  mark(suggested: ReadonlySet<string>, chosen: ReadonlySet<string>): void {
+    this.rows.forEach((row, index) => {
+      this.labels[index]?.classList.toggle("suggested", suggested.has(row.name));
+      this.labels[index]?.classList.toggle("chosen", chosen.has(row.name));
+    });
+  }
+
+  setClock(frame: number, frames: number, loop: readonly [number, number]): void {
+    if (frame === this.frame && frames === this.frames && loop[0] === this.loop[0] && loop[1] === this.loop[1]) return;
+    this.frame = frame;
+    this.frames = frames;
+    this.loop = loop;
+    this.dirty = true;
+  }
+
+  /** The column with the largest value of a row. */
+  peak(row: number): number {
+    let best = 0;
+    for (let column = 1; column < this.columns; column += 1) {
+      if (this.value(row, column) > this.value(row, best)) best = column;
+    }
+    return best;
+  }
+
+  value(row: number, column: number): number {
+    return this.values[row * this.columns + column] ?? 0;
+  }
+
+  drawIfNeeded(): void {
+    if (!this.dirty || !this.element.isConnected) return;
+    const width = this.canvas.clientWidth;
+    if (width === 0) return;
+    this.dirty = false;
+    const ratio = Math.min(2, window.devicePixelRatio || 1);
+    const height = this.rows.length * (ROW_HEIGHT + GAP) - GAP;
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    const context = this.canvas.getContext("2d");
+    if (!context) return;
+    context.scale(ratio, ratio);
+    context.imageSmoothingEnabled = false;
+    const image = this.paint();
+    this.rows.forEach((_, row) => {
+      const top = row * (ROW_HEIGHT + GAP);
+      context.fillStyle = "#e7ebef";
+      context.fillRect(0, top, width, ROW_HEIGHT);
+      if (!image) return;
+      const columns = Math.min(this.columns, this.frames);
+      context.drawImage(image, 0, row, columns, 1, 0, top, (columns / this.frames) * width, ROW_HEIGHT);
+    });
+    const x = (frame: number): number => (frame / this.frames) * width;
+    context.fillStyle = "rgba(238, 241, 244, 0.72)";
+    context.fillRect(0, 0, x(this.loop[0]), height);
+    context.fillRect(x(this.loop[1] + 1), 0, width, height);
+    context.fillStyle = "#16202b";
+    context.fillRect(Math.min(width - 2, x(this.frame + 0.5) - 1), 0, 2, height);
+  }
+
+  dispose(): void {
+    this.observer.disconnect();
+  }
+
+  /** All values as one picture, a pixel each, so that playing redraws little. */
+  private paint(): HTMLCanvasElement | null {
+    if (this.image || this.columns === 0) return this.image;
+    const image = document.createElement("canvas");
+    image.width = this.columns;
+    image.height = this.rows.length;
+    const context = image.getContext("2d");
+    if (!context) return null;
+    for (let row = 0; row < this.rows.length; row += 1) {
+      for (let column = 0; column < this.columns; column += 1) {
+        context.fillStyle = heatColour(this.value(row, column) / this.full);
+        context.fillRect(column, row, 1, 1);
+      }
+    }
+    this.image = image;
+    return image;
+  }
+}

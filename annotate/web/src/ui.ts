@@ -1,0 +1,169 @@
+/** Small pieces of the page: toasts, dialogs, labelled buttons, figures in words. */
+
+import { append, fill, h, type Child } from "./dom";
+import type { Estimate } from "./wire";
+
+/** Messages at the lower edge; screen readers are told of them. */
+export class Toasts {
+  readonly element = h("div", { class: "toasts", attrs: { role: "status", "aria-live": "polite" } });
+  private readonly shown = new Map<string, () => void>();
+
+  /** Shows a message; one of the same `id` replaces the one before. */
+  show(
+    message: string,
+    options: { id?: string; kind?: "info" | "error"; ms?: number; action?: { label: string; run: () => void } } = {},
+  ): void {
+    const id = options.id ?? message;
+    this.shown.get(id)?.();
+    const { action } = options;
+    const button = action
+      ? h("button", { class: "toast-action", attrs: { type: "button" }, on: { click: () => (close(), action.run()) } }, action.label)
+      : null;
+    const toast = h("div", { class: `toast ${options.kind ?? "info"}` }, h("span", {}, message), button);
+    const timer = window.setTimeout(() => close(), options.ms ?? 5000);
+    const close = (): void => {
+      window.clearTimeout(timer);
+      toast.remove();
+      if (this.shown.get(id) === close) this.shown.delete(id);
+    };
+    this.shown.set(id, close);
+    this.element.append(toast);
+  }
+
+  clear(id: string): void {
+    this.shown.get(id)?.();
+  }
+}
+
+export interface Choice<T> {
+  label: string;
+  value: T;
+  kind?: "primary" | "danger";
+  /** A bare key, by position, that chooses it while no text is typed. */
+  code?: string;
+  hint?: string;
+}
+
+/** A modal box; resolves with what was chosen, or null for Escape. */
+export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
+  return new Promise((resolve) => {
+    const finish = (value: T | null): void => {
+      dialog.close();
+      dialog.remove();
+      resolve(value);
+    };
+    const heading = h("h2", { id: "dialog-title" }, title);
+    const buttons = choices.map((choice) =>
+      h(
+        "button",
+        {
+          class: choice.kind ?? "",
+          attrs: { type: "button", "data-choice": choice.label },
+          on: { click: () => finish(choice.value) },
+        },
+        choice.hint ? h("kbd", {}, choice.hint) : null,
+        choice.label,
+      ),
+    );
+    const dialog = h(
+      "dialog",
+      { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } },
+      heading,
+      h("div", { class: "dialog-body" }, ...body),
+      h("div", { class: "dialog-buttons" }, ...buttons),
+    );
+    dialog.addEventListener("cancel", (event) => {
+      event.preventDefault();
+      finish(null);
+    });
+    dialog.addEventListener("keydown", (event) => {
+      event.stopPropagation();
+      if (event.isComposing) return;
+      const typing = event.target instanceof HTMLTextAreaElement || (event.target instanceof HTMLInputElement && event.target.type === "text");
+      if (event.code === "Enter" && (event.ctrlKey || event.metaKey)) {
+        const primary = choices.find((choice) => choice.kind === "primary") ?? choices[0];
+        if (primary) finish(primary.value);
+        return;
+      }
+      if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+      const chosen = choices.find((choice) => choice.code === event.code);
+      if (chosen) {
+        event.preventDefault();
+        finish(chosen.value);
+      }
+    });
+    document.body.append(dialog);
+    dialog.showModal();
+    (focus ?? buttons[0])?.focus();
+  });
+}
+
+/** A button that carries its key. */
+export function keyButton(label: string, hint: string, run: () => void, className = ""): HTMLButtonElement {
+  return h(
+    "button",
+    { class: className, attrs: { type: "button" }, on: { click: run } },
+    hint ? h("kbd", {}, hint) : null,
+    h("span", { class: "button-label" }, label),
+  );
+}
+
+export function field(label: string, control: HTMLElement, note = ""): HTMLElement {
+  const id = control.id || `field-${Math.random().toString(36).slice(2)}`;
+  control.id = id;
+  return h("div", { class: "field" }, h("label", { attrs: { for: id } }, label), control, note ? h("p", { class: "note" }, note) : null);
+}
+
+/** A table from rows of cells; the first row is the head. */
+export function table(caption: string, head: readonly string[], rows: readonly (readonly Child[])[]): HTMLTableElement {
+  const body = h("tbody", {});
+  for (const row of rows) {
+    const line = h("tr", {});
+    row.forEach((cell, index) => {
+      const tag = index === 0 ? h("th", { attrs: { scope: "row" } }) : h("td", {});
+      append(tag, [cell]);
+      line.append(tag);
+    });
+    body.append(line);
+  }
+  return h(
+    "table",
+    {},
+    h("caption", {}, caption),
+    h("thead", {}, h("tr", {}, ...head.map((cell) => h("th", { attrs: { scope: "col" } }, cell)))),
+    body,
+  );
+}
+
+export function replace(parent: Element, ...children: Child[]): void {
+  fill(parent, ...children);
+}
+
+export function percent(share: number | null): string {
+  return share === null ? "n/a" : `${Math.round(share * 100)} %`;
+}
+
+/** A figure with its interval and count, or that there are too few items. */
+export function estimate(figure: Estimate | null): string {
+  if (!figure) return "n/a";
+  return `${figure.value.toFixed(2)} [${figure.low.toFixed(2)}, ${figure.high.toFixed(2)}], n = ${figure.items}`;
+}
+
+export function seconds(value: number | null): string {
+  if (value === null) return "n/a";
+  return value < 120 ? `${Math.round(value)} s` : `${Math.round(value / 60)} min`;
+}
+
+export function when(ms: number | null): string {
+  if (ms === null) return "never";
+  return new Date(ms).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
+}
+
+/** A moment from now, in words. */
+export function until(ms: number): string {
+  const left = Math.round((ms - Date.now()) / 1000);
+  if (left <= 0) return "now";
+  if (left < 90) return `in ${left} s`;
+  if (left < 5400) return `in ${Math.round(left / 60)} min`;
+  return `on ${when(ms)}`;
+}

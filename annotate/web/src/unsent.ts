@@ -1,0 +1,29 @@
+/** What the server did not take: shown in full, so that no text is ever out of reach. */
+
+import type { App } from "./app";
+import { h } from "./dom";
+import { describe } from "./merge";
+import { ask } from "./ui";
+
+export async function showUnsent(app: App): Promise<void> {
+  const stuck = app.outbox.waiting.filter((item) => item.problem !== null);
+  const entries = stuck.map((item) =>
+    h(
+      "section",
+      { class: "unsent" },
+      h("h3", {}, `Task ${item.task}: ${item.event.kind}`),
+      h("p", { class: "trouble" }, item.problem?.detail ?? ""),
+      h("ul", {}, ...(item.event.answer ? describe(app, item.event.answer) : []).map((line) => h("li", {}, line))),
+    ),
+  );
+  const choice = await ask(
+    "The server did not take these",
+    [h("p", {}, "They stay in this browser until the task is saved again or you discard them."), ...entries],
+    [
+      { label: "Close", value: "close" as const, kind: "primary" },
+      { label: "Discard all of them", value: "discard" as const, kind: "danger" },
+    ],
+  );
+  if (choice !== "discard") return;
+  for (const chain of new Set(stuck.map((item) => item.chain))) await app.outbox.discard(chain);
+}

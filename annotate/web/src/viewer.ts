@@ -1,0 +1,311 @@
+/**
+ * Stages, strips and transport of a task, all driven by one clock. Screens say what is shown; nothing
+ * here knows what is asked.
+ */
+
+import { clipFrame, Clock, type ClockState } from "./clock";
+import { h } from "./dom";
+import type { ActionId, KeyMap } from "./keys";
+import { PLAIN, type Paint, type Track } from "./stage/body";
+import { Stage, type MakeRenderer } from "./stage/stage";
+import type { Strip } from "./strips";
+import type { Prefs } from "./wire";
+
+export interface Clip {
+  track: Track;
+  paint: Paint;
+  label: string;
+}
+
+export type Layout = "single" | "side_by_side" | "ghost";
+
+export class Viewer {
+  readonly clock = new Clock();
+  readonly element: HTMLElement;
+  readonly transport: HTMLElement;
+  private readonly stages: Stage[] = [];
+  private readonly stageRow = h("div", { class: "stages" });
+  private readonly stripColumn = h("div", { class: "strips" });
+  private strips: Strip[] = [];
+  private clips: Clip[] = [];
+  private layout: Layout = "single";
+  private swapped = false;
+  private stretch = false;
+  private readonly playButton: HTMLButtonElement;
+  private readonly range: HTMLInputElement;
+  private readonly readout: HTMLElement;
+  private readonly speed: HTMLElement;
+  private readonly loopText: HTMLElement;
+  private readonly followButton: HTMLButtonElement;
+
+  constructor(
+    private readonly makeRenderer: MakeRenderer,
+    private readonly keys: KeyMap,
+    prefs: Prefs,
+  ) {
+    const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
+      h(
+        "button",
+        {
+          class: className,
+          attrs: { type: "button", title: `${label} (${keys.hint(action)})`, "aria-keyshortcuts": keys.chord(action) },
+          on: { click: () => this.perform(action, false) },
+        },
+        h("kbd", {}, keys.hint(action)),
+        h("span", { class: "button-label" }, label),
+      );
+    this.playButton = button("play_pause", "Play", "play");
+    this.range = h("input", {
+      class: "scrub",
+      attrs: { type: "range", min: 0, max: 0, step: 1, value: 0, "aria-label": "Frame" },
+      on: { input: () => this.clock.scrub(Number(this.range.value)) },
+    });
+    this.readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
+    this.speed = h("output", { class: "speed" });
+    this.loopText = h("output", { class: "loop" });
+    this.followButton = button("camera_follow", "Follow");
+    this.transport = h(
+      "div",
+      { class: "transport", attrs: { role: "group", "aria-label": "Playback" } },
+      h("div", { class: "transport-row" }, this.playButton, this.range, this.readout),
+      h(
+        "div",
+        { class: "transport-row small" },
+        button("step_back", "Back"),
+        button("step_forward", "Forward"),
+        h("span", { class: "group" }, button("slower", "Slower"), this.speed, button("faster", "Faster")),
+        h("span", { class: "group" }, button("loop_in", "In"), button("loop_out", "Out"), button("loop_clear", "Clear"), this.loopText),
+        h(
+          "span",
+          { class: "group" },
+          button("camera_front", "Front"),
+          button("camera_side", "Side"),
+          button("camera_top", "Top"),
+          this.followButton,
+        ),
+      ),
+    );
+    this.element = h("div", { class: "viewer" }, this.stageRow, this.transport, this.stripColumn);
+    this.addStage("Motion");
+    const follow = prefs.follow_root ?? true;
+    this.setFollow(follow);
+    this.clock.subscribe((state) => this.update(state));
+  }
+
+  /** The element that has the focus while nobody types. */
+  get focusTarget(): HTMLElement {
+    return (this.stages[0] as Stage).element;
+  }
+
+  addStrip(strip: Strip): void {
+    this.strips.push(strip);
+    this.stripColumn.append(strip.element);
+  }
+
+  setStrips(strips: readonly Strip[]): void {
+    for (const strip of this.strips) strip.dispose();
+    this.strips = [];
+    this.stripColumn.replaceChildren();
+    for (const strip of strips) this.addStrip(strip);
+    this.update(this.clock.now);
+  }
+
+  /** Shows other clips from their first frame, playing. */
+  load(clips: Clip[], layout: Layout): void {
+    this.clips = clips;
+    this.layout = layout;
+    this.swapped = false;
+    this.stretch = false;
+    this.clock.load(this.length(), clips[0]?.track.fps ?? 20);
+    this.arrange();
+    for (const stage of this.stages) stage.frameBody();
+    this.clock.play(true);
+  }
+
+  /** Shows other clips at the same frame. */
+  replaceClips(clips: Clip[]): void {
+    this.clips = clips;
+    this.arrange();
+  }
+
+  setPaint(index: number, paint: Paint): void {
+    const clip = this.clips[index];
+    if (!clip) return;
+    clip.paint = paint;
+    this.update(this.clock.now);
+  }
+
+  setLayout(layout: Layout): void {
+    this.layout = layout;
+    this.arrange();
+  }
+
+  get currentLayout(): Layout {
+    return this.layout;
+  }
+
+  swap(): void {
+    this.swapped = !this.swapped;
+    this.arrange();
+  }
+
+  get isStretched(): boolean {
+    return this.stretch;
+  }
+
+  /** Spreads both clips over the shorter one's time, for viewing alone. */
+  setStretch(stretch: boolean): void {
+    this.stretch = stretch;
+    const playing = this.clock.now.playing;
+    this.clock.resize(this.length());
+    if (playing) this.clock.play(true);
+    this.arrange();
+  }
+
+  setFollow(follow: boolean): void {
+    for (const stage of this.stages) stage.setFollow(follow);
+    this.followButton.setAttribute("aria-pressed", String(follow));
+  }
+
+  /** Does what a key of the transport asks; false if it is not one. */
+  perform(action: ActionId, ten: boolean): boolean {
+    const { clock } = this;
+    switch (action) {
+      case "play_pause":
+        clock.toggle();
+        return true;
+      case "step_back":
+        clock.step(ten ? -10 : -1);
+        return true;
+      case "step_forward":
+        clock.step(ten ? 10 : 1);
+        return true;
+      case "go_start":
+        clock.seek(clock.now.loopIn);
+        return true;
+      case "go_end":
+        clock.seek(clock.now.loopOut);
+        return true;
+      case "loop_in":
+        clock.setLoopIn();
+        return true;
+      case "loop_out":
+        clock.setLoopOut();
+        return true;
+      case "loop_clear":
+        clock.clearLoop();
+        return true;
+      case "slower":
+        clock.changeSpeed(-1);
+        return true;
+      case "faster":
+        clock.changeSpeed(1);
+        return true;
+      case "camera_front":
+      case "camera_side":
+      case "camera_top": {
+        const preset = action === "camera_front" ? "front" : action === "camera_side" ? "side" : "top";
+        this.stages[0]?.useCamera(preset);
+        return true;
+      }
+      case "camera_follow":
+        this.setFollow(!(this.stages[0]?.followRoot ?? false));
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  /** One animation frame: the clock moves, then whatever changed is drawn. */
+  draw(nowMs: number): void {
+    this.clock.tick(nowMs);
+    for (const stage of this.stages) stage.drawIfNeeded();
+    for (const strip of this.strips) strip.drawIfNeeded();
+  }
+
+  dispose(): void {
+    for (const stage of this.stages) stage.dispose();
+    for (const strip of this.strips) strip.dispose();
+  }
+
+  private addStage(label: string): Stage {
+    const stage = new Stage(label, this.makeRenderer);
+    const first = this.stages[0];
+    if (first) {
+      stage.followRoot = first.followRoot;
+      first.link(stage);
+    }
+    this.stages.push(stage);
+    this.stageRow.append(stage.element);
+    return stage;
+  }
+
+  private length(): number {
+    const seconds = this.clips.map((clip) => clip.track.frames / clip.track.fps);
+    if (seconds.length === 0) return 1;
+    const fps = this.clips[0]?.track.fps ?? 20;
+    const longest = this.stretch ? Math.min(...seconds) : Math.max(...seconds);
+    return Math.max(1, Math.round(longest * fps));
+  }
+
+  private arrange(): void {
+    const two = this.layout === "side_by_side" && this.clips.length > 1;
+    while (two && this.stages.length < 2) this.addStage("Second motion").camera.heading = 0;
+    this.stages.forEach((stage, index) => {
+      stage.element.hidden = index > 0 && !two;
+    });
+    this.stageRow.dataset.layout = this.layout;
+    this.update(this.clock.now);
+    this.stages[1]?.frameBody();
+    if (this.stages[1] && this.stages[0]) {
+      const [first, second] = [this.stages[0].camera, this.stages[1].camera];
+      second.azimuth = first.azimuth - first.heading + second.heading;
+      second.elevation = first.elevation;
+      second.distance = first.distance;
+    }
+  }
+
+  private update(state: Readonly<ClockState>): void {
+    const order = this.swapped ? [...this.clips].reverse() : this.clips;
+    const bodies = order.map((clip) => ({
+      track: clip.track,
+      paint: clip.paint ?? PLAIN,
+      frame: clipFrame(state.frame, state, clip.track, this.stretch),
+      ghost: false,
+    }));
+    const [first, second] = bodies;
+    const [stage, other] = this.stages;
+    if (stage && first) {
+      const together = this.layout === "ghost" && second ? [first, { ...second, ghost: true }] : [first];
+      stage.show(together, state.frame);
+      const labels = order.map((clip) => clip.label);
+      const caption = this.layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
+      stage.setCaption(caption);
+      stage.setLabel(`${caption}, frame ${state.frame + 1} of ${state.frames}`);
+      if (other && second) {
+        other.show([second], state.frame);
+        other.setCaption(labels[1] ?? "");
+        other.setLabel(`${labels[1] ?? ""}, frame ${state.frame + 1} of ${state.frames}`);
+      }
+    }
+    for (const strip of this.strips) strip.setClock(state.frame, state.frames, [state.loopIn, state.loopOut]);
+    this.range.max = String(state.frames - 1);
+    this.range.value = String(state.frame);
+    const label = this.playButton.querySelector(".button-label");
+    if (label) label.textContent = state.playing ? "Pause" : "Play";
+    this.playButton.setAttribute("aria-pressed", String(state.playing));
+    const seconds = (state.frame / state.fps).toFixed(2);
+    this.readout.textContent = `${state.frame + 1} / ${state.frames}  ·  ${seconds} s  ·  ${state.fps} fps`;
+    this.speed.textContent = `${state.speed}×`;
+    const whole = state.loopIn === 0 && state.loopOut === state.frames - 1;
+    this.loopText.textContent = whole ? "whole clip" : `${state.loopIn + 1}–${state.loopOut + 1}`;
+    this.element.dataset.playing = String(state.playing);
+    this.element.dataset.speed = String(state.speed);
+    this.element.dataset.loop = `${state.loopIn}-${state.loopOut}`;
+  }
+
+  /** The keys that the buttons show follow the map. */
+  get keyMap(): KeyMap {
+    return this.keys;
+  }
+}
