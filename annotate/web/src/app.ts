@@ -10,9 +10,11 @@ import { Outbox, type OutboxStatus, type Outcome } from "./outbox";
 import { Parts } from "./parts";
 import { CanvasRenderer } from "./stage/canvas2d";
 import { PARENTS } from "./stage/body";
+import { rendererPool } from "./stage/webgl";
 import type { MakeRenderer } from "./stage/stage";
 import { Toasts } from "./ui";
 import { showUnsent } from "./unsent";
+import { Viewer } from "./viewer";
 import type { EventResult, Me, NewEvent, Prefs, Role, SkeletonInfo } from "./wire";
 
 export interface Screen {
@@ -135,6 +137,11 @@ export class App {
     return this.makeWebgl();
   };
 
+  /** Stages and playback with this person's settings. */
+  viewer(): Viewer {
+    return new Viewer(this.makeRenderer, this.keys, this.me.prefs, (change) => void this.savePrefs(change));
+  }
+
   go(path: string): void {
     window.history.pushState(null, "", `/app/${path}`);
     void this.route();
@@ -223,8 +230,8 @@ export class App {
     const probe = document.createElement("canvas").getContext("webgl2");
     if (!probe) return;
     probe.getExtension("WEBGL_lose_context")?.loseContext();
-    const [lib, { WebglRenderer }] = await Promise.all([import("./vendor-three"), import("./stage/webgl")]);
-    this.makeWebgl = () => new WebglRenderer(lib);
+    const lib = await import("./vendor-three");
+    this.makeWebgl = rendererPool(lib);
   }
 
   private async sendEvents(task: number, events: NewEvent[]): Promise<EventResult[]> {

@@ -119,6 +119,10 @@ export class Clock {
     this.set({ speed: SPEEDS[next] ?? 1 });
   }
 
+  setSpeed(speed: number): void {
+    this.set({ speed: Math.min(2, Math.max(0.1, speed)) });
+  }
+
   /** Advances to this time; called once for each animation frame. */
   tick(nowMs: number): void {
     if (!this.state.playing) return;

@@ -6,7 +6,7 @@ import { fill, h, setAttr } from "./dom";
 import type { ActionId } from "./keys";
 import { TEXT_LIMIT, lintCards } from "./lints";
 import type { Strip } from "./strips";
-import { ask, field, keyButton } from "./ui";
+import { askReason, keyButton } from "./ui";
 import type { Clip, Viewer } from "./viewer";
 import {
   COUNT_REASONS,
@@ -146,14 +146,13 @@ export class MaskEditor {
     if (!outside) {
       complete = { ...complete, count_reason: null };
     } else if (complete.count_reason === null) {
-      const note = h("input", { attrs: { type: "text", maxlength: TEXT_LIMIT } });
-      const choice = await ask<CountReason>(
+      const choice = await askReason<CountReason>(
         `${masks.length} ${masks.length === 1 ? "mask" : "masks"}; the project asks for ${min_masks} to ${max_masks}`,
-        [h("p", {}, "Why is that right for this motion?"), field("Note (needed for “something else”)", note)],
-        COUNT_REASONS.map(([value, label], index) => ({ label, value, code: `Digit${index + 1}`, hint: String(index + 1) })),
+        COUNT_REASONS,
+        [h("p", {}, "Why is that right for this motion?")],
       );
       if (choice === null) return null;
-      complete = { ...complete, count_reason: choice, note: note.value.trim() || complete.note };
+      complete = { ...complete, count_reason: choice.reason, note: choice.note || complete.note };
     }
     for (const mask of complete.masks) {
       const draft = this.suggestions.find((suggestion) => suggestion.id === mask.suggestion);

@@ -21,6 +21,24 @@ interface Saved<A> {
   at: number;
 }
 
+/** What is being edited, written before the event that changed it is over. */
+function keepNow(chain: string, answer: Answer): void {
+  try {
+    localStorage.setItem(`annotate:${chain}`, JSON.stringify(answer));
+  } catch {
+    // Full or forbidden; the history in the other store is written all the same.
+  }
+}
+
+function keptNow<A extends Answer>(chain: string): A | null {
+  try {
+    const text = localStorage.getItem(`annotate:${chain}`);
+    return text === null ? null : (JSON.parse(text) as A);
+  } catch {
+    return null;
+  }
+}
+
 /** How long to wait for the acknowledgement of a submission before saying that it waits. */
 const ACK_MS = 4000;
 
@@ -68,13 +86,20 @@ export class TaskSession<A extends Answer> implements OpenSession {
     const pending = app.outbox.pendingAnswer(chain) !== null;
     const theirs = view.mine && view.mine.answer.kind === blank.kind ? (view.mine.answer as A) : null;
     const save = (data: HistoryData<A>): void => {
+      keepNow(chain, data.present);
       void app.store.put("histories", chain, { history: data, at: Date.now() } satisfies Saved<A>);
     };
     const history = new History<A>(theirs ?? blank, saved?.history ?? null, save);
+    // A page that is left aborts writes that have not ended; what was kept at once is newer.
+    const kept = keptNow<A>(chain);
+    if (kept && kept.kind === blank.kind) history.push(kept);
     const current = pending || known === (view.mine?.rev ?? 0);
     if (saved && theirs && !current) history.push(theirs);
     if (!pending) await app.outbox.setRev(chain, view.mine?.rev ?? 0);
-    return new TaskSession(app, view, history, onReplaced);
+    const session = new TaskSession(app, view, history, onReplaced);
+    const sent = app.outbox.pendingAnswer(chain) ?? theirs ?? blank;
+    if (JSON.stringify(sent) !== JSON.stringify(history.present)) session.schedule();
+    return session;
   }
 
   get answer(): A {
@@ -196,7 +221,9 @@ export class TaskSession<A extends Answer> implements OpenSession {
     void this.flushDraft();
     if (this.heartbeat !== null) window.clearInterval(this.heartbeat);
     this.app.sessions.delete(this);
-    if (this.submitted) void this.app.store.remove("histories", this.chain);
+    if (!this.submitted) return;
+    localStorage.removeItem(`annotate:${this.chain}`);
+    void this.app.store.remove("histories", this.chain);
   }
 
   private arrive(answer: A | null): boolean {

@@ -98,6 +98,31 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
   });
 }
 
+/**
+ * One of several reasons, by digit; the one called `other` needs a note, and is asked for again
+ * without one.
+ */
+export async function askReason<T extends string>(
+  title: string,
+  reasons: readonly (readonly [T, string])[],
+  lead: Child[] = [],
+): Promise<{ reason: T; note: string } | null> {
+  const choices = reasons.map(([value, label], index) => ({
+    label,
+    value,
+    code: `Digit${index + 1}`,
+    hint: String(index + 1),
+  }));
+  for (let again = false; ; again = true) {
+    const note = h("input", { attrs: { type: "text", maxlength: 2000 } });
+    const hint = again && h("p", { class: "trouble", attrs: { role: "alert" } }, "Say what, in the note; then choose again.");
+    const reason = await ask<T>(title, [...lead, hint, field("Note (needed for “something else”)", note)], choices, again ? note : undefined);
+    if (reason === null) return null;
+    const text = note.value.trim();
+    if (reason !== "other" || text !== "") return { reason, note: text };
+  }
+}
+
 /** A button that carries its key. */
 export function keyButton(label: string, hint: string, run: () => void, className = ""): HTMLButtonElement {
   return h(

@@ -37,11 +37,13 @@ export class Viewer {
   private readonly speed: HTMLElement;
   private readonly loopText: HTMLElement;
   private readonly followButton: HTMLButtonElement;
+  private readonly saveFollow: (follow: boolean) => void;
 
   constructor(
     private readonly makeRenderer: MakeRenderer,
-    private readonly keys: KeyMap,
+    keys: KeyMap,
     prefs: Prefs,
+    save: (change: Partial<Prefs>) => void,
   ) {
     const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
       h(
@@ -75,21 +77,29 @@ export class Viewer {
         button("step_forward", "Forward"),
         h("span", { class: "group" }, button("slower", "Slower"), this.speed, button("faster", "Faster")),
         h("span", { class: "group" }, button("loop_in", "In"), button("loop_out", "Out"), button("loop_clear", "Clear"), this.loopText),
-        h(
-          "span",
-          { class: "group" },
-          button("camera_front", "Front"),
-          button("camera_side", "Side"),
-          button("camera_top", "Top"),
-          this.followButton,
-        ),
       ),
     );
-    this.element = h("div", { class: "viewer" }, this.stageRow, this.transport, this.stripColumn);
+    const cameras = h(
+      "div",
+      { class: "cameras", attrs: { role: "group", "aria-label": "Camera" } },
+      button("camera_front", "Front"),
+      button("camera_side", "Side"),
+      button("camera_top", "Top"),
+      this.followButton,
+    );
+    this.element = h("div", { class: "viewer" }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
     this.addStage("Motion");
-    const follow = prefs.follow_root ?? true;
-    this.setFollow(follow);
-    this.clock.subscribe((state) => this.update(state));
+    this.setFollow(prefs.follow_root ?? true);
+    this.saveFollow = (follow_root) => save({ follow_root });
+    this.clock.setSpeed(prefs.speed ?? 1);
+    let speed = this.clock.now.speed;
+    this.clock.subscribe((state) => {
+      this.update(state);
+      if (state.speed !== speed) {
+        speed = state.speed;
+        save({ speed });
+      }
+    });
   }
 
   /** The element that has the focus while nobody types. */
@@ -210,6 +220,7 @@ export class Viewer {
       }
       case "camera_follow":
         this.setFollow(!(this.stages[0]?.followRoot ?? false));
+        this.saveFollow(this.stages[0]?.followRoot ?? true);
         return true;
       default:
         return false;
@@ -302,10 +313,5 @@ export class Viewer {
     this.element.dataset.playing = String(state.playing);
     this.element.dataset.speed = String(state.speed);
     this.element.dataset.loop = `${state.loopIn}-${state.loopOut}`;
-  }
-
-  /** The keys that the buttons show follow the map. */
-  get keyMap(): KeyMap {
-    return this.keys;
   }
 }

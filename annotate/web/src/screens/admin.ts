@@ -39,7 +39,7 @@ function select<T extends string>(options: readonly (readonly [T, string])[], va
 function exportsSection(app: App): HTMLElement {
   const jobs = h("div", { class: "jobs" });
   const format = select([
-    ["parquet", "Parquet tables, for `stance triplets`"],
+    ["parquet", "Parquet tables, as triplets are made from"],
     ["stance", "JSON of the STANCE release"],
     ["csv", "CSV of all labels"],
   ]);
@@ -188,7 +188,6 @@ async function peopleSection(app: App): Promise<HTMLElement> {
   return h(
     "section",
     { class: "card" },
-    h("h2", {}, "People"),
     box,
     h(
       "div",

@@ -8,7 +8,7 @@ import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
 import { Strip } from "../strips";
 import { keyButton } from "../ui";
-import { Viewer, type Clip } from "../viewer";
+import type { Clip, Viewer } from "../viewer";
 import type { MaskTextAnswer, Next, Suggestion, TaskView } from "../wire";
 import { askSkip } from "./skip";
 import { emptyScreen } from "./empty";
@@ -45,7 +45,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const motion = view.task.motions[0];
   if (!motion) throw new Error(`task ${view.task.id} has no motion`);
   const [track, heat] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
-  const viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+  const viewer = app.viewer();
   const strip = heatStrip(app, viewer);
   strip.setValues(heat, Math.floor(heat.length / 5));
   viewer.setStrips([strip]);

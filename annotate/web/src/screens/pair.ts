@@ -8,7 +8,7 @@ import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
 import { Strip } from "../strips";
 import { keyButton } from "../ui";
-import { Viewer, type Clip } from "../viewer";
+import type { Clip, Viewer } from "../viewer";
 import type { BundleItem, Next, Suggestion, Task, TaskKind, TaskView, Verdict } from "../wire";
 import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
@@ -43,7 +43,7 @@ export class PairView {
     clips: Clip[],
   ) {
     this.clips = clips;
-    this.viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+    this.viewer = app.viewer();
     const rows = [
       { name: "root", label: "root", hint: "" },
       ...app.parts.release.map((part) => ({ name: part.name, label: part.phrase, hint: "" })),
@@ -276,7 +276,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     h(
       "div",
       { class: "panel-foot" },
-      keyButton("Keep, submit and next", keys.hint("submit"), () => void submit(), "primary submit"),
+      keyButton("Keep and next", keys.hint("submit"), () => void submit(), "primary submit"),
       keyButton("Skip", keys.hint("skip"), () => void skip()),
       keyButton("Postpone", keys.hint("postpone"), () => perform("postpone", false)),
     ),

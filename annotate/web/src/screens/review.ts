@@ -11,7 +11,7 @@ import { PLAIN, bits } from "../stage/body";
 import { Strip } from "../strips";
 import { TEXT_LIMIT } from "../lints";
 import { ask, field, keyButton, percent } from "../ui";
-import { Viewer, type Clip } from "../viewer";
+import type { Clip, Viewer } from "../viewer";
 import {
   KIND_WORDS,
   type Answer,
@@ -28,9 +28,9 @@ import { heatStrip } from "./mask";
 import { PairView } from "./pair";
 
 const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
-  ["disagreement", "Most different first"],
+  ["disagreement", "Most different"],
   ["sample", "Random sample"],
-  ["returned", "Were sent back"],
+  ["returned", "Sent back"],
 ];
 
 const CHOOSE: readonly ActionId[] = ["candidate_1", "candidate_2", "candidate_3", "candidate_4"];
@@ -96,7 +96,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     const motion = task.motions[0];
     if (!motion) throw new Error(`task ${task.id} has no motion`);
     const [track, values] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
-    const viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+    const viewer = app.viewer();
     heat = heatStrip(app, viewer);
     heat.setValues(values, Math.floor(values.length / 5));
     viewer.setStrips([heat]);

@@ -5,13 +5,12 @@ import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
 import { field } from "../ui";
-import { Viewer } from "../viewer";
 import { KIND_WORDS, type Shelf } from "../wire";
 
 type Item = Shelf["items"][number];
 
 export async function openShelf(app: App): Promise<Screen> {
-  const viewer = new Viewer(app.makeRenderer, app.keys, app.me.prefs);
+  const viewer = app.viewer();
   const list = h("div", { class: "shelf-list" });
   const query = h("input", { attrs: { type: "search" } });
   const part = h(

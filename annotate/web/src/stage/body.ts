@@ -33,8 +33,8 @@ const RADII = [
   0.06, 0.06, 0.047, 0.047, 0.038, 0.038, 0, 0, 0.022, 0.022, 0.022, 0.022,
 ] as const;
 
-export const HEAD_RADIUS = 0.108;
-export const EYE_RADIUS = 0.016;
+export const HEAD_RADIUS = 0.1;
+export const EYE_RADIUS = 0.017;
 
 /** A limb from one keypoint to another. It is moved by the joint it starts at. */
 export interface Limb {
@@ -142,8 +142,18 @@ export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
   const right = pointAt(track, frame, RIGHT_EYE, [0, 0, 0]);
   for (const axis of [0, 1, 2] as const) {
     const eyes = (left[axis] + right[axis]) / 2;
-    out[axis] = head[axis] + 0.5 * (eyes - head[axis]) + 0.3 * (head[axis] - neck[axis]);
+    out[axis] = head[axis] + 0.35 * (eyes - head[axis]) + 0.15 * (head[axis] - neck[axis]);
   }
+  return out;
+}
+
+/** A point on the ball of the head in the direction of an eye, so that the face can be seen. */
+export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3): Vec3 {
+  const centre = headCentre(track, frame, [0, 0, 0]);
+  pointAt(track, frame, eye, out);
+  const offset: Vec3 = [out[0] - centre[0], out[1] - centre[1], out[2] - centre[2]];
+  const length = Math.max(1e-6, Math.hypot(...offset));
+  for (const axis of [0, 1, 2] as const) out[axis] = centre[axis] + (offset[axis] / length) * HEAD_RADIUS * 0.97;
   return out;
 }
 

@@ -12,6 +12,7 @@ import {
   RIGHT_EYE,
   colourOf,
   css,
+  eyeOnHead,
   headCentre,
   pointAt,
   restColour,
@@ -138,7 +139,7 @@ function piecesOf(body: Body, project: Project): Piece[] {
   const head = headCentre(body.track, body.frame, [0, 0, 0]);
   ball(head, HEAD_RADIUS, css(colourOf(body.paint, HEAD, "middle")));
   for (const eye of [LEFT_EYE, RIGHT_EYE]) {
-    ball(pointAt(body.track, body.frame, eye, [0, 0, 0]), EYE_RADIUS, "#1f242b");
+    ball(eyeOnHead(body.track, body.frame, eye, [0, 0, 0]), EYE_RADIUS, "#1f242b");
   }
   return pieces;
 }

@@ -55,10 +55,7 @@ export class Stage {
       ),
     );
     this.renderer.canvas.setAttribute("aria-hidden", "true");
-    this.renderer.canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      if (!this.disposed) this.fallBack();
-    });
+    this.renderer.canvas.addEventListener("webglcontextlost", this.contextLost);
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
     this.mouse();
@@ -148,11 +145,18 @@ export class Stage {
   dispose(): void {
     this.disposed = true;
     this.observer.disconnect();
+    this.renderer.canvas.removeEventListener("webglcontextlost", this.contextLost);
     this.renderer.dispose();
   }
 
+  private readonly contextLost = (event: Event): void => {
+    event.preventDefault();
+    if (!this.disposed) this.fallBack();
+  };
+
   private fallBack(): void {
     const canvas = this.renderer.canvas;
+    canvas.removeEventListener("webglcontextlost", this.contextLost);
     this.renderer = new CanvasRenderer();
     this.renderer.canvas.setAttribute("aria-hidden", "true");
     canvas.replaceWith(this.renderer.canvas);

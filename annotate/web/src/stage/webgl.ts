@@ -12,6 +12,7 @@ import {
   PELVIS,
   RIGHT_EYE,
   colourOf,
+  eyeOnHead,
   headCentre,
   pointAt,
   restColour,
@@ -72,13 +73,17 @@ class BodyMesh {
     this.tubes = new lib.InstancedMesh(tube, this.material, LIMBS.length);
     this.group.add(this.spheres, this.tubes);
 
-    // A shadow straight down: the same instances, flattened. Drawn only where nothing nearer or
-    // equally near was, so that overlapping limbs do not darken each other.
+    // A shadow straight down: the same instances, flattened. The stencil lets each pixel be darkened
+    // once, however many limbs are above it.
     this.shadowMaterial = new lib.MeshBasicMaterial({
       color: 0x1c2733,
       transparent: true,
       opacity: 0.16,
-      depthFunc: lib.LessDepth,
+      depthWrite: false,
+      stencilWrite: true,
+      stencilFunc: lib.NotEqualStencilFunc,
+      stencilRef: 1,
+      stencilZPass: lib.ReplaceStencilOp,
     });
     const shadow = new lib.Group();
     for (const mesh of [this.spheres, this.tubes]) {
@@ -134,8 +139,7 @@ class BodyMesh {
     this.ball(sphere++, pointAt(track, body.frame, PELVIS, from), 0.11, body, PELVIS);
     this.ball(sphere++, headCentre(track, body.frame, from), HEAD_RADIUS, body, HEAD);
     for (const eye of [LEFT_EYE, RIGHT_EYE]) {
-      pointAt(track, body.frame, eye, from);
-      this.position.set(...from);
+      this.position.set(...eyeOnHead(track, body.frame, eye, from));
       this.size.setScalar(EYE_RADIUS);
       this.place(this.spheres, sphere++, [0.12, 0.14, 0.17], null, this.sphereRest);
     }
@@ -209,9 +213,12 @@ export class WebglRenderer implements Renderer {
   private ratio = 0;
 
   /** Throws where WebGL 2 cannot be had. */
-  constructor(private readonly lib: Lib) {
+  constructor(
+    private readonly lib: Lib,
+    private readonly idle: WebglRenderer[],
+  ) {
     // The buffer is kept so that a page can be copied or inspected at any time.
-    this.renderer = new lib.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer = new lib.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true, stencil: true });
     this.canvas = this.renderer.domElement;
     this.renderer.setClearColor(BACKGROUND, 1);
     this.scene = new lib.Scene();
@@ -249,9 +256,23 @@ export class WebglRenderer implements Renderer {
     this.renderer.render(this.scene, this.camera);
   }
 
+  /** Leaves the page and waits for the next stage. */
   dispose(): void {
-    for (const mesh of this.meshes) mesh.dispose();
-    this.renderer.dispose();
-    this.renderer.forceContextLoss();
+    this.canvas.remove();
+    if (this.renderer.getContext().isContextLost()) {
+      for (const mesh of this.meshes) mesh.dispose();
+      this.renderer.dispose();
+    } else {
+      this.idle.push(this);
+    }
   }
+}
+
+/**
+ * Makes renderers, and takes those of closed stages first: a new context and its shaders cost more
+ * than everything else a task needs.
+ */
+export function rendererPool(lib: Lib): () => Renderer {
+  const idle: WebglRenderer[] = [];
+  return () => idle.pop() ?? new WebglRenderer(lib, idle);
 }

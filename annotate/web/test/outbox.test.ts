@@ -1,0 +1,250 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { ApiError, Unreachable } from "../src/api";
+import { MemoryStore } from "../src/db";
+import { Outbox, conflictOf, type Outcome, type OutboxStatus } from "../src/outbox";
+import type { Answer, EventResult, NewEvent, Problem } from "../src/wire";
+
+const answer = (text: string): Answer => ({
+  kind: "mask_text",
+  masks: [{ parts: ["LEFT_ARM"], soft: true, text, suggestion: null }],
+  count_reason: null,
+  note: "",
+});
+
+const problem = (status: number, code: string): Problem => ({ type: "", title: code, status, code, detail: code });
+
+let made = 0;
+const event = (kind: NewEvent["kind"], text: string, base_rev = 0): NewEvent => ({
+  idem_key: `key-${(made += 1)}`,
+  kind,
+  lease_epoch: 1,
+  base_rev,
+  answer: answer(text),
+});
+
+/** A server that gives each event once a revision, and can be told to fail. */
+class Server {
+  readonly log: { task: number; event: NewEvent }[] = [];
+  private readonly results = new Map<string, EventResult>();
+  private readonly revs = new Map<number, number>();
+  /** What the next requests meet, before the server acts (`lost` after it). */
+  readonly faults: (Error | "lost" | Problem)[] = [];
+  /** Checks `base_rev` as the real one does. */
+  strict = true;
+
+  async send(task: number, events: NewEvent[]): Promise<EventResult[]> {
+    const fault = this.faults.shift();
+    if (fault instanceof Error) throw fault;
+    const results = events.map((one) => this.take(task, one, fault === "lost" ? undefined : fault));
+    if (fault === "lost") throw new Unreachable("the answer was lost");
+    return results;
+  }
+
+  private take(task: number, one: NewEvent, fault: Problem | undefined): EventResult {
+    const known = this.results.get(one.idem_key);
+    if (known) return known;
+    const rev = this.revs.get(task) ?? 0;
+    const bad = fault ?? (this.strict && one.base_rev !== rev ? problem(409, "stale_revision") : null);
+    if (bad && bad.code === "stale_revision") {
+      bad.theirs = { task, author: 1, rev, state: "draft", answer: answer("theirs"), at: 0, secs: 0 };
+    }
+    if (bad && bad.code !== "lease_lost") {
+      return { idem_key: one.idem_key, status: bad.status, seq: null, rev, state: null, lease: null, problem: bad };
+    }
+    this.revs.set(task, rev + 1);
+    this.log.push({ task, event: one });
+    const result: EventResult = {
+      idem_key: one.idem_key,
+      status: bad ? bad.status : 200,
+      seq: this.log.length,
+      rev: rev + 1,
+      state: "leased",
+      lease: null,
+      problem: bad,
+    };
+    this.results.set(one.idem_key, result);
+    return result;
+  }
+}
+
+interface Bench {
+  server: Server;
+  store: MemoryStore;
+  box: Outbox;
+  outcomes: Outcome[];
+  states: OutboxStatus[];
+  logins: number;
+}
+
+async function bench(server = new Server(), store = new MemoryStore(), user = 1): Promise<Bench> {
+  const own: Bench = { server, store, outcomes: [], states: [], logins: 0 } as unknown as Bench;
+  own.box = new Outbox(store, user, {
+    send: (task, events) => server.send(task, events),
+    login: async () => {
+      own.logins += 1;
+    },
+    sleep: () => new Promise((resolve) => setImmediate(resolve)),
+    alone: (action) => action(),
+    status: (status) => own.states.push(status),
+    outcome: (outcome) => own.outcomes.push(outcome),
+  });
+  await own.box.open();
+  return own;
+}
+
+test("an event leaves on its acknowledgement", async () => {
+  const { server, store, box } = await bench();
+  await box.add(7, "a", event("draft", "one"));
+  await box.flush();
+  assert.equal(server.log.length, 1);
+  assert.deepEqual(await store.all("outbox"), []);
+  assert.deepEqual(box.status, { phase: "idle", waiting: 0, stuck: 0, trouble: null });
+});
+
+test("each event is based on the revision of the one before", async () => {
+  const { server, box } = await bench();
+  for (const text of ["one", "two", "three"]) {
+    await box.add(7, "a", event("draft", text));
+    await box.flush();
+  }
+  await box.add(7, "a", event("submit", "three"));
+  await box.flush();
+  assert.deepEqual(server.log.map((entry) => entry.event.base_rev), [0, 1, 2, 3]);
+});
+
+test("failures that pass are repeated with the same key, and nothing is doubled", async () => {
+  const { server, box, states } = await bench();
+  server.faults.push(new Unreachable("down"), new ApiError(problem(507, "read_only")), new ApiError(problem(503, "timeout")), "lost");
+  await box.add(7, "a", event("submit", "one"));
+  await box.flush();
+  assert.equal(server.log.length, 1);
+  assert.ok(states.some((status) => status.phase === "offline" && status.waiting === 1 && status.trouble === "down"));
+  assert.equal(box.status.phase, "idle");
+});
+
+test("drafts that wait are replaced by newer ones of the same editor alone", async () => {
+  const server = new Server();
+  const store = new MemoryStore();
+  let open!: () => void;
+  const gate = new Promise<void>((resolve) => {
+    open = resolve;
+  });
+  const box = new Outbox(store, 1, {
+    send: async (task, events) => {
+      await gate;
+      return server.send(task, events);
+    },
+    login: async () => {},
+    sleep: () => new Promise((resolve) => setImmediate(resolve)),
+    alone: (action) => action(),
+    status: () => {},
+    outcome: () => {},
+  });
+  await box.open();
+  // The first is on its way at once; the three after it wait.
+  await box.add(7, "a", event("draft", "one"));
+  await new Promise((resolve) => setImmediate(resolve));
+  await box.add(7, "a", event("draft", "two"));
+  await box.add(7, "a", event("draft", "three"));
+  await box.add(8, "b", event("draft", "other"));
+  open();
+  await box.flush();
+  const texts = server.log.map((entry) => (entry.event.answer as { masks: { text: string }[] }).masks[0]?.text);
+  assert.deepEqual(texts, ["one", "three", "other"]);
+});
+
+test("what an earlier page left is sent by the next", async () => {
+  const store = new MemoryStore();
+  const dead = new Server();
+  dead.send = () => new Promise(() => {});
+  const first = await bench(dead, store);
+  await first.box.add(7, "a", event("draft", "kept"));
+  const second = await bench(new Server(), store);
+  assert.deepEqual(second.box.pendingAnswer("a"), answer("kept"));
+  await second.box.flush();
+  assert.equal(second.server.log.length, 1);
+});
+
+test("what another person left is not sent", async () => {
+  const store = new MemoryStore();
+  const dead = new Server();
+  dead.send = () => new Promise(() => {});
+  const first = await bench(dead, store, 1);
+  await first.box.add(7, "a", event("draft", "ann's"));
+  const second = await bench(new Server(), store, 2);
+  await second.box.flush();
+  assert.equal(second.server.log.length, 0);
+  assert.equal((await store.all("outbox")).length, 1);
+});
+
+test("an ended session waits for the login and goes on", async () => {
+  const own = await bench();
+  own.server.faults.push(new ApiError(problem(401, "unauthenticated")));
+  await own.box.add(7, "a", event("draft", "one"));
+  await own.box.flush();
+  assert.equal(own.logins, 1);
+  assert.equal(own.server.log.length, 1);
+});
+
+test("two editors of one task meet in a conflict that shows both texts", async () => {
+  const { server, box, outcomes } = await bench();
+  await box.add(7, "tab-one", event("draft", "first"));
+  await box.flush();
+  await box.add(7, "tab-two", event("draft", "second"));
+  await box.flush();
+  const conflict = conflictOf(outcomes.at(-1) as Outcome);
+  assert.deepEqual(conflict?.mine, answer("second"));
+  assert.deepEqual(conflict?.theirs.answer, answer("theirs"));
+  assert.equal(box.status.stuck, 1, "the text stays in the box");
+  // The person decided; the chain goes on from the revision it has seen now.
+  await box.discard("tab-two");
+  await box.setRev("tab-two", 1);
+  await box.add(7, "tab-two", event("draft", "merged"));
+  await box.flush();
+  assert.equal(server.log.length, 2);
+  assert.equal(box.status.stuck, 0);
+});
+
+test("what cannot be taken stays, and does not hold up other tasks", async () => {
+  const { server, box, outcomes } = await bench();
+  server.faults.push(problem(422, "invalid"));
+  await box.add(7, "a", event("submit", "bad"));
+  await box.add(8, "b", event("draft", "good"));
+  await box.flush();
+  assert.equal(box.status.stuck, 1);
+  assert.equal(server.log.length, 1);
+  assert.equal(outcomes[0]?.result.problem?.code, "invalid");
+  // The corrected answer takes the place of the stuck one.
+  await box.add(7, "a", event("submit", "better"));
+  await box.flush();
+  assert.equal(box.status.stuck, 0);
+  assert.equal(server.log.length, 2);
+});
+
+test("a lost lease is an acknowledgement: the server keeps the text as a draft", async () => {
+  const { server, box, outcomes } = await bench();
+  server.faults.push(problem(409, "lease_lost"));
+  await box.add(7, "a", event("submit", "late"));
+  await box.flush();
+  assert.equal(box.waiting.length, 0);
+  assert.equal(await box.revOf("a"), 1);
+  assert.equal(outcomes[0]?.result.problem?.code, "lease_lost");
+});
+
+test("many events over a server that fails half the time arrive exactly once and in order", async () => {
+  const server = new Server();
+  const { box } = await bench(server);
+  // A fixed pattern of faults: every second request fails in one of three ways.
+  for (let i = 0; i < 60; i += 1) {
+    server.faults.push(...([new Unreachable("down"), undefined, "lost", undefined, new ApiError(problem(500, "internal")), undefined] as never[]));
+  }
+  const keys: string[] = [];
+  for (let i = 0; i < 40; i += 1) {
+    const one = event("submit", `text ${i}`);
+    keys.push(one.idem_key);
+    await box.add(i, `chain-${i}`, one);
+  }
+  await box.flush();
+  assert.deepEqual(server.log.map((entry) => entry.event.idem_key), keys);
+});

@@ -1,0 +1,109 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { both } from "../src/merge";
+import { Parts } from "../src/parts";
+import { differing } from "../src/screens/review";
+import { OrbitCamera } from "../src/stage/camera";
+import { LIMBS, PARENTS, PLAIN, bits, colourOf, headingAt, toneOf, type Track } from "../src/stage/body";
+import { heatColour } from "../src/strips";
+import type { Candidate, MaskTextAnswer, PartInfo } from "../src/wire";
+
+const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
+  name,
+  phrase: name.toLowerCase().replace("_", " "),
+  release,
+  hard,
+  soft,
+});
+
+const parts = new Parts({
+  joints: [],
+  parents: [...PARENTS],
+  sides: [],
+  body_joint: [],
+  mask_def_version: 1,
+  parts: [
+    part("UPPER_BODY", [9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21], [3, 6]),
+    part("LOWER_BODY", [0, 1, 2, 4, 5, 7, 8, 10, 11], [3, 6]),
+    part("BOTH_ARMS", [16, 17, 18, 19, 20, 21], [13, 14]),
+    part("LEFT_ARM", [16, 18, 20], [13]),
+    part("RIGHT_ARM", [17, 19, 21], [14]),
+    part("TORSO", [3, 6, 9], [13, 14], false),
+  ],
+});
+
+test("left and right together are shown as both, and stored as typed", () => {
+  const chosen = parts.toggle(["RIGHT_ARM"], "LEFT_ARM");
+  assert.deepEqual(chosen, ["LEFT_ARM", "RIGHT_ARM"]);
+  assert.equal(parts.sameAs(chosen), "BOTH_ARMS");
+  assert.equal(parts.sameAs(["LEFT_ARM"]), null);
+  assert.deepEqual(parts.toggle(chosen, "RIGHT_ARM"), ["LEFT_ARM"]);
+});
+
+test("a joint that is hard in one part is not soft in another", () => {
+  const { hard, soft } = parts.joints(["TORSO", "UPPER_BODY"], true);
+  assert.equal(hard & soft, 0);
+  assert.equal(parts.joints(["LEFT_ARM"], false).soft, 0);
+});
+
+test("the body is painted in three tones", () => {
+  const paint = parts.paint(["LEFT_ARM"], true);
+  assert.equal(toneOf(paint, 16), "solid");
+  assert.equal(toneOf(paint, 13), "half");
+  assert.equal(toneOf(paint, 4), "rest");
+  assert.equal(toneOf(PLAIN, 4), "solid");
+  const [red, , blue] = colourOf(PLAIN, 16, "left");
+  assert.ok(blue > red, "the left is blue");
+  const [red2, , blue2] = colourOf(PLAIN, 17, "right");
+  assert.ok(red2 > blue2, "the right is orange");
+});
+
+test("every limb joins a keypoint to its parent", () => {
+  for (const limb of LIMBS) assert.equal(PARENTS[limb.to], limb.from);
+});
+
+test("what some answers take and others do not glows", () => {
+  const candidate = (joints: number[]): Candidate => ({ joints }) as Candidate;
+  assert.equal(differing([candidate([1, 2]), candidate([2, 3])]), bits([1, 3]));
+  assert.equal(differing([candidate([1, 2])]), 0);
+});
+
+test("the camera in front looks at the face", () => {
+  const data = new Float32Array(28 * 3);
+  // Hips of a body that faces +x: its left is at -z.
+  data[5] = -0.1;
+  data[8] = 0.1;
+  const track: Track = { frames: 1, points: 28, fps: 20, data };
+  const camera = new OrbitCamera();
+  camera.heading = headingAt(track, 0);
+  camera.use("front");
+  const { eye, target } = camera.pose;
+  assert.ok(eye[0] - target[0] > 3, "the eye is on the side the body faces");
+  const project = camera.projector(800, 600);
+  const left = project([0, 1, -0.1]);
+  const right = project([0, 1, 0.1]);
+  assert.ok(left && right && left.x > right.x, "the body's left is on the viewer's right");
+  const centre = project([target[0], target[1], target[2]]);
+  assert.ok(centre && Math.abs(centre.x - 400) < 1e-6 && Math.abs(centre.y - 300) < 1e-6);
+  assert.equal(project([eye[0] * 2, eye[1], eye[2]]), null, "nothing is behind the eye");
+});
+
+test("heat is darker for more, and bears what is no number", () => {
+  const light = (value: number): number =>
+    (heatColour(value).match(/\d+/g) ?? []).map(Number).reduce((a, b) => a + b, 0);
+  const steps = [0, 0.2, 0.4, 0.6, 0.8, 1].map(light);
+  assert.deepEqual(steps, [...steps].sort((a, b) => b - a));
+  assert.equal(heatColour(Number.NaN), heatColour(0));
+  assert.equal(heatColour(7), heatColour(1));
+});
+
+test("keeping both versions keeps every mask once", () => {
+  const answer = (...texts: string[]): MaskTextAnswer => ({
+    kind: "mask_text",
+    masks: texts.map((text) => ({ parts: ["LEFT_ARM"], soft: true, text, suggestion: null })),
+    count_reason: null,
+    note: "",
+  });
+  const merged = both(answer("a", "b"), answer("b ", "c"));
+  assert.deepEqual(merged.masks.map((mask) => mask.text), ["a", "b", "c"]);
+});
