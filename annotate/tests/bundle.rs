@@ -1,0 +1,190 @@
+//! The committed front end: that it was built from the sources beside it, that it is small, and that
+//! its code cannot turn data into markup. None of this needs Node.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+
+/// Bytes of all served files together.
+const SIZE_BUDGET: u64 = 700_000;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Manifest {
+    size_budget: u64,
+    sources: BTreeMap<String, String>,
+    outputs: BTreeMap<String, Output>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Output {
+    bytes: u64,
+    sha256: String,
+}
+
+fn web() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("web")
+}
+
+fn manifest() -> Manifest {
+    let text =
+        fs::read_to_string(web().join("dist/manifest.json")).expect("the bundle is committed");
+    serde_json::from_str(&text).expect("the manifest is JSON of a fixed shape")
+}
+
+fn sha256(path: &Path) -> String {
+    let bytes = fs::read(path).expect("a file of the front end");
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+/// All files below a folder, by path relative to `root`, with slashes.
+fn files(root: &Path, folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(files(root, &path));
+        } else {
+            let relative = path.strip_prefix(root).expect("below the root");
+            let parts: Vec<_> = relative
+                .iter()
+                .map(|part| part.to_string_lossy().into_owned())
+                .collect();
+            found.push(parts.join("/"));
+        }
+    }
+    found
+}
+
+#[test]
+fn the_bundle_was_built_from_these_sources() {
+    let web = web();
+    let manifest = manifest();
+    let mut expected: BTreeSet<String> = files(&web, &web.join("src")).into_iter().collect();
+    expected.extend(
+        [
+            "app.css",
+            "build.mjs",
+            "index.html",
+            "package-lock.json",
+            "package.json",
+            "tsconfig.json",
+        ]
+        .map(str::to_owned),
+    );
+    let named: BTreeSet<String> = manifest.sources.keys().cloned().collect();
+    assert_eq!(
+        named, expected,
+        "sources were added or removed; run `node build.mjs` in annotate/web and commit dist"
+    );
+    for (path, hash) in &manifest.sources {
+        assert_eq!(
+            &sha256(&web.join(path)),
+            hash,
+            "{path} is newer than the bundle; run `node build.mjs` in annotate/web and commit dist"
+        );
+    }
+}
+
+#[test]
+fn the_served_files_are_those_of_the_manifest_and_within_the_budget() {
+    let dist = web().join("dist");
+    let manifest = manifest();
+    let mut present: BTreeSet<String> = files(&dist, &dist).into_iter().collect();
+    assert!(present.remove("manifest.json"));
+    assert_eq!(
+        present,
+        manifest.outputs.keys().cloned().collect::<BTreeSet<_>>()
+    );
+    let mut total = 0;
+    for (name, output) in &manifest.outputs {
+        let path = dist.join(name);
+        let bytes = fs::metadata(&path).expect("a file").len();
+        assert_eq!(bytes, output.bytes, "{name}");
+        assert_eq!(sha256(&path), output.sha256, "{name}");
+        total += bytes;
+    }
+    assert_eq!(manifest.size_budget, SIZE_BUDGET);
+    assert!(
+        total <= SIZE_BUDGET,
+        "{total} bytes are served, {SIZE_BUDGET} are allowed"
+    );
+    for name in ["index.html", "app.js", "app.css", "vendor-three.js"] {
+        assert!(manifest.outputs.contains_key(name), "{name} is missing");
+    }
+}
+
+#[test]
+fn the_licence_of_the_vendored_code_is_shipped() {
+    let text = fs::read_to_string(web().join("dist/LICENSE-three.txt")).expect("the licence text");
+    assert!(text.contains("three.js authors"));
+    assert!(text.contains("Permission is hereby granted"));
+}
+
+#[test]
+fn data_reaches_the_page_only_as_text() {
+    let web = web();
+    let forbidden = [
+        "innerHTML",
+        "outerHTML",
+        "insertAdjacentHTML",
+        "document.write",
+        "createContextualFragment",
+        "DOMParser",
+        "setHTMLUnsafe",
+        "srcdoc",
+        "eval(",
+        "Function(",
+        "setTimeout(\"",
+        "javascript:",
+    ];
+    let sources = files(&web, &web.join("src"));
+    assert!(sources.len() > 20, "the sources are there");
+    for path in sources {
+        let text = fs::read_to_string(web.join(&path)).expect("a source is text");
+        for word in forbidden {
+            // The list of attributes that the element builder refuses names one of them.
+            let allowed = path == "src/dom.ts" && word == "srcdoc";
+            assert!(allowed || !text.contains(word), "{path} has {word}");
+        }
+    }
+}
+
+#[test]
+fn the_page_has_no_inline_code_or_style() {
+    let page = fs::read_to_string(web().join("index.html")).expect("the page");
+    assert!(!page.contains("<style"), "styles are in the style sheet");
+    assert!(!page.contains("style="), "styles are in the style sheet");
+    for (at, _) in page.match_indices("<script") {
+        let tag = &page[at..at + page[at..].find("</script>").expect("a closed element")];
+        assert!(tag.contains(" src=\"/assets/"), "{tag}");
+        assert!(tag.ends_with('>'), "a script with a body: {tag}");
+    }
+    let lower = page.to_lowercase();
+    for handler in [" onload=", " onclick=", " onerror="] {
+        assert!(!lower.contains(handler), "{handler}");
+    }
+}
+
+#[test]
+fn the_lockfile_names_no_private_registry() {
+    let text = fs::read_to_string(web().join("package-lock.json")).expect("the lockfile");
+    let lock: serde_json::Value = serde_json::from_str(&text).expect("the lockfile is JSON");
+    let packages = lock["packages"].as_object().expect("a table of packages");
+    assert!(packages.contains_key("node_modules/three"));
+    for (name, package) in packages {
+        if let Some(address) = package.get("resolved").and_then(|value| value.as_str()) {
+            assert!(
+                address.starts_with("https://registry.npmjs.org/"),
+                "{name} comes from {address}"
+            );
+        }
+    }
+}
