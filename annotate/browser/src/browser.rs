@@ -1,0 +1,328 @@
+//! Chromium, and what a person does with it.
+
+use std::process::Stdio;
+use std::time::Instant;
+
+use fantoccini::actions::{InputSource, KeyAction, KeyActions};
+use fantoccini::wd::Capabilities;
+use fantoccini::{Client, ClientBuilder};
+use hyper_util::client::legacy::connect::HttpConnector;
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{Child, Command};
+
+use crate::{LOOK_EVERY, PATIENCE};
+
+/// Keys that print nothing, as WebDriver names them.
+pub mod keys {
+    #![allow(missing_docs, reason = "the names are the documentation")]
+    #![allow(
+        clippy::allow_attributes,
+        reason = "an expectation inside of a module is not met"
+    )]
+
+    pub const ENTER: &str = "\u{e007}";
+    pub const ESCAPE: &str = "\u{e00c}";
+    pub const TAB: &str = "\u{e004}";
+    pub const HOME: &str = "\u{e011}";
+    pub const END: &str = "\u{e010}";
+    pub const LEFT: &str = "\u{e012}";
+    pub const RIGHT: &str = "\u{e014}";
+    pub const PAGE_DOWN: &str = "\u{e00f}";
+    pub const DELETE: &str = "\u{e017}";
+    pub const F1: &str = "\u{e031}";
+    pub const F2: &str = "\u{e032}";
+    pub const F3: &str = "\u{e033}";
+    pub const F6: &str = "\u{e036}";
+    pub const SHIFT: char = '\u{e008}';
+    pub const CONTROL: char = '\u{e009}';
+}
+
+/// What the browser can draw with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Graphics {
+    /// WebGL in software.
+    Software,
+    /// No WebGL at all.
+    None,
+}
+
+/// A browser of a test's own, with its driver.
+#[derive(Debug)]
+pub struct Browser {
+    client: Client,
+    driver: Child,
+}
+
+impl Browser {
+    /// Starts a driver and a browser of 1280 by 800 pixels.
+    pub async fn start(graphics: Graphics) -> Self {
+        let mut driver = Command::new("chromedriver")
+            .arg("--port=0")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .kill_on_drop(true)
+            .spawn()
+            .expect("chromedriver starts; annotate/browser/run installs it");
+        let port = driver_port(&mut driver).await;
+        let mut args = vec![
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
+            "--window-size=1280,900",
+        ];
+        match graphics {
+            Graphics::Software => {
+                args.extend(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
+            }
+            Graphics::None => args.extend(["--disable-gpu", "--disable-3d-apis"]),
+        }
+        let mut capabilities = Capabilities::new();
+        capabilities.insert("goog:chromeOptions".to_owned(), json!({ "args": args }));
+        let client = ClientBuilder::new(HttpConnector::new())
+            .capabilities(capabilities)
+            .connect(&format!("http://127.0.0.1:{port}"))
+            .await
+            .expect("Chromium starts");
+        Self { client, driver }
+    }
+
+    /// Ends both. A test that fails before it gets here ends them by dropping.
+    pub async fn quit(mut self) {
+        self.client.clone().close().await.expect("Chromium ends");
+        self.driver.kill().await.expect("the driver ends");
+    }
+
+    /// The client, for windows and other rarer things.
+    pub fn client(&self) -> &Client {
+        &self.client
+    }
+
+    /// Opens an address.
+    pub async fn open(&self, address: &str) {
+        self.client.goto(address).await.expect("the page opens");
+    }
+
+    /// Runs JavaScript in the page and gives what it returns.
+    pub async fn js(&self, script: &str) -> Value {
+        self.js_with(script, Vec::new()).await
+    }
+
+    /// Runs JavaScript with arguments.
+    pub async fn js_with(&self, script: &str, args: Vec<Value>) -> Value {
+        self.client
+            .execute(script, args)
+            .await
+            .unwrap_or_else(|error| panic!("{script}: {error}"))
+    }
+
+    /// Runs an asynchronous expression in the page and gives what it resolves to.
+    pub async fn js_async(&self, expression: &str) -> Value {
+        let script = format!(
+            "const done = arguments[arguments.length - 1]; \
+             (async () => {expression})().then((value) => done({{ value }}), (error) => done({{ error: String(error) }}));"
+        );
+        let result = self
+            .client
+            .execute_async(&script, Vec::new())
+            .await
+            .unwrap_or_else(|error| panic!("{expression}: {error}"));
+        assert!(
+            result["error"].is_null(),
+            "{expression}: {}",
+            result["error"]
+        );
+        result["value"].clone()
+    }
+
+    /// Waits until the expression is true.
+    pub async fn until(&self, what: &str, expression: &str) {
+        let script = format!("return Boolean({expression});");
+        let begun = Instant::now();
+        loop {
+            if self.js(&script).await == Value::Bool(true) {
+                return;
+            }
+            if begun.elapsed() > PATIENCE {
+                let page = self
+                    .js("return document.body.innerText.slice(0, 2000);")
+                    .await;
+                panic!("not within {PATIENCE:?}: {what} ({expression}); the page says:\n{page}");
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Presses and releases keys, one after the other.
+    pub async fn press(&self, pressed: &[&str]) {
+        self.press_with(&[], pressed).await;
+    }
+
+    /// Presses keys while Control is held.
+    pub async fn control(&self, pressed: &[&str]) {
+        self.press_with(&[keys::CONTROL], pressed).await;
+    }
+
+    /// Presses keys while Shift is held.
+    pub async fn shift(&self, pressed: &[&str]) {
+        self.press_with(&[keys::SHIFT], pressed).await;
+    }
+
+    /// Types a text, letter by letter.
+    pub async fn type_text(&self, text: &str) {
+        let letters: Vec<String> = text.chars().map(String::from).collect();
+        let letters: Vec<&str> = letters.iter().map(String::as_str).collect();
+        self.press(&letters).await;
+    }
+
+    /// Presses keys while others are held.
+    pub async fn press_with(&self, held: &[char], pressed: &[&str]) {
+        let mut actions = KeyActions::new("keyboard".to_owned());
+        for &value in held {
+            actions = actions.then(KeyAction::Down { value });
+        }
+        for key in pressed {
+            let value = key.chars().next().expect("a key");
+            actions = actions
+                .then(KeyAction::Down { value })
+                .then(KeyAction::Up { value });
+        }
+        for &value in held.iter().rev() {
+            actions = actions.then(KeyAction::Up { value });
+        }
+        self.client
+            .perform_actions(actions)
+            .await
+            .expect("keys are pressed");
+    }
+
+    /// Logs in with the token in the address, as the printed one has it, and opens a page.
+    pub async fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
+        self.open(&server.page(&format!("#token={token}"))).await;
+        self.until(
+            "logged in",
+            "document.querySelector('header.top:not([hidden])')",
+        )
+        .await;
+        let address = self.js("return location.href;").await;
+        assert!(
+            !address.as_str().expect("an address").contains(token),
+            "the token stays in the address bar"
+        );
+        self.open(&server.page(path)).await;
+    }
+
+    /// A request of the page's own session. Gives `{status, body}`.
+    pub async fn request(&self, method: &str, path: &str, body: Option<Value>) -> Value {
+        self.fetch(method, path, body, None).await
+    }
+
+    /// A request of somebody else, by their token.
+    pub async fn request_as(
+        &self,
+        token: &str,
+        method: &str,
+        path: &str,
+        body: Option<Value>,
+    ) -> Value {
+        self.fetch(method, path, body, Some(token)).await
+    }
+
+    async fn fetch(
+        &self,
+        method: &str,
+        path: &str,
+        body: Option<Value>,
+        token: Option<&str>,
+    ) -> Value {
+        let headers = match token {
+            Some(token) => {
+                json!({ "Authorization": format!("Bearer {token}"), "Content-Type": "application/json" })
+            }
+            None => json!({ "X-Annotate": "1", "Content-Type": "application/json" }),
+        };
+        let mut init = json!({ "method": method, "headers": headers });
+        init["credentials"] = json!(if token.is_some() {
+            "omit"
+        } else {
+            "same-origin"
+        });
+        if let Some(body) = body {
+            init["body"] = json!(body.to_string());
+        }
+        self.js_async(&format!(
+            "{{ const response = await fetch({}, {init}); const text = await response.text(); \
+             return {{ status: response.status, body: text === '' ? null : JSON.parse(text) }}; }}",
+            json!(format!("/api/v1/{path}"))
+        ))
+        .await
+    }
+
+    /// The number of the task on the page, once one is shown and drawn.
+    pub async fn task(&self) -> i64 {
+        self.until(
+            "a task is shown",
+            "document.querySelector('.work[data-task]') && document.querySelector('.stage canvas')",
+        )
+        .await;
+        let task = self
+            .js("return Number(document.querySelector('.work').dataset.task);")
+            .await;
+        task.as_i64().expect("a number")
+    }
+
+    /// Waits until another task than this is shown.
+    pub async fn next_task(&self, task: i64) -> i64 {
+        self.until(
+            "the next task is shown",
+            &format!("document.querySelector('.work') && document.querySelector('.work').dataset.task !== '{task}'"),
+        )
+        .await;
+        self.task().await
+    }
+
+    /// Waits until everything is on the server.
+    pub async fn saved(&self) {
+        self.until(
+            "saved",
+            "document.querySelector('.chip').dataset.state === 'saved'",
+        )
+        .await;
+    }
+
+    /// The text of the first element that fits.
+    pub async fn text_of(&self, selector: &str) -> String {
+        let text = self
+            .js_with(
+                "return document.querySelector(arguments[0]).textContent;",
+                vec![json!(selector)],
+            )
+            .await;
+        text.as_str().expect("a text").to_owned()
+    }
+}
+
+/// The port the driver chose, which it prints.
+async fn driver_port(driver: &mut Child) -> u16 {
+    let stdout = driver.stdout.take().expect("stdout is piped");
+    let mut lines = BufReader::new(stdout).lines();
+    let found = tokio::time::timeout(PATIENCE, async {
+        while let Ok(Some(line)) = lines.next_line().await {
+            if let Some(rest) = line.split("on port ").nth(1) {
+                let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+                if let Ok(port) = digits.parse() {
+                    return port;
+                }
+            }
+        }
+        panic!("chromedriver did not say its port");
+    })
+    .await
+    .expect("chromedriver starts in time");
+    tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
+    found
+}

@@ -1,0 +1,177 @@
+//! The `stance` command as the tests use it: a dataset, and a server on it.
+
+use std::fs;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{Child, Command};
+
+/// Clips of the built-in corpus: enough for masks, bundles of eight and style pairs.
+const CLIPS: &str = "48";
+
+/// The command under test.
+fn stance() -> PathBuf {
+    let path = std::env::var_os("STANCE_BIN").expect(
+        "STANCE_BIN names no built `stance`; start these tests through annotate/browser/run",
+    );
+    PathBuf::from(path)
+}
+
+/// Runs the command to its end and gives what it printed.
+async fn run(args: &[&str]) -> String {
+    let output = Command::new(stance())
+        .args(args)
+        .args(["--quiet"])
+        .stdin(Stdio::null())
+        .output()
+        .await
+        .expect("stance starts");
+    assert!(
+        output.status.success(),
+        "stance {args:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).expect("stdout is text")
+}
+
+/// A dataset of a test's own: a copy of one that is made once for all tests.
+#[derive(Debug)]
+pub struct Dataset {
+    folder: TempDir,
+}
+
+impl Dataset {
+    /// A copy of the dataset with masks, fine-grained pairs and style pairs.
+    pub async fn fresh() -> Self {
+        static MADE: OnceLock<TempDir> = OnceLock::new();
+        static MAKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+        let guard = MAKING.lock().await;
+        if MADE.get().is_none() {
+            let folder = TempDir::new().expect("a temporary folder");
+            let sources = text(&folder.path().join("sources"));
+            let dataset = text(&folder.path().join("dataset"));
+            run(&["corpus", "--out", &sources, "--clips", CLIPS]).await;
+            run(&["ingest", &sources, "--out", &dataset]).await;
+            run(&["masks", &dataset]).await;
+            run(&["pairs", &dataset]).await;
+            let _ = MADE.set(folder);
+        }
+        drop(guard);
+        let made = MADE.get().expect("made above").path().join("dataset");
+        let folder = TempDir::new().expect("a temporary folder");
+        copy(&made, &folder.path().join("dataset"));
+        Self { folder }
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> PathBuf {
+        self.folder.path().join("dataset")
+    }
+
+    /// Adds somebody and gives their token.
+    pub async fn add_user(&self, name: &str, role: &str) -> String {
+        let path = text(&self.path());
+        let printed = run(&[
+            "annotate", &path, "user", "add", name, "--role", role, "--json",
+        ])
+        .await;
+        let shown: Value = serde_json::from_str(&printed).expect("one JSON document");
+        shown["token"].as_str().expect("a token").to_owned()
+    }
+}
+
+/// A running server. It is killed when dropped.
+#[derive(Debug)]
+pub struct Server {
+    child: Option<Child>,
+    port: u16,
+    dataset: PathBuf,
+    admin: String,
+}
+
+impl Server {
+    /// Starts a server on a free port.
+    pub async fn start(dataset: &Dataset) -> Self {
+        let port = free_port();
+        let mut server = Self {
+            child: None,
+            port,
+            dataset: dataset.path(),
+            admin: String::new(),
+        };
+        server.up().await;
+        server
+    }
+
+    /// Starts it, again on the same port.
+    pub async fn up(&mut self) {
+        let mut child = Command::new(stance())
+            .arg("annotate")
+            .arg(&self.dataset)
+            .args(["--listen", &format!("127.0.0.1:{}", self.port), "--json"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .kill_on_drop(true)
+            .spawn()
+            .expect("stance starts");
+        let stdout = child.stdout.take().expect("stdout is piped");
+        let mut lines = BufReader::new(stdout).lines();
+        let line = tokio::time::timeout(crate::PATIENCE, lines.next_line())
+            .await
+            .expect("the server says where it is in time")
+            .expect("stdout is text")
+            .expect("the server says where it is");
+        let shown: Value = serde_json::from_str(&line).expect("one JSON document");
+        if let Some(token) = shown["token"].as_str() {
+            self.admin = token.to_owned();
+        }
+        // Whatever else it prints is read, so that it never waits for a reader.
+        tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
+        self.child = Some(child);
+    }
+
+    /// Kills it, as a power cut would.
+    pub async fn down(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            child.kill().await.expect("the server can be killed");
+        }
+    }
+
+    /// The address of a page.
+    pub fn page(&self, path: &str) -> String {
+        format!("http://127.0.0.1:{}/{path}", self.port)
+    }
+
+    /// The token of the administrator, printed at the first start.
+    pub fn admin(&self) -> &str {
+        &self.admin
+    }
+}
+
+fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.local_addr().expect("a bound address").port()
+}
+
+fn text(path: &Path) -> String {
+    path.to_str().expect("temporary paths are text").to_owned()
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("a folder");
+    for entry in fs::read_dir(from).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).expect("a copy");
+        }
+    }
+}

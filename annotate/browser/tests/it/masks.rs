@@ -1,0 +1,321 @@
+//! Masks and descriptions.
+
+use annotate_browser::keys;
+use serde_json::json;
+
+use crate::steps::{Desk, describe_two_masks, mine};
+
+/// What is typed in a text box, part names of the selected card, and how many cards there are.
+const PRESSED: &str = "[...document.querySelectorAll('.mask-card.selected .part[aria-pressed=\"true\"]')].map((e) => e.dataset.part)";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_whole_task_is_done_by_keyboard_alone() {
+    let desk = Desk::open("app/home").await;
+    let browser = &desk.browser;
+    browser
+        .until(
+            "the first queue has the focus",
+            "document.activeElement.matches('.queue[data-kind=mask_text] a')",
+        )
+        .await;
+    browser.press(&[keys::ENTER]).await;
+    let task = browser.task().await;
+    describe_two_masks(browser).await;
+    browser.control(&[keys::ENTER]).await;
+    let next = browser.next_task(task).await;
+    assert_ne!(next, task);
+    let revision = mine(browser, task).await;
+    assert_eq!(revision["state"], "submitted");
+    let masks = revision["answer"]["masks"].as_array().expect("masks");
+    assert_eq!(masks.len(), 2);
+    assert_eq!(masks[0]["parts"], json!(["LEFT_ARM"]));
+    assert_eq!(masks[0]["text"], "Wave with the left arm.");
+    assert_eq!(masks[1]["parts"], json!(["LOWER_BODY"]));
+    assert_eq!(masks[1]["text"], "Bend the knees.");
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn undo_and_redo_survive_a_reload() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&["4", "5"]).await;
+    browser
+        .until(
+            "both arms are chosen",
+            &format!("{PRESSED}.includes('RIGHT_ARM')"),
+        )
+        .await;
+    browser.client().refresh().await.expect("the page reloads");
+    browser.task().await;
+    browser
+        .until(
+            "they still are",
+            &format!("{PRESSED}.includes('RIGHT_ARM')"),
+        )
+        .await;
+    browser.control(&["z"]).await;
+    browser
+        .until(
+            "the right arm is undone",
+            &format!("{PRESSED}.join() === 'LEFT_ARM,soft'"),
+        )
+        .await;
+    browser.client().refresh().await.expect("the page reloads");
+    browser.task().await;
+    browser
+        .until(
+            "undone it stays",
+            &format!("{PRESSED}.join() === 'LEFT_ARM,soft'"),
+        )
+        .await;
+    browser
+        .press_with(&[keys::CONTROL, keys::SHIFT], &["z"])
+        .await;
+    browser
+        .until("it is back", &format!("{PRESSED}.includes('RIGHT_ARM')"))
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn letters_typed_in_a_text_only_type() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    browser.press(&[" ", "4", "t"]).await;
+    let before = browser
+        .js("return document.querySelector('.stage').dataset.frame;")
+        .await;
+    let typed = "1 2 x u n b h s k p , . [ ] - = ?";
+    browser.type_text(typed).await;
+    let after = browser
+        .js(&format!(
+            "return {{ parts: {PRESSED}, cards: document.querySelectorAll('.mask-card').length, \
+             frame: document.querySelector('.stage').dataset.frame, \
+             text: document.querySelector('.mask-card.selected textarea').value, \
+             boxes: document.querySelectorAll('dialog').length }};"
+        ))
+        .await;
+    assert_eq!(
+        after,
+        json!({ "parts": ["LEFT_ARM", "soft"], "cards": 1, "frame": before, "text": typed, "boxes": 0 })
+    );
+    assert_eq!(browser.task().await, task);
+    // The field's own undo takes letters back and leaves the mask alone.
+    browser.control(&["z"]).await;
+    let parts = browser.js(&format!("return {PRESSED};")).await;
+    assert_eq!(parts, json!(["LEFT_ARM", "soft"]));
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn left_and_right_are_guarded() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&["5", "t"]).await;
+    browser.type_text("Wave with the left hand.").await;
+    browser
+        .until(
+            "the lint says so",
+            "document.querySelector('[data-lint=side]')",
+        )
+        .await;
+    browser.press(&[keys::ESCAPE, "5", "4"]).await;
+    browser
+        .until(
+            "the lint is gone",
+            "!document.querySelector('[data-lint=side]')",
+        )
+        .await;
+    // Both arms by their halves: kept as typed, shown as the same.
+    browser.press(&["5"]).await;
+    browser
+        .until(
+            "it says what that equals",
+            "document.querySelector('.card-title .note').textContent === '= both arms'",
+        )
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn suggestions_are_never_chosen_beforehand() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    let chosen = browser.js(&format!("return {PRESSED};")).await;
+    assert_eq!(chosen, json!(["soft"]));
+    let view = browser.request("GET", &format!("tasks/{task}"), None).await;
+    assert!(
+        view["body"]["mine"].is_null(),
+        "an answer begins with a person"
+    );
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_blend_preview_changes_only_masked_joints() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&["4", "s"]).await;
+    browser.press(&["b"]).await;
+    browser
+        .until(
+            "the blend is shown",
+            "document.querySelector('.stage-caption').textContent.startsWith('Blend: left arm')",
+        )
+        .await;
+    // The page's own request again, and the partner alone: only the arm below the shoulder, its hand
+    // included, may lie elsewhere. Without the ring the shoulder itself stays in its place.
+    let moved = browser
+        .js_async(
+            "{ const view = await (await fetch('/api/v1/queue/next', { method: 'POST', \
+                 headers: { 'X-Annotate': '1', 'Content-Type': 'application/json' }, \
+                 body: JSON.stringify({ kind: 'mask_text' }) })).json(); \
+               const own = view.task.task.motions[0].hash; \
+               const partners = await (await fetch(`/api/v1/motions/partners?of=${own}&n=8`)).json(); \
+               const floats = async (response) => new Float32Array(await (await response).arrayBuffer()); \
+               const blend = await floats(fetch('/api/v1/blend', { method: 'POST', \
+                 headers: { 'X-Annotate': '1', 'Content-Type': 'application/json' }, \
+                 body: JSON.stringify({ src: partners[0].hash, tgt: own, parts: ['LEFT_ARM'], soft: false, alpha: 0.5 }) })); \
+               const partner = await floats(fetch(`/api/v1/motions/${partners[0].hash}/joints`)); \
+               const frames = Math.min(blend.length, partner.length) / 84; \
+               const moved = new Set(); \
+               for (let frame = 0; frame < frames; frame += 1) \
+                 for (let joint = 0; joint < 28; joint += 1) \
+                   for (let axis = 0; axis < 3; axis += 1) { \
+                     const at = frame * 84 + joint * 3 + axis; \
+                     if (Math.abs(blend[at] - partner[at]) > 1e-5) moved.add(joint); \
+                   } \
+               return [...moved].sort((a, b) => a - b); }",
+        )
+        .await;
+    let moved: Vec<i64> = moved
+        .as_array()
+        .expect("joints")
+        .iter()
+        .filter_map(serde_json::Value::as_i64)
+        .collect();
+    assert!(!moved.is_empty(), "the blend shows something");
+    assert!(
+        moved.iter().all(|joint| [18, 20, 24, 25].contains(joint)),
+        "keypoints outside of the left arm moved: {moved:?}"
+    );
+    browser.press(&["b"]).await;
+    browser
+        .until(
+            "the motion itself is back",
+            "!document.querySelector('.stage-caption').textContent.startsWith('Blend')",
+        )
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn too_few_masks_need_a_reason() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    browser.press(&["4", "t"]).await;
+    browser.type_text("Wave with the left arm.").await;
+    browser.control(&[keys::ENTER]).await;
+    browser
+        .until(
+            "the reason is asked for",
+            "document.querySelector('dialog[open]')",
+        )
+        .await;
+    browser.press(&["1"]).await;
+    browser.next_task(task).await;
+    let revision = mine(browser, task).await;
+    assert_eq!(revision["answer"]["count_reason"], "single_action");
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_skip_needs_a_reason() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    browser.press(&["k"]).await;
+    browser
+        .until(
+            "the reason is asked for",
+            "document.querySelector('dialog[open]')",
+        )
+        .await;
+    browser.press(&[keys::ESCAPE]).await;
+    browser
+        .until(
+            "without one nothing happens",
+            "!document.querySelector('dialog[open]')",
+        )
+        .await;
+    assert_eq!(browser.task().await, task);
+    browser.press(&["k"]).await;
+    browser
+        .until(
+            "the reason is asked for",
+            "document.querySelector('dialog[open]')",
+        )
+        .await;
+    browser.press(&["2"]).await;
+    browser.next_task(task).await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn remapped_keys_hold_and_stay() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.shift(&["/"]).await;
+    browser
+        .until(
+            "the key sheet is open",
+            "document.querySelector('.key-sheet')",
+        )
+        .await;
+    browser
+        .js("document.querySelector('[data-action=mask_new]').click();")
+        .await;
+    // Taken keys are refused, free ones taken.
+    browser.press(&["b"]).await;
+    browser
+        .until("the clash is named", "document.querySelector('.dialog .note[role=status]').textContent.includes('Blend preview')")
+        .await;
+    browser.press(&["j"]).await;
+    browser
+        .until("the new key is named", "document.querySelector('.dialog .note[role=status]').textContent.includes('is now on J')")
+        .await;
+    browser.press(&[keys::ESCAPE]).await;
+    browser
+        .until(
+            "the sheet is closed",
+            "!document.querySelector('dialog[open]')",
+        )
+        .await;
+    let prefs = browser.request("GET", "prefs", None).await;
+    assert_eq!(prefs["body"]["keys"], json!({ "mask_new": ["KeyJ"] }));
+    browser.client().refresh().await.expect("the page reloads");
+    browser.task().await;
+    browser.press(&["4", "n"]).await;
+    assert_eq!(
+        browser
+            .js("return document.querySelectorAll('.mask-card').length;")
+            .await,
+        json!(1)
+    );
+    browser.press(&["j"]).await;
+    browser
+        .until(
+            "the new key works",
+            "document.querySelectorAll('.mask-card').length === 2",
+        )
+        .await;
+    desk.browser.quit().await;
+}

@@ -1,0 +1,195 @@
+//! Review: accept, return, merge; and text that would like to be code.
+
+use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
+use serde_json::{Value, json};
+
+use crate::steps::{claim, submit, two_masks};
+
+const HOSTILE: &str =
+    "<img src=x onerror=\"window.canary=1\"><script>window.canary=1</script>\u{202e}desrever";
+
+/// A server where everything wants one answer, with an answer of ann's to a task, and a browser
+/// logged in as a reviewer.
+struct Bench {
+    server: Server,
+    browser: Browser,
+    ann: String,
+    task: i64,
+}
+
+impl Bench {
+    async fn with_answer(text: &str) -> Self {
+        let dataset = Dataset::fresh().await;
+        let ann = dataset.add_user("ann", "annotator").await;
+        let rev = dataset.add_user("rev", "reviewer").await;
+        let server = Server::start(&dataset).await;
+        let browser = Browser::start(Graphics::Software).await;
+        browser.log_in(&server, &rev, "app/home").await;
+        browser
+            .until("home", "document.querySelector('.queue')")
+            .await;
+        one_answer_each(&browser, server.admin()).await;
+        let view = claim(&browser, &ann, "mask_text").await;
+        submit(&browser, &ann, &view, two_masks(text, "LEFT_ARM")).await;
+        let task = view["task"]["id"].as_i64().expect("a task");
+        browser.open(&server.page("app/review")).await;
+        // The dataset stays on disk for as long as the server runs.
+        std::mem::forget(dataset);
+        Self {
+            server,
+            browser,
+            ann,
+            task,
+        }
+    }
+
+    /// What the author sees of the task.
+    async fn view(&self) -> Value {
+        let path = format!("tasks/{}", self.task);
+        let view = self.browser.request_as(&self.ann, "GET", &path, None).await;
+        assert_eq!(view["status"], 200, "{view}");
+        view["body"].clone()
+    }
+}
+
+/// Every task wants one answer, so that it can be reviewed at once.
+async fn one_answer_each(browser: &Browser, admin: &str) {
+    let settings = browser.request_as(admin, "GET", "settings", None).await;
+    assert_eq!(settings["status"], 200, "{settings}");
+    let mut settings = settings["body"].clone();
+    settings["review_percent"] = json!(100);
+    let saved = browser
+        .request_as(admin, "PUT", "settings", Some(settings))
+        .await;
+    assert_eq!(saved["status"], 200, "{saved}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_is_accepted_with_one_key() {
+    let bench = Bench::with_answer("Wave with the left arm.").await;
+    let browser = &bench.browser;
+    assert_eq!(browser.task().await, bench.task);
+    browser.press(&["a"]).await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('accepted')",
+        )
+        .await;
+    assert_eq!(bench.view().await["mine"]["state"], "accepted");
+    bench.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_goes_back_with_a_comment_to_its_author() {
+    let bench = Bench::with_answer("Wave with the left arm.").await;
+    let browser = &bench.browser;
+    browser.task().await;
+    browser.press(&["r"]).await;
+    browser
+        .until(
+            "the comment is asked for",
+            "document.querySelector('dialog[open] textarea')",
+        )
+        .await;
+    browser.type_text("Which hand?").await;
+    browser.control(&[keys::ENTER]).await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('returned')",
+        )
+        .await;
+    let view = bench.view().await;
+    assert_eq!(view["mine"]["state"], "returned");
+    assert_eq!(view["comment"], "Which hand?");
+    // The author finds it at the top of her own page, and mends it there.
+    browser.request("DELETE", "session", None).await;
+    browser.log_in(&bench.server, &bench.ann, "app/home").await;
+    browser
+        .until(
+            "it is the first thing on her page",
+            "document.activeElement.textContent.startsWith('Fix task')",
+        )
+        .await;
+    browser.press(&[keys::ENTER]).await;
+    assert_eq!(browser.task().await, bench.task);
+    assert!(
+        browser
+            .text_of(".returned-note")
+            .await
+            .contains("Which hand?")
+    );
+    browser.press(&["t"]).await;
+    browser.type_text(" Twice.").await;
+    browser.control(&[keys::ENTER]).await;
+    browser.next_task(bench.task).await;
+    assert_eq!(bench.view().await["mine"]["state"], "submitted");
+    bench.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_is_merged_and_edited() {
+    let bench = Bench::with_answer("Wave with the left arm.").await;
+    let browser = &bench.browser;
+    browser.task().await;
+    browser.press(&["m"]).await;
+    browser
+        .until(
+            "the editor is open",
+            "document.querySelector('.merge-box:not([hidden]) .mask-card')",
+        )
+        .await;
+    browser.press(&["5"]).await;
+    browser.control(&[keys::ENTER]).await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('accepted')",
+        )
+        .await;
+    let shelf = browser.request("GET", "shelf?limit=5", None).await;
+    let parts = &shelf["body"]["items"][0]["answer"]["masks"][0]["parts"];
+    assert_eq!(parts, &json!(["LEFT_ARM", "RIGHT_ARM"]));
+    bench.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn hostile_text_stays_text_on_every_page() {
+    let bench = Bench::with_answer(HOSTILE).await;
+    let browser = &bench.browser;
+    browser.task().await;
+    assert!(browser.text_of(".candidates").await.contains(HOSTILE));
+    browser.press(&["a"]).await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('accepted')",
+        )
+        .await;
+    for (page, shown) in [
+        ("app/shelf", ".shelf-item"),
+        ("app/dashboard", ".dashboard table"),
+        ("app/home", ".queue"),
+    ] {
+        browser.open(&bench.server.page(page)).await;
+        browser
+            .until(page, &format!("document.querySelector('{shown}')"))
+            .await;
+        let found = browser
+            .js("return { canary: window.canary ?? null, images: document.querySelectorAll('img').length, \
+                 scripts: document.querySelectorAll('script:not([src])').length };")
+            .await;
+        assert_eq!(
+            found,
+            json!({ "canary": null, "images": 0, "scripts": 0 }),
+            "{page}"
+        );
+    }
+    browser.open(&bench.server.page("app/shelf")).await;
+    browser
+        .until("the shelf", "document.querySelector('.shelf-item')")
+        .await;
+    assert!(browser.text_of(".shelf-item").await.contains("<script>"));
+    bench.browser.quit().await;
+}

@@ -1,0 +1,190 @@
+//! The stage, its clock and its renderers.
+
+use annotate_browser::{Graphics, keys};
+use serde_json::json;
+
+use crate::steps::Desk;
+
+const FRAME: &str = "Number(document.querySelector('.stage').dataset.frame)";
+
+/// Colours in a copy of the canvas that the body is drawn on.
+const COLOURS: &str = "(() => { \
+    const source = document.querySelector('.stage canvas'); \
+    const copy = document.createElement('canvas'); \
+    copy.width = 200; copy.height = 200; \
+    const context = copy.getContext('2d'); \
+    context.drawImage(source, 0, 0, 200, 200); \
+    const data = context.getImageData(0, 0, 200, 200).data; \
+    const seen = new Set(); \
+    for (let i = 0; i < data.length; i += 4) seen.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2]); \
+    return seen.size; })()";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn webgl_is_alive_and_draws() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    assert_eq!(
+        browser
+            .js("return document.querySelector('.stage').dataset.renderer;")
+            .await,
+        json!("webgl2")
+    );
+    browser
+        .until("the picture is not flat", &format!("{COLOURS} > 50"))
+        .await;
+    let lost = browser
+        .js("return document.querySelector('.stage canvas').getContext('webgl2').isContextLost();")
+        .await;
+    assert_eq!(lost, json!(false));
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_webgl_the_same_body_is_drawn_in_2d() {
+    let desk = Desk::open_with("app/mask", Graphics::None).await;
+    let browser = &desk.browser;
+    browser.task().await;
+    assert_eq!(
+        browser
+            .js("return document.querySelector('.stage').dataset.renderer;")
+            .await,
+        json!("canvas2d")
+    );
+    browser
+        .until("the picture is not flat", &format!("{COLOURS} > 20"))
+        .await;
+    browser.press(&[keys::HOME, "."]).await;
+    browser
+        .until("the clock works", &format!("{FRAME} === 1"))
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_context_falls_back_without_losing_the_frame() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&[keys::HOME, ".", "."]).await;
+    browser
+        .js("document.querySelector('.stage canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext();")
+        .await;
+    browser
+        .until(
+            "Canvas 2D takes over",
+            "document.querySelector('.stage').dataset.renderer === 'canvas2d'",
+        )
+        .await;
+    browser.until("it draws", &format!("{COLOURS} > 20")).await;
+    assert_eq!(browser.js(&format!("return {FRAME};")).await, json!(2));
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stepping_scrubbing_and_looping_are_exact() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&[keys::HOME]).await;
+    browser
+        .until("the first frame", &format!("{FRAME} === 0"))
+        .await;
+    browser.press(&[".", ".", "."]).await;
+    browser
+        .until("three frames on", &format!("{FRAME} === 3"))
+        .await;
+    browser.press(&[","]).await;
+    browser.until("one back", &format!("{FRAME} === 2")).await;
+    browser.shift(&["."]).await;
+    browser.until("ten on", &format!("{FRAME} === 12")).await;
+    browser.press(&["["]).await;
+    browser
+        .press(&[keys::RIGHT, keys::RIGHT, keys::RIGHT, "]"])
+        .await;
+    browser
+        .until(
+            "the loop is set",
+            "document.querySelector('.viewer').dataset.loop === '12-15'",
+        )
+        .await;
+    // Twenty times round the loop at most; nothing outside of it is shown meanwhile.
+    let seen = browser
+        .js_async(
+            "{ const stage = document.querySelector('.stage'); const seen = new Set(); \
+               document.querySelector('.stage').focus(); \
+               document.querySelector('.play').click(); \
+               for (let i = 0; i < 200; i += 1) { \
+                 await new Promise(requestAnimationFrame); seen.add(Number(stage.dataset.frame)); } \
+               document.querySelector('.play').click(); \
+               return [...seen].sort((a, b) => a - b); }",
+        )
+        .await;
+    assert_eq!(seen, json!([12, 13, 14, 15]));
+    // The slider is the same clock.
+    browser
+        .js("const range = document.querySelector('.scrub'); range.value = '7'; range.dispatchEvent(new Event('input'));")
+        .await;
+    browser.until("scrubbed", &format!("{FRAME} === 7")).await;
+    browser.press(&["\\", "-"]).await;
+    browser
+        .until(
+            "slower",
+            "document.querySelector('.viewer').dataset.speed === '0.75'",
+        )
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cameras_are_fixed_and_follow() {
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    for (key, name) in [(keys::F1, "front"), (keys::F2, "side"), (keys::F3, "top")] {
+        browser.press(&[key]).await;
+        browser
+            .until(
+                "the camera is fixed",
+                &format!("document.querySelector('.stage').dataset.camera === '{name}'"),
+            )
+            .await;
+    }
+    let follows =
+        "document.querySelector('.cameras button:last-child').getAttribute('aria-pressed')";
+    assert_eq!(
+        browser.js(&format!("return {follows};")).await,
+        json!("true")
+    );
+    browser.press(&["f"]).await;
+    browser
+        .until("it stays", &format!("{follows} === 'false'"))
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_stages_never_differ_in_frame() {
+    let desk = Desk::open("app/pair").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser
+        .until(
+            "two stages are shown",
+            "document.querySelectorAll('.stage:not([hidden])').length === 2",
+        )
+        .await;
+    let watched = browser
+        .js_async(
+            "{ const stages = [...document.querySelectorAll('.stage')]; \
+               let apart = 0; const seen = new Set(); \
+               for (let i = 0; i < 300; i += 1) { \
+                 await new Promise(requestAnimationFrame); \
+                 if (stages[0].dataset.frame !== stages[1].dataset.frame) apart += 1; \
+                 seen.add(stages[0].dataset.frame); } \
+               return { apart, moved: seen.size > 3 }; }",
+        )
+        .await;
+    assert_eq!(watched, json!({ "apart": 0, "moved": true }));
+    desk.browser.quit().await;
+}
