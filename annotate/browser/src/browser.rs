@@ -52,6 +52,23 @@ pub enum Graphics {
 pub struct Browser {
     client: Client,
     driver: Child,
+    /// The browser's own process, which outlives a driver that is killed.
+    process: Option<i64>,
+}
+
+impl Drop for Browser {
+    /// Ends the browser of a test that failed; it would go on drawing for ever.
+    fn drop(&mut self) {
+        if let Some(process) = self.process {
+            let ended = std::process::Command::new("kill")
+                .args(["-9", &process.to_string()])
+                .stderr(Stdio::null())
+                .status();
+            if let Err(error) = ended {
+                eprintln!("browser {process} was not ended: {error}");
+            }
+        }
+    }
 }
 
 impl Browser {
@@ -88,12 +105,28 @@ impl Browser {
             .connect(&format!("http://127.0.0.1:{port}"))
             .await
             .expect("Chromium starts");
-        Self { client, driver }
+        // Drawing in software on few cores, a few hundred frames take their time.
+        let mut timeouts = client.get_timeouts().await.expect("time limits");
+        timeouts.set_script(Some(2 * PATIENCE));
+        client
+            .update_timeouts(timeouts)
+            .await
+            .expect("time limits are set");
+        let process = client
+            .capabilities()
+            .and_then(|capabilities| capabilities.get("goog:processID"))
+            .and_then(Value::as_i64);
+        Self {
+            client,
+            driver,
+            process,
+        }
     }
 
     /// Ends both. A test that fails before it gets here ends them by dropping.
     pub async fn quit(mut self) {
         self.client.clone().close().await.expect("Chromium ends");
+        self.process = None;
         self.driver.kill().await.expect("the driver ends");
     }
 
@@ -312,7 +345,7 @@ async fn driver_port(driver: &mut Child) -> u16 {
     let mut lines = BufReader::new(stdout).lines();
     let found = tokio::time::timeout(PATIENCE, async {
         while let Ok(Some(line)) = lines.next_line().await {
-            if let Some(rest) = line.split("on port ").nth(1) {
+            if let Some(rest) = line.split("successfully on port ").nth(1) {
                 let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
                 if let Ok(port) = digits.parse() {
                     return port;
