@@ -229,9 +229,13 @@ export class App {
   private async prepareWebgl(): Promise<void> {
     const probe = document.createElement("canvas").getContext("webgl2");
     if (!probe) return;
+    // Smooth edges cost a processor that draws in software most of its frames.
+    const info = probe.getExtension("WEBGL_debug_renderer_info");
+    const name = info ? String(probe.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+    const software = /swiftshader|llvmpipe|software|basic render/i.test(name);
     probe.getExtension("WEBGL_lose_context")?.loseContext();
     const lib = await import("./vendor-three");
-    this.makeWebgl = rendererPool(lib);
+    this.makeWebgl = rendererPool(lib, !software);
   }
 
   private async sendEvents(task: number, events: NewEvent[]): Promise<EventResult[]> {

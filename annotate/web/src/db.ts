@@ -5,7 +5,7 @@
 
 const NAME = "annotate";
 const VERSION = 1;
-const STORES = ["outbox", "chains", "histories"] as const;
+const STORES = ["outbox", "chains"] as const;
 
 export type StoreName = (typeof STORES)[number];
 

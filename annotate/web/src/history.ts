@@ -4,7 +4,7 @@
  */
 
 /** Undo reaches this far; older states are forgotten. */
-export const HISTORY_LIMIT = 200;
+export const HISTORY_LIMIT = 100;
 
 export interface HistoryData<T> {
   past: T[];
@@ -50,7 +50,7 @@ export class History<T> {
    * step; without a kind every edit is a step of its own.
    */
   push(state: T, kind: string | null = null): void {
-    if (JSON.stringify(state) === JSON.stringify(this.current)) return;
+    if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {
       this.past.push(this.current);
       if (this.past.length > HISTORY_LIMIT) this.past.shift();
@@ -87,5 +87,76 @@ export class History<T> {
     this.kind = null;
     this.onChange(this.data);
     return state;
+  }
+}
+
+/** Whether two states say the same, in whatever order their fields stand. */
+export function same(a: unknown, b: unknown): boolean {
+  return canonical(a) === canonical(b);
+}
+
+function canonical(value: unknown): string {
+  return JSON.stringify(value, (_, part: unknown) => {
+    if (part === null || typeof part !== "object" || Array.isArray(part)) return part;
+    return Object.fromEntries(Object.entries(part).sort(([a], [b]) => (a < b ? -1 : 1)));
+  });
+}
+
+/** Histories of tasks that were never handed in are kept this long. */
+const KEPT_MS = 30 * 24 * 3600 * 1000;
+const PREFIX = "annotate:history:";
+
+interface Saved<T> {
+  at: number;
+  data: HistoryData<T>;
+}
+
+/**
+ * Keeps a history for the next page. At once, before the event that changed it is over: a page that
+ * is left aborts writes to the larger store that have not ended.
+ */
+export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
+  const store = (past: T[]): void => {
+    const saved: Saved<T> = { at: Date.now(), data: { ...data, past } };
+    localStorage.setItem(PREFIX + chain, JSON.stringify(saved));
+  };
+  try {
+    store(data.past);
+  } catch {
+    try {
+      // Full: the newest states matter most.
+      prune(0, chain);
+      store(data.past.slice(-10));
+    } catch {
+      // Undo then ends with this page; the answer itself goes through the outbox.
+    }
+  }
+}
+
+export function loadHistory<T>(chain: string): HistoryData<T> | null {
+  prune(KEPT_MS, chain);
+  try {
+    const text = localStorage.getItem(PREFIX + chain);
+    return text === null ? null : (JSON.parse(text) as Saved<T>).data;
+  } catch {
+    return null;
+  }
+}
+
+export function forgetHistory(chain: string): void {
+  localStorage.removeItem(PREFIX + chain);
+}
+
+/** Removes histories of other tasks that are older than this. */
+function prune(olderMs: number, except: string): void {
+  for (const key of Object.keys(localStorage)) {
+    if (!key.startsWith(PREFIX) || key === PREFIX + except) continue;
+    try {
+      const saved = JSON.parse(localStorage.getItem(key) ?? "") as Saved<unknown>;
+      if (Date.now() - saved.at < olderMs) continue;
+    } catch {
+      // Not one of ours; it cannot be read again.
+    }
+    localStorage.removeItem(key);
   }
 }

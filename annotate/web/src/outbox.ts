@@ -235,7 +235,8 @@ export class Outbox {
     if (problem && mayPass(problem)) throw new ApiError(problem);
     if (problem && problem.status === 401) throw new ApiError(problem);
     // With a lost lease the text is kept on the server as a draft; that is an acknowledgement too.
-    if (problem && problem.code !== "lease_lost") {
+    // What carries no answer, as a refused undo, has nothing that could be lost.
+    if (problem && problem.code !== "lease_lost" && item.event.answer !== undefined) {
       item.problem = problem;
       await this.store.put("outbox", item.key, item);
     } else {

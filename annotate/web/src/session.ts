@@ -5,7 +5,7 @@
 
 import { ApiError, idemKey, reason } from "./api";
 import type { App, OpenSession } from "./app";
-import { History, type HistoryData } from "./history";
+import { History, forgetHistory, loadHistory, same, saveHistory } from "./history";
 import type { Outcome } from "./outbox";
 import { conflictOf } from "./outbox";
 import { mergeAnswers } from "./merge";
@@ -15,29 +15,6 @@ import type { Answer, EventKind, Lease, NewEvent, SkipReason, SuggestionUse, Tas
 const DRAFT_AFTER_MS = 600;
 /** Longer pauses do not count as work. */
 const IDLE_SECS = 30;
-
-interface Saved<A> {
-  history: HistoryData<A>;
-  at: number;
-}
-
-/** What is being edited, written before the event that changed it is over. */
-function keepNow(chain: string, answer: Answer): void {
-  try {
-    localStorage.setItem(`annotate:${chain}`, JSON.stringify(answer));
-  } catch {
-    // Full or forbidden; the history in the other store is written all the same.
-  }
-}
-
-function keptNow<A extends Answer>(chain: string): A | null {
-  try {
-    const text = localStorage.getItem(`annotate:${chain}`);
-    return text === null ? null : (JSON.parse(text) as A);
-  } catch {
-    return null;
-  }
-}
 
 /** How long to wait for the acknowledgement of a submission before saying that it waits. */
 const ACK_MS = 4000;
@@ -81,24 +58,17 @@ export class TaskSession<A extends Answer> implements OpenSession {
     onReplaced: (answer: A) => void,
   ): Promise<TaskSession<A>> {
     const chain = app.chain(view.task.id);
-    const saved = await app.store.get<Saved<A>>("histories", chain);
+    const saved = loadHistory<A>(chain);
     const known = await app.outbox.revOf(chain);
     const pending = app.outbox.pendingAnswer(chain) !== null;
     const theirs = view.mine && view.mine.answer.kind === blank.kind ? (view.mine.answer as A) : null;
-    const save = (data: HistoryData<A>): void => {
-      keepNow(chain, data.present);
-      void app.store.put("histories", chain, { history: data, at: Date.now() } satisfies Saved<A>);
-    };
-    const history = new History<A>(theirs ?? blank, saved?.history ?? null, save);
-    // A page that is left aborts writes that have not ended; what was kept at once is newer.
-    const kept = keptNow<A>(chain);
-    if (kept && kept.kind === blank.kind) history.push(kept);
+    const history = new History<A>(theirs ?? blank, saved, (data) => saveHistory(chain, data));
     const current = pending || known === (view.mine?.rev ?? 0);
     if (saved && theirs && !current) history.push(theirs);
     if (!pending) await app.outbox.setRev(chain, view.mine?.rev ?? 0);
     const session = new TaskSession(app, view, history, onReplaced);
     const sent = app.outbox.pendingAnswer(chain) ?? theirs ?? blank;
-    if (JSON.stringify(sent) !== JSON.stringify(history.present)) session.schedule();
+    if (!same(sent, history.present)) session.schedule();
     return session;
   }
 
@@ -179,7 +149,9 @@ export class TaskSession<A extends Answer> implements OpenSession {
   static async takeBack(app: App, task: number): Promise<boolean> {
     const chain = app.chain(task);
     await app.outbox.add(task, chain, { idem_key: idemKey(), kind: "undo", lease_epoch: 0, base_rev: 0 });
-    return app.outbox.settled(task, ACK_MS);
+    if (!(await app.outbox.settled(task, ACK_MS))) return false;
+    const view = await app.api.get<TaskView>(`tasks/${task}`);
+    return view.lease !== null;
   }
 
   async suggestionUsed(suggestion: number, used: SuggestionUse): Promise<void> {
@@ -221,9 +193,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     void this.flushDraft();
     if (this.heartbeat !== null) window.clearInterval(this.heartbeat);
     this.app.sessions.delete(this);
-    if (!this.submitted) return;
-    localStorage.removeItem(`annotate:${this.chain}`);
-    void this.app.store.remove("histories", this.chain);
+    if (this.submitted) forgetHistory(this.chain);
   }
 
   private arrive(answer: A | null): boolean {

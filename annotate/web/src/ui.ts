@@ -80,7 +80,7 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
       event.stopPropagation();
       if (event.isComposing) return;
       const typing = event.target instanceof HTMLTextAreaElement || (event.target instanceof HTMLInputElement && event.target.type === "text");
-      if (event.code === "Enter" && (event.ctrlKey || event.metaKey)) {
+      if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) {
         const primary = choices.find((choice) => choice.kind === "primary") ?? choices[0];
         if (primary) finish(primary.value);
         return;

@@ -14,8 +14,8 @@ export type SuggestionUse = "used" | "edited" | "discarded";
 export type SuggestionSource = "heat" | "import" | "llm";
 export type ReviewQueue = "disagreement" | "sample" | "returned";
 export type Decision = "accept" | "merge" | "return" | "drop" | "reopen";
-export type ExportFormat = "parquet" | "stance" | "csv";
-export type ImportFormat = "dataset" | "stance";
+export type ExportFormat = "dataset" | "parquet" | "stance" | "csv";
+export type ImportFormat = "dataset" | "stance" | "annotations";
 
 export const EDIT_TYPES: readonly EditType[] = ["amplitude", "speed", "force", "spatial", "timing", "other"];
 export const EXTENTS: readonly Extent[] = ["lower", "upper", "whole"];

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { HISTORY_LIMIT, History, type HistoryData } from "../src/history";
+import { HISTORY_LIMIT, History, same, type HistoryData } from "../src/history";
 
 test("undo and redo walk through the states", () => {
   const history = new History("a");
@@ -60,4 +60,10 @@ test("old states are forgotten in the end", () => {
   while (history.undo() !== null) steps += 1;
   assert.equal(steps, HISTORY_LIMIT);
   assert.equal(history.present, 50);
+});
+
+test("the order of fields makes no difference", () => {
+  assert.ok(same({ kind: "pair", parts: ["A"], text: "" }, { text: "", parts: ["A"], kind: "pair" }));
+  assert.ok(!same({ parts: ["A", "B"] }, { parts: ["B", "A"] }));
+  assert.ok(!same({ text: "" }, { text: null }));
 });

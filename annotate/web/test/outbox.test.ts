@@ -222,6 +222,15 @@ test("what cannot be taken stays, and does not hold up other tasks", async () =>
   assert.equal(server.log.length, 2);
 });
 
+test("a refused undo leaves nothing behind", async () => {
+  const { server, box, outcomes } = await bench();
+  server.faults.push(problem(409, "wrong_state"));
+  await box.add(7, "a", { idem_key: "undo-7", kind: "undo", lease_epoch: 0, base_rev: 0 });
+  await box.flush();
+  assert.equal(box.waiting.length, 0);
+  assert.equal(outcomes[0]?.result.problem?.code, "wrong_state");
+});
+
 test("a lost lease is an acknowledgement: the server keeps the text as a draft", async () => {
   const { server, box, outcomes } = await bench();
   server.faults.push(problem(409, "lease_lost"));

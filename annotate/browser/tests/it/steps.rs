@@ -23,6 +23,8 @@ impl Desk {
         let token = dataset.add_user("ann", "annotator").await;
         let server = Server::start(&dataset).await;
         let browser = Browser::start(graphics).await;
+        browser.open(&server.page("")).await;
+        nothing_by_chance(&browser, server.admin()).await;
         browser.log_in(&server, &token, path).await;
         Self {
             dataset,
@@ -31,6 +33,20 @@ impl Desk {
             token,
         }
     }
+}
+
+/// No gold tasks and none without suggestions, which are drawn.
+pub(crate) async fn nothing_by_chance(browser: &Browser, admin: &str) {
+    let settings = browser.request_as(admin, "GET", "settings", None).await;
+    assert_eq!(settings["status"], 200, "{settings}");
+    let mut settings = settings["body"].clone();
+    settings["gold_percent"] = json!(0);
+    settings["blind_percent"] = json!(0);
+    settings["review_percent"] = json!(100);
+    let saved = browser
+        .request_as(admin, "PUT", "settings", Some(settings))
+        .await;
+    assert_eq!(saved["status"], 200, "{saved}");
 }
 
 /// Describes the left arm and the lower body of the task on the page, by keys alone.

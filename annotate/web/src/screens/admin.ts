@@ -4,7 +4,7 @@ import { reason } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, type Child } from "../dom";
 import { ask, field, table, when } from "../ui";
-import type { Audit, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
+import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
 
 /** Between looks at a job that runs. */
 const POLL_MS = 500;
@@ -38,16 +38,18 @@ function select<T extends string>(options: readonly (readonly [T, string])[], va
 
 function exportsSection(app: App): HTMLElement {
   const jobs = h("div", { class: "jobs" });
-  const format = select([
-    ["parquet", "Parquet tables, as triplets are made from"],
+  const format = select<ExportFormat>([
+    ["dataset", "Tables masks and pairs of the dataset, for the stages after this"],
+    ["parquet", "Parquet tables of all annotations"],
     ["stance", "JSON of the STANCE release"],
     ["csv", "CSV of all labels"],
   ]);
   const events = h("input", { attrs: { type: "checkbox" } });
   const file = h("input", { attrs: { type: "file" } });
-  const importFormat = select([
+  const importFormat = select<ImportFormat>([
     ["stance", "STANCE release (mask_all, part_annotations)"],
-    ["dataset", "New motions of this dataset"],
+    ["annotations", "annotations.parquet of an export"],
+    ["dataset", "New motions of this dataset (no file)"],
   ]);
   const refresh = async (): Promise<void> => {
     const all = await app.api.get<Job[]>("jobs");
@@ -89,8 +91,7 @@ function exportsSection(app: App): HTMLElement {
         button("Import", async () => {
           const chosen = file.files?.[0];
           if (!chosen && importFormat.value !== "dataset") throw new Error("choose a file first");
-          const response = await app.api.once("POST", `imports?format=${importFormat.value}`, chosen ?? new Blob([]));
-          await follow((await response.json()) as Job);
+          await follow(await app.api.post<Job>(`imports?format=${importFormat.value}`, chosen ?? new Blob([])));
         }, app),
       ),
     ),

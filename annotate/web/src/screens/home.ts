@@ -16,8 +16,7 @@ const WHAT: Readonly<Record<TaskKind, string>> = {
 export async function openHome(app: App): Promise<Screen> {
   const home = await app.api.get<Home>("home");
   const card = (queue: QueueInfo): HTMLElement => {
-    const held = home.held.length > 0;
-    const start = app.link(ROUTE_OF[queue.kind], held ? "Continue" : "Start", "button primary");
+    const start = app.link(ROUTE_OF[queue.kind], queue.mine > 0 ? "Continue" : "Start", "button primary");
     start.setAttribute("aria-label", `${start.textContent}: ${KIND_WORDS[queue.kind]}`);
     const share = queue.total > 0 ? queue.done / queue.total : 0;
     const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[queue.kind]}: done by all` } });
@@ -35,7 +34,7 @@ export async function openHome(app: App): Promise<Screen> {
         h("div", {}, h("dt", {}, "complete"), h("dd", {}, queue.done)),
         h("div", {}, h("dt", {}, "in all"), h("dd", {}, queue.total)),
       ),
-      queue.open > 0 || held ? start : h("p", { class: "note" }, "Nothing for you at present."),
+      queue.open > 0 || home.held.length > 0 ? start : h("p", { class: "note" }, "Nothing for you at present."),
     );
   };
   const returned = home.returned.map((task) =>

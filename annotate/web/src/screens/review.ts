@@ -89,6 +89,9 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
   let selected = 0;
   let merging: MaskEditor | PairEditor | null = null;
   let busy = false;
+  let comment = "";
+  const keys = new Map<string, string>();
+  const kept = `annotate:merge:${app.me.user.id}:${task.id}`;
   let heat: Strip | null = null;
   let clip: Clip | null = null;
   let shown: Shown;
@@ -167,9 +170,14 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
   const decide = async (decision: Decision, rest: Partial<NewReview>): Promise<void> => {
     if (busy) return;
     busy = true;
-    const body: NewReview = { idem_key: idemKey(), task: task.id, lease_epoch: lease.epoch, decision, ...rest };
+    // The same decision again has the same key, so that a lost answer of the server does no harm.
+    const name = JSON.stringify([decision, rest]);
+    const key = keys.get(name) ?? idemKey();
+    keys.set(name, key);
+    const body: NewReview = { idem_key: key, task: task.id, lease_epoch: lease.epoch, decision, ...rest };
     try {
       const done = await app.api.post<ReviewDone>("reviews", body);
+      localStorage.removeItem(kept);
       app.go(`review/${queue}`);
       app.toasts.show(`Task ${task.id}: ${done.state.replaceAll("_", " ")}.`, {
         id: "decided",
@@ -200,28 +208,32 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     if (author !== undefined) void decide("accept", { author });
   };
   const withComment = async (decision: "return" | "drop"): Promise<void> => {
-    const comment = h("textarea", { attrs: { rows: 4, maxlength: TEXT_LIMIT } });
+    const text = h("textarea", { attrs: { rows: 4, maxlength: TEXT_LIMIT } });
+    text.value = comment;
     const back = decision === "return";
     const choice = await ask(
       back ? "Return with a comment" : "Drop this task: why?",
-      [field(back ? "What should be different?" : "Reason", comment)],
+      [field(back ? "What should be different?" : "Reason", text)],
       back
         ? [
             { label: `Return to ${candidates[selected]?.author_name ?? "its author"}`, value: "one" as const, kind: "primary" },
             { label: "Return to all", value: "all" as const },
           ]
         : [{ label: "Drop", value: "all" as const, kind: "danger" }],
-      comment,
+      text,
     );
+    // Kept until it is sent: a refusal or another look at the motion does not cost the words.
+    comment = text.value;
     if (choice === null) return app.focusStage();
-    if (comment.value.trim() === "") {
+    if (comment.trim() === "") {
       app.toasts.show("Write what is wrong; the author sees nothing else.", { id: "comment", kind: "error" });
       return withComment(decision);
     }
     const author = choice === "one" ? candidates[selected]?.revision.author : undefined;
-    await decide(decision, { comment: comment.value.trim(), ...(author === undefined ? {} : { author }) });
+    await decide(decision, { comment: comment.trim(), ...(author === undefined ? {} : { author }) });
   };
   const endMerge = (): void => {
+    localStorage.removeItem(kept);
     merging = null;
     mergeBox.hidden = true;
     columns.hidden = false;
@@ -230,10 +242,11 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     app.focusStage();
   };
   const merge = (): void => {
-    const start = candidates[selected]?.revision.answer;
-    if (!start) return;
+    const chosen = candidates[selected]?.revision.answer;
+    if (!chosen) return;
+    const start = unfinished(kept, chosen);
     const host = {
-      change: () => {},
+      change: (answer: Answer) => localStorage.setItem(kept, JSON.stringify(answer)),
       seal: () => {},
       suggestionUsed: () => {},
       askDraft: null,
@@ -377,6 +390,16 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
       shown.viewer.dispose();
     },
   };
+}
+
+/** What was merged so far before the page was left, or else the chosen answer. */
+function unfinished(key: string, chosen: Answer): Answer {
+  try {
+    const saved = JSON.parse(localStorage.getItem(key) ?? "null") as Answer | null;
+    return saved !== null && saved.kind === chosen.kind ? saved : chosen;
+  } catch {
+    return chosen;
+  }
 }
 
 /** An answer in words; what no other candidate says is marked. */

@@ -216,9 +216,10 @@ export class WebglRenderer implements Renderer {
   constructor(
     private readonly lib: Lib,
     private readonly idle: WebglRenderer[],
+    antialias: boolean,
   ) {
     // The buffer is kept so that a page can be copied or inspected at any time.
-    this.renderer = new lib.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true, stencil: true });
+    this.renderer = new lib.WebGLRenderer({ antialias, preserveDrawingBuffer: true, stencil: true });
     this.canvas = this.renderer.domElement;
     this.renderer.setClearColor(BACKGROUND, 1);
     this.scene = new lib.Scene();
@@ -272,7 +273,7 @@ export class WebglRenderer implements Renderer {
  * Makes renderers, and takes those of closed stages first: a new context and its shaders cost more
  * than everything else a task needs.
  */
-export function rendererPool(lib: Lib): () => Renderer {
+export function rendererPool(lib: Lib, antialias: boolean): () => Renderer {
   const idle: WebglRenderer[] = [];
-  return () => idle.pop() ?? new WebglRenderer(lib, idle);
+  return () => idle.pop() ?? new WebglRenderer(lib, idle, antialias);
 }
