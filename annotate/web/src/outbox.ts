@@ -24,6 +24,11 @@ export interface OutboxItem {
   task: number;
   chain: string;
   event: NewEvent;
+  /**
+   * Whether it was sent before. The server may have taken it although its answer was lost, so it is
+   * repeated as it was, and not replaced by a newer one.
+   */
+  sent: boolean;
   /** Why it cannot be sent as it is. */
   problem: Problem | null;
 }
@@ -111,7 +116,7 @@ export class Outbox {
 
   /**
    * Keeps an event and starts sending. Resolves once the event is in the browser's store. An older
-   * draft of the same chain that is not on its way is replaced: the newer one says all it said.
+   * draft of the same chain that was never sent is replaced: the newer one says all it said.
    */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
     const item: OutboxItem = {
@@ -121,6 +126,7 @@ export class Outbox {
       task,
       chain,
       event,
+      sent: false,
       problem: null,
     };
     const replaced = this.items.filter(
@@ -128,7 +134,7 @@ export class Outbox {
         old.chain === chain &&
         !this.inFlight.has(old.key) &&
         event.answer !== undefined &&
-        (old.problem !== null ? old.event.answer !== undefined : old.event.kind === "draft"),
+        (old.problem !== null ? old.event.answer !== undefined : old.event.kind === "draft" && !old.sent),
     );
     this.items = [...this.items.filter((old) => !replaced.includes(old)), item];
     this.writing.add(item.key);
@@ -215,12 +221,16 @@ export class Outbox {
     const item = this.next();
     if (!item) return false;
     this.setPhase("sending", null);
-    const known = await this.revOf(item.chain);
     this.inFlight.add(item.key);
     try {
       // One at a time, because each is based on the revision that the one before makes.
-      const event = { ...item.event, base_rev: Math.max(item.event.base_rev, known) };
-      const [result] = await this.hooks.send(item.task, [event]);
+      if (!item.sent) {
+        const known = await this.revOf(item.chain);
+        item.event = { ...item.event, base_rev: Math.max(item.event.base_rev, known) };
+        item.sent = true;
+        await this.store.put("outbox", item.key, item);
+      }
+      const [result] = await this.hooks.send(item.task, [item.event]);
       if (!result) throw new Unreachable("the server gave no result");
       await this.settle(item, result);
       return true;

@@ -41,9 +41,15 @@ class Server {
     return results;
   }
 
+  private readonly requests = new Map<string, string>();
+
   private take(task: number, one: NewEvent, fault: Problem | undefined): EventResult {
     const known = this.results.get(one.idem_key);
-    if (known) return known;
+    if (known) {
+      assert.equal(JSON.stringify(one), this.requests.get(one.idem_key), "a repetition says the same");
+      return known;
+    }
+    this.requests.set(one.idem_key, JSON.stringify(one));
     const rev = this.revs.get(task) ?? 0;
     const bad = fault ?? (this.strict && one.base_rev !== rev ? problem(409, "stale_revision") : null);
     if (bad && bad.code === "stale_revision") {
@@ -152,6 +158,19 @@ test("drafts that wait are replaced by newer ones of the same editor alone", asy
   await box.flush();
   const texts = server.log.map((entry) => (entry.event.answer as { masks: { text: string }[] }).masks[0]?.text);
   assert.deepEqual(texts, ["one", "three", "other"]);
+});
+
+test("a draft whose acknowledgement was lost does not become a conflict with itself", async () => {
+  const { server, box, outcomes } = await bench();
+  server.faults.push("lost", new Unreachable("down"), new Unreachable("down"));
+  await box.add(7, "a", event("draft", "one"));
+  await new Promise((resolve) => setImmediate(resolve));
+  await box.add(7, "a", event("draft", "two"));
+  await box.add(7, "a", event("draft", "three"));
+  await box.flush();
+  assert.deepEqual(outcomes.map((outcome) => outcome.result.problem), [null, null]);
+  assert.deepEqual(server.log.map((entry) => entry.event.base_rev), [0, 1]);
+  assert.equal(box.status.stuck, 0);
 });
 
 test("what an earlier page left is sent by the next", async () => {
