@@ -359,6 +359,9 @@ export class App {
       const target = event.target instanceof Element ? event.target.closest("button, summary") : null;
       if (event.detail > 0 && target && !target.closest("dialog") && document.activeElement === target) this.focusStage();
     });
+    document.addEventListener("pointerdown", () => {
+      for (const session of this.sessions) session.active();
+    });
     document.addEventListener("keydown", (event) => this.key(event));
   }
 

@@ -27,6 +27,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private secs = 0;
   private lastActive = performance.now();
   private submitted = false;
+  /** Nothing was done for so long that the lease is not renewed. */
+  private resting = false;
   /** The revision this editor has seen. */
   private rev: number;
   readonly chain: string;
@@ -114,6 +116,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
     const passed = (now - this.lastActive) / 1000;
     if (passed < IDLE_SECS) this.secs += passed;
     this.lastActive = now;
+    if (this.resting) {
+      this.resting = false;
+      void this.renew();
+    }
   }
 
   /** Sends the draft at once, as when the page is left. */
@@ -251,6 +257,9 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   private async renew(): Promise<void> {
     if (!this.lease || this.submitted) return;
+    // Whoever has gone home holds nothing: the lease runs out, and is asked for again on return.
+    this.resting = performance.now() - this.lastActive > this.app.me.limits.lease_secs * 1000;
+    if (this.resting) return;
     try {
       const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
       this.lease = (await response.json()) as Lease;

@@ -292,11 +292,13 @@ export class Viewer {
       const labels = order.map((clip) => clip.label);
       const caption = this.layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
       stage.setCaption(caption);
-      stage.setLabel(`${caption}, frame ${state.frame + 1} of ${state.frames}`);
+      // A name that changes with every frame would be read out without end.
+      const at = state.playing ? "playing" : `frame ${state.frame + 1} of ${state.frames}`;
+      stage.setLabel(`${caption}, ${at}`);
       if (other && second) {
         other.show([second], state.frame);
         other.setCaption(labels[1] ?? "");
-        other.setLabel(`${labels[1] ?? ""}, frame ${state.frame + 1} of ${state.frames}`);
+        other.setLabel(`${labels[1] ?? ""}, ${at}`);
       }
     }
     for (const strip of this.strips) strip.setClock(state.frame, state.frames, [state.loopIn, state.loopOut]);

@@ -5,7 +5,7 @@ import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
 import { field } from "../ui";
-import { KIND_WORDS, type Shelf } from "../wire";
+import { KIND_WORDS, type Shelf, type Task } from "../wire";
 
 type Item = Shelf["items"][number];
 
@@ -22,7 +22,19 @@ export async function openShelf(app: App): Promise<Screen> {
   let items: Item[] = [];
   let next: number | null = null;
 
+  const gold = h("button", { attrs: { type: "button" }, on: { click: () => void makeGold() } }, "Make this a hidden gold task");
+  const makeGold = async (): Promise<void> => {
+    if (!chosen) return;
+    try {
+      await app.api.post<Task>(`tasks/${chosen.task.id}/gold`);
+      app.toasts.show("A copy of this task is given out as gold from now on.");
+    } catch (error) {
+      app.toasts.show(`Not made gold: ${reason(error)}`, { kind: "error" });
+    }
+  };
+  let chosen: Item | null = null;
   const play = async (item: Item, button: HTMLElement): Promise<void> => {
+    chosen = item;
     for (const other of list.querySelectorAll("button")) setAttr(other, "aria-pressed", other === button ? "true" : "false");
     const tracks = await Promise.all(item.task.motions.map((motion) => app.motions.track(motion)));
     const { answer } = item;
@@ -68,6 +80,7 @@ export async function openShelf(app: App): Promise<Screen> {
     "aside",
     { class: "panel", attrs: { "aria-label": "Accepted examples" }, data: { region: "panel" } },
     h("div", { class: "panel-scroll" }, h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part)), list),
+    app.may("admin") && h("div", { class: "panel-foot" }, gold),
   );
   const first = list.querySelector<HTMLElement>("button.shelf-item");
   first?.click();

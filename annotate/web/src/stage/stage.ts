@@ -72,11 +72,11 @@ export class Stage {
   }
 
   setCaption(text: string): void {
-    this.caption.textContent = text;
+    if (this.caption.textContent !== text) this.caption.textContent = text;
   }
 
   setLabel(text: string): void {
-    this.element.setAttribute("aria-label", text);
+    if (this.element.getAttribute("aria-label") !== text) this.element.setAttribute("aria-label", text);
   }
 
   /** Shows these bodies with a frame of the clock. */
