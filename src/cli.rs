@@ -89,6 +89,7 @@ pub(crate) enum Command {
     Verify(cmd::verify::Args),
     Stats(cmd::stats::Args),
     Export(cmd::export::Args),
+    Annotate(cmd::annotate::Args),
     Masks(cmd::masks::Args),
     Pairs(cmd::pairs::Args),
     Triplets(cmd::triplets::Args),

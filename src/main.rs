@@ -40,6 +40,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Verify(args) => cmd::verify::run(args, global),
         Command::Stats(args) => cmd::stats::run(args, global),
         Command::Export(args) => cmd::export::run(args, global),
+        Command::Annotate(args) => cmd::annotate::run(args, global),
         Command::Masks(args) => cmd::masks::run(args, global),
         Command::Pairs(args) => cmd::pairs::run(args, global),
         Command::Triplets(args) => cmd::triplets::run(args, global),

@@ -24,7 +24,7 @@ pub const BUNDLE: usize = 8;
 macro_rules! names {
     ($(#[doc = $doc:literal])* pub enum $name:ident { $( #[doc = $item_doc:literal] $item:ident = $text:literal, )* }) => {
         $(#[doc = $doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
         pub enum $name {
             $( #[doc = $item_doc] #[serde(rename = $text)] $item, )*
         }
@@ -260,7 +260,9 @@ names! {
 names! {
     /// Layouts of an export.
     pub enum ExportFormat {
-        /// Tables `annotations`, `masks`, `pairs`, `labels`, `rejects`, `agreement`.
+        /// The tables `masks` and `pairs` of the dataset itself, where the other stages look for them.
+        Dataset = "dataset",
+        /// Tables `annotations`, `labels`, `rejects`, `agreement` and, if asked for, `events`.
         Parquet = "parquet",
         /// `mask_all.json`, `part_annotations.json` and lists of pairs, as in the STANCE release.
         Stance = "stance",
@@ -276,6 +278,8 @@ names! {
         Dataset = "dataset",
         /// `{"mask_all": …, "part_annotations": …}` of a STANCE release.
         Stance = "stance",
+        /// The table `annotations` of an export.
+        Annotations = "annotations",
     }
 }
 
@@ -366,6 +370,38 @@ names! {
         CameraSide = "camera_side",
         /// Camera from above.
         CameraTop = "camera_top",
+        /// Camera follows the root or not.
+        CameraFollow = "camera_follow",
+        /// Delete this mask card.
+        MaskDelete = "mask_delete",
+        /// Take the draft.
+        DraftUse = "draft_use",
+        /// Next edit type.
+        EditType = "edit_type",
+        /// Next template phrase.
+        Template = "template",
+        /// Next style.
+        Style = "style",
+        /// Next extent.
+        Extent = "extent",
+        /// Stretch the longer clip for viewing.
+        Align = "align",
+        /// Next pair of the bundle.
+        BundleNext = "bundle_next",
+        /// Pair of the bundle before.
+        BundlePrevious = "bundle_previous",
+        /// Review: first answer.
+        Candidate1 = "candidate_1",
+        /// Review: second answer.
+        Candidate2 = "candidate_2",
+        /// Review: third answer.
+        Candidate3 = "candidate_3",
+        /// Review: fourth answer.
+        Candidate4 = "candidate_4",
+        /// Review: drop.
+        ReviewDrop = "review_drop",
+        /// Next region of the page.
+        NextRegion = "next_region",
     }
 }
 

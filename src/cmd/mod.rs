@@ -1,5 +1,6 @@
 //! One module per verb: its arguments and what it calls.
 
+pub(crate) mod annotate;
 pub(crate) mod build;
 pub(crate) mod corpus;
 pub(crate) mod demo;

@@ -1,0 +1,526 @@
+//! Answers: which are acceptable, which joints they take, and how far two of them are apart.
+
+use datasets_spec::{BlendMask, BodyPart, JointSet};
+
+use crate::Error;
+use crate::wire::{Answer, Code, MAX_MASKS, MAX_TEXT_CHARS, Problem, Settings, TaskKind, Verdict};
+
+/// Checks an unfinished answer: it may lack anything, but holds nothing that could not be stored.
+///
+/// # Errors
+/// It is of another kind than the task, names an unknown part, or is too long.
+pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
+    if answer.kind() != kind {
+        return Err(Error::invalid(
+            "answer.kind",
+            format!(
+                "the task is of kind {kind}, the answer of kind {}",
+                answer.kind()
+            ),
+        ));
+    }
+    match answer {
+        Answer::MaskText { masks, note, .. } => {
+            if masks.len() > MAX_MASKS {
+                return Err(Error::invalid(
+                    "answer.masks",
+                    format!("{} masks are too many; {MAX_MASKS} fit", masks.len()),
+                ));
+            }
+            for mask in masks {
+                check_parts(&mask.parts)?;
+                check_text("answer.masks.text", &mask.text)?;
+            }
+            check_text("answer.note", note)
+        }
+        Answer::Pair {
+            parts, text, note, ..
+        } => {
+            check_parts(parts)?;
+            check_text("answer.text", text)?;
+            check_text("answer.note", note)
+        }
+        Answer::Style {
+            parts,
+            text,
+            note,
+            style,
+            ..
+        } => {
+            check_parts(parts)?;
+            check_text("answer.text", text)?;
+            check_text("answer.style", style.as_deref().unwrap_or_default())?;
+            check_text("answer.note", note)
+        }
+    }
+}
+
+/// Checks an answer that is handed in.
+///
+/// # Errors
+/// As [`check_draft`]; or something is missing, or the number of masks is not the one asked for and no
+/// reason is given.
+pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) -> Result<(), Error> {
+    check_draft(answer, kind)?;
+    let text_needed = |field: &str, text: &str| {
+        if text.trim().is_empty() {
+            return Err(Error::invalid(
+                field,
+                "a text is missing: say what the parts do",
+            ));
+        }
+        Ok(())
+    };
+    match answer {
+        Answer::MaskText {
+            masks,
+            count_reason,
+            ..
+        } => {
+            for (index, mask) in masks.iter().enumerate() {
+                if mask.parts.is_empty() {
+                    return Err(Error::invalid(
+                        &format!("answer.masks.{index}.parts"),
+                        format!(
+                            "mask {} has no part; choose one or delete the mask",
+                            index + 1
+                        ),
+                    ));
+                }
+                text_needed(&format!("answer.masks.{index}.text"), &mask.text)?;
+                let same = masks[..index].iter().position(|other| {
+                    joints(&other.parts) == joints(&mask.parts)
+                        && normal(&other.text) == normal(&mask.text)
+                });
+                if let Some(other) = same {
+                    return Err(Error::invalid(
+                        &format!("answer.masks.{index}"),
+                        format!(
+                            "masks {} and {} say the same; delete one",
+                            other + 1,
+                            index + 1
+                        ),
+                    ));
+                }
+            }
+            if masks.is_empty() && count_reason.is_none()
+                || !masks.is_empty()
+                    && !(settings.min_masks..=settings.max_masks).contains(&masks.len())
+                    && count_reason.is_none()
+            {
+                return Err(Error::Refused(Box::new(Problem::new(
+                    Code::MaskCount,
+                    format!(
+                        "{} masks where {} to {} are asked for; add or delete some, or choose a reason",
+                        masks.len(),
+                        settings.min_masks,
+                        settings.max_masks
+                    ),
+                ))));
+            }
+            Ok(())
+        }
+        Answer::Pair {
+            verdict: Verdict::Keep,
+            parts,
+            edit_type,
+            text,
+            ..
+        } => {
+            text_needed("answer.text", text)?;
+            if parts.is_empty() {
+                return Err(Error::invalid(
+                    "answer.parts",
+                    "choose the parts the edit changes",
+                ));
+            }
+            if edit_type.is_none() {
+                return Err(Error::invalid(
+                    "answer.edit_type",
+                    "choose what the edit changes",
+                ));
+            }
+            Ok(())
+        }
+        Answer::Style {
+            verdict: Verdict::Keep,
+            style,
+            extent,
+            ..
+        } => {
+            text_needed("answer.style", style.as_deref().unwrap_or_default())?;
+            if let Some(style) = style
+                && !settings.styles.contains(style)
+            {
+                return Err(Error::invalid(
+                    "answer.style",
+                    format!(
+                        "{style:?} is no style of this project; known are {}",
+                        settings.styles.join(", ")
+                    ),
+                ));
+            }
+            if extent.is_none() {
+                return Err(Error::invalid(
+                    "answer.extent",
+                    "choose how much of the body the style shows in",
+                ));
+            }
+            Ok(())
+        }
+        Answer::Pair { .. } | Answer::Style { .. } => Ok(()),
+    }
+}
+
+fn check_parts(parts: &[String]) -> Result<(), Error> {
+    if parts.len() > BodyPart::ALL.len() {
+        return Err(Error::invalid("parts", "a part is named more than once"));
+    }
+    for (index, part) in parts.iter().enumerate() {
+        if let Err(error) = part.parse::<BodyPart>() {
+            return Err(Error::invalid("parts", error.to_string()));
+        }
+        if parts[..index].contains(part) {
+            return Err(Error::invalid("parts", format!("{part} is named twice")));
+        }
+    }
+    Ok(())
+}
+
+fn check_text(field: &str, text: &str) -> Result<(), Error> {
+    let chars = text.chars().count();
+    if chars > MAX_TEXT_CHARS {
+        return Err(Error::invalid(
+            field,
+            format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit"),
+        ));
+    }
+    let control = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if text.chars().any(control) {
+        return Err(Error::invalid(
+            field,
+            "the text holds a control character; remove it",
+        ));
+    }
+    Ok(())
+}
+
+fn normal(text: &str) -> String {
+    let words: Vec<String> = text.split_whitespace().map(str::to_lowercase).collect();
+    words.join(" ")
+}
+
+/// The parts that are known among the names.
+pub fn known_parts(names: &[String]) -> Vec<BodyPart> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}
+
+/// The mask of some parts; without its soft ring if that is off.
+pub fn mask_of(parts: &[String], soft: bool) -> BlendMask {
+    let mask = BlendMask::of_parts(&known_parts(parts));
+    if soft {
+        return mask;
+    }
+    BlendMask::new(mask.hard(), JointSet::EMPTY).unwrap_or(BlendMask::EMPTY)
+}
+
+/// The joints some parts take whole: what masks are compared by, so that LEFT_ARM and RIGHT_ARM
+/// together equal BOTH_ARMS.
+pub fn joints(parts: &[String]) -> JointSet {
+    BlendMask::of_parts(&known_parts(parts)).hard()
+}
+
+impl Answer {
+    /// The kind of task it answers.
+    pub fn kind(&self) -> TaskKind {
+        match self {
+            Self::MaskText { .. } => TaskKind::MaskText,
+            Self::Pair { .. } => TaskKind::Pair,
+            Self::Style { .. } => TaskKind::Style,
+        }
+    }
+
+    /// What it says of a pair.
+    pub fn verdict(&self) -> Option<Verdict> {
+        match self {
+            Self::MaskText { .. } => None,
+            Self::Pair { verdict, .. } | Self::Style { verdict, .. } => Some(*verdict),
+        }
+    }
+
+    /// Joints of all its masks together.
+    pub fn joints(&self) -> JointSet {
+        match self {
+            Self::MaskText { masks, .. } => masks
+                .iter()
+                .fold(JointSet::EMPTY, |set, mask| set.union(joints(&mask.parts))),
+            Self::Pair { parts, .. } | Self::Style { parts, .. } => joints(parts),
+        }
+    }
+
+    /// Its texts, each with the suggestion it began as.
+    pub fn texts(&self) -> Vec<(&str, Option<i64>)> {
+        match self {
+            Self::MaskText { masks, .. } => masks
+                .iter()
+                .map(|mask| (mask.text.as_str(), mask.suggestion))
+                .collect(),
+            Self::Pair {
+                text, suggestion, ..
+            }
+            | Self::Style {
+                text, suggestion, ..
+            } => {
+                vec![(text.as_str(), *suggestion)]
+            }
+        }
+    }
+}
+
+/// How much two sets of joints share: 1 if they are equal, also where both are empty.
+pub fn jaccard(a: JointSet, b: JointSet) -> f64 {
+    let union = a.union(b).len();
+    if union == 0 {
+        return 1.0;
+    }
+    a.intersection(b).len() as f64 / union as f64
+}
+
+/// How far two answers are apart, 0 to 1: for masks, each mask against the nearest of the other
+/// answer by joint set, from both sides; for pairs, the verdict first, then the parts.
+pub fn distance(a: &Answer, b: &Answer) -> f64 {
+    match (a, b) {
+        (Answer::MaskText { masks: a, .. }, Answer::MaskText { masks: b, .. }) => {
+            let sets = |masks: &[crate::wire::MaskAnswer]| -> Vec<JointSet> {
+                masks.iter().map(|mask| joints(&mask.parts)).collect()
+            };
+            let (a, b) = (sets(a), sets(b));
+            let one_way = |from: &[JointSet], to: &[JointSet]| -> f64 {
+                if from.is_empty() {
+                    return f64::from(u8::from(!to.is_empty()));
+                }
+                let nearest = |set: &JointSet| {
+                    to.iter()
+                        .map(|other| 1.0 - jaccard(*set, *other))
+                        .fold(1.0, f64::min)
+                };
+                from.iter().map(nearest).sum::<f64>() / from.len() as f64
+            };
+            f64::midpoint(one_way(&a, &b), one_way(&b, &a))
+        }
+        _ if a.verdict() != b.verdict() || a.kind() != b.kind() => 1.0,
+        _ if a.verdict() != Some(Verdict::Keep) => 0.0,
+        _ => {
+            let label = |answer: &Answer| match answer {
+                Answer::Pair { edit_type, .. } => edit_type.map(|kind| kind.to_string()),
+                Answer::Style { style, .. } => style.clone(),
+                Answer::MaskText { .. } => None,
+            };
+            let labels = f64::from(u8::from(label(a) != label(b)));
+            f64::midpoint(1.0 - jaccard(a.joints(), b.joints()), labels)
+        }
+    }
+}
+
+/// The largest distance among some answers; none for fewer than two.
+pub fn spread(answers: &[Answer]) -> Option<f64> {
+    let mut most = None;
+    for (index, a) in answers.iter().enumerate() {
+        for b in &answers[index + 1..] {
+            let apart = distance(a, b);
+            most = Some(most.map_or(apart, |most: f64| most.max(apart)));
+        }
+    }
+    most
+}
+
+/// Edit distance of two texts by characters (Levenshtein), divided by the length of the longer one.
+pub fn text_distance(a: &str, b: &str) -> f64 {
+    let a: Vec<char> = a.trim().chars().collect();
+    let b: Vec<char> = b.trim().chars().collect();
+    if a.is_empty() && b.is_empty() {
+        return 0.0;
+    }
+    let mut before: Vec<usize> = (0..=b.len()).collect();
+    for (row, x) in a.iter().enumerate() {
+        let mut now = vec![row + 1];
+        for (column, y) in b.iter().enumerate() {
+            let kept = before[column] + usize::from(x != y);
+            now.push(kept.min(before[column + 1] + 1).min(now[column] + 1));
+        }
+        before = now;
+    }
+    before[b.len()] as f64 / a.len().max(b.len()) as f64
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::wire::{CountReason, EditType, Extent, MaskAnswer};
+
+    pub(crate) fn masks(list: &[(&[&str], &str)]) -> Answer {
+        Answer::MaskText {
+            masks: list
+                .iter()
+                .map(|(parts, text)| MaskAnswer {
+                    parts: parts.iter().map(|&part| part.to_owned()).collect(),
+                    soft: true,
+                    text: (*text).to_owned(),
+                    suggestion: None,
+                })
+                .collect(),
+            count_reason: None,
+            note: String::new(),
+        }
+    }
+
+    pub(crate) fn pair(verdict: Verdict) -> Answer {
+        let keep = verdict == Verdict::Keep;
+        Answer::Pair {
+            verdict,
+            parts: if keep {
+                vec!["LEFT_ARM".to_owned()]
+            } else {
+                Vec::new()
+            },
+            edit_type: keep.then_some(EditType::Speed),
+            text: if keep {
+                "faster".to_owned()
+            } else {
+                String::new()
+            },
+            suggestion: None,
+            note: String::new(),
+        }
+    }
+
+    fn code(answer: &Answer) -> Option<Code> {
+        match check_submission(answer, answer.kind(), &Settings::default()) {
+            Ok(()) => None,
+            Err(error) => Some(error.problem().code),
+        }
+    }
+
+    #[test]
+    fn two_to_four_masks_are_asked_for_and_a_reason_excuses() {
+        let arm: (&[&str], &str) = (&["LEFT_ARM"], "waving");
+        let leg: (&[&str], &str) = (&["LOWER_BODY"], "walking");
+        assert_eq!(code(&masks(&[arm, leg])), None);
+        assert_eq!(code(&masks(&[arm])), Some(Code::MaskCount));
+        assert_eq!(code(&masks(&[])), Some(Code::MaskCount));
+        let Answer::MaskText { masks: list, .. } = masks(&[arm]) else {
+            unreachable!("masks makes masks")
+        };
+        let excused = Answer::MaskText {
+            masks: list,
+            count_reason: Some(CountReason::SingleAction),
+            note: String::new(),
+        };
+        assert_eq!(code(&excused), None);
+        assert_eq!(code(&masks(&[arm, arm])), Some(Code::Invalid));
+        assert_eq!(code(&masks(&[arm, (&[], "walking")])), Some(Code::Invalid));
+        assert_eq!(
+            code(&masks(&[arm, (&["LOWER_BODY"], " ")])),
+            Some(Code::Invalid)
+        );
+        assert_eq!(
+            code(&masks(&[arm, (&["TAIL"], "wagging")])),
+            Some(Code::Invalid)
+        );
+        assert_eq!(
+            code(&masks(&[arm, (&["HEAD", "HEAD"], "x")])),
+            Some(Code::Invalid)
+        );
+        let long = "x".repeat(MAX_TEXT_CHARS + 1);
+        assert_eq!(
+            code(&masks(&[arm, (&["HEAD"], &long)])),
+            Some(Code::Invalid)
+        );
+        assert_eq!(
+            code(&masks(&[arm, (&["HEAD"], "a\u{0}b")])),
+            Some(Code::Invalid)
+        );
+    }
+
+    #[test]
+    fn a_pair_that_is_kept_needs_all_and_a_rejected_one_nothing() {
+        assert_eq!(code(&pair(Verdict::Keep)), None);
+        for verdict in [Verdict::Unnatural, Verdict::Unclear, Verdict::Identical] {
+            assert_eq!(code(&pair(verdict)), None);
+        }
+        let Answer::Pair {
+            verdict,
+            parts,
+            text,
+            ..
+        } = pair(Verdict::Keep)
+        else {
+            unreachable!("pair makes a pair")
+        };
+        let lacking = Answer::Pair {
+            verdict,
+            parts,
+            edit_type: None,
+            text,
+            suggestion: None,
+            note: String::new(),
+        };
+        assert_eq!(code(&lacking), Some(Code::Invalid));
+        let style = |name: &str, extent| Answer::Style {
+            verdict: Verdict::Keep,
+            parts: Vec::new(),
+            style: Some(name.to_owned()),
+            extent,
+            text: String::new(),
+            suggestion: None,
+            note: String::new(),
+        };
+        assert_eq!(code(&style("proud", Some(Extent::Whole))), None);
+        assert_eq!(code(&style("proud", None)), Some(Code::Invalid));
+        assert_eq!(
+            code(&style("unheard of", Some(Extent::Whole))),
+            Some(Code::Invalid)
+        );
+        assert!(check_draft(&pair(Verdict::Keep), TaskKind::Style).is_err());
+    }
+
+    #[test]
+    fn left_and_right_arm_equal_both_arms() {
+        let (one, two) = (
+            masks(&[(&["LEFT_ARM", "RIGHT_ARM"], "a")]),
+            masks(&[(&["BOTH_ARMS"], "b")]),
+        );
+        assert!(distance(&one, &two).abs() < 1e-12);
+    }
+
+    #[test]
+    fn distances_by_hand() {
+        let arm = masks(&[(&["LEFT_ARM"], "a")]);
+        let legs = masks(&[(&["BOTH_LEGS"], "a")]);
+        assert!((distance(&arm, &legs) - 1.0).abs() < 1e-12);
+        // One of two masks has a counterpart; the one mask of the other side has one.
+        let both = masks(&[(&["LEFT_ARM"], "a"), (&["BOTH_LEGS"], "b")]);
+        assert!((distance(&arm, &both) - 0.25).abs() < 1e-12);
+        // Half of the joints of both arms.
+        let arms = masks(&[(&["BOTH_ARMS"], "a")]);
+        assert!((distance(&arm, &arms) - 0.5).abs() < 1e-12);
+        assert!((distance(&masks(&[]), &arm) - 1.0).abs() < 1e-12);
+        assert!((distance(&pair(Verdict::Keep), &pair(Verdict::Unclear)) - 1.0).abs() < 1e-12);
+        assert!(distance(&pair(Verdict::Unclear), &pair(Verdict::Unclear)).abs() < 1e-12);
+        assert_eq!(spread(&[arm.clone()]), None);
+        assert_eq!(spread(&[arm.clone(), arm, legs]), Some(1.0));
+    }
+
+    #[test]
+    fn text_distance_by_hand() {
+        for (a, b, expected) in [
+            ("", "", 0.0),
+            ("abc", "abc", 0.0),
+            ("kitten", "sitting", 3.0 / 7.0),
+            ("", "abcd", 1.0),
+            ("größer", "größte", 2.0 / 6.0),
+        ] {
+            assert!((text_distance(a, b) - expected).abs() < 1e-12, "{a} {b}");
+        }
+    }
+}

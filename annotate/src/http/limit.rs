@@ -1,0 +1,82 @@
+//! How often something may be asked for.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::Mutex;
+
+use super::locked;
+use crate::Error;
+use crate::store::Millis;
+use crate::wire::{Code, Problem};
+
+const MINUTE: Millis = 60_000;
+/// Askers remembered; the rest of the world is forgotten first.
+const ASKERS: usize = 10_000;
+
+/// Counts of the last minute, by what is asked for and who asks.
+#[derive(Debug, Default)]
+pub(crate) struct Limiter {
+    seen: Mutex<HashMap<(&'static str, String), VecDeque<Millis>>>,
+}
+
+impl Limiter {
+    /// Counts one more.
+    ///
+    /// # Errors
+    /// `rate_limited`, with when to come back.
+    pub(crate) fn count(
+        &self,
+        what: &'static str,
+        who: &str,
+        most: u32,
+        now: Millis,
+    ) -> Result<(), Error> {
+        let mut seen = locked(&self.seen);
+        if seen.len() > ASKERS {
+            seen.retain(|_, times| times.back().is_some_and(|&last| now - last < MINUTE));
+        }
+        let times = seen.entry((what, who.to_owned())).or_default();
+        while times
+            .front()
+            .is_some_and(|&first| now - first >= MINUTE || first > now)
+        {
+            times.pop_front();
+        }
+        if times.len() >= most as usize {
+            let wait = times.front().map_or(MINUTE, |&first| first + MINUTE - now);
+            let seconds = u64::try_from(wait).unwrap_or(0).div_ceil(1000).max(1);
+            let mut problem = Problem::new(
+                Code::RateLimited,
+                format!("{most} a minute are too many of {what}; wait {seconds} s"),
+            );
+            problem.retry_after_secs = Some(seconds);
+            return Err(Error::Refused(Box::new(problem)));
+        }
+        times.push_back(now);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_minute_later_there_is_room_again() {
+        let limiter = Limiter::default();
+        for now in 0..10 {
+            limiter.count("logins", "a", 10, now).expect("room");
+        }
+        let error = limiter
+            .count("logins", "a", 10, 30_000)
+            .expect_err("too many");
+        assert_eq!(error.problem().retry_after_secs, Some(30));
+        limiter
+            .count("logins", "b", 10, 30_000)
+            .expect("somebody else");
+        limiter
+            .count("logins", "a", 10, 60_000)
+            .expect("room again");
+        // A clock that was set back does not lock anybody out.
+        limiter.count("logins", "a", 1, -1_000_000).expect("room");
+    }
+}

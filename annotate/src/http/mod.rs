@@ -1,0 +1,629 @@
+//! The server.
+//!
+//! Every route is a row of [`ROUTES`], with the role it needs; there is no other way to a handler.
+//! One function, `serve`, does for all of them what 3.8 of the design asks: who is it, may they, is the
+//! request the browser's own, is the body small enough, was it done in time.
+
+mod assets;
+mod limit;
+mod metrics;
+mod routes;
+mod stream;
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use axum::body::{Body, Bytes};
+use axum::extract::{FromRequestParts, RawPathParams, Request};
+use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
+use axum::http::{Method, StatusCode, Uri};
+use axum::response::Response;
+use axum::routing::{MethodFilter, on};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tower_service::Service;
+
+use crate::Error;
+use crate::model::Model;
+use crate::motions::MotionLibrary;
+use crate::quality::Figures;
+use crate::store::{Millis, Store, TokenUse, Who};
+use crate::wire::{Code, Problem, Role};
+use limit::Limiter;
+use metrics::Metrics;
+
+pub use routes::ROUTES;
+
+/// Tells the time in milliseconds since the epoch.
+pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
+
+/// Longest a request may take.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(15);
+/// Longest the head of a request may take to arrive.
+const HEAD_TIMEOUT: Duration = Duration::from_secs(15);
+/// Connections served at once.
+const CONNECTIONS: usize = 1024;
+/// Days a browser stays logged in.
+const SESSION_DAYS: i64 = 7;
+/// What pages may do: their own scripts, styles and requests, and nothing else.
+const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
+connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
+
+/// Who may use a route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Everybody. Routes that change something still need the browser's own request.
+    Public,
+    /// Whoever is logged in with this role or a higher one.
+    Role(Role),
+    /// The machine itself, or an admin.
+    Local,
+}
+
+/// How a request becomes an answer.
+#[derive(Clone, Copy, Debug)]
+pub enum Handler {
+    /// By work that may wait for the store or the disk.
+    Work(fn(&Context) -> Result<Reply, Error>),
+    /// By a stream of events.
+    Stream,
+}
+
+/// A route.
+#[derive(Clone, Copy, Debug)]
+pub struct Route {
+    /// Method.
+    pub method: &'static str,
+    /// Path, with parameters in braces.
+    pub path: &'static str,
+    /// Who may use it.
+    pub access: Access,
+    /// Largest body.
+    pub max_body: usize,
+    /// What it does.
+    pub handler: Handler,
+}
+
+/// A request that may be served.
+pub struct Context {
+    pub(crate) app: Arc<App>,
+    pub(crate) who: Option<Who>,
+    pub(crate) peer: IpAddr,
+    pub(crate) params: BTreeMap<String, String>,
+    pub(crate) query: BTreeMap<String, String>,
+    pub(crate) headers: HeaderMap,
+    pub(crate) body: Bytes,
+    pub(crate) path: String,
+    pub(crate) now: Millis,
+}
+
+impl std::fmt::Debug for Context {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Context")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
+    }
+}
+
+/// An answer.
+#[derive(Debug)]
+pub enum Reply {
+    /// A JSON document.
+    Json(Vec<u8>),
+    /// Nothing more to say.
+    Empty,
+    /// A response with everything set.
+    Full(Response),
+}
+
+/// What a server is started with.
+pub struct ServerConfig {
+    /// Address to listen on; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Whether browsers reach it through TLS.
+    pub secure: bool,
+    /// Folder for exports.
+    pub data: PathBuf,
+    /// The dataset, for imports.
+    pub dataset: PathBuf,
+    /// The language model, if there is one.
+    pub model: Option<Model>,
+    /// Tells the time.
+    pub clock: Clock,
+    /// Takes what the operator should read.
+    pub log: fn(&str),
+}
+
+impl std::fmt::Debug for ServerConfig {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ServerConfig")
+            .field("listen", &self.listen)
+            .field("secure", &self.secure)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What all requests share.
+pub(crate) struct App {
+    pub(crate) store: Arc<dyn Store>,
+    pub(crate) motions: Arc<MotionLibrary>,
+    pub(crate) config: ServerConfig,
+    pub(crate) limiter: Limiter,
+    pub(crate) metrics: Metrics,
+    /// Why nothing can be saved, if so.
+    pub(crate) read_only: Mutex<Option<String>>,
+    /// Figures of agreement and when they were made.
+    pub(crate) figures: Mutex<Option<(Millis, Arc<Figures>)>>,
+    pub(crate) last_seq: tokio::sync::watch::Sender<i64>,
+}
+
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+impl App {
+    fn now(&self) -> Millis {
+        (self.config.clock)()
+    }
+
+    fn cookie_name(&self) -> &'static str {
+        if self.config.secure {
+            "__Host-annotate"
+        } else {
+            "annotate"
+        }
+    }
+}
+
+/// A running server. It stops when dropped.
+pub struct Server {
+    address: SocketAddr,
+    runtime: Option<tokio::runtime::Runtime>,
+}
+
+impl std::fmt::Debug for Server {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Server")
+            .field("address", &self.address)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Server {
+    /// Starts a server and returns once it listens.
+    ///
+    /// # Errors
+    /// The address cannot be had, or the store does not answer.
+    pub fn start(
+        store: Arc<dyn Store>,
+        motions: Arc<MotionLibrary>,
+        config: ServerConfig,
+    ) -> Result<Self, Error> {
+        let listen = config.listen;
+        let failed = |source| Error::Listen {
+            address: listen.to_string(),
+            source,
+        };
+        crate::jobs::abandon(store.as_ref(), (config.clock)())?;
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .max_blocking_threads(128)
+            .thread_name("annotate-http")
+            .enable_all()
+            .build()
+            .map_err(failed)?;
+        let listener = std::net::TcpListener::bind(listen).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let (last_seq, _) = tokio::sync::watch::channel(store.last_seq()?);
+        let app = Arc::new(App {
+            store,
+            motions,
+            config,
+            limiter: Limiter::default(),
+            metrics: Metrics::default(),
+            read_only: Mutex::new(None),
+            figures: Mutex::new(None),
+            last_seq,
+        });
+        let listener = {
+            let _context = runtime.enter();
+            tokio::net::TcpListener::from_std(listener).map_err(failed)?
+        };
+        runtime.spawn(stream::watch(Arc::clone(&app)));
+        runtime.spawn(accept(listener, app));
+        Ok(Self {
+            address,
+            runtime: Some(runtime),
+        })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_timeout(Duration::from_secs(5));
+        }
+    }
+}
+
+async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
+    let router = router(&app);
+    let places = Arc::new(tokio::sync::Semaphore::new(CONNECTIONS));
+    loop {
+        let Ok(place) = Arc::clone(&places).acquire_owned().await else {
+            return;
+        };
+        let (socket, peer) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(_) => {
+                // Out of file descriptors, most likely: those in use come back.
+                tokio::time::sleep(Duration::from_millis(50)).await;
+                continue;
+            }
+        };
+        let router = router.clone();
+        tokio::spawn(async move {
+            let _place = place;
+            // Small answers are not to wait for more to come.
+            let _set = socket.set_nodelay(true);
+            let service = hyper::service::service_fn(
+                move |request: hyper::Request<hyper::body::Incoming>| {
+                    let mut request = request.map(Body::new);
+                    request.extensions_mut().insert(Peer(peer.ip()));
+                    router.clone().call(request)
+                },
+            );
+            let served = hyper::server::conn::http1::Builder::new()
+                .timer(TokioTimer::new())
+                .header_read_timeout(HEAD_TIMEOUT)
+                .max_buf_size(64 * 1024)
+                .serve_connection(TokioIo::new(socket), service)
+                .await;
+            // A browser that goes away in the middle is no news.
+            drop(served);
+        });
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Peer(IpAddr);
+
+fn router(app: &Arc<App>) -> axum::Router {
+    let mut router = axum::Router::new();
+    for route in ROUTES {
+        let app = Arc::clone(app);
+        let filter = match route.method {
+            "GET" => MethodFilter::GET,
+            "PUT" => MethodFilter::PUT,
+            "PATCH" => MethodFilter::PATCH,
+            "DELETE" => MethodFilter::DELETE,
+            _ => MethodFilter::POST,
+        };
+        let handler = move |request: Request| {
+            let app = Arc::clone(&app);
+            async move { serve(app, route, request).await }
+        };
+        router = router.route(route.path, on(filter, handler));
+    }
+    let lost = |app: &Arc<App>, code: Code| {
+        let secure = app.config.secure;
+        move |request: Request| async move {
+            let path = request.uri().path().to_owned();
+            let detail = match code {
+                Code::MethodNotAllowed => format!("{path} takes no {}", request.method()),
+                _ => format!("there is nothing at {path}"),
+            };
+            let mut response = problem_response(&Problem::new(code, detail));
+            harden(&mut response, secure);
+            response
+        }
+    };
+    router
+        .fallback(lost(app, Code::NotFound))
+        .method_not_allowed_fallback(lost(app, Code::MethodNotAllowed))
+}
+
+async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Response {
+    let begun = Instant::now();
+    let outcome = match route.handler {
+        // Streams last; all else has its time.
+        Handler::Stream => answer(Arc::clone(&app), route, request).await,
+        Handler::Work(_) => {
+            match tokio::time::timeout(REQUEST_TIMEOUT, answer(Arc::clone(&app), route, request))
+                .await
+            {
+                Ok(outcome) => outcome,
+                Err(_) => Err(Error::refused(
+                    Code::Timeout,
+                    "this took more than 15 seconds; send it again: what carries a key is done once",
+                )),
+            }
+        }
+    };
+    let mut response = match outcome {
+        Ok(reply) => reply_response(reply),
+        Err(error) => {
+            let problem = error.problem();
+            match problem.code {
+                Code::Internal => (app.config.log)(&format!(
+                    "{} {}: {}",
+                    route.method,
+                    route.path,
+                    chain(&error)
+                )),
+                Code::ReadOnly => *locked(&app.read_only) = Some(error.to_string()),
+                _ => {}
+            }
+            problem_response(&problem)
+        }
+    };
+    harden(&mut response, app.config.secure);
+    app.metrics
+        .count(route, response.status().as_u16(), begun.elapsed());
+    response
+}
+
+/// An error with its causes.
+fn chain(error: &Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = std::error::Error::source(error);
+    while let Some(error) = cause {
+        text += &format!(": {error}");
+        cause = error.source();
+    }
+    text
+}
+
+async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Result<Reply, Error> {
+    let (mut parts, body) = request.into_parts();
+    let peer = parts
+        .extensions
+        .get::<Peer>()
+        .map_or(IpAddr::from([0, 0, 0, 0]), |peer| peer.0);
+    let who = {
+        let app = Arc::clone(&app);
+        let (method, headers) = (parts.method.clone(), parts.headers.clone());
+        blocking(move || admit(&app, route, &method, &headers, peer)).await?
+    };
+    let params = RawPathParams::from_request_parts(&mut parts, &())
+        .await
+        .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?
+        .iter()
+        .map(|(name, value)| (name.to_owned(), value.to_owned()))
+        .collect();
+    let context = Context {
+        params,
+        who,
+        peer,
+        query: query(&parts.uri)?,
+        headers: parts.headers,
+        body: read_body(body, route.max_body).await?,
+        path: parts.uri.path().to_owned(),
+        now: app.now(),
+        app,
+    };
+    match route.handler {
+        Handler::Work(work) => blocking(move || work(&context)).await,
+        Handler::Stream => stream::open(context).await,
+    }
+}
+
+/// Runs work that may wait, where waiting holds nobody up.
+pub(crate) async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(outcome) => outcome,
+        // The work panicked: a defect, which its own message in the log tells of.
+        Err(_) => Err(Error::Closed),
+    }
+}
+
+async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
+    axum::body::to_bytes(body, limit).await.map_err(|_| {
+        Error::refused(
+            Code::TooLarge,
+            format!("a body has up to {limit} bytes here; send less at a time"),
+        )
+    })
+}
+
+fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {
+    let mut pairs = BTreeMap::new();
+    for pair in uri
+        .query()
+        .unwrap_or("")
+        .split('&')
+        .filter(|pair| !pair.is_empty())
+    {
+        let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
+        let name = decoded(name)?;
+        if pairs.insert(name.clone(), decoded(value)?).is_some() {
+            return Err(Error::refused(
+                Code::BadRequest,
+                format!("{name:?} is given twice"),
+            ));
+        }
+    }
+    Ok(pairs)
+}
+
+/// Undoes the escapes of an address.
+fn decoded(text: &str) -> Result<String, Error> {
+    let bad = || Error::refused(Code::BadRequest, "the address is not well escaped");
+    let mut bytes = Vec::new();
+    let mut rest = text.bytes();
+    while let Some(byte) = rest.next() {
+        bytes.push(match byte {
+            b'+' => b' ',
+            b'%' => {
+                let mut digit = || {
+                    let digit = rest.next().and_then(|byte| char::from(byte).to_digit(16));
+                    digit.ok_or_else(bad)
+                };
+                let (high, low) = (digit()?, digit()?);
+                u8::try_from(high * 16 + low).map_err(|_| bad())?
+            }
+            other => other,
+        });
+    }
+    String::from_utf8(bytes).map_err(|_| bad())
+}
+
+/// Whether a request is let in, and as whom.
+fn admit(
+    app: &App,
+    route: &Route,
+    method: &Method,
+    headers: &HeaderMap,
+    peer: IpAddr,
+) -> Result<Option<Who>, Error> {
+    let bearer = bearer(headers);
+    let changes = !matches!(*method, Method::GET | Method::HEAD);
+    if changes && bearer.is_none() {
+        check_own(app, headers)?;
+    }
+    let needed = match route.access {
+        Access::Public => return Ok(None),
+        Access::Local if peer.is_loopback() && bearer.is_none() => return Ok(None),
+        Access::Local => Role::Admin,
+        Access::Role(role) => role,
+    };
+    let now = app.now();
+    let who = match (bearer, cookie(headers, app.cookie_name())) {
+        (Some(token), _) => app.store.authenticate(token, &[TokenUse::Token], now)?,
+        (None, Some(token)) => app.store.authenticate(&token, &[TokenUse::Session], now)?,
+        (None, None) => {
+            return Err(Error::refused(Code::Unauthenticated, "log in first"));
+        }
+    };
+    if who.role < needed {
+        return Err(Error::refused(
+            Code::Forbidden,
+            format!("this needs the role {needed}, yours is {}", who.role),
+        ));
+    }
+    Ok(Some(who))
+}
+
+/// A request that changes something and comes with a cookie has to be the page's own.
+fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
+    if text(headers, &HeaderName::from_static("x-annotate")) != Some("1") {
+        return Err(Error::refused(
+            Code::Csrf,
+            "requests that change something need the header X-Annotate: 1, or a bearer token",
+        ));
+    }
+    let scheme = if app.config.secure { "https" } else { "http" };
+    let own = text(headers, &header::HOST).map(|host| format!("{scheme}://{host}"));
+    if own.is_none() || text(headers, &header::ORIGIN) != own.as_deref() {
+        return Err(Error::refused(
+            Code::WrongOrigin,
+            "the Origin of this request is not this server; behind a proxy with TLS, start the server with --secure",
+        ));
+    }
+    Ok(())
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+    let mut all = headers.get_all(name).iter();
+    let only = all.next()?;
+    // Two of them are one too many to trust either.
+    if all.next().is_some() {
+        None
+    } else {
+        only.to_str().ok()
+    }
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    text(headers, &header::AUTHORIZATION)?
+        .strip_prefix("Bearer ")
+        .map(str::trim)
+}
+
+pub(crate) fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
+    headers
+        .get_all(header::COOKIE)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(';'))
+        .filter_map(|pair| pair.trim().split_once('='))
+        .find(|(known, _)| *known == name)
+        .map(|(_, value)| value.to_owned())
+}
+
+fn problem_response(problem: &Problem) -> Response {
+    let body = serde_json::to_vec(problem).unwrap_or_default();
+    let mut response = Response::new(Body::from(body));
+    *response.status_mut() =
+        StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+    set(
+        &mut response,
+        header::CONTENT_TYPE,
+        "application/problem+json",
+    );
+    set(&mut response, header::CACHE_CONTROL, "no-store");
+    if let Some(seconds) = problem.retry_after_secs {
+        set(&mut response, header::RETRY_AFTER, &seconds.to_string());
+    }
+    response
+}
+
+fn reply_response(reply: Reply) -> Response {
+    match reply {
+        Reply::Full(response) => response,
+        Reply::Empty => {
+            let mut response = Response::new(Body::empty());
+            *response.status_mut() = StatusCode::NO_CONTENT;
+            response
+        }
+        Reply::Json(bytes) => {
+            let mut response = Response::new(Body::from(bytes));
+            set(&mut response, header::CONTENT_TYPE, "application/json");
+            set(&mut response, header::CACHE_CONTROL, "no-store");
+            response
+        }
+    }
+}
+
+/// Sets a header; a value that is none is left out.
+pub(crate) fn set(response: &mut Response, name: HeaderName, value: &str) {
+    if let Ok(value) = HeaderValue::from_str(value) {
+        response.headers_mut().insert(name, value);
+    }
+}
+
+/// Sets what every answer carries.
+fn harden(response: &mut Response, secure: bool) {
+    for (name, value) in [
+        ("content-security-policy", CSP),
+        ("x-content-type-options", "nosniff"),
+        ("referrer-policy", "no-referrer"),
+        ("cross-origin-resource-policy", "same-origin"),
+        ("cross-origin-opener-policy", "same-origin"),
+        (
+            "permissions-policy",
+            "camera=(), microphone=(), geolocation=()",
+        ),
+    ] {
+        set(response, HeaderName::from_static(name), value);
+    }
+    if secure {
+        set(
+            response,
+            header::STRICT_TRANSPORT_SECURITY,
+            "max-age=31536000",
+        );
+    }
+}

@@ -1,0 +1,158 @@
+//! Server-sent events: what happens, as it happens.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::Poll;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes};
+use axum::http::header;
+use axum::response::Response;
+use tokio::sync::mpsc;
+
+use super::{App, Context, Reply, blocking, set, text};
+use crate::Error;
+use crate::store::Who;
+use crate::wire::{Change, Code, Role};
+
+/// How often the end of the log is looked at while somebody listens. Another server on the same store
+/// cannot tell us, so asking is what works for all.
+const LOOK: Duration = Duration::from_millis(300);
+/// A sign of life, so that proxies do not close the line.
+const BEAT: Duration = Duration::from_secs(15);
+/// Listeners at once.
+const LISTENERS: usize = 200;
+/// Entries made up for after a break.
+const MISSED: i64 = 1000;
+/// Entries read at a time.
+const BATCH: usize = 200;
+
+/// Looks at the end of the log for all listeners.
+pub(super) async fn watch(app: Arc<App>) {
+    loop {
+        tokio::time::sleep(LOOK).await;
+        if app.last_seq.receiver_count() == 0 {
+            continue;
+        }
+        let store = Arc::clone(&app.store);
+        // A store that does not answer has nothing to tell.
+        if let Ok(seq) = blocking(move || store.last_seq()).await {
+            app.last_seq.send_if_modified(|known| {
+                let news = *known != seq;
+                *known = seq;
+                news
+            });
+        }
+    }
+}
+
+struct Chunks(mpsc::Receiver<Bytes>);
+
+impl futures_core::Stream for Chunks {
+    type Item = Result<Bytes, std::convert::Infallible>;
+
+    fn poll_next(
+        mut self: Pin<&mut Self>,
+        context: &mut std::task::Context<'_>,
+    ) -> Poll<Option<Self::Item>> {
+        self.0.poll_recv(context).map(|chunk| chunk.map(Ok))
+    }
+}
+
+pub(super) async fn open(context: Context) -> Result<Reply, Error> {
+    let app = Arc::clone(&context.app);
+    let who = context
+        .who
+        .clone()
+        .ok_or_else(|| Error::refused(Code::Unauthenticated, "log in first"))?;
+    if app.last_seq.receiver_count() >= LISTENERS {
+        return Err(Error::refused(
+            Code::RateLimited,
+            format!("{LISTENERS} pages listen already; reload later"),
+        ));
+    }
+    let store = Arc::clone(&app.store);
+    let newest = blocking(move || store.last_seq()).await?;
+    let last_event = header::HeaderName::from_static("last-event-id");
+    let from = text(&context.headers, &last_event).and_then(|seq| seq.parse::<i64>().ok());
+    let (sender, receiver) = mpsc::channel(16);
+    let start = match from {
+        Some(from) if newest - from > MISSED || from > newest => {
+            // There is room for the first one.
+            let _sent = sender.try_send(Bytes::from_static(b"event: reset\ndata: {}\n\n"));
+            newest
+        }
+        Some(from) => from,
+        None => newest,
+    };
+    tokio::spawn(listen(app, who, start, sender));
+    let mut response = Response::new(Body::from_stream(Chunks(receiver)));
+    set(&mut response, header::CONTENT_TYPE, "text/event-stream");
+    set(&mut response, header::CACHE_CONTROL, "no-store");
+    Ok(Reply::Full(response))
+}
+
+/// Sends what happens until nobody listens any more.
+async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<Bytes>) {
+    let mut news = app.last_seq.subscribe();
+    if sender
+        .send(Bytes::from_static(b": connected\n\n"))
+        .await
+        .is_err()
+    {
+        return;
+    }
+    loop {
+        let (store, who) = (Arc::clone(&app.store), who.clone());
+        let Ok((seq, chunk)) = blocking(move || changes(store.as_ref(), &who, after)).await else {
+            return;
+        };
+        let more = seq - after >= BATCH as i64;
+        after = seq;
+        if !chunk.is_empty() && sender.send(Bytes::from(chunk)).await.is_err() {
+            return;
+        }
+        if more {
+            continue;
+        }
+        match tokio::time::timeout(BEAT, news.changed()).await {
+            Ok(Ok(())) => {}
+            Ok(Err(_)) => return,
+            Err(_) => {
+                if sender
+                    .send(Bytes::from_static(b": beat\n\n"))
+                    .await
+                    .is_err()
+                {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+/// What somebody is told of the entries after a place, and the place after them.
+fn changes(store: &dyn crate::store::Store, who: &Who, after: i64) -> Result<(i64, String), Error> {
+    let mut text = String::new();
+    let mut last = after;
+    for entry in store.log(after, BATCH)? {
+        last = entry.seq;
+        let mine = match entry.task {
+            Some(_) if entry.actor == Some(who.id) => true,
+            Some(task) => store.concerns(who.id, task)?,
+            None => false,
+        };
+        if !mine && who.role < Role::Reviewer {
+            continue;
+        }
+        let change = Change {
+            seq: entry.seq,
+            kind: entry.kind,
+            task: entry.task,
+            mine,
+        };
+        let data = serde_json::to_string(&change).unwrap_or_default();
+        text += &format!("id: {}\nevent: change\ndata: {data}\n\n", change.seq);
+    }
+    Ok((last, text))
+}

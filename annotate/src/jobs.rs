@@ -1,0 +1,214 @@
+//! Imports and exports in the background.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::Error;
+use crate::http::Clock;
+use crate::store::{Millis, MotionRecord, Store};
+use crate::transfer::{self, Exported, Selection, Taken};
+use crate::wire::{ExportFormat, ExportRequest, ImportFormat, Job};
+
+/// An import to be done.
+#[derive(Debug)]
+pub(crate) struct Import {
+    pub(crate) format: ImportFormat,
+    pub(crate) dataset: PathBuf,
+    pub(crate) body: Vec<u8>,
+}
+
+/// The folder of a job's files.
+pub(crate) fn folder(data: &Path, job: i64) -> PathBuf {
+    data.join("exports").join(job.to_string())
+}
+
+/// Jobs that ran when the server last ended have failed.
+pub(crate) fn abandon(store: &dyn Store, now: Millis) -> Result<(), Error> {
+    for mut job in store.jobs()? {
+        if job.state == "running" {
+            "failed".clone_into(&mut job.state);
+            job.finished = Some(now);
+            job.messages
+                .push("the server ended while it ran; start it again".to_owned());
+            store.put_job(job)?;
+        }
+    }
+    Ok(())
+}
+
+fn new_job(kind: &str, format: &str, now: Millis) -> Job {
+    Job {
+        id: 0,
+        kind: kind.to_owned(),
+        format: format.to_owned(),
+        state: "running".to_owned(),
+        done: 0,
+        total: None,
+        counts: BTreeMap::new(),
+        messages: Vec::new(),
+        files: Vec::new(),
+        started: now,
+        finished: None,
+    }
+}
+
+/// Ends a job, whatever became of it.
+fn finish(store: &dyn Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
+    job.finished = Some(clock());
+    match outcome {
+        Ok(()) => "done".clone_into(&mut job.state),
+        Err(error) => {
+            "failed".clone_into(&mut job.state);
+            job.messages.push(error.to_string());
+        }
+    }
+    // A store that fails now has told others already.
+    let _kept = store.put_job(job);
+}
+
+fn spawn(work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
+    std::thread::Builder::new()
+        .name("annotate-job".to_owned())
+        .spawn(work)
+        .map(|_| ())
+        .map_err(|source| Error::Io {
+            action: "start a thread for",
+            path: "a job".into(),
+            source,
+        })
+}
+
+pub(crate) fn start_import(
+    store: &Arc<dyn Store>,
+    clock: &Clock,
+    actor: i64,
+    import: Import,
+) -> Result<Job, Error> {
+    let job = store.put_job(new_job("import", import.format.as_str(), clock()))?;
+    let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
+    spawn(move || {
+        let outcome = run_import(store.as_ref(), &clock, actor, import, &mut running);
+        finish(store.as_ref(), &clock, running, outcome);
+    })?;
+    Ok(job)
+}
+
+fn run_import(
+    store: &dyn Store,
+    clock: &Clock,
+    actor: i64,
+    import: Import,
+    job: &mut Job,
+) -> Result<(), Error> {
+    let taken: Taken = match import.format {
+        ImportFormat::Dataset => {
+            let mut shown = job.clone();
+            transfer::from_dataset(
+                store,
+                &import.dataset,
+                Some(actor),
+                clock(),
+                &mut |done, total| {
+                    shown.done = done;
+                    shown.total = Some(total);
+                    // Progress that is lost is made up for by the next.
+                    let _kept = store.put_job(shown.clone());
+                },
+            )?
+        }
+        ImportFormat::Stance => {
+            let document = serde_json::from_slice(&import.body).map_err(|error| Error::Import {
+                what: "the annotations of a STANCE release".to_owned(),
+                problem: error.to_string(),
+            })?;
+            let motions = known_motions(store)?;
+            transfer::from_release(store, &motions, &document, Some(actor), clock())?
+        }
+        ImportFormat::Annotations => {
+            let file = tempfile_in(&std::env::temp_dir(), job.id, &import.body)?;
+            let motions = known_motions(store)?;
+            let taken = transfer::from_annotations(store, &motions, &file, Some(actor), clock());
+            // It lies among temporary files and goes with them in any case.
+            let _removed = std::fs::remove_file(&file);
+            taken?
+        }
+    };
+    job.done = taken.counts.values().sum();
+    job.counts = taken.counts;
+    job.messages.extend(taken.messages);
+    Ok(())
+}
+
+fn tempfile_in(folder: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
+    let path = folder.join(format!("annotate-{}-{job}.parquet", std::process::id()));
+    std::fs::write(&path, body).map_err(Error::io("write", &path))?;
+    Ok(path)
+}
+
+/// All motions of a store by their ids.
+pub(crate) fn known_motions(store: &dyn Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
+    Ok(store
+        .all_motions()?
+        .into_iter()
+        .map(|motion| (motion.id.clone(), motion))
+        .collect())
+}
+
+pub(crate) fn start_export(
+    store: &Arc<dyn Store>,
+    clock: &Clock,
+    data: &Path,
+    dataset: &Path,
+    actor: i64,
+    request: ExportRequest,
+) -> Result<Job, Error> {
+    let job = store.put_job(new_job("export", request.format.as_str(), clock()))?;
+    let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
+    let (folder, dataset) = (folder(data, job.id), dataset.to_owned());
+    spawn(move || {
+        let selection = Selection {
+            format: request.format,
+            splits: request.splits,
+            events: request.events,
+        };
+        let holder = format!("annotation server, process {}", std::process::id());
+        let outcome = transfer::export(store.as_ref(), &dataset, &folder, &selection, &holder)
+            .and_then(|done| {
+                log_export(
+                    store.as_ref(),
+                    Some(actor),
+                    selection.format,
+                    &done,
+                    clock(),
+                )
+                .map(|()| done)
+            })
+            .map(|done| {
+                running.done = done.counts.values().sum();
+                running.counts = done.counts;
+                running.messages = done.messages;
+                running.files = done.files;
+            });
+        finish(store.as_ref(), &clock, running, outcome);
+    })?;
+    Ok(job)
+}
+
+/// Writes an export into the log.
+///
+/// # Errors
+/// The store fails.
+pub fn log_export(
+    store: &dyn Store,
+    actor: Option<i64>,
+    format: ExportFormat,
+    done: &Exported,
+    now: Millis,
+) -> Result<(), Error> {
+    store.log_export(
+        actor,
+        serde_json::json!({ "format": format, "counts": done.counts }),
+        now,
+    )
+}

@@ -1,0 +1,307 @@
+//! Drafts by a language model, over any endpoint that speaks the chat interface of OpenAI.
+//!
+//! The address comes from whoever starts the server and from nowhere else; no redirect is followed.
+//! What comes back is text for a person to judge: capped, stripped of anything but plain characters,
+//! and never an answer. Without a model everything else works.
+
+use std::time::Duration;
+
+use datasets_spec::BodyPart;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::Error;
+use crate::store::{NewSuggestion, Store, TaskRecord};
+use crate::wire::{Code, SuggestionSource, TaskKind};
+
+/// Requests one person may cause in a minute.
+pub const MAX_REQUESTS_PER_MINUTE: u32 = 30;
+/// Longest a model may take.
+const TIMEOUT: Duration = Duration::from_secs(12);
+/// Characters kept of a draft.
+const MAX_DRAFT_CHARS: usize = 300;
+/// Bytes read of a response.
+const MAX_RESPONSE_BYTES: u64 = 256 * 1024;
+/// Characters of a caption that are passed on.
+const MAX_CAPTION_CHARS: usize = 500;
+/// Captions that are passed on.
+const MAX_CAPTIONS: usize = 6;
+
+/// A language model behind an address.
+pub struct Model {
+    url: String,
+    name: String,
+    key: Option<String>,
+    agent: ureq::Agent,
+}
+
+impl std::fmt::Debug for Model {
+    /// Without the key.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Model")
+            .field("url", &self.url)
+            .field("name", &self.name)
+            .finish_non_exhaustive()
+    }
+}
+
+#[derive(Serialize)]
+struct Request<'a> {
+    model: &'a str,
+    messages: [Message<'a>; 2],
+    temperature: f64,
+    max_tokens: u32,
+}
+
+#[derive(Serialize)]
+struct Message<'a> {
+    role: &'a str,
+    content: &'a str,
+}
+
+#[derive(Deserialize)]
+struct Response {
+    choices: Vec<Choice>,
+    usage: Option<Usage>,
+}
+
+#[derive(Deserialize)]
+struct Choice {
+    message: Content,
+}
+
+#[derive(Deserialize)]
+struct Content {
+    content: String,
+}
+
+#[derive(Deserialize)]
+struct Usage {
+    total_tokens: Option<i64>,
+}
+
+const SYSTEM: &str =
+    "You help to annotate human motion. Answer with one short English phrase and nothing else.";
+
+fn sha(bytes: &[u8]) -> String {
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+impl Model {
+    /// A model. `url` is the base of its interface, such as `http://localhost:8000/v1`.
+    ///
+    /// # Errors
+    /// The address is none of HTTP, or holds a user or a password.
+    pub fn new(url: &str, name: &str, key: Option<String>) -> Result<Self, Error> {
+        let refuse = |problem: &str| Error::Import {
+            what: "the address of the language model".to_owned(),
+            problem: problem.to_owned(),
+        };
+        let rest = url
+            .strip_prefix("https://")
+            .or_else(|| url.strip_prefix("http://"))
+            .ok_or_else(|| refuse("it has to begin with http:// or https://"))?;
+        if rest
+            .split('/')
+            .next()
+            .is_none_or(|host| host.is_empty() || host.contains('@'))
+        {
+            return Err(refuse("it has to name a host, without user and password"));
+        }
+        let agent = ureq::Agent::config_builder()
+            .timeout_global(Some(TIMEOUT))
+            .max_redirects(0)
+            .http_status_as_error(false)
+            .build()
+            .new_agent();
+        Ok(Self {
+            url: url.trim_end_matches('/').to_owned(),
+            name: name.to_owned(),
+            key: key.filter(|key| !key.is_empty()),
+            agent,
+        })
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Asks for a draft, or takes the one an equal question got before.
+    ///
+    /// # Errors
+    /// `model_failed`, or the store fails.
+    pub fn suggest(
+        &self,
+        store: &dyn Store,
+        task: &TaskRecord,
+        captions: &[&str],
+        parts: &[BodyPart],
+    ) -> Result<NewSuggestion, Error> {
+        let question = question(task, captions, parts);
+        let request = Request {
+            model: &self.name,
+            messages: [
+                Message {
+                    role: "system",
+                    content: SYSTEM,
+                },
+                Message {
+                    role: "user",
+                    content: &question,
+                },
+            ],
+            temperature: 0.2,
+            max_tokens: 80,
+        };
+        let failed = |problem: String| Error::refused(Code::ModelFailed, problem);
+        let body = serde_json::to_vec(&request).map_err(|error| failed(error.to_string()))?;
+        let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
+        if let Some(known) = store.cached_suggestion(&prompt_hash)? {
+            return Ok(known);
+        }
+        let response = self.ask(&body)?;
+        let parsed: Response = serde_json::from_slice(&response)
+            .map_err(|_| failed("the language model answered something else than it should; write the text yourself".to_owned()))?;
+        let text = parsed
+            .choices
+            .first()
+            .map(|choice| plain(&choice.message.content))
+            .filter(|text| !text.is_empty())
+            .ok_or_else(|| {
+                failed("the language model had nothing to say; write the text yourself".to_owned())
+            })?;
+        Ok(NewSuggestion {
+            source: SuggestionSource::Llm,
+            parts: parts.iter().map(|part| part.name().to_owned()).collect(),
+            text,
+            model: self.name.clone(),
+            prompt_hash,
+            params: format!(
+                "{{\"temperature\":{},\"max_tokens\":{}}}",
+                request.temperature, request.max_tokens
+            ),
+            tokens: parsed.usage.and_then(|usage| usage.total_tokens),
+            response_hash: sha(&response),
+        })
+    }
+
+    fn ask(&self, body: &[u8]) -> Result<Vec<u8>, Error> {
+        // What the other side says of itself is not passed on: it could hold the key.
+        let failed = |problem: &str| {
+            Error::refused(
+                Code::ModelFailed,
+                format!("the language model {problem}; write the text yourself or ask again"),
+            )
+        };
+        let mut request = self
+            .agent
+            .post(format!("{}/chat/completions", self.url))
+            .header("Content-Type", "application/json");
+        if let Some(key) = &self.key {
+            request = request.header("Authorization", format!("Bearer {key}"));
+        }
+        let mut response = request.send(body).map_err(|error| match error {
+            ureq::Error::Timeout(_) => failed("took too long"),
+            _ => failed("cannot be reached"),
+        })?;
+        let status = response.status().as_u16();
+        if status != 200 {
+            return Err(failed(&format!("answered with status {status}")));
+        }
+        response
+            .body_mut()
+            .with_config()
+            .limit(MAX_RESPONSE_BYTES)
+            .read_to_vec()
+            .map_err(|_| failed("broke off, or said too much"))
+    }
+}
+
+fn question(task: &TaskRecord, captions: &[&str], parts: &[BodyPart]) -> String {
+    let parts: Vec<String> = parts.iter().map(|part| part.phrase()).collect();
+    let parts = parts.join(" and ");
+    let captions: Vec<String> = captions
+        .iter()
+        .take(MAX_CAPTIONS)
+        .map(|caption| {
+            let capped: String = caption.chars().take(MAX_CAPTION_CHARS).collect();
+            format!("- {}", plain(&capped))
+        })
+        .collect();
+    let captions = if captions.is_empty() {
+        "- (none)".to_owned()
+    } else {
+        captions.join("\n")
+    };
+    match task.kind {
+        TaskKind::MaskText => format!(
+            "Captions of a motion:\n{captions}\n\nSay what the {parts} of the person does, to complete \"The person is ...\"."
+        ),
+        TaskKind::Pair => format!(
+            "Captions of a motion:\n{captions}\nIt was edited in the {parts}{}.\n\nGive the instruction for this edit.",
+            task.hint
+                .as_ref()
+                .map_or(String::new(), |hint| format!(", for: {}", plain(hint)))
+        ),
+        TaskKind::Style => format!(
+            "Captions of a motion:\n{captions}\nA second person performs it in the style {:?}, seen in the {parts}.\n\nGive the instruction that turns the first into the second.",
+            task.style.as_deref().unwrap_or("unknown")
+        ),
+    }
+}
+
+/// One line of plain characters.
+fn plain(text: &str) -> String {
+    let spaced: String = text
+        .chars()
+        .map(|c| if c.is_control() || c.is_whitespace() { ' ' } else { c })
+        // Marks that turn the direction of writing around have no place in an instruction.
+        .filter(|c| !matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'))
+        .collect();
+    let words: Vec<&str> = spaced.split_whitespace().collect();
+    let line = words.join(" ");
+    let line: String = line
+        .trim_matches('"')
+        .chars()
+        .take(MAX_DRAFT_CHARS)
+        .collect();
+    line.trim().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn drafts_become_one_plain_line() {
+        assert_eq!(
+            plain("\"waving\n their\tarm\u{202e}\u{0}\""),
+            "waving their arm"
+        );
+        assert_eq!(plain(&"x".repeat(1000)).len(), MAX_DRAFT_CHARS);
+    }
+
+    #[test]
+    fn only_web_addresses_are_taken() {
+        for (url, fine) in [
+            ("http://localhost:8000/v1", true),
+            ("https://models.example/v1/", true),
+            ("file:///etc/passwd", false),
+            ("http://user:secret@host/v1", false),
+            ("http:///v1", false),
+        ] {
+            assert_eq!(Model::new(url, "m", None).is_ok(), fine, "{url}");
+        }
+    }
+
+    #[test]
+    fn the_key_is_not_shown() {
+        let model =
+            Model::new("http://localhost/v1", "m", Some("secret".to_owned())).expect("fine");
+        assert!(!format!("{model:?}").contains("secret"));
+    }
+}

@@ -1,0 +1,237 @@
+//! The little that both databases are asked for: values, rows, and transactions.
+//!
+//! Statements are written once, with `?1`, `?2` … for the parameters and types both databases have:
+//! whole numbers are `BIGINT`, truth values are 0 and 1, the rest is `TEXT` or double precision.
+
+use crate::Error;
+
+/// A value of a parameter or a column.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Value {
+    /// Missing.
+    Null,
+    /// A whole number.
+    Int(i64),
+    /// A number.
+    Real(f64),
+    /// Text.
+    Text(String),
+}
+
+impl From<i64> for Value {
+    fn from(value: i64) -> Self {
+        Self::Int(value)
+    }
+}
+
+impl From<u32> for Value {
+    fn from(value: u32) -> Self {
+        Self::Int(value.into())
+    }
+}
+
+impl From<bool> for Value {
+    fn from(value: bool) -> Self {
+        Self::Int(value.into())
+    }
+}
+
+impl From<f64> for Value {
+    fn from(value: f64) -> Self {
+        Self::Real(value)
+    }
+}
+
+impl From<&str> for Value {
+    fn from(value: &str) -> Self {
+        Self::Text(value.to_owned())
+    }
+}
+
+impl From<String> for Value {
+    fn from(value: String) -> Self {
+        Self::Text(value)
+    }
+}
+
+impl From<&String> for Value {
+    fn from(value: &String) -> Self {
+        Self::Text(value.clone())
+    }
+}
+
+impl<T: Into<Value>> From<Option<T>> for Value {
+    fn from(value: Option<T>) -> Self {
+        value.map_or(Self::Null, Into::into)
+    }
+}
+
+/// Values for the parameters of a statement.
+macro_rules! params {
+    ($($value:expr),* $(,)?) => { &[$( $crate::store::db::Value::from($value), )*] };
+}
+pub(crate) use params;
+
+/// A row of an answer.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row(pub(crate) Vec<Value>);
+
+impl Row {
+    fn wrong(&self, column: usize, expected: &str) -> Error {
+        Error::Row {
+            table: "of an answer",
+            problem: format!(
+                "column {column} is {:?}, expected {expected}",
+                self.0.get(column)
+            ),
+        }
+    }
+
+    pub(crate) fn int(&self, column: usize) -> Result<i64, Error> {
+        match self.0.get(column) {
+            Some(Value::Int(value)) => Ok(*value),
+            _ => Err(self.wrong(column, "a whole number")),
+        }
+    }
+
+    pub(crate) fn flag(&self, column: usize) -> Result<bool, Error> {
+        Ok(self.int(column)? != 0)
+    }
+
+    pub(crate) fn count(&self, column: usize) -> Result<u32, Error> {
+        u32::try_from(self.int(column)?).map_err(|_| self.wrong(column, "a count"))
+    }
+
+    pub(crate) fn real(&self, column: usize) -> Result<f64, Error> {
+        match self.0.get(column) {
+            Some(Value::Real(value)) => Ok(*value),
+            Some(Value::Int(value)) => Ok(*value as f64),
+            _ => Err(self.wrong(column, "a number")),
+        }
+    }
+
+    pub(crate) fn text(&self, column: usize) -> Result<&str, Error> {
+        match self.0.get(column) {
+            Some(Value::Text(value)) => Ok(value),
+            _ => Err(self.wrong(column, "text")),
+        }
+    }
+
+    pub(crate) fn string(&self, column: usize) -> Result<String, Error> {
+        self.text(column).map(str::to_owned)
+    }
+
+    fn is_null(&self, column: usize) -> bool {
+        matches!(self.0.get(column), Some(Value::Null))
+    }
+
+    pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>, Error> {
+        if self.is_null(column) {
+            Ok(None)
+        } else {
+            self.int(column).map(Some)
+        }
+    }
+
+    pub(crate) fn opt_real(&self, column: usize) -> Result<Option<f64>, Error> {
+        if self.is_null(column) {
+            Ok(None)
+        } else {
+            self.real(column).map(Some)
+        }
+    }
+
+    pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>, Error> {
+        if self.is_null(column) {
+            Ok(None)
+        } else {
+            self.string(column).map(Some)
+        }
+    }
+
+    /// A column of JSON.
+    pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T, Error> {
+        serde_json::from_str(self.text(column)?).map_err(|error| Error::Row {
+            table: "of an answer",
+            problem: error.to_string(),
+        })
+    }
+}
+
+/// An open transaction.
+pub(crate) trait Tx {
+    /// Runs a statement; gives the rows it changed.
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error>;
+    /// Runs a question.
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error>;
+
+    /// Runs a question that has at most one answer.
+    fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>, Error> {
+        Ok(self.query(sql, params)?.into_iter().next())
+    }
+
+    /// Runs a question whose answer is one whole number; 0 without rows.
+    fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64, Error> {
+        self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
+    }
+}
+
+/// Work of a transaction.
+pub(crate) type Work = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send>;
+
+/// A database: transactions that write, one after the other, and questions beside them.
+pub(crate) trait Database: Send + Sync {
+    /// Runs work in a transaction; returns once it is durable. Work that fails leaves nothing behind.
+    fn write(&self, work: Work) -> Result<(), Error>;
+    /// Runs work that only asks, on a state that does not change meanwhile.
+    fn read(&self, work: Work) -> Result<(), Error>;
+    /// Writes a copy of everything to a new file, while others go on.
+    fn backup(&self, path: &std::path::Path) -> Result<(), Error>;
+    /// Whether a write would be taken now.
+    fn check(&self) -> Result<(), Error>;
+}
+
+/// [`Database::write`] with a value as its result.
+pub(crate) fn write<T: Send + 'static>(
+    db: &dyn Database,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    with_value(|work| db.write(work), work)
+}
+
+/// [`Database::read`] with a value as its result.
+pub(crate) fn read<T: Send + 'static>(
+    db: &dyn Database,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    with_value(|work| db.read(work), work)
+}
+
+fn with_value<T: Send + 'static>(
+    run: impl FnOnce(Work) -> Result<(), Error>,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    run(Box::new(move |tx| {
+        // The receiver lives until the transaction is durable, so sending cannot fail.
+        let _sent = sender.send(work(tx)?);
+        Ok(())
+    }))?;
+    receiver.try_recv().map_err(|_| Error::Closed)
+}
+
+/// Runs work that writes and takes everything back again, for its value alone.
+pub(crate) fn rehearse<T: Send + 'static>(
+    db: &dyn Database,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+) -> Result<T, Error> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    let outcome = db.write(Box::new(move |tx| {
+        // The receiver lives until the transaction has ended, so sending cannot fail.
+        let _sent = sender.send(work(tx)?);
+        Err(Error::Closed)
+    }));
+    receiver
+        .try_recv()
+        .map_err(|_| outcome.err().unwrap_or(Error::Closed))
+}

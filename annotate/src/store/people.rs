@@ -1,0 +1,282 @@
+//! Users, tokens and sessions. Of a token only its hash is kept.
+
+use sha2::{Digest, Sha256};
+
+use super::db::{Row, Tx, params};
+use super::log::{self, Body, Entry};
+use super::{IssuedToken, Millis, TokenUse, Who};
+use crate::Error;
+use crate::wire::{Code, Role, TokenInfo, User};
+
+/// Random bytes of a token.
+const TOKEN_BYTES: usize = 32;
+/// Uses of a token are noted when the last note is older than this.
+const NOTE_EVERY: Millis = 60_000;
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// SHA-256 of a token, hexadecimal.
+pub(super) fn hash(token: &str) -> String {
+    hex(&Sha256::digest(token.trim().as_bytes()))
+}
+
+fn new_token() -> Result<String, Error> {
+    let mut bytes = [0; TOKEN_BYTES];
+    getrandom::fill(&mut bytes).map_err(|error| Error::Io {
+        action: "read random bytes from",
+        path: "the operating system".into(),
+        source: std::io::Error::other(error.to_string()),
+    })?;
+    Ok(format!("ann_{}", hex(&bytes)))
+}
+
+fn read_user(row: &Row) -> Result<User, Error> {
+    Ok(User {
+        id: row.int(0)?,
+        name: row.string(1)?,
+        role: role(row.text(2)?)?,
+        active: row.flag(3)?,
+    })
+}
+
+fn role(text: &str) -> Result<Role, Error> {
+    Role::parse(text).ok_or_else(|| Error::Row {
+        table: "usr",
+        problem: format!("role {text:?} is not known"),
+    })
+}
+
+pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>, Error> {
+    tx.query("SELECT id, name, role, active FROM usr ORDER BY id", &[])?
+        .iter()
+        .map(read_user)
+        .collect()
+}
+
+fn user(tx: &mut dyn Tx, id: i64) -> Result<User, Error> {
+    let row = tx.one(
+        "SELECT id, name, role, active FROM usr WHERE id = ?1",
+        params![id],
+    )?;
+    read_user(&row.ok_or_else(|| Error::not_found("user"))?)
+}
+
+fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<(), Error> {
+    let entry = Entry {
+        at: now,
+        actor,
+        task: None,
+        epoch: None,
+        body: Body::RoleChanged {
+            user: user.id,
+            name: user.name.clone(),
+            role: user.role,
+            active: user.active,
+        },
+    };
+    log::note(tx, &entry)?;
+    Ok(())
+}
+
+pub(super) fn add(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    name: &str,
+    role: Role,
+    now: Millis,
+) -> Result<User, Error> {
+    let name = name.trim();
+    let bad = |c: char| c.is_control();
+    if name.is_empty() || name.chars().count() > 64 || name.chars().any(bad) {
+        return Err(Error::invalid(
+            "name",
+            "a name has 1 to 64 characters and no control characters",
+        ));
+    }
+    if tx
+        .one("SELECT 1 FROM usr WHERE name = ?1", params![name])?
+        .is_some()
+    {
+        return Err(Error::invalid(
+            "name",
+            format!("there is a user {name:?} already; choose another name"),
+        ));
+    }
+    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
+    tx.execute(
+        "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)",
+        params![id, name, role.as_str(), now],
+    )?;
+    let user = User {
+        id,
+        name: name.to_owned(),
+        role,
+        active: true,
+    };
+    logged(tx, actor, &user, now)?;
+    Ok(user)
+}
+
+pub(super) fn change(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    id: i64,
+    role: Option<Role>,
+    active: Option<bool>,
+    now: Millis,
+) -> Result<User, Error> {
+    let before = user(tx, id)?;
+    let after = User {
+        role: role.unwrap_or(before.role),
+        active: active.unwrap_or(before.active),
+        ..before.clone()
+    };
+    let is_admin = |user: &User| user.active && user.role == Role::Admin;
+    if is_admin(&before) && !is_admin(&after) {
+        let others = tx.number(
+            "SELECT COUNT(*) FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1",
+            params![id],
+        )?;
+        if others == 0 {
+            return Err(Error::invalid(
+                "role",
+                "this is the last admin; make another one first",
+            ));
+        }
+    }
+    tx.execute(
+        "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1",
+        params![id, after.role.as_str(), after.active],
+    )?;
+    if !after.active {
+        tx.execute("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
+    }
+    logged(tx, actor, &after, now)?;
+    Ok(after)
+}
+
+pub(super) fn issue(
+    tx: &mut dyn Tx,
+    id: i64,
+    purpose: TokenUse,
+    expires: Millis,
+    now: Millis,
+) -> Result<IssuedToken, Error> {
+    let user = user(tx, id)?;
+    if !user.active {
+        return Err(Error::invalid(
+            "user",
+            "this user is not active; activate them first",
+        ));
+    }
+    let token = new_token()?;
+    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
+    tx.execute(
+        "INSERT INTO token (id, usr, hash, purpose, created, expires, last_used, revoked)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, NULL, 0)",
+        params![id, user.id, hash(&token), purpose.as_str(), now, expires],
+    )?;
+    Ok(IssuedToken {
+        user,
+        id,
+        token,
+        expires,
+    })
+}
+
+/// Whose a token is.
+pub(super) struct Found {
+    pub(super) who: Who,
+    token: i64,
+    once: bool,
+    /// Whether its use is to be written down.
+    pub(super) needs_note: bool,
+}
+
+pub(super) fn find(
+    tx: &mut dyn Tx,
+    hash: &str,
+    purposes: &[TokenUse],
+    now: Millis,
+) -> Result<Found, Error> {
+    let refused = || {
+        Error::refused(
+            Code::Unauthenticated,
+            "this token is not known, was revoked, or has ended; ask an admin for a new one",
+        )
+    };
+    let row = tx
+        .one(
+            "SELECT k.id, k.purpose, k.expires, k.last_used, u.id, u.name, u.role
+             FROM token k JOIN usr u ON u.id = k.usr
+             WHERE k.hash = ?1 AND k.revoked = 0 AND u.active = 1",
+            params![hash],
+        )?
+        .ok_or_else(refused)?;
+    let purpose = row.text(1)?;
+    let once = purpose == TokenUse::Once.as_str();
+    let fits = purposes.iter().any(|allowed| allowed.as_str() == purpose);
+    if !fits || row.int(2)? <= now {
+        return Err(refused());
+    }
+    let last_used = row.opt_int(3)?;
+    Ok(Found {
+        who: Who {
+            id: row.int(4)?,
+            name: row.string(5)?,
+            role: role(row.text(6)?)?,
+        },
+        token: row.int(0)?,
+        once,
+        needs_note: once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
+    })
+}
+
+/// [`find`], and notes the use. A token that is good once is used up.
+pub(super) fn used(
+    tx: &mut dyn Tx,
+    hash: &str,
+    purposes: &[TokenUse],
+    now: Millis,
+) -> Result<Who, Error> {
+    let found = find(tx, hash, purposes, now)?;
+    tx.execute(
+        "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1",
+        params![found.token, now, found.once],
+    )?;
+    Ok(found.who)
+}
+
+pub(super) fn tokens(tx: &mut dyn Tx, user: i64) -> Result<Vec<TokenInfo>, Error> {
+    tx.query(
+        "SELECT id, usr, created, expires, last_used, revoked FROM token
+         WHERE usr = ?1 AND purpose <> 'session' ORDER BY id",
+        params![user],
+    )?
+    .iter()
+    .map(|row| {
+        Ok(TokenInfo {
+            id: row.int(0)?,
+            user: row.int(1)?,
+            created: row.int(2)?,
+            expires: row.int(3)?,
+            last_used: row.opt_int(4)?,
+            revoked: row.flag(5)?,
+        })
+    })
+    .collect()
+}
+
+/// Revokes a token, and the sessions of its owner with it: whoever stole the one may hold the others.
+pub(super) fn revoke(tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
+    let row = tx.one("SELECT usr FROM token WHERE id = ?1", params![id])?;
+    let user = row.ok_or_else(|| Error::not_found("token"))?.int(0)?;
+    tx.execute("UPDATE token SET revoked = 1 WHERE id = ?1", params![id])?;
+    tx.execute(
+        "UPDATE token SET revoked = 1 WHERE usr = ?1 AND purpose = 'session'",
+        params![user],
+    )?;
+    Ok(())
+}

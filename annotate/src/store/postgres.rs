@@ -1,0 +1,319 @@
+//! PostgreSQL: the same tables and statements, for several servers on one store.
+//!
+//! Places in the log have no gaps, so transactions that write take turns: each begins with a lock that
+//! it holds to its end. A claim needs nothing more to be exact, and `SKIP LOCKED` would gain nothing.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::{Condvar, Mutex};
+
+use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
+use postgres::{Client, NoTls, Statement, Transaction};
+
+use super::db::{Database, Row, Tx, Value, Work};
+use crate::Error;
+
+/// Connections, and so transactions at once.
+const CONNECTIONS: usize = 8;
+/// The lock writers take turns by: the letters of "annotate".
+const TURN: i64 = 0x616e_6e6f_7461_7465;
+const SCHEMA: &str = include_str!("schema.sql");
+/// Version of the tables.
+const VERSION: i64 = 1;
+/// The log only grows.
+const TRIGGERS: &str = "
+CREATE FUNCTION event_only_grows() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN RAISE EXCEPTION 'the log only grows'; END $$;
+CREATE TRIGGER event_no_change BEFORE UPDATE OR DELETE ON event
+FOR EACH ROW EXECUTE FUNCTION event_only_grows();
+CREATE TABLE version (number BIGINT NOT NULL);";
+
+struct Connection {
+    client: Client,
+    statements: HashMap<String, Statement>,
+}
+
+/// A store in a schema of a database.
+pub(crate) struct Postgres {
+    url: String,
+    schema: String,
+    idle: Mutex<Vec<Connection>>,
+    back: Condvar,
+}
+
+fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
+    move |source| {
+        let full = source
+            .code()
+            .is_some_and(|code| matches!(code.code(), "53100" | "25006"));
+        if full {
+            return Error::ReadOnly {
+                reason: "the database is full or read-only".to_owned(),
+            };
+        }
+        Error::Postgres { action, source }
+    }
+}
+
+impl Postgres {
+    /// Connects, and makes the tables if they are not there.
+    pub(crate) fn open(url: &str, schema: &str) -> Result<Self, Error> {
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+        if schema.is_empty() || !schema.chars().all(plain) {
+            return Err(Error::Open {
+                path: schema.to_owned(),
+                reason: "a schema is named with small letters, digits and underscores".to_owned(),
+            });
+        }
+        let store = Self {
+            url: url.to_owned(),
+            schema: schema.to_owned(),
+            idle: Mutex::new(Vec::new()),
+            back: Condvar::new(),
+        };
+        let mut first = store.connect()?;
+        let make = failed("make its tables");
+        let mut tx = first.client.transaction().map_err(&make)?;
+        tx.execute("SELECT pg_advisory_xact_lock($1)", &[&TURN])
+            .map_err(&make)?;
+        tx.batch_execute(&format!("CREATE SCHEMA IF NOT EXISTS {schema}"))
+            .map_err(&make)?;
+        let there = tx
+            .query_one(
+                "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = $1 AND table_name = 'version'",
+                &[&schema],
+            )
+            .map_err(&make)?
+            .get::<_, i64>(0);
+        if there == 0 {
+            tx.batch_execute(SCHEMA).map_err(&make)?;
+            tx.batch_execute(TRIGGERS).map_err(&make)?;
+            tx.execute("INSERT INTO version (number) VALUES ($1)", &[&VERSION])
+                .map_err(&make)?;
+        }
+        let version: i64 = tx
+            .query_one("SELECT number FROM version", &[])
+            .map_err(&make)?
+            .get(0);
+        if version != VERSION {
+            return Err(Error::Open {
+                path: store.place(),
+                reason: format!(
+                    "its tables are of version {version}, this program knows {VERSION}"
+                ),
+            });
+        }
+        tx.commit().map_err(&make)?;
+        let mut idle = vec![first];
+        for _ in 1..CONNECTIONS {
+            idle.push(store.connect()?);
+        }
+        *store.idle() = idle;
+        Ok(store)
+    }
+
+    /// What messages call the store: without the password of its address.
+    fn place(&self) -> String {
+        let host = self.url.rsplit('@').next().unwrap_or_default();
+        format!("{host}, schema {}", self.schema)
+    }
+
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {
+        self.idle
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+
+    fn connect(&self) -> Result<Connection, Error> {
+        let mut client = Client::connect(&self.url, NoTls).map_err(|error| Error::Open {
+            path: self.place(),
+            reason: error.to_string(),
+        })?;
+        client
+            .batch_execute(&format!(
+                "SET search_path TO {}; SET synchronous_commit TO on",
+                self.schema
+            ))
+            .map_err(failed("set itself up"))?;
+        Ok(Connection {
+            client,
+            statements: HashMap::new(),
+        })
+    }
+
+    fn run(&self, work: Work, begin: &str, turn: bool) -> Result<(), Error> {
+        let mut idle = self.idle();
+        let mut connection = loop {
+            if let Some(connection) = idle.pop() {
+                break connection;
+            }
+            idle = self
+                .back
+                .wait(idle)
+                .unwrap_or_else(std::sync::PoisonError::into_inner);
+        };
+        drop(idle);
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            if connection.client.is_closed() {
+                connection = self.connect()?;
+            }
+            transact(&mut connection, work, begin, turn)
+        }))
+        .unwrap_or(Err(Error::Closed));
+        self.idle().push(connection);
+        self.back.notify_one();
+        outcome
+    }
+}
+
+fn transact(connection: &mut Connection, work: Work, begin: &str, turn: bool) -> Result<(), Error> {
+    let wrap = failed("begin a transaction");
+    let mut tx = connection.client.transaction().map_err(&wrap)?;
+    tx.batch_execute(begin).map_err(&wrap)?;
+    if turn {
+        tx.execute("SELECT pg_advisory_xact_lock($1)", &[&TURN])
+            .map_err(&wrap)?;
+    }
+    let mut open = PostgresTx {
+        tx,
+        statements: &mut connection.statements,
+    };
+    // A transaction that is dropped is rolled back.
+    work(&mut open)?;
+    open.tx.commit().map_err(failed("commit"))
+}
+
+struct PostgresTx<'a> {
+    tx: Transaction<'a>,
+    statements: &'a mut HashMap<String, Statement>,
+}
+
+impl PostgresTx<'_> {
+    fn statement(&mut self, sql: &str) -> Result<Statement, Error> {
+        if let Some(statement) = self.statements.get(sql) {
+            return Ok(statement.clone());
+        }
+        let statement = self
+            .tx
+            .prepare(&sql.replace('?', "$"))
+            .map_err(failed("prepare a statement"))?;
+        self.statements.insert(sql.to_owned(), statement.clone());
+        Ok(statement)
+    }
+}
+
+impl ToSql for Value {
+    fn to_sql(
+        &self,
+        ty: &Type,
+        out: &mut postgres::types::private::BytesMut,
+    ) -> Result<IsNull, Box<dyn std::error::Error + Sync + Send>> {
+        match self {
+            Self::Null => Ok(IsNull::Yes),
+            // A whole number may stand where a number is meant, and a small one is a small type.
+            Self::Int(value) if *ty == Type::FLOAT8 => (*value as f64).to_sql(ty, out),
+            Self::Int(value) if *ty == Type::INT4 => i32::try_from(*value)?.to_sql(ty, out),
+            Self::Int(value) => value.to_sql(ty, out),
+            Self::Real(value) => value.to_sql(ty, out),
+            Self::Text(value) => value.to_sql(ty, out),
+        }
+    }
+
+    fn accepts(_: &Type) -> bool {
+        true
+    }
+
+    to_sql_checked!();
+}
+
+/// A column of any type the statements ask for.
+struct Column(Value);
+
+impl<'a> FromSql<'a> for Column {
+    fn from_sql(
+        ty: &Type,
+        raw: &'a [u8],
+    ) -> Result<Self, Box<dyn std::error::Error + Sync + Send>> {
+        let value = match *ty {
+            Type::INT8 => Value::Int(i64::from_sql(ty, raw)?),
+            Type::INT4 => Value::Int(i32::from_sql(ty, raw)?.into()),
+            Type::FLOAT8 => Value::Real(f64::from_sql(ty, raw)?),
+            _ => Value::Text(<&str>::from_sql(&Type::TEXT, raw)?.to_owned()),
+        };
+        Ok(Self(value))
+    }
+
+    fn from_sql_null(_: &Type) -> Result<Self, Box<dyn std::error::Error + Sync + Send>> {
+        Ok(Self(Value::Null))
+    }
+
+    fn accepts(_: &Type) -> bool {
+        true
+    }
+}
+
+fn borrowed(params: &[Value]) -> Vec<&(dyn ToSql + Sync)> {
+    params
+        .iter()
+        .map(|value| value as &(dyn ToSql + Sync))
+        .collect()
+}
+
+impl Tx for PostgresTx<'_> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+        let statement = self.statement(sql)?;
+        self.tx
+            .execute(&statement, &borrowed(params))
+            .map_err(failed("write"))
+    }
+
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+        let statement = self.statement(sql)?;
+        let rows = self
+            .tx
+            .query(&statement, &borrowed(params))
+            .map_err(failed("read"))?;
+        Ok(rows
+            .iter()
+            .map(|row| {
+                Row((0..row.len())
+                    .map(|column| row.get::<_, Column>(column).0)
+                    .collect())
+            })
+            .collect())
+    }
+}
+
+impl Database for Postgres {
+    fn write(&self, work: Work) -> Result<(), Error> {
+        self.run(work, "", true)
+    }
+
+    fn read(&self, work: Work) -> Result<(), Error> {
+        self.run(
+            work,
+            "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY",
+            false,
+        )
+    }
+
+    fn backup(&self, _: &Path) -> Result<(), Error> {
+        Err(Error::Open {
+            path: self.place(),
+            reason: format!(
+                "a PostgreSQL database is copied by its own program: pg_dump --schema={}",
+                self.schema
+            ),
+        })
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        self.write(Box::new(|tx| {
+            tx.execute(
+                "INSERT INTO setting (name, body) VALUES ('ready', '') ON CONFLICT (name) DO UPDATE SET body = ''",
+                &[],
+            )?;
+            Ok(())
+        }))
+    }
+}

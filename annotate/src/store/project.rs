@@ -1,0 +1,488 @@
+//! Settings, preferences, motions, suggestions and jobs.
+
+use super::db::{Row, Tx, params};
+use super::log::{self, Body, Entry};
+use super::{Millis, MotionRecord, NewSuggestion};
+use crate::Error;
+use crate::wire::{Job, Prefs, Settings, Suggestion, SuggestionSource};
+
+/// Name the settings are kept under.
+const SETTINGS: &str = "settings";
+/// Jobs listed.
+const JOBS: i64 = 100;
+
+fn json<T: serde::Serialize>(table: &'static str, value: &T) -> Result<String, Error> {
+    serde_json::to_string(value).map_err(|error| Error::Row {
+        table,
+        problem: error.to_string(),
+    })
+}
+
+pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
+    match tx.one(
+        "SELECT body FROM setting WHERE name = ?1",
+        params![SETTINGS],
+    )? {
+        Some(row) => row.json(0),
+        None => Ok(Settings::default()),
+    }
+}
+
+pub(super) fn put_settings(
+    tx: &mut dyn Tx,
+    actor: i64,
+    settings: Settings,
+    now: Millis,
+) -> Result<(), Error> {
+    check(&settings)?;
+    let body = json("setting", &settings)?;
+    tx.execute(
+        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
+        params![SETTINGS, body],
+    )?;
+    let entry = Entry {
+        at: now,
+        actor: Some(actor),
+        task: None,
+        epoch: None,
+        body: Body::SettingsChanged {
+            settings: Box::new(settings),
+        },
+    };
+    log::note(tx, &entry)?;
+    Ok(())
+}
+
+/// Checks settings.
+fn check(settings: &Settings) -> Result<(), Error> {
+    const MAX_NAMES: usize = 200;
+    const MAX_GUIDE: usize = 100_000;
+    let shares = [
+        ("overlap_percent", settings.overlap_percent),
+        ("gold_percent", settings.gold_percent),
+        ("blind_percent", settings.blind_percent),
+        ("review_percent", settings.review_percent),
+    ];
+    for (field, share) in shares {
+        if share > 100 {
+            return Err(Error::invalid(
+                field,
+                format!("{share} % is more than all; 0 to 100 will do"),
+            ));
+        }
+    }
+    let ranges = [
+        ("answers_per_task", settings.answers_per_task, 1, 50),
+        ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
+        ("returned_days", settings.returned_days, 1, 365),
+    ];
+    for (field, value, least, most) in ranges {
+        if !(least..=most).contains(&value) {
+            return Err(Error::invalid(
+                field,
+                format!("{value} is out of range; {least} to {most} will do"),
+            ));
+        }
+    }
+    if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
+        return Err(Error::invalid(
+            "max_masks",
+            format!(
+                "at least min_masks and at most {} will do",
+                crate::wire::MAX_MASKS
+            ),
+        ));
+    }
+    if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
+        return Err(Error::invalid(
+            "name",
+            "a project has a name of up to 100 characters",
+        ));
+    }
+    for (field, names) in [
+        ("styles", &settings.styles),
+        ("templates", &settings.templates),
+    ] {
+        let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
+        if names.len() > MAX_NAMES || names.iter().any(bad) {
+            return Err(Error::invalid(
+                field,
+                format!("up to {MAX_NAMES} names of up to 100 characters will do"),
+            ));
+        }
+    }
+    if settings.guide.chars().count() > MAX_GUIDE {
+        return Err(Error::invalid(
+            "guide",
+            format!("up to {MAX_GUIDE} characters will do"),
+        ));
+    }
+    Ok(())
+}
+
+pub(super) fn prefs(tx: &mut dyn Tx, user: i64) -> Result<Prefs, Error> {
+    match tx.one("SELECT body FROM pref WHERE usr = ?1", params![user])? {
+        Some(row) => row.json(0),
+        None => Ok(Prefs::default()),
+    }
+}
+
+pub(super) fn put_prefs(tx: &mut dyn Tx, user: i64, prefs: &Prefs) -> Result<(), Error> {
+    check_prefs(prefs)?;
+    tx.execute(
+        "INSERT INTO pref (usr, body) VALUES (?1, ?2) ON CONFLICT (usr) DO UPDATE SET body = excluded.body",
+        params![user, json("pref", prefs)?],
+    )?;
+    Ok(())
+}
+
+/// Keys are the names a browser gives to the places on a keyboard, and nothing else is kept.
+fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
+    const MAX_KEYS: usize = 4;
+    for (action, keys) in &prefs.keys {
+        if keys.len() > MAX_KEYS {
+            return Err(Error::invalid(
+                "keys",
+                format!("{action} has more than {MAX_KEYS} keys"),
+            ));
+        }
+        for key in keys {
+            let mut rest = key.as_str();
+            for modifier in ["Ctrl+", "Alt+", "Shift+"] {
+                rest = rest.strip_prefix(modifier).unwrap_or(rest);
+            }
+            if !is_key(rest) {
+                return Err(Error::invalid(
+                    "keys",
+                    format!(
+                        "{key:?} is no key; write Ctrl+, Alt+ and Shift+ in this order before a KeyboardEvent.code"
+                    ),
+                ));
+            }
+        }
+    }
+    if let Some(speed) = prefs.speed
+        && !(0.1..=2.0).contains(&speed)
+    {
+        return Err(Error::invalid("speed", "0.1 to 2 will do"));
+    }
+    Ok(())
+}
+
+fn is_key(code: &str) -> bool {
+    const NAMED: [&str; 31] = [
+        "Space",
+        "Enter",
+        "Escape",
+        "Tab",
+        "Backspace",
+        "Delete",
+        "Insert",
+        "Home",
+        "End",
+        "PageUp",
+        "PageDown",
+        "ArrowLeft",
+        "ArrowRight",
+        "ArrowUp",
+        "ArrowDown",
+        "Minus",
+        "Equal",
+        "BracketLeft",
+        "BracketRight",
+        "Backslash",
+        "Semicolon",
+        "Quote",
+        "Backquote",
+        "Comma",
+        "Period",
+        "Slash",
+        "IntlBackslash",
+        "IntlRo",
+        "IntlYen",
+        "NumpadEnter",
+        "NumpadAdd",
+    ];
+    let one = |prefix: &str, allowed: fn(char) -> bool| {
+        code.strip_prefix(prefix).is_some_and(|rest| {
+            let mut chars = rest.chars();
+            chars.next().is_some_and(allowed) && chars.next().is_none()
+        })
+    };
+    let function = code
+        .strip_prefix('F')
+        .and_then(|number| number.parse::<u8>().ok())
+        .is_some_and(|number| (1..=24).contains(&number) && code == format!("F{number}"));
+    NAMED.contains(&code)
+        || one("Key", |c| c.is_ascii_uppercase())
+        || one("Digit", |c| c.is_ascii_digit())
+        || one("Numpad", |c| c.is_ascii_digit())
+        || function
+}
+
+pub(super) fn put_motions(tx: &mut dyn Tx, motions: &[MotionRecord]) -> Result<(), Error> {
+    for motion in motions {
+        tx.execute(
+            "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)
+             ON CONFLICT (hash) DO NOTHING",
+            params![
+                &motion.hash,
+                &motion.id,
+                &motion.split,
+                motion.frames,
+                motion.fps,
+                json("motion", &motion.captions)?,
+                motion.style.clone(),
+                motion.action.clone()
+            ],
+        )?;
+    }
+    Ok(())
+}
+
+const MOTION_COLUMNS: &str = "hash, id, split, frames, fps, captions, style, action";
+
+fn read_motion(row: &Row) -> Result<MotionRecord, Error> {
+    Ok(MotionRecord {
+        hash: row.string(0)?,
+        id: row.string(1)?,
+        split: row.string(2)?,
+        frames: row.int(3)?,
+        fps: row.real(4)?,
+        captions: row.json(5)?,
+        style: row.opt_text(6)?,
+        action: row.opt_text(7)?,
+    })
+}
+
+/// Motions in the order of the hashes; unknown ones are left out.
+pub(super) fn motions(tx: &mut dyn Tx, hashes: &[String]) -> Result<Vec<MotionRecord>, Error> {
+    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE hash = ?1");
+    let mut motions = Vec::new();
+    for hash in hashes {
+        if let Some(row) = tx.one(&sql, params![hash])? {
+            motions.push(read_motion(&row)?);
+        }
+    }
+    Ok(motions)
+}
+
+pub(super) fn all_motions(tx: &mut dyn Tx) -> Result<Vec<MotionRecord>, Error> {
+    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion ORDER BY id");
+    tx.query(&sql, &[])?.iter().map(read_motion).collect()
+}
+
+/// Motions that follow this one in its split, by hash and around the end: hashes are as good as
+/// random, so partners differ from motion to motion and stay the same for each.
+pub(super) fn partners(
+    tx: &mut dyn Tx,
+    hash: &str,
+    limit: usize,
+) -> Result<Vec<MotionRecord>, Error> {
+    let Some(row) = tx.one("SELECT split FROM motion WHERE hash = ?1", params![hash])? else {
+        return Err(Error::not_found("motion"));
+    };
+    let split = row.string(0)?;
+    let mut found = Vec::new();
+    for comparison in [">", "<"] {
+        let sql = format!(
+            "SELECT {MOTION_COLUMNS} FROM motion WHERE split = ?1 AND hash {comparison} ?2 ORDER BY hash LIMIT ?3"
+        );
+        let wanted = limit - found.len();
+        for row in tx.query(&sql, params![&split, hash, wanted as i64])? {
+            found.push(read_motion(&row)?);
+        }
+    }
+    Ok(found)
+}
+
+const SUGGESTION_COLUMNS: &str = "id, source, parts, text, model";
+
+fn read_suggestion(row: &Row) -> Result<Suggestion, Error> {
+    Ok(Suggestion {
+        id: row.int(0)?,
+        source: source(row.text(1)?)?,
+        parts: row.json(2)?,
+        text: row.string(3)?,
+        model: row.string(4)?,
+    })
+}
+
+fn source(text: &str) -> Result<SuggestionSource, Error> {
+    SuggestionSource::parse(text).ok_or_else(|| Error::Row {
+        table: "suggestion",
+        problem: format!("source {text:?} is not known"),
+    })
+}
+
+pub(super) fn put_suggestion(
+    tx: &mut dyn Tx,
+    task: i64,
+    new: &NewSuggestion,
+    now: Millis,
+) -> Result<Suggestion, Error> {
+    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM suggestion", &[])?;
+    tx.execute(
+        "INSERT INTO suggestion (id, task, source, parts, text, model, prompt_hash, params, tokens, response_hash, at)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        params![
+            id,
+            task,
+            new.source.as_str(),
+            json("suggestion", &new.parts)?,
+            &new.text,
+            &new.model,
+            &new.prompt_hash,
+            &new.params,
+            new.tokens,
+            &new.response_hash,
+            now
+        ],
+    )?;
+    Ok(Suggestion {
+        id,
+        source: new.source,
+        parts: new.parts.clone(),
+        text: new.text.clone(),
+        model: new.model.clone(),
+    })
+}
+
+pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>, Error> {
+    let sql = format!("SELECT {SUGGESTION_COLUMNS} FROM suggestion WHERE task = ?1 ORDER BY id");
+    tx.query(&sql, params![task])?
+        .iter()
+        .map(read_suggestion)
+        .collect()
+}
+
+pub(super) fn suggestions(tx: &mut dyn Tx, ids: &[i64]) -> Result<Vec<Suggestion>, Error> {
+    let sql = format!("SELECT {SUGGESTION_COLUMNS} FROM suggestion WHERE id = ?1");
+    let mut found = Vec::new();
+    for id in ids {
+        if let Some(row) = tx.one(&sql, params![*id])? {
+            found.push(read_suggestion(&row)?);
+        }
+    }
+    Ok(found)
+}
+
+pub(super) fn cached_suggestion(
+    tx: &mut dyn Tx,
+    prompt_hash: &str,
+) -> Result<Option<NewSuggestion>, Error> {
+    let row = tx.one(
+        "SELECT source, parts, text, model, prompt_hash, params, tokens, response_hash FROM suggestion
+         WHERE prompt_hash = ?1 ORDER BY id LIMIT 1",
+        params![prompt_hash],
+    )?;
+    row.map(|row| {
+        Ok(NewSuggestion {
+            source: source(row.text(0)?)?,
+            parts: row.json(1)?,
+            text: row.string(2)?,
+            model: row.string(3)?,
+            prompt_hash: row.string(4)?,
+            params: row.string(5)?,
+            tokens: row.opt_int(6)?,
+            response_hash: row.string(7)?,
+        })
+    })
+    .transpose()
+}
+
+pub(super) fn put_job(tx: &mut dyn Tx, mut job: Job) -> Result<Job, Error> {
+    if job.id == 0 {
+        job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
+    }
+    tx.execute(
+        "INSERT INTO job (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO UPDATE SET body = excluded.body",
+        params![job.id, json("job", &job)?],
+    )?;
+    Ok(job)
+}
+
+pub(super) fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>, Error> {
+    tx.query(
+        "SELECT body FROM job ORDER BY id DESC LIMIT ?1",
+        params![JOBS],
+    )?
+    .iter()
+    .map(|row| row.json(0))
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_keys_are_keys() {
+        for good in [
+            "KeyA",
+            "Digit1",
+            "Space",
+            "F12",
+            "Ctrl+Shift+KeyZ",
+            "Numpad5",
+            "Shift+Tab",
+        ] {
+            let prefs = Prefs {
+                keys: [(crate::wire::Action::Undo, vec![good.to_owned()])].into(),
+                ..Prefs::default()
+            };
+            assert!(check_prefs(&prefs).is_ok(), "{good}");
+        }
+        for bad in [
+            "",
+            "Keya",
+            "KeyAB",
+            "F25",
+            "F01",
+            "<b>",
+            "javascript:x",
+            "Shift+Ctrl+KeyZ",
+            "Meta+KeyA",
+        ] {
+            let prefs = Prefs {
+                keys: [(crate::wire::Action::Undo, vec![bad.to_owned()])].into(),
+                ..Prefs::default()
+            };
+            assert!(check_prefs(&prefs).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn settings_are_bounded() {
+        assert!(check(&Settings::default()).is_ok());
+        for broken in [
+            Settings {
+                gold_percent: 101,
+                ..Settings::default()
+            },
+            Settings {
+                answers_per_task: 0,
+                ..Settings::default()
+            },
+            Settings {
+                lease_minutes: 0,
+                ..Settings::default()
+            },
+            Settings {
+                min_masks: 5,
+                ..Settings::default()
+            },
+            Settings {
+                styles: vec![String::new()],
+                ..Settings::default()
+            },
+            Settings {
+                name: " ".to_owned(),
+                ..Settings::default()
+            },
+        ] {
+            assert!(check(&broken).is_err());
+        }
+    }
+}

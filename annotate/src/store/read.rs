@@ -1,0 +1,476 @@
+//! What is asked of the store without changing it.
+
+use super::db::{Row, Tx, Value, params};
+use super::log::{self, NUM_TASK_COLUMNS};
+use super::{
+    AcceptedAnswer, AuditFilter, BundleEntry, Label, Millis, PersonCounts, ShelfFilter, TaskDetail,
+    TaskRecord, WeekCounts, Who, people, project,
+};
+use crate::Error;
+use crate::state::Purpose;
+use crate::wire::{
+    Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, Role,
+    TaskKind, TaskState, Verdict,
+};
+
+const DAY: Millis = 24 * 60 * 60 * 1000;
+
+pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
+    let held = log::lease_of(tx, task, user)?.is_some();
+    Ok(held || log::revision(tx, task, user)?.is_some())
+}
+
+pub(super) fn detail(tx: &mut dyn Tx, who: &Who, id: i64) -> Result<TaskDetail, Error> {
+    if who.role < Role::Reviewer && !concerns(tx, who.id, id)? {
+        return Err(Error::not_found("task"));
+    }
+    let task = log::task(tx, id)?;
+    let held = log::lease_of(tx, id, who.id)?;
+    let mine = log::revision(tx, id, who.id)?;
+    let blind = match &held {
+        Some(held) => held.blind,
+        None => {
+            tx.number(
+                "SELECT blind FROM revision WHERE task = ?1 AND author = ?2",
+                params![id, who.id],
+            )? != 0
+        }
+    };
+    let comment = tx.one(
+        "SELECT comment FROM review WHERE task = ?1 AND decision = 'returned'
+           AND (author IS NULL OR author = ?2) ORDER BY seq DESC LIMIT 1",
+        params![id, who.id],
+    )?;
+    let came_back = mine
+        .as_ref()
+        .is_some_and(|mine| matches!(mine.state, RevisionState::Returned | RevisionState::Draft));
+    Ok(TaskDetail {
+        bundle: bundle(tx, &task, who.id)?,
+        lease: held
+            .filter(|held| held.purpose == Purpose::Annotate)
+            .map(|held| held.lease),
+        comment: comment
+            .filter(|_| came_back)
+            .map(|row| row.string(0))
+            .transpose()?,
+        suggestions: if blind {
+            Vec::new()
+        } else {
+            project::suggestions_of(tx, id)?
+        },
+        blind,
+        mine,
+        task,
+    })
+}
+
+fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>, Error> {
+    let Some(bundle) = task.bundle else {
+        return Ok(Vec::new());
+    };
+    tx.query(
+        "SELECT t.id, r.state, r.verdict,
+           (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2 AND l.purpose = 'annotate')
+         FROM task t LEFT JOIN revision r ON r.task = t.id AND r.author = ?2
+         WHERE t.bundle = ?1 ORDER BY t.bundle_index, t.id",
+        params![bundle, user],
+    )?
+    .iter()
+    .map(|row| {
+        Ok(BundleEntry {
+            task: row.int(0)?,
+            mine: row
+                .opt_text(1)?
+                .map(|state| log::revision_state(&state))
+                .transpose()?,
+            verdict: row.opt_text(2)?.and_then(|verdict| Verdict::parse(&verdict)),
+            leased: row.flag(3)?,
+        })
+    })
+    .collect()
+}
+
+pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Error> {
+    let midnight = now - now.rem_euclid(DAY);
+    let mut queues = Vec::new();
+    for &kind in TaskKind::ALL {
+        let name = kind.as_str();
+        let total = tx.number(
+            "SELECT COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL AND state <> 'dropped'",
+            params![name],
+        )?;
+        let done = tx.number(
+            "SELECT COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL AND state IN ('submitted', 'in_review', 'accepted')",
+            params![name],
+        )?;
+        let mine = tx.number(
+            "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
+             WHERE r.author = ?2 AND r.state IN ('submitted', 'accepted', 'superseded') AND t.kind = ?1",
+            params![name, user],
+        )?;
+        let claimable = tx.number(
+            "SELECT COUNT(*) FROM task WHERE kind = ?1 AND claimable = 1",
+            params![name],
+        )?;
+        let not_for_me = tx.number(
+            "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
+             WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.claimable = 1",
+            params![name, user],
+        )?;
+        let skipped = tx.number(
+            "SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
+             WHERE s.usr = ?2 AND s.postponed = 0 AND t.kind = ?1 AND t.claimable = 1",
+            params![name, user],
+        )?;
+        queues.push(QueueInfo {
+            kind,
+            total,
+            done,
+            mine,
+            open: (claimable - not_for_me - skipped).max(0),
+        });
+    }
+    let returned = tx
+        .query(
+            "SELECT t.id, t.kind, l.expires,
+               (SELECT v.comment FROM review v WHERE v.task = t.id AND v.decision = 'returned' ORDER BY v.seq DESC LIMIT 1)
+             FROM lease l JOIN task t ON t.id = l.task
+             WHERE l.usr = ?1 AND l.purpose = 'returned' ORDER BY l.id",
+            params![user],
+        )?
+        .iter()
+        .map(|row| {
+            Ok(ReturnedTask {
+                task: row.int(0)?,
+                kind: log::task_kind(row.text(1)?)?,
+                until: row.int(2)?,
+                comment: row.opt_text(3)?.unwrap_or_default(),
+            })
+        })
+        .collect::<Result<_, Error>>()?;
+    let sql = format!(
+        "SELECT {} FROM lease l WHERE l.usr = ?1 AND l.purpose = 'annotate' ORDER BY l.expires DESC, l.id",
+        log::LEASE_COLUMNS
+    );
+    let held = tx
+        .query(&sql, params![user])?
+        .iter()
+        .map(|row| log::read_lease(row).map(|held| held.lease))
+        .collect::<Result<_, _>>()?;
+    let handed_in = "state IN ('submitted', 'accepted', 'superseded', 'returned')";
+    let mut secs = tx
+        .query(
+            &format!("SELECT secs FROM revision WHERE author = ?1 AND at >= ?2 AND {handed_in}"),
+            params![user, midnight],
+        )?
+        .iter()
+        .map(|row| row.real(0))
+        .collect::<Result<Vec<f64>, _>>()?;
+    let today_all = tx.number(
+        &format!("SELECT COUNT(*) FROM revision WHERE at >= ?1 AND {handed_in}"),
+        params![midnight],
+    )?;
+    Ok(Home {
+        queues,
+        returned,
+        held,
+        today: secs.len() as i64,
+        median_secs: crate::quality::median(&mut secs),
+        agreement: None,
+        today_all,
+    })
+}
+
+fn like(text: &str) -> String {
+    let escaped = text
+        .to_lowercase()
+        .replace('\\', "\\\\")
+        .replace('%', "\\%")
+        .replace('_', "\\_");
+    format!("%{escaped}%")
+}
+
+pub(super) fn shelf(
+    tx: &mut dyn Tx,
+    user: i64,
+    filter: &ShelfFilter,
+) -> Result<Vec<AcceptedAnswer>, Error> {
+    let columns = log::TASK_COLUMNS;
+    let part = filter
+        .part
+        .as_deref()
+        .map_or(String::new(), |part| like(&format!("\"{part}\"")));
+    let text = filter.text.as_deref().map_or(String::new(), like);
+    // Motions of tasks that are open on somebody's screen stay out: the shelf shows other ones.
+    let sql = format!(
+        "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
+         WHERE a.seq < ?1 AND (?2 = '' OR t.kind = ?2)
+           AND (?3 = '' OR lower(a.answer) LIKE ?3 ESCAPE '\\')
+           AND (?4 = '' OR lower(a.answer) LIKE ?4 ESCAPE '\\')
+           AND NOT EXISTS (SELECT 1 FROM lease l JOIN task h ON h.id = l.task WHERE l.usr = ?5
+             AND (h.source = t.source OR h.target = t.source OR h.source = t.target OR h.target = t.target))
+         ORDER BY a.seq DESC LIMIT ?6"
+    );
+    tx.query(
+        &sql,
+        params![
+            filter.before.unwrap_or(i64::MAX),
+            filter.kind.map_or("", TaskKind::as_str),
+            part,
+            text,
+            user,
+            filter.limit as i64
+        ],
+    )?
+    .iter()
+    .map(read_accepted)
+    .collect()
+}
+
+fn read_accepted(row: &Row) -> Result<AcceptedAnswer, Error> {
+    let from = NUM_TASK_COLUMNS;
+    Ok(AcceptedAnswer {
+        task: log::read_task(row)?,
+        author: row.int(from)?,
+        merged: row.flag(from + 1)?,
+        answer: row.json(from + 2)?,
+        at: row.int(from + 3)?,
+        seq: row.int(from + 4)?,
+    })
+}
+
+pub(super) fn accepted(
+    tx: &mut dyn Tx,
+    after: i64,
+    limit: usize,
+) -> Result<Vec<AcceptedAnswer>, Error> {
+    let sql = format!(
+        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
+         WHERE a.task > ?1 ORDER BY a.task LIMIT ?2",
+        log::TASK_COLUMNS
+    );
+    tx.query(&sql, params![after, limit as i64])?
+        .iter()
+        .map(read_accepted)
+        .collect()
+}
+
+pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<Label>, Error> {
+    let sql = format!(
+        "SELECT {}, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.category, t.source, t.target, t.split, r.blind
+         FROM revision r JOIN task t ON t.id = r.task
+         WHERE r.state <> 'draft' AND r.task > ?1 AND r.task <= (
+           SELECT COALESCE(MAX(x.task), 0) FROM (
+             SELECT DISTINCT task FROM revision WHERE state <> 'draft' AND task > ?1 ORDER BY task LIMIT ?2) x)
+         ORDER BY r.task, r.author",
+        log::REVISION_COLUMNS
+    );
+    tx.query(&sql, params![after, limit as i64])?
+        .iter()
+        .map(|row| {
+            Ok(Label {
+                revision: log::read_revision(row, 0)?,
+                task: row.int(0)?,
+                kind: log::task_kind(row.text(7)?)?,
+                gold: row.flag(8)?,
+                category: row.opt_text(9)?,
+                source: row.string(10)?,
+                target: row.opt_text(11)?,
+                split: row.string(12)?,
+                blind: row.flag(13)?,
+            })
+        })
+        .collect()
+}
+
+pub(super) fn rejects(
+    tx: &mut dyn Tx,
+) -> Result<Vec<(TaskRecord, Option<i64>, String, String, Millis)>, Error> {
+    let columns = log::TASK_COLUMNS;
+    let from = NUM_TASK_COLUMNS;
+    let mut all = Vec::new();
+    let skipped = format!(
+        "SELECT {columns}, s.usr, COALESCE(s.reason, ''), s.note, s.at FROM skip s JOIN task t ON t.id = s.task
+         WHERE s.postponed = 0 ORDER BY t.id, s.usr"
+    );
+    let dropped = format!(
+        "SELECT {columns}, v.reviewer, 'dropped', v.comment, v.at FROM task t JOIN review v ON v.task = t.id
+         WHERE t.state = 'dropped' AND v.seq = (
+           SELECT MAX(w.seq) FROM review w WHERE w.task = t.id AND w.decision = 'dropped')
+         ORDER BY t.id"
+    );
+    for sql in [dropped, skipped] {
+        for row in tx.query(&sql, &[])? {
+            all.push((
+                log::read_task(&row)?,
+                row.opt_int(from)?,
+                row.string(from + 1)?,
+                row.string(from + 2)?,
+                row.int(from + 3)?,
+            ));
+        }
+    }
+    Ok(all)
+}
+
+pub(super) fn kept(tx: &mut dyn Tx) -> Result<Vec<(Option<String>, String, i64)>, Error> {
+    tx.query(
+        "SELECT t.category, r.edit_type, COUNT(DISTINCT t.id) FROM revision r JOIN task t ON t.id = r.task
+         WHERE t.kind = 'pair' AND t.gold IS NULL AND r.verdict = 'keep' AND r.edit_type IS NOT NULL
+           AND r.state IN ('submitted', 'accepted') AND t.state <> 'dropped'
+         GROUP BY t.category, r.edit_type ORDER BY t.category, r.edit_type",
+        &[],
+    )?
+    .iter()
+    .map(|row| Ok((row.opt_text(0)?, row.string(1)?, row.int(2)?)))
+    .collect()
+}
+
+pub(super) fn funnel(tx: &mut dyn Tx) -> Result<Vec<(TaskKind, TaskState, i64)>, Error> {
+    tx.query(
+        "SELECT kind, state, COUNT(*) FROM task WHERE gold IS NULL GROUP BY kind, state ORDER BY kind, state",
+        &[],
+    )?
+    .iter()
+    .map(|row| {
+        Ok((
+            log::task_kind(row.text(0)?)?,
+            log::state(row.text(1)?)?,
+            row.int(2)?,
+        ))
+    })
+    .collect()
+}
+
+pub(super) fn weeks(tx: &mut dyn Tx, bounds: &[Millis]) -> Result<Vec<WeekCounts>, Error> {
+    let mut weeks = Vec::new();
+    for pair in bounds.windows(2) {
+        let mut week = WeekCounts::default();
+        let rows = tx.query(
+            "SELECT kind, COUNT(*) FROM event WHERE at >= ?1 AND at < ?2
+               AND kind IN ('submitted', 'accepted', 'merged', 'returned') GROUP BY kind",
+            params![pair[0], pair[1]],
+        )?;
+        for row in rows {
+            match row.text(0)? {
+                "submitted" => week.submitted += row.int(1)?,
+                "returned" => week.returned += row.int(1)?,
+                _ => week.accepted += row.int(1)?,
+            }
+        }
+        weeks.push(week);
+    }
+    Ok(weeks)
+}
+
+pub(super) fn people(tx: &mut dyn Tx) -> Result<Vec<PersonCounts>, Error> {
+    let mut all = Vec::new();
+    for user in people::users(tx)? {
+        let id = user.id;
+        let accepted = tx.number(
+            "SELECT COUNT(*) FROM revision WHERE author = ?1 AND state = 'accepted'",
+            params![id],
+        )?;
+        let returned = tx.number(
+            "SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = ?1
+             WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = ?1)",
+            params![id],
+        )?;
+        let gold = tx
+            .query(
+                "SELECT score FROM gold_score WHERE usr = ?1 ORDER BY task",
+                params![id],
+            )?
+            .iter()
+            .map(|row| row.real(0))
+            .collect::<Result<_, _>>()?;
+        let last = tx.one(
+            "SELECT at FROM event WHERE actor = ?1 ORDER BY seq DESC LIMIT 1",
+            params![id],
+        )?;
+        all.push(PersonCounts {
+            user,
+            accepted,
+            returned,
+            gold,
+            last_seen: last.map(|row| row.int(0)).transpose()?,
+        });
+    }
+    Ok(all)
+}
+
+pub(super) fn leases(tx: &mut dyn Tx, now: Millis) -> Result<Vec<HeldLease>, Error> {
+    let sql = format!(
+        "SELECT {}, COALESCE(u.name, ''), t.kind FROM lease l JOIN task t ON t.id = l.task
+         LEFT JOIN usr u ON u.id = l.usr WHERE l.expires > ?1 ORDER BY l.expires, l.id LIMIT 1000",
+        log::LEASE_COLUMNS
+    );
+    tx.query(&sql, params![now])?
+        .iter()
+        .map(|row| {
+            let held = log::read_lease(row)?;
+            Ok(HeldLease {
+                lease: Lease::clone(&held.lease),
+                user_name: row.string(7)?,
+                kind: log::task_kind(row.text(8)?)?,
+                purpose: held.purpose.to_string(),
+            })
+        })
+        .collect()
+}
+
+fn read_audit(row: &Row) -> Result<AuditEntry, Error> {
+    Ok(AuditEntry {
+        seq: row.int(0)?,
+        at: row.int(1)?,
+        actor: row.opt_int(2)?,
+        actor_name: row.opt_text(3)?,
+        kind: row.string(4)?,
+        task: row.opt_int(5)?,
+        body: row.json(6)?,
+    })
+}
+
+const AUDIT_COLUMNS: &str = "e.seq, e.at, e.actor, u.name, e.kind, e.task, e.body";
+
+pub(super) fn audit(tx: &mut dyn Tx, filter: &AuditFilter) -> Result<Audit, Error> {
+    let mut sql = format!(
+        "SELECT {AUDIT_COLUMNS} FROM event e LEFT JOIN usr u ON u.id = e.actor WHERE e.seq < ?1"
+    );
+    let mut values = vec![Value::from(filter.before.unwrap_or(i64::MAX))];
+    let mut also = |column: &str, value: Value| {
+        values.push(value);
+        sql += &format!(" AND e.{column} = ?{}", values.len());
+    };
+    if let Some(actor) = filter.actor {
+        also("actor", actor.into());
+    }
+    if let Some(kind) = filter.kind {
+        also("kind", kind.as_str().into());
+    }
+    if let Some(task) = filter.task {
+        also("task", task.into());
+    }
+    values.push(Value::from(filter.limit as i64));
+    sql += &format!(" ORDER BY e.seq DESC LIMIT ?{}", values.len());
+    let entries: Vec<AuditEntry> = tx
+        .query(&sql, &values)?
+        .iter()
+        .map(read_audit)
+        .collect::<Result<_, _>>()?;
+    let next = (entries.len() == filter.limit)
+        .then(|| entries.last().map(|entry| entry.seq))
+        .flatten();
+    Ok(Audit { entries, next })
+}
+
+pub(super) fn log(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<AuditEntry>, Error> {
+    let sql = format!(
+        "SELECT {AUDIT_COLUMNS} FROM event e LEFT JOIN usr u ON u.id = e.actor
+         WHERE e.seq > ?1 ORDER BY e.seq LIMIT ?2"
+    );
+    tx.query(&sql, params![after, limit as i64])?
+        .iter()
+        .map(read_audit)
+        .collect()
+}

@@ -1,0 +1,515 @@
+//! SQLite: one thread writes and commits in groups, others read beside it.
+//!
+//! `synchronous=FULL` makes a commit wait for the disk. While it waits, further work queues up, and
+//! the next commit takes all of it: one wait for many writers. Work that fails is undone by itself
+//! (a savepoint) and leaves the others alone.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Condvar, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rusqlite::types::{ToSqlOutput, ValueRef};
+use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, params_from_iter};
+
+use super::db::{Database, Row, Tx, Value, Work};
+use crate::Error;
+
+/// Most works taken in one commit; bounds how long the first of them waits.
+const GROUP: usize = 128;
+/// Connections that read.
+const READERS: usize = 4;
+/// Statements a connection keeps prepared.
+const STATEMENTS: usize = 128;
+/// How long to wait for another process, such as `sqlite3` on the same file, to let go of a lock.
+const BUSY: Duration = Duration::from_secs(10);
+
+const SCHEMA: &str = include_str!("schema.sql");
+/// Version of the tables.
+const VERSION: i64 = 1;
+/// The log only grows.
+const TRIGGERS: &str = "
+CREATE TRIGGER event_no_update BEFORE UPDATE ON event
+BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;
+CREATE TRIGGER event_no_delete BEFORE DELETE ON event
+BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
+
+struct Job {
+    work: Work,
+    done: SyncSender<Result<(), Error>>,
+}
+
+/// A store in one file.
+pub(crate) struct Sqlite {
+    path: PathBuf,
+    /// None once the store is being closed.
+    jobs: Mutex<Option<Sender<Job>>>,
+    writer: Mutex<Option<JoinHandle<()>>>,
+    readers: Mutex<Vec<Connection>>,
+    reader_back: Condvar,
+}
+
+impl Sqlite {
+    /// Opens a file, or creates it with all tables.
+    pub(crate) fn open(path: &Path) -> Result<Self, Error> {
+        if let Some(kind) = network_file_system(path) {
+            return Err(Error::Open {
+                path: path.display().to_string(),
+                reason: format!(
+                    "it lies on {kind}, where locks are not to be relied on and a crash can \
+                     destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
+                ),
+            });
+        }
+        let writer = open_writer(path)?;
+        let readers = (0..READERS)
+            .map(|_| open_reader(path))
+            .collect::<Result<Vec<_>, _>>()?;
+        let (jobs, queue) = channel();
+        let handle = std::thread::Builder::new()
+            .name("annotate-store".to_owned())
+            .spawn(move || write_all(writer, &queue))
+            .map_err(|source| Error::Io {
+                action: "start the writer of",
+                path: path.to_owned(),
+                source,
+            })?;
+        Ok(Self {
+            path: path.to_owned(),
+            jobs: Mutex::new(Some(jobs)),
+            writer: Mutex::new(Some(handle)),
+            readers: Mutex::new(readers),
+            reader_back: Condvar::new(),
+        })
+    }
+}
+
+impl Drop for Sqlite {
+    fn drop(&mut self) {
+        lock(&self.jobs).take();
+        if let Some(writer) = lock(&self.writer).take() {
+            // A writer that panicked has nothing more to say.
+            let _ended = writer.join();
+        }
+    }
+}
+
+/// A value that a panic elsewhere cannot have left half-changed.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
+    move |source| match source.sqlite_error_code() {
+        Some(ErrorCode::DiskFull) => Error::ReadOnly {
+            reason: "the disk is full".to_owned(),
+        },
+        Some(ErrorCode::ReadOnly) => Error::ReadOnly {
+            reason: "the file or its folder is read-only".to_owned(),
+        },
+        Some(ErrorCode::SystemIoFailure) => Error::ReadOnly {
+            reason: format!("the disk reports an error ({source})"),
+        },
+        _ => Error::Sqlite { action, source },
+    }
+}
+
+fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
+    Error::Open {
+        path: path.display().to_string(),
+        reason: reason.to_string(),
+    }
+}
+
+fn open_writer(path: &Path) -> Result<Connection, Error> {
+    let refuse = |error: rusqlite::Error| open_error(path, error);
+    let mut db = Connection::open(path).map_err(refuse)?;
+    db.busy_timeout(BUSY).map_err(refuse)?;
+    db.set_prepared_statement_cache_capacity(STATEMENTS);
+    let mode: String = db
+        .query_row("PRAGMA journal_mode=WAL", [], |row| row.get(0))
+        .map_err(refuse)?;
+    if mode != "wal" {
+        return Err(open_error(
+            path,
+            "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
+        ));
+    }
+    db.execute_batch(
+        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000;",
+    )
+    .map_err(refuse)?;
+    let version: i64 = db
+        .query_row("PRAGMA user_version", [], |row| row.get(0))
+        .map_err(refuse)?;
+    if version == 0 {
+        let tx = db.transaction().map_err(refuse)?;
+        tx.execute_batch(SCHEMA).map_err(refuse)?;
+        tx.execute_batch(TRIGGERS).map_err(refuse)?;
+        tx.pragma_update(None, "user_version", VERSION)
+            .map_err(refuse)?;
+        tx.commit().map_err(refuse)?;
+    } else if version != VERSION {
+        return Err(open_error(
+            path,
+            format!(
+                "it has version {version} of the tables, this program knows {VERSION}; use the stance that wrote it"
+            ),
+        ));
+    }
+    Ok(db)
+}
+
+fn open_reader(path: &Path) -> Result<Connection, Error> {
+    let refuse = |error: rusqlite::Error| open_error(path, error);
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
+    db.busy_timeout(BUSY).map_err(refuse)?;
+    db.set_prepared_statement_cache_capacity(STATEMENTS);
+    db.execute_batch("PRAGMA query_only=ON").map_err(refuse)?;
+    Ok(db)
+}
+
+/// Takes works as they come, a group a commit, until nobody can send any more.
+fn write_all(mut db: Connection, queue: &Receiver<Job>) {
+    while let Ok(first) = queue.recv() {
+        let mut group = vec![first];
+        while group.len() < GROUP
+            && let Ok(job) = queue.try_recv()
+        {
+            group.push(job);
+        }
+        write_group(&mut db, group);
+    }
+    // What is left in the write-ahead log is read at the next start in any case.
+    let _checkpointed = db.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)");
+}
+
+fn write_group(db: &mut Connection, group: Vec<Job>) {
+    let mut answers = Vec::with_capacity(group.len());
+    let outcome = run_group(db, group, &mut answers);
+    if let Err(error) = &outcome
+        && !db.is_autocommit()
+    {
+        // The commit failed; nothing of the group stays. A second failure changes nothing.
+        let _rolled_back = db.execute_batch("ROLLBACK");
+        debug_assert!(!error.to_string().is_empty());
+    }
+    let failure = outcome.err().map(|error| match error {
+        Error::ReadOnly { reason } => reason,
+        other => format!("{other:#}"),
+    });
+    for (done, answer) in answers {
+        let answer = match &failure {
+            None => answer,
+            Some(reason) => Err(Error::ReadOnly {
+                reason: reason.clone(),
+            }),
+        };
+        // Somebody who went away does not wait for the answer.
+        let _told = done.send(answer);
+    }
+}
+
+type Answers = Vec<(SyncSender<Result<(), Error>>, Result<(), Error>)>;
+
+fn run_group(db: &mut Connection, group: Vec<Job>, answers: &mut Answers) -> Result<(), Error> {
+    let begun = db
+        .execute_batch("BEGIN IMMEDIATE")
+        .map_err(failed("begin a transaction"));
+    if let Err(error) = begun {
+        answers.extend(group.into_iter().map(|job| (job.done, Ok(()))));
+        return Err(error);
+    }
+    let mut jobs = group.into_iter();
+    for job in jobs.by_ref() {
+        let outcome = one(db, job.work);
+        let lost = db.is_autocommit();
+        answers.push((job.done, outcome));
+        if lost {
+            // SQLite gave the whole transaction up: a full disk, most likely.
+            answers.extend(jobs.map(|job| (job.done, Ok(()))));
+            return Err(Error::ReadOnly {
+                reason: "the disk is full or fails".to_owned(),
+            });
+        }
+    }
+    db.execute_batch("COMMIT").map_err(failed("commit"))
+}
+
+fn one(db: &mut Connection, work: Work) -> Result<(), Error> {
+    let mut savepoint = db.savepoint().map_err(failed("begin a transaction"))?;
+    let outcome = {
+        let mut tx = SqliteTx { db: &savepoint };
+        std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(&mut tx)))
+            .unwrap_or(Err(Error::Closed))
+    };
+    match outcome {
+        Ok(()) => savepoint.commit().map_err(failed("commit")),
+        Err(error) => {
+            savepoint.rollback().map_err(failed("roll back"))?;
+            Err(error)
+        }
+    }
+}
+
+struct SqliteTx<'a> {
+    db: &'a Connection,
+}
+
+impl ToSql for Value {
+    fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
+        Ok(ToSqlOutput::Borrowed(match self {
+            Self::Null => ValueRef::Null,
+            Self::Int(value) => ValueRef::Integer(*value),
+            Self::Real(value) => ValueRef::Real(*value),
+            Self::Text(value) => ValueRef::Text(value.as_bytes()),
+        }))
+    }
+}
+
+impl Tx for SqliteTx<'_> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+        let wrap = failed("write");
+        let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
+        let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
+        Ok(changed as u64)
+    }
+
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+        let wrap = failed("read");
+        let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
+        let columns = statement.column_count();
+        let mut found = statement.query(params_from_iter(params)).map_err(&wrap)?;
+        let mut rows = Vec::new();
+        while let Some(row) = found.next().map_err(&wrap)? {
+            let mut values = Vec::with_capacity(columns);
+            for column in 0..columns {
+                values.push(match row.get_ref(column).map_err(&wrap)? {
+                    ValueRef::Null => Value::Null,
+                    ValueRef::Integer(value) => Value::Int(value),
+                    ValueRef::Real(value) => Value::Real(value),
+                    ValueRef::Text(text) | ValueRef::Blob(text) => {
+                        Value::Text(String::from_utf8_lossy(text).into_owned())
+                    }
+                });
+            }
+            rows.push(Row(values));
+        }
+        Ok(rows)
+    }
+}
+
+impl Database for Sqlite {
+    fn write(&self, work: Work) -> Result<(), Error> {
+        let (done, answer) = sync_channel(1);
+        let jobs = lock(&self.jobs).clone().ok_or(Error::Closed)?;
+        jobs.send(Job { work, done }).map_err(|_| Error::Closed)?;
+        drop(jobs);
+        answer.recv().map_err(|_| Error::Closed)?
+    }
+
+    fn read(&self, work: Work) -> Result<(), Error> {
+        let reader = {
+            let mut readers = lock(&self.readers);
+            loop {
+                if let Some(reader) = readers.pop() {
+                    break reader;
+                }
+                readers = self
+                    .reader_back
+                    .wait(readers)
+                    .unwrap_or_else(std::sync::PoisonError::into_inner);
+            }
+        };
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            reader.execute_batch("BEGIN").map_err(failed("read"))?;
+            work(&mut SqliteTx { db: &reader })
+        }))
+        .unwrap_or(Err(Error::Closed));
+        // It changed nothing, so there is nothing to lose.
+        let _ended = reader.execute_batch("ROLLBACK");
+        lock(&self.readers).push(reader);
+        self.reader_back.notify_one();
+        outcome
+    }
+
+    fn backup(&self, path: &Path) -> Result<(), Error> {
+        if path.exists() {
+            return Err(open_error(path, "it exists already; name a new file"));
+        }
+        let reader = open_reader(&self.path)?;
+        reader
+            .execute_batch("PRAGMA query_only=OFF")
+            .map_err(failed("copy itself"))?;
+        // One read transaction over the whole store: others go on writing beside it.
+        let text = path.to_string_lossy();
+        reader
+            .execute("VACUUM INTO ?1", [text.as_ref()])
+            .map_err(failed("copy itself"))?;
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        self.write(Box::new(|tx| {
+            tx.execute(
+                "INSERT INTO setting (name, body) VALUES ('ready', '') ON CONFLICT (name) DO UPDATE SET body = ''",
+                &[],
+            )?;
+            Ok(())
+        }))
+    }
+}
+
+/// The kind of network file system a path lies on, where that can be told.
+fn network_file_system(path: &Path) -> Option<String> {
+    let folder = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+    let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
+    network_mount(&mounts, &folder)
+}
+
+/// The same, of a table of mounts: the longest mount point above the folder counts.
+fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
+    const NETWORK: [&str; 12] = [
+        "nfs",
+        "nfs4",
+        "cifs",
+        "smb3",
+        "smbfs",
+        "afs",
+        "ceph",
+        "lustre",
+        "glusterfs",
+        "fuse.sshfs",
+        "fuse.glusterfs",
+        "fuse.s3fs",
+    ];
+    mounts
+        .lines()
+        .filter_map(|line| {
+            let mut fields = line.split(' ').skip(1);
+            let point = fields.next()?.replace("\\040", " ");
+            let kind = fields.next()?;
+            folder.starts_with(&point).then_some((point.len(), kind))
+        })
+        .max_by_key(|(length, _)| *length)
+        .filter(|(_, kind)| NETWORK.contains(kind))
+        .map(|(_, kind)| format!("a network file system ({kind})"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::db::{self, params};
+    use super::*;
+
+    fn store() -> (tempfile::TempDir, Sqlite) {
+        let dir = tempfile::tempdir().expect("a folder");
+        let store = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
+        (dir, store)
+    }
+
+    fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<(), Error> + Send + 'static {
+        let name = name.to_owned();
+        move |tx| {
+            tx.execute(
+                "INSERT INTO setting (name, body) VALUES (?1, '')",
+                params![&name],
+            )?;
+            Ok(())
+        }
+    }
+
+    fn names(store: &Sqlite) -> Vec<String> {
+        db::read(store, |tx| {
+            tx.query("SELECT name FROM setting ORDER BY name", &[])?
+                .iter()
+                .map(|row| row.string(0))
+                .collect()
+        })
+        .expect("reads")
+    }
+
+    #[test]
+    fn work_that_fails_leaves_nothing_and_others_alone() {
+        let (_dir, store) = store();
+        std::thread::scope(|scope| {
+            for index in 0..32 {
+                let store = &store;
+                scope.spawn(move || {
+                    let outcome = db::write(store, move |tx| {
+                        put(&format!("{index:02}"))(tx)?;
+                        if index % 2 == 1 {
+                            return Err(Error::not_found("thing"));
+                        }
+                        Ok(())
+                    });
+                    assert_eq!(outcome.is_ok(), index % 2 == 0);
+                });
+            }
+        });
+        let expected: Vec<String> = (0..32).step_by(2).map(|i| format!("{i:02}")).collect();
+        assert_eq!(names(&store), expected);
+    }
+
+    #[test]
+    fn a_panic_in_work_does_not_stop_the_writer() {
+        let (_dir, store) = store();
+        let outcome = db::write(&store, |tx| {
+            put("a")(tx)?;
+            panic!("a defect")
+        });
+        assert!(matches!(outcome, Err::<(), _>(Error::Closed)));
+        db::write(&store, put("b")).expect("the writer goes on");
+        assert_eq!(names(&store), ["b"]);
+    }
+
+    #[test]
+    fn the_log_takes_no_changes() {
+        let (_dir, store) = store();
+        db::write(&store, |tx| {
+            tx.execute(
+                "INSERT INTO event (seq, at, kind, body, version) VALUES (1, 0, 'imported', '{}', 1)",
+                &[],
+            )
+        })
+        .expect("inserts");
+        for sql in ["UPDATE event SET at = 1", "DELETE FROM event"] {
+            assert!(
+                db::write(&store, move |tx| tx.execute(sql, &[])).is_err(),
+                "{sql}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_backup_is_whole_and_never_overwrites() {
+        let (dir, store) = store();
+        db::write(&store, put("kept")).expect("writes");
+        let copy = dir.path().join("copy.sqlite");
+        store.backup(&copy).expect("copies");
+        assert!(store.backup(&copy).is_err());
+        assert_eq!(names(&Sqlite::open(&copy).expect("opens")), ["kept"]);
+    }
+
+    #[test]
+    fn network_file_systems_are_known_by_their_mount() {
+        let mounts = "/dev/sda1 / ext4 rw 0 0\nserver:/home /home nfs4 rw 0 0\n/dev/sdb /home/fast\\040disk xfs rw 0 0\n";
+        for (folder, network) in [
+            ("/srv/data", false),
+            ("/home/ann", true),
+            ("/home/fast disk/data", false),
+        ] {
+            assert_eq!(
+                network_mount(mounts, Path::new(folder)).is_some(),
+                network,
+                "{folder}"
+            );
+        }
+    }
+}

@@ -1,0 +1,525 @@
+//! Tasks of the motions, masks and pairs of a dataset, and annotations of files.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Caption, Row, read_column, read_rows};
+use datasets_spec::{BodyPart, Dataset, MASK_DEF_VERSION, MotionId, Split};
+use serde::Serialize;
+use serde_json::Value;
+
+use super::release;
+use super::tables::AnnotationRow;
+use crate::Error;
+use crate::store::{Millis, MotionRecord, NewSuggestion, NewTask, Store};
+use crate::wire::{
+    Answer, BUNDLE, CountReason, EditType, Extent, MaskAnswer, SuggestionSource, TaskKind, Verdict,
+};
+
+/// Source of the pairs this program writes into a dataset.
+pub(crate) const PAIR_SOURCE: &str = "annotate";
+/// Candidate pairs made of the takes of one action in one style.
+const TAKES_AT_MOST: usize = 16;
+
+/// What an import did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Taken {
+    /// Counts, by what is counted.
+    pub counts: BTreeMap<String, i64>,
+    /// What was left out and why, in words.
+    pub messages: Vec<String>,
+}
+
+impl Taken {
+    fn count(&mut self, what: &str, count: i64) {
+        *self.counts.entry(what.to_owned()).or_default() += count;
+    }
+}
+
+fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTask {
+    NewTask {
+        key,
+        kind,
+        source: motion.hash.clone(),
+        target: None,
+        split: motion.split.clone(),
+        bundle: None,
+        bundle_index: 0,
+        category: motion.action.clone(),
+        hint: None,
+        style: None,
+        priority: 0,
+        gold: None,
+        extra: None,
+        suggestions: Vec::new(),
+        accepted: None,
+    }
+}
+
+pub(super) fn mask_key(motion: &str) -> String {
+    format!("mask:{motion}")
+}
+
+struct Clip {
+    record: MotionRecord,
+    folder: String,
+    source_clip: String,
+    mirrored: bool,
+}
+
+/// Columns of the motions, without their frames.
+fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
+    let mut clips = Vec::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
+        let splits: Vec<Split> = read_column::<MotionRow, _>(&path, "split")?;
+        let hashes: Vec<String> = read_column::<MotionRow, _>(&path, "content_hash")?;
+        let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
+        let fps: Vec<f32> = read_column::<MotionRow, _>(&path, "fps")?;
+        let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
+        let styles: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "style")?;
+        let actions: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "action")?;
+        let paths: Vec<String> = read_column::<MotionRow, _>(&path, "source_path")?;
+        let mirrored: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "mirrored_of")?;
+        for index in 0..ids.len() {
+            let id = ids[index].as_str().to_owned();
+            clips.push(Clip {
+                source_clip: ids[index].source_clip().to_owned(),
+                folder: paths[index]
+                    .rsplit_once('/')
+                    .map_or(String::new(), |(folder, _)| folder.to_owned()),
+                mirrored: mirrored[index].is_some() || id.ends_with("~m"),
+                record: MotionRecord {
+                    hash: hashes[index].clone(),
+                    id,
+                    split: splits[index].to_string(),
+                    frames: frames[index].into(),
+                    fps: fps[index].into(),
+                    captions: captions[index]
+                        .iter()
+                        .map(|caption| caption.text.clone())
+                        .collect(),
+                    style: styles[index].clone(),
+                    action: actions[index].clone(),
+                },
+            });
+        }
+    }
+    clips.sort_by(|a, b| a.record.id.cmp(&b.record.id));
+    Ok(clips)
+}
+
+/// Makes tasks of a dataset: a mask task of every clip that mirrors no other, a pair task of every
+/// fine-grained pair, in bundles of eight, and a style task of every style pair. Masks of the pipeline
+/// come along as suggestions; masks by people and pairs this program wrote are accepted answers. Where
+/// the dataset has no fine-grained pairs, takes of one action in one style are candidates.
+///
+/// What is there already stays as it is.
+///
+/// # Errors
+/// The dataset cannot be read, or the store fails.
+pub fn from_dataset(
+    store: &dyn Store,
+    root: &Path,
+    actor: Option<i64>,
+    now: Millis,
+    progress: &mut dyn FnMut(i64, i64),
+) -> Result<Taken, Error> {
+    let dataset = Dataset::open(root)?;
+    let mut taken = Taken::default();
+    let clips = clips(&dataset)?;
+    let mut by_hash: BTreeSet<&str> = BTreeSet::new();
+    let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
+        .iter()
+        .partition(|clip| by_hash.insert(&clip.record.hash));
+    if !copies.is_empty() {
+        taken.count("copies", copies.len() as i64);
+        taken.messages.push(format!(
+            "{} clips hold the same motion as another one and get no task, {} for example",
+            copies.len(),
+            copies[0].record.id
+        ));
+    }
+    let by_id: BTreeMap<&str, &Clip> = clips
+        .iter()
+        .map(|clip| (clip.record.id.as_str(), *clip))
+        .collect();
+    store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
+    taken.count("motions", clips.len() as i64);
+
+    let mut masks: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
+    for row in dataset.read::<MaskRow>(None)? {
+        masks
+            .entry(row.motion_id.as_str().to_owned())
+            .or_default()
+            .push(row);
+    }
+    let mut tasks = Vec::new();
+    for clip in clips.iter().filter(|clip| !clip.mirrored) {
+        let rows = masks.get(&clip.record.id).map_or(&[][..], Vec::as_slice);
+        tasks.push(mask_task(&clip.record, rows));
+    }
+    let pairs: Vec<PairRow> = dataset.read(None)?;
+    let missing = pairs.iter().filter(|pair| {
+        !by_id.contains_key(pair.source_id.as_str()) || !by_id.contains_key(pair.target_id.as_str())
+    });
+    let missing = missing.count() as i64;
+    if missing > 0 {
+        taken.count("pairs_without_motion", missing);
+        taken.messages.push(format!(
+            "{missing} pairs name a motion that is not there, or a copy; they get no task"
+        ));
+    }
+    let mut fine: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
+    for pair in &pairs {
+        let (Some(source), Some(target)) = (
+            by_id.get(pair.source_id.as_str()),
+            by_id.get(pair.target_id.as_str()),
+        ) else {
+            continue;
+        };
+        let kind = match pair.kind.as_str() {
+            "fine-grained" => TaskKind::Pair,
+            "style" => TaskKind::Style,
+            _ => {
+                taken.count("semantic_pairs", 1);
+                continue;
+            }
+        };
+        let mut new = task(format!("pair:{}", pair.id), kind, &source.record);
+        new.target = Some(target.record.hash.clone());
+        new.style.clone_from(&pair.style);
+        if pair.source == PAIR_SOURCE {
+            new.accepted = Some(accepted_pair(pair, kind));
+        } else if !pair.instruction.trim().is_empty() {
+            new.hint = Some(pair.instruction.clone());
+        }
+        match kind {
+            TaskKind::Pair => fine
+                .entry(new.hint.clone().unwrap_or_default())
+                .or_default()
+                .push(new),
+            TaskKind::Style | TaskKind::MaskText => tasks.push(new),
+        }
+    }
+    if fine.is_empty() {
+        let takes = takes(&clips);
+        taken.count(
+            "candidates",
+            takes.values().map(|list| list.len() as i64).sum(),
+        );
+        fine = takes;
+    }
+    for (name, list) in fine {
+        tasks.extend(bundled(&name, list));
+    }
+    let total = tasks.len() as i64;
+    for chunk in tasks.chunks(2000) {
+        let done = store.import(actor, chunk.to_vec(), now)?;
+        taken.count("new_tasks", done.new);
+        taken.count("known_tasks", done.known);
+        progress(
+            taken.counts.get("new_tasks").copied().unwrap_or(0)
+                + taken.counts.get("known_tasks").copied().unwrap_or(0),
+            total,
+        );
+    }
+    Ok(taken)
+}
+
+fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
+    let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
+    let (people, drafts): (Vec<&MaskRow>, Vec<&MaskRow>) =
+        rows.iter().partition(|row| row.text_origin == "human");
+    if !people.is_empty() {
+        new.accepted = Some(Answer::MaskText {
+            masks: people
+                .iter()
+                .map(|row| MaskAnswer {
+                    parts: row.parts.clone(),
+                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
+                    text: row.text.clone(),
+                    suggestion: None,
+                })
+                .collect(),
+            count_reason: None,
+            note: String::new(),
+        });
+    }
+    new.suggestions = drafts
+        .into_iter()
+        .map(|row| suggestion(row.parts.clone(), &row.text, &row.author))
+        .collect();
+    new
+}
+
+/// Whether the parts have a soft ring at all.
+fn has_ring(parts: &[String]) -> bool {
+    !crate::answer::mask_of(parts, true).soft().is_empty()
+}
+
+fn suggestion(parts: Vec<String>, text: &str, model: &str) -> NewSuggestion {
+    NewSuggestion {
+        source: SuggestionSource::Import,
+        parts,
+        text: text.to_owned(),
+        model: model.to_owned(),
+        prompt_hash: String::new(),
+        params: String::new(),
+        tokens: None,
+        response_hash: String::new(),
+    }
+}
+
+fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
+    match kind {
+        TaskKind::Style => Answer::Style {
+            verdict: Verdict::Keep,
+            parts: pair.parts.clone(),
+            style: pair.style.clone(),
+            extent: None,
+            text: pair.instruction.clone(),
+            suggestion: None,
+            note: String::new(),
+        },
+        TaskKind::Pair | TaskKind::MaskText => Answer::Pair {
+            verdict: Verdict::Keep,
+            parts: pair.parts.clone(),
+            edit_type: None,
+            text: pair.instruction.clone(),
+            suggestion: None,
+            note: String::new(),
+        },
+    }
+}
+
+/// Candidate pairs: each take of an action in a style against the next one of the same folder and
+/// split, up to sixteen takes of each.
+fn takes(clips: &[&Clip]) -> BTreeMap<String, Vec<NewTask>> {
+    let mut groups: BTreeMap<(String, String, String, String), Vec<&Clip>> = BTreeMap::new();
+    for clip in clips.iter().filter(|clip| !clip.mirrored) {
+        let Some(action) = clip.record.action.clone() else {
+            continue;
+        };
+        let style = clip.record.style.clone().unwrap_or_default();
+        groups
+            .entry((
+                action,
+                style,
+                clip.record.split.clone(),
+                clip.folder.clone(),
+            ))
+            .or_default()
+            .push(clip);
+    }
+    let mut tasks: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
+    for ((action, _, split, _), group) in groups {
+        let group = &group[..group.len().min(TAKES_AT_MOST)];
+        for pair in group.windows(2) {
+            if pair[0].source_clip == pair[1].source_clip {
+                continue;
+            }
+            let key = format!("takes:{}|{}", pair[0].record.id, pair[1].record.id);
+            let mut new = task(key, TaskKind::Pair, &pair[0].record);
+            new.target = Some(pair[1].record.hash.clone());
+            tasks
+                .entry(format!("takes {split} {action}"))
+                .or_default()
+                .push(new);
+        }
+    }
+    // Actions with few takes share bundles within their split, so that a bundle is worth taking.
+    let mut merged: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
+    for (name, list) in tasks {
+        let split = name.split(' ').nth(1).unwrap_or_default();
+        let place = if list.len() < BUNDLE {
+            format!("takes {split}")
+        } else {
+            name.clone()
+        };
+        merged.entry(place).or_default().extend(list);
+    }
+    merged
+}
+
+/// Puts pairs into bundles of eight of the same split.
+fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
+    tasks.sort_by(|a, b| (&a.split, &a.key).cmp(&(&b.split, &b.key)));
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    for task in &mut tasks {
+        let place = places.entry(task.split.clone()).or_default();
+        task.bundle = Some(format!("{name}|{}|{}", task.split, *place / BUNDLE));
+        task.bundle_index = (*place % BUNDLE) as i64;
+        *place += 1;
+    }
+    tasks
+}
+
+/// Takes the table `annotations` of an export: every answer becomes an accepted task.
+///
+/// # Errors
+/// The file cannot be read, names a motion the store does not know, or holds an answer that could not
+/// be given here; nothing is taken then.
+pub fn from_annotations(
+    store: &dyn Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    path: &Path,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<Taken, Error> {
+    let rows: Vec<AnnotationRow> = read_rows(path)?;
+    let mut taken = Taken::default();
+    let mut tasks = Vec::new();
+    for group in rows.chunk_by(|a, b| a.task == b.task) {
+        tasks.push(
+            annotation_task(group, motions).map_err(|problem| Error::Import {
+                what: format!("task {:?} of {}", group[0].task, path.display()),
+                problem,
+            })?,
+        );
+    }
+    let done = store.import(actor, tasks, now)?;
+    taken.count("new_tasks", done.new);
+    taken.count("known_tasks", done.known);
+    Ok(taken)
+}
+
+fn annotation_task(
+    rows: &[AnnotationRow],
+    motions: &BTreeMap<String, MotionRecord>,
+) -> Result<NewTask, String> {
+    let first = &rows[0];
+    let find = |id: &str| {
+        motions.get(id).ok_or_else(|| {
+            format!("motion {id:?} is not known; import the dataset it belongs to first")
+        })
+    };
+    let kind = TaskKind::parse(&first.kind)
+        .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
+    let source = find(&first.motion_id)?;
+    let mut new = task(first.task.clone(), kind, source);
+    new.target = match &first.target_id {
+        Some(id) => Some(find(id)?.hash.clone()),
+        None => None,
+    };
+    new.category.clone_from(&first.category);
+    new.hint.clone_from(&first.hint);
+    new.style.clone_from(&first.source_style);
+    new.extra = first
+        .extra
+        .as_ref()
+        .map(|text| serde_json::from_str(text))
+        .transpose()
+        .map_err(|error| error.to_string())?;
+    for row in rows {
+        if row.mask_def_version != MASK_DEF_VERSION {
+            return Err(format!(
+                "its masks are of version {}, this program has version {MASK_DEF_VERSION}",
+                row.mask_def_version
+            ));
+        }
+        for part in &row.parts {
+            part.parse::<BodyPart>()
+                .map_err(|error| error.to_string())?;
+        }
+    }
+    let verdict = || {
+        let text = first.verdict.as_deref().unwrap_or_default();
+        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
+    };
+    fn known<T>(text: Option<&String>, parse: fn(&str) -> Option<T>) -> Result<Option<T>, String> {
+        text.map(|text| parse(text).ok_or_else(|| format!("{text:?} is not known")))
+            .transpose()
+    }
+    let answer = match kind {
+        TaskKind::MaskText => Answer::MaskText {
+            masks: rows
+                .iter()
+                .filter(|row| row.count > 0)
+                .map(|row| MaskAnswer {
+                    parts: row.parts.clone(),
+                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
+                    text: row.text.clone(),
+                    suggestion: None,
+                })
+                .collect(),
+            count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
+            note: first.note.clone(),
+        },
+        TaskKind::Pair => Answer::Pair {
+            verdict: verdict()?,
+            parts: first.parts.clone(),
+            edit_type: known(first.edit_type.as_ref(), EditType::parse)?,
+            text: first.text.clone(),
+            suggestion: None,
+            note: first.note.clone(),
+        },
+        TaskKind::Style => Answer::Style {
+            verdict: verdict()?,
+            parts: first.parts.clone(),
+            style: first.style.clone(),
+            extent: known(first.extent.as_ref(), Extent::parse)?,
+            text: first.text.clone(),
+            suggestion: None,
+            note: first.note.clone(),
+        },
+    };
+    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    new.accepted = Some(answer);
+    Ok(new)
+}
+
+/// Takes `mask_all.json` and `part_annotations.json` of a STANCE release, as one object with both.
+/// Its annotations become accepted answers; unknown fields are kept and written back.
+///
+/// # Errors
+/// It is not such an object, or the store fails.
+pub fn from_release(
+    store: &dyn Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    document: &Value,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<Taken, Error> {
+    let parsed = release::parse(document).map_err(|problem| Error::Import {
+        what: "the annotations of a STANCE release".to_owned(),
+        problem,
+    })?;
+    let mut taken = Taken::default();
+    for (shape, count) in parsed.shapes {
+        taken.count(&format!("shape: {shape}"), count);
+    }
+    taken.messages = parsed.messages;
+    let mut tasks = Vec::new();
+    for (id, said) in parsed.motions {
+        let Some(motion) = motions.get(&id) else {
+            taken.count("unknown_ids", 1);
+            if taken.messages.len() < 50 {
+                taken.messages.push(format!(
+                    "motion {id:?} is not in this dataset; its annotations are left out"
+                ));
+            }
+            continue;
+        };
+        let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
+        new.extra = said.extra;
+        new.accepted = Some(Answer::MaskText {
+            masks: said.masks,
+            count_reason: None,
+            note: String::new(),
+        });
+        tasks.push(new);
+    }
+    let total = tasks.len() as i64;
+    let done = store.import(actor, tasks, now)?;
+    taken.count("new_tasks", done.new);
+    taken.count("known_tasks", done.known);
+    if done.known > 0 {
+        taken.messages.push(format!(
+            "{} of {total} motions have a task already; what is annotated here is not overwritten",
+            done.known
+        ));
+    }
+    Ok(taken)
+}

@@ -1,0 +1,10 @@
+//! In and out: tasks from a dataset, annotations from files and into them.
+
+mod export;
+mod import;
+mod release;
+mod tables;
+
+pub use export::{Exported, Selection, export};
+pub use import::{Taken, from_annotations, from_dataset, from_release};
+pub use tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};

@@ -1,0 +1,336 @@
+//! `mask_all.json` and `part_annotations.json` of a STANCE release.
+//!
+//! The release says what keys and values mean and not how they are shaped. A value may be a name, a list
+//! of names, a list of lists, or an object keyed by part; the shape met is reported. What is written
+//! is one shape: under each id, a list of masks (parts joined by `+`), and a list of as many texts.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::BodyPart;
+use serde_json::{Map, Value, json};
+
+use crate::wire::MaskAnswer;
+
+/// What a release says of a motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Said {
+    pub(super) masks: Vec<MaskAnswer>,
+    /// Fields that mean nothing here, kept to be written back.
+    pub(super) extra: Option<Value>,
+}
+
+/// A release, read.
+#[derive(Debug, Default)]
+pub(super) struct Release {
+    pub(super) motions: BTreeMap<String, Said>,
+    pub(super) shapes: BTreeMap<String, i64>,
+    pub(super) messages: Vec<String>,
+}
+
+fn shape(value: &Value) -> &'static str {
+    match value {
+        Value::String(_) => "string",
+        Value::Array(items) if items.iter().any(Value::is_array) => "list of lists",
+        Value::Array(_) => "list",
+        Value::Object(_) => "object by part",
+        _ => "something else",
+    }
+}
+
+/// The parts a name stands for, several joined by `+`; and the names that are none.
+fn parts(text: &str) -> (Vec<String>, Vec<String>) {
+    let (mut known, mut unknown) = (Vec::new(), Vec::new());
+    for name in text
+        .split('+')
+        .map(str::trim)
+        .filter(|name| !name.is_empty())
+    {
+        match name
+            .to_uppercase()
+            .replace([' ', '-'], "_")
+            .parse::<BodyPart>()
+        {
+            Ok(part) if !known.contains(&part.name().to_owned()) => {
+                known.push(part.name().to_owned())
+            }
+            Ok(_) => {}
+            Err(_) => unknown.push(name.to_owned()),
+        }
+    }
+    (known, unknown)
+}
+
+fn names(value: &Value) -> Vec<String> {
+    match value {
+        Value::String(text) => vec![text.clone()],
+        Value::Array(items) => items
+            .iter()
+            .map(|item| match item {
+                Value::Array(inner) => inner
+                    .iter()
+                    .filter_map(Value::as_str)
+                    .collect::<Vec<_>>()
+                    .join("+"),
+                item => item.as_str().unwrap_or_default().to_owned(),
+            })
+            .collect(),
+        Value::Object(map) => map.keys().cloned().collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn texts(value: &Value) -> Vec<String> {
+    match value {
+        Value::String(text) => vec![text.trim().to_owned()],
+        Value::Array(items) => items.iter().flat_map(texts).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Reads `{"mask_all": {id: masks}, "part_annotations": {id: texts}}`; either may be missing, fields
+/// beside them are kept.
+pub(super) fn parse(document: &Value) -> Result<Release, String> {
+    let object = document.as_object().ok_or("it is no JSON object")?;
+    let side = |name: &str| -> Result<Map<String, Value>, String> {
+        match object.get(name) {
+            None => Ok(Map::new()),
+            Some(Value::Object(map)) => Ok(map.clone()),
+            Some(other) => Err(format!(
+                "{name} is {}, expected an object keyed by motion",
+                shape(other)
+            )),
+        }
+    };
+    let (masks, said) = (side("mask_all")?, side("part_annotations")?);
+    if masks.is_empty() && said.is_empty() {
+        return Err("it has neither mask_all nor part_annotations".to_owned());
+    }
+    let mut release = Release::default();
+    let only = |a: &Map<String, Value>, b: &Map<String, Value>| {
+        a.keys().filter(|key| !b.contains_key(*key)).count()
+    };
+    for (count, what) in [
+        (only(&masks, &said), "ids have masks and no texts"),
+        (only(&said, &masks), "ids have texts and no masks"),
+    ] {
+        if count > 0 {
+            release.messages.push(format!("{count} {what}"));
+        }
+    }
+    let ids: BTreeSet<&String> = masks.keys().chain(said.keys()).collect();
+    for id in ids {
+        let (mask, text) = (masks.get(id), said.get(id));
+        for (value, file) in [(mask, "mask_all"), (text, "part_annotations")] {
+            if let Some(value) = value {
+                *release
+                    .shapes
+                    .entry(format!("{file} {}", shape(value)))
+                    .or_default() += 1;
+            }
+        }
+        let read = motion(mask.unwrap_or(&Value::Null), text.unwrap_or(&Value::Null));
+        let (said, problems) = read;
+        for problem in problems {
+            if release.messages.len() < 50 {
+                release.messages.push(format!("{id}: {problem}"));
+            }
+        }
+        release.motions.insert(id.clone(), said);
+    }
+    Ok(release)
+}
+
+fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
+    let mut problems = Vec::new();
+    let mut all: Vec<MaskAnswer> = Vec::new();
+    let mut unknown = Map::new();
+    let mut put = |name: &str, text: String| {
+        let (parts, lost) = parts(name);
+        problems.extend(
+            lost.iter()
+                .map(|name| format!("body part {name:?} is not known")),
+        );
+        if !parts.is_empty() {
+            all.push(MaskAnswer {
+                parts,
+                soft: true,
+                text,
+                suggestion: None,
+            });
+        }
+        lost
+    };
+    match said {
+        Value::Object(map) => {
+            for (name, value) in map {
+                let found = texts(value);
+                let list = if found.is_empty() {
+                    vec![String::new()]
+                } else {
+                    found
+                };
+                for text in list {
+                    if !put(name, text).is_empty() {
+                        unknown.insert(name.clone(), value.clone());
+                    }
+                }
+            }
+            // Masks that nothing is said of stay.
+            for name in names(masks) {
+                if !map.keys().any(|known| parts(known).0 == parts(&name).0) {
+                    put(&name, String::new());
+                }
+            }
+        }
+        said => {
+            let names = names(masks);
+            let list: Vec<Vec<String>> = match said {
+                Value::Array(items) if items.len() == names.len() => {
+                    items.iter().map(texts).collect()
+                }
+                Value::Array(_) if names.len() == 1 => vec![texts(said)],
+                Value::String(_) => vec![texts(said); names.len()],
+                Value::Null => Vec::new(),
+                _ => {
+                    unknown.insert("part_annotations".to_owned(), said.clone());
+                    Vec::new()
+                }
+            };
+            if !unknown.is_empty() {
+                put_problem(&mut unknown);
+            }
+            for (index, name) in names.iter().enumerate() {
+                let found = list.get(index).cloned().unwrap_or_default();
+                let found = if found.is_empty() {
+                    vec![String::new()]
+                } else {
+                    found
+                };
+                for text in found {
+                    put(name, text);
+                }
+            }
+        }
+    }
+    if unknown.contains_key("part_annotations") {
+        problems.push("its texts do not match its masks and are kept aside".to_owned());
+    }
+    let extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
+    (Said { masks: all, extra }, problems)
+}
+
+/// What is kept aside says so.
+fn put_problem(unknown: &mut Map<String, Value>) {
+    unknown.insert("kept_aside".to_owned(), json!(true));
+}
+
+/// The two files of what was accepted, keys sorted.
+pub(super) fn write(all: &BTreeMap<String, Said>) -> (Value, Value) {
+    let (mut masks, mut said) = (Map::new(), Map::new());
+    for (id, one) in all {
+        let names: Vec<String> = one.masks.iter().map(|mask| mask.parts.join("+")).collect();
+        let texts: Vec<&str> = one.masks.iter().map(|mask| mask.text.as_str()).collect();
+        masks.insert(id.clone(), json!(names));
+        // What could not be understood on the way in goes out as it was.
+        let kept = one
+            .extra
+            .as_ref()
+            .and_then(|extra| extra.get("part_annotations"));
+        said.insert(id.clone(), kept.cloned().unwrap_or_else(|| json!(texts)));
+    }
+    (Value::Object(masks), Value::Object(said))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(masks: Value, texts: Value) -> Vec<(String, String)> {
+        motion(&masks, &texts)
+            .0
+            .masks
+            .into_iter()
+            .map(|mask| (mask.parts.join("+"), mask.text))
+            .collect()
+    }
+
+    fn expected(list: &[(&str, &str)]) -> Vec<(String, String)> {
+        list.iter()
+            .map(|(part, text)| ((*part).to_owned(), (*text).to_owned()))
+            .collect()
+    }
+
+    #[test]
+    fn every_shape_says_the_same() {
+        let one = expected(&[("LEFT_ARM", "waving")]);
+        for (masks, texts) in [
+            (json!("LEFT_ARM"), json!("waving")),
+            (json!(["left arm"]), json!(["waving"])),
+            (json!([["LEFT_ARM"]]), json!([["waving"]])),
+            (json!({"LEFT_ARM": 1}), json!({"LEFT_ARM": "waving"})),
+            (Value::Null, json!({"LEFT_ARM": ["waving"]})),
+        ] {
+            assert_eq!(read(masks.clone(), texts.clone()), one, "{masks} {texts}");
+        }
+        assert_eq!(
+            read(
+                json!([["LEFT_ARM", "HEAD"], "LOWER_BODY"]),
+                json!(["nodding", "walking"])
+            ),
+            expected(&[("LEFT_ARM+HEAD", "nodding"), ("LOWER_BODY", "walking")])
+        );
+    }
+
+    #[test]
+    fn what_is_not_understood_is_reported_and_kept() {
+        let document = json!({
+            "mask_all": {"a": ["LEFT_ARM", "TAIL"], "b": ["HEAD"], "c": ["HEAD", "TORSO"]},
+            "part_annotations": {"a": ["waving", "wagging"], "d": {"HEAD": "nodding"}, "c": [1, 2, 3]},
+        });
+        let release = parse(&document).expect("an object");
+        assert_eq!(release.motions["a"].masks.len(), 1);
+        assert_eq!(release.motions["c"].masks.len(), 2);
+        assert_eq!(
+            release.motions["c"]
+                .extra
+                .as_ref()
+                .and_then(|extra| extra.get("part_annotations")),
+            Some(&json!([1, 2, 3]))
+        );
+        assert!(
+            release
+                .messages
+                .iter()
+                .any(|message| message.contains("TAIL"))
+        );
+        assert!(
+            release
+                .messages
+                .iter()
+                .any(|message| message.contains("1 ids have masks and no texts"))
+        );
+        let (_, texts) = write(&release.motions);
+        assert_eq!(texts["c"], json!([1, 2, 3]));
+        assert!(parse(&json!([])).is_err());
+        assert!(parse(&json!({"other": 1})).is_err());
+        assert!(parse(&json!({"mask_all": 7})).is_err());
+    }
+
+    #[test]
+    fn what_is_written_reads_as_it_was() {
+        let document = json!({
+            "mask_all": {"a": ["LEFT_ARM", "LEFT_ARM+HEAD"], "b": []},
+            "part_annotations": {"a": ["waving", "nodding"], "b": []},
+        });
+        let once = parse(&document).expect("an object").motions;
+        let (masks, texts) = write(&once);
+        assert_eq!(
+            (&masks, &texts),
+            (&document["mask_all"], &document["part_annotations"])
+        );
+        let again = parse(&json!({"mask_all": masks, "part_annotations": texts}))
+            .expect("an object")
+            .motions;
+        assert_eq!(once, again);
+    }
+}

@@ -1,0 +1,153 @@
+//! Hostile data: what is sent, imported or named is never trusted.
+
+use annotate::wire::{Code, EventKind, EventResults, Role, TaskKind, TaskView};
+use serde_json::json;
+
+use crate::support::{Site, agent, event, masks, send};
+
+#[test]
+fn texts_are_kept_as_they_are_and_sent_as_data() {
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let view = ann.claim(TaskKind::MaskText);
+    let lease = view.lease.as_ref().expect("a lease").epoch;
+    let path = format!("tasks/{}/events", view.task.id);
+    let nasty = "<script>alert(1)</script> \u{202e}evil \u{0301}' OR 1=1; DROP TABLE event; --";
+    let sent: EventResults = ann
+        .post(
+            &path,
+            &json!({ "events": [event(EventKind::Draft, lease, 0, Some(masks(nasty)))] }),
+        )
+        .ok();
+    assert_eq!(sent.results[0].status, 200);
+    let answered = ann.get(&format!("tasks/{}", view.task.id));
+    assert_eq!(
+        answered
+            .headers
+            .get("content-type")
+            .and_then(|value| value.to_str().ok()),
+        Some("application/json")
+    );
+    let again: TaskView = answered.ok();
+    assert_eq!(again.mine.expect("a draft").answer, masks(nasty));
+    assert!(site.store.verify().expect("checks").is_empty());
+}
+
+#[test]
+fn texts_that_are_too_long_or_hold_control_characters_are_refused_and_nothing_is_logged() {
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let view = ann.claim(TaskKind::MaskText);
+    let lease = view.lease.as_ref().expect("a lease").epoch;
+    let path = format!("tasks/{}/events", view.task.id);
+    let before = site.store.last_seq().expect("a place");
+    for text in [
+        "x".repeat(2001),
+        "a\u{0}b".to_owned(),
+        "\u{1b}[2J".to_owned(),
+    ] {
+        let sent: EventResults = ann
+            .post(
+                &path,
+                &json!({ "events": [event(EventKind::Draft, lease, 0, Some(masks(&text)))] }),
+            )
+            .ok();
+        assert_eq!(
+            sent.results[0].problem.as_ref().map(|problem| problem.code),
+            Some(Code::Invalid)
+        );
+    }
+    let huge = format!("{{\"events\":\"{}\"}}", "x".repeat(10 << 20));
+    assert_eq!(
+        ann.call("POST", &path, Some(huge.as_bytes()))
+            .problem()
+            .code,
+        Code::TooLarge
+    );
+    assert_eq!(site.store.last_seq().expect("a place"), before);
+}
+
+#[test]
+fn deep_and_broken_json_is_refused() {
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let deep = "[".repeat(100_000);
+    for body in [
+        deep.as_bytes(),
+        b"\xff\xfe",
+        b"null",
+        b"{\"kind\":\"mask_text\"} trailing",
+    ] {
+        assert_eq!(
+            ann.call("POST", "queue/next", Some(body)).problem().code,
+            Code::BadRequest
+        );
+    }
+}
+
+#[test]
+fn paths_do_not_climb() {
+    let site = Site::new();
+    let admin = site.person("adm", Role::Admin);
+    for path in [
+        "/assets/../Cargo.toml",
+        "/assets/..%2f..%2fCargo.toml",
+        "/assets/%2e%2e/Cargo.toml",
+        "/assets//etc/passwd",
+    ] {
+        let answered = send(&agent(), "GET", &site.url(path), &[], None);
+        assert_eq!(answered.status, 404, "{path}");
+    }
+    for name in ["..%2f..%2fstore.sqlite", "%2fetc%2fpasswd"] {
+        assert_eq!(
+            admin.get(&format!("jobs/1/files/{name}")).status,
+            404,
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let bearer = format!("Bearer {}", ann.token);
+    for (url, headers) in [
+        (format!("/api/v1/me?token={}", ann.token), vec![]),
+        (
+            "/api/v1/me".to_owned(),
+            vec![("authorization", ann.token.as_str())],
+        ),
+        (
+            "/api/v1/me".to_owned(),
+            vec![
+                ("authorization", bearer.as_str()),
+                ("authorization", "Bearer x"),
+            ],
+        ),
+        ("/api/v1/me".to_owned(), vec![("cookie", "annotate=x")]),
+    ] {
+        assert_eq!(
+            send(&agent(), "GET", &site.url(&url), &headers, None).status,
+            401
+        );
+    }
+}
+
+#[test]
+fn an_import_that_is_no_release_fails_and_says_why() {
+    let site = Site::new();
+    let admin = site.person("adm", Role::Admin);
+    for body in ["[]", "{", "{\"mask_all\": 7}", "{\"other\": {}}"] {
+        let job: annotate::wire::Job = admin
+            .call("POST", "imports?format=stance", Some(body.as_bytes()))
+            .ok();
+        let job = crate::transfer::finished(&admin, job.id);
+        assert_eq!(job.state, "failed", "{body}");
+        assert!(!job.messages.is_empty());
+    }
+    let job: annotate::wire::Job = admin
+        .call("POST", "imports?format=annotations", Some(b"PAR1 or not"))
+        .ok();
+    assert_eq!(crate::transfer::finished(&admin, job.id).state, "failed");
+}

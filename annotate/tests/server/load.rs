@@ -1,0 +1,128 @@
+//! Many annotators at once over many tasks. The short form runs with the others; the full one is
+//!
+//! ```sh
+//! ANNOTATE_LOAD=50x200x100000 cargo test --release --workspace --test server load -- --nocapture
+//! ```
+//!
+//! annotators, tasks of each, and tasks there are.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use annotate::wire::{EventResults, Role, TaskKind};
+use serde_json::json;
+
+use crate::support::{START, Site, bare_motion, bare_task, masks, submit};
+
+fn size() -> [usize; 3] {
+    let text = std::env::var("ANNOTATE_LOAD").unwrap_or_else(|_| "8x15x2000".to_owned());
+    let numbers: Vec<usize> = text
+        .split('x')
+        .filter_map(|number| number.parse().ok())
+        .collect();
+    numbers
+        .try_into()
+        .expect("ANNOTATE_LOAD is annotators x tasks of each x tasks")
+}
+
+fn at(times: &mut [Duration], share: f64) -> Duration {
+    times.sort();
+    times[((times.len() - 1) as f64 * share).round() as usize]
+}
+
+/// Largest resident memory of this process, in MB.
+fn peak_memory_mb() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
+    line.split_whitespace()
+        .nth(1)?
+        .parse::<u64>()
+        .ok()
+        .map(|kb| kb / 1024)
+}
+
+#[test]
+fn load_loses_nothing_and_gives_nothing_twice() {
+    use std::io::Write;
+    let [people, each, tasks] = size();
+    let site = Site::new();
+    let mut motion = bare_motion();
+    motion.hash = site.store.all_motions().expect("motions")[0].hash.clone();
+    let imported = Instant::now();
+    let bare = (0..tasks).map(|number| {
+        let mut task = bare_task(number, TaskKind::MaskText);
+        task.source.clone_from(&motion.hash);
+        task
+    });
+    site.store
+        .import(None, bare.collect(), START)
+        .expect("tasks");
+    let imported = imported.elapsed();
+    let clients: Vec<_> = (0..people)
+        .map(|number| site.person(&format!("worker{number:03}"), Role::Annotator))
+        .collect();
+    let (claims, saves) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
+    let done: Mutex<BTreeMap<i64, usize>> = Mutex::new(BTreeMap::new());
+    let begun = Instant::now();
+    std::thread::scope(|scope| {
+        for client in &clients {
+            let (claims, saves, done) = (&claims, &saves, &done);
+            scope.spawn(move || {
+                let (mut claimed, mut saved, mut mine) = (Vec::new(), Vec::new(), Vec::new());
+                for _ in 0..each {
+                    let clock = Instant::now();
+                    let view = client.claim(TaskKind::MaskText);
+                    claimed.push(clock.elapsed());
+                    let body = json!({ "events": [submit(&view, masks("waving"))] });
+                    let clock = Instant::now();
+                    let results: EventResults = client
+                        .post(&format!("tasks/{}/events", view.task.id), &body)
+                        .ok();
+                    saved.push(clock.elapsed());
+                    assert_eq!(results.results[0].status, 200);
+                    mine.push(view.task.id);
+                }
+                claims.lock().expect("no panic").extend(claimed);
+                saves.lock().expect("no panic").extend(saved);
+                let mut done = done.lock().expect("no panic");
+                for task in mine {
+                    *done.entry(task).or_default() += 1;
+                }
+            });
+        }
+    });
+    let took = begun.elapsed();
+    let (mut claims, mut saves) = (
+        claims.into_inner().expect("no panic"),
+        saves.into_inner().expect("no panic"),
+    );
+    // Figures are printed and not judged: they are those of the machine.
+    let _said = writeln!(
+        std::io::stderr().lock(),
+        "load: {people} annotators x {each} of {tasks} tasks in {took:.1?} (import {imported:.1?}); \
+         claim p50 {:.1?} p99 {:.1?}, save p50 {:.1?} p99 {:.1?}, peak memory {} MB of server and clients together",
+        at(&mut claims, 0.5),
+        at(&mut claims, 0.99),
+        at(&mut saves, 0.5),
+        at(&mut saves, 0.99),
+        peak_memory_mb().unwrap_or(0)
+    );
+    let done = done.into_inner().expect("no panic");
+    assert_eq!(done.len(), people * each, "every claim gave another task");
+    let mut after = 0;
+    let mut stored = 0;
+    loop {
+        let labels = site.store.labels(after, 2000).expect("labels");
+        let Some(last) = labels.last() else { break };
+        after = last.task;
+        stored += labels.len();
+        assert!(labels.iter().all(|label| done.contains_key(&label.task)));
+    }
+    assert_eq!(
+        stored,
+        people * each,
+        "every answer that was acknowledged is there once"
+    );
+    assert_eq!(site.store.verify().expect("checks"), Vec::<String>::new());
+}

@@ -1,0 +1,923 @@
+//! What every store has to do, on each database there is.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, TokenUse, Who, open_sqlite};
+use annotate::wire::{
+    Code, Decision, EventKind, EventResult, NewEvent, NewReview, ReviewQueue, RevisionState, Role,
+    Settings, SkipReason, TaskKind, TaskState, Verdict,
+};
+use datasets_spec::Seed;
+use rand::RngExt;
+
+use crate::support::{
+    MINUTE, START, bare_motion, bare_task, event, key, masks, pair, plain_settings,
+};
+
+/// Runs a test on a fresh store of each database.
+fn on_each(test: &str, check: impl Fn(Arc<dyn Store>)) {
+    let folder = tempfile::tempdir().expect("a folder");
+    check(open_sqlite(&folder.path().join("store.sqlite")).expect("a store"));
+    on_postgres(test, &check);
+}
+
+#[cfg(feature = "postgres")]
+fn on_postgres(test: &str, check: &dyn Fn(Arc<dyn Store>)) {
+    match std::env::var("ANNOTATE_TEST_PG") {
+        Ok(url) => {
+            let schema = format!(
+                "t{}_{}",
+                std::process::id(),
+                test.replace(|c: char| !c.is_ascii_alphanumeric(), "_")
+            );
+            check(annotate::store::open_postgres(&url, &schema).expect("a store on PostgreSQL"));
+        }
+        Err(_) => skipped(test),
+    }
+}
+
+#[cfg(not(feature = "postgres"))]
+fn on_postgres(test: &str, _: &dyn Fn(Arc<dyn Store>)) {
+    skipped(test);
+}
+
+fn skipped(test: &str) {
+    use std::io::Write;
+    // Said past the capture of the test runner, so that nobody takes silence for a pass.
+    let _said = writeln!(
+        std::io::stderr().lock(),
+        "SKIPPED {test} on PostgreSQL: needs the feature postgres and ANNOTATE_TEST_PG"
+    );
+}
+
+/// A store with people and tasks of a kind.
+struct Fixture {
+    store: Arc<dyn Store>,
+    ann: i64,
+    bob: i64,
+    eve: Who,
+}
+
+fn fixture(store: Arc<dyn Store>, tasks: Vec<NewTask>) -> Fixture {
+    plain_settings(store.as_ref());
+    let user = |name: &str, role| store.add_user(None, name, role, START).expect("a user").id;
+    let (ann, bob) = (user("ann", Role::Annotator), user("bob", Role::Annotator));
+    let eve = Who {
+        id: user("eve", Role::Reviewer),
+        name: "eve".to_owned(),
+        role: Role::Reviewer,
+    };
+    store.put_motions(vec![bare_motion()]).expect("a motion");
+    store.import(None, tasks, START).expect("tasks");
+    Fixture {
+        store,
+        ann,
+        bob,
+        eve,
+    }
+}
+
+fn mask_tasks(count: usize) -> Vec<NewTask> {
+    (0..count)
+        .map(|number| bare_task(number, TaskKind::MaskText))
+        .collect()
+}
+
+impl Fixture {
+    fn who(&self, id: i64) -> Who {
+        Who {
+            id,
+            name: String::new(),
+            role: Role::Annotator,
+        }
+    }
+
+    fn claim(&self, user: i64, now: i64) -> Option<i64> {
+        self.claim_kind(user, TaskKind::MaskText, now)
+    }
+
+    fn claim_kind(&self, user: i64, kind: TaskKind, now: i64) -> Option<i64> {
+        match self.store.claim(user, kind, now).expect("claims") {
+            Claimed::Task(task) => Some(task),
+            Claimed::Nothing(_) => None,
+        }
+    }
+
+    fn epoch(&self, user: i64, task: i64) -> i64 {
+        let detail = self.store.task(&self.who(user), task).expect("a task");
+        detail.lease.map_or(0, |lease| lease.epoch)
+    }
+
+    fn send(&self, user: i64, task: i64, event: NewEvent, now: i64) -> EventResult {
+        let mut results = self
+            .store
+            .append(user, task, vec![event], now)
+            .expect("takes events");
+        results.pop().expect("one result")
+    }
+
+    fn answer(&self, user: i64, text: &str, now: i64) -> i64 {
+        let task = self.claim(user, now).expect("a task");
+        let sent = event(
+            EventKind::Submit,
+            self.epoch(user, task),
+            0,
+            Some(masks(text)),
+        );
+        assert_eq!(self.send(user, task, sent, now).status, 200);
+        task
+    }
+
+    fn state(&self, task: i64) -> TaskState {
+        self.store.task_record(task).expect("a task").state
+    }
+
+    fn review(&self, now: i64) -> (i64, i64) {
+        match self
+            .store
+            .review_next(self.eve.id, ReviewQueue::Disagreement, None, now)
+            .expect("claims")
+        {
+            ReviewClaimed::Task(detail) => (detail.task.id, detail.lease.epoch),
+            ReviewClaimed::Nothing(empty) => panic!("nothing to review: {empty:?}"),
+        }
+    }
+
+    fn decide(
+        &self,
+        task: i64,
+        epoch: i64,
+        decision: Decision,
+        now: i64,
+    ) -> Result<TaskState, Code> {
+        let review = NewReview {
+            idem_key: key(),
+            task,
+            lease_epoch: epoch,
+            decision,
+            author: None,
+            answer: (decision == Decision::Merge).then(|| masks("merged")),
+            comment: "because".to_owned(),
+        };
+        match self.store.review(self.eve.id, review, now) {
+            Ok(done) => Ok(done.state),
+            Err(error) => Err(error.problem().code),
+        }
+    }
+
+    fn whole(&self) {
+        assert_eq!(self.store.verify().expect("checks"), Vec::<String>::new());
+    }
+}
+
+fn problem(result: &EventResult) -> Code {
+    result.problem.as_ref().expect("a problem").code
+}
+
+#[test]
+fn a_task_goes_to_as_many_people_as_it_wants_and_no_more() {
+    on_each("claims", |store| {
+        let site = fixture(store, mask_tasks(2));
+        let first = site.claim(site.ann, START);
+        assert_eq!(
+            site.claim(site.ann, START),
+            first,
+            "the same task until it is done"
+        );
+        let second = site.claim(site.bob, START);
+        assert!(second.is_some() && second != first);
+        assert_eq!(site.claim(site.eve.id, START), None);
+        let Claimed::Nothing(empty) = site
+            .store
+            .claim(site.eve.id, TaskKind::MaskText, START)
+            .expect("claims")
+        else {
+            panic!("nothing is left");
+        };
+        assert_eq!((empty.total, empty.leased_by_others, empty.done), (2, 2, 0));
+        assert_eq!(empty.soonest_expiry, Some(START + 15 * MINUTE));
+        site.whole();
+    });
+}
+
+#[test]
+fn an_expired_lease_is_given_away_by_the_claim_itself_and_its_late_answer_is_kept() {
+    on_each("expiry", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let epoch = site.epoch(site.ann, task);
+        let later = START + 16 * MINUTE;
+        assert_eq!(site.claim(site.bob, later), Some(task));
+        let late = event(EventKind::Submit, epoch, 0, Some(masks("late")));
+        let result = site.send(site.ann, task, late.clone(), later);
+        assert_eq!(
+            (result.status, problem(&result), result.rev),
+            (409, Code::LeaseLost, 1)
+        );
+        let detail = site
+            .store
+            .task(&site.who(site.ann), task)
+            .expect("still mine to see");
+        let mine = detail.mine.expect("my draft");
+        assert_eq!(
+            (mine.state, mine.answer),
+            (RevisionState::Draft, masks("late"))
+        );
+        assert_eq!(site.store.task_record(task).expect("a task").submitted, 0);
+        assert_eq!(
+            site.send(site.ann, task, late, later),
+            result,
+            "asked again, the same answer"
+        );
+        let refused = site
+            .store
+            .claim_task(site.ann, task, later)
+            .expect_err("full");
+        assert_eq!(refused.problem().code, Code::TaskFull);
+        site.whole();
+    });
+}
+
+#[test]
+fn nobody_takes_an_expired_lease_away_but_a_claim() {
+    on_each("late", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let sent = event(
+            EventKind::Submit,
+            site.epoch(site.ann, task),
+            0,
+            Some(masks("slow")),
+        );
+        assert_eq!(
+            site.send(site.ann, task, sent, START + 60 * MINUTE).status,
+            200
+        );
+        site.whole();
+    });
+}
+
+#[test]
+fn a_key_is_taken_once() {
+    on_each("keys", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let draft = event(
+            EventKind::Draft,
+            site.epoch(site.ann, task),
+            0,
+            Some(masks("one")),
+        );
+        let before = site.store.last_seq().expect("a place");
+        let first = site.send(site.ann, task, draft.clone(), START);
+        for _ in 0..5 {
+            assert_eq!(
+                site.send(site.ann, task, draft.clone(), START + MINUTE),
+                first
+            );
+        }
+        assert_eq!(site.store.last_seq().expect("a place"), before + 1);
+        let other = NewEvent {
+            answer: Some(masks("two")),
+            ..draft
+        };
+        assert_eq!(
+            problem(&site.send(site.ann, task, other, START)),
+            Code::KeyReused
+        );
+        site.whole();
+    });
+}
+
+#[test]
+fn a_stale_revision_is_refused_with_the_other_one_and_both_stay_in_the_log() {
+    on_each("stale", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let epoch = site.epoch(site.ann, task);
+        let draft = |base, text| event(EventKind::Draft, epoch, base, Some(masks(text)));
+        assert_eq!(site.send(site.ann, task, draft(0, "tab one"), START).rev, 1);
+        let result = site.send(site.ann, task, draft(0, "tab two"), START);
+        assert_eq!(
+            (result.status, problem(&result)),
+            (409, Code::StaleRevision)
+        );
+        let theirs = result
+            .problem
+            .and_then(|problem| problem.theirs)
+            .expect("the other one");
+        assert_eq!((theirs.rev, theirs.answer), (1, masks("tab one")));
+        let log = site.store.log(0, 1000).expect("the log");
+        for text in ["tab one", "tab two"] {
+            assert!(
+                log.iter()
+                    .any(|entry| entry.body.to_string().contains(text)),
+                "{text}"
+            );
+        }
+        assert_eq!(site.send(site.ann, task, draft(1, "merged"), START).rev, 2);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_batch_stops_at_the_first_event_that_fails() {
+    on_each("batch", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let epoch = site.epoch(site.ann, task);
+        let batch = vec![
+            event(EventKind::Draft, epoch, 0, Some(masks("one"))),
+            event(EventKind::Submit, epoch, 0, Some(masks("two"))),
+            event(EventKind::Submit, epoch, 1, Some(masks("three"))),
+        ];
+        let results = site
+            .store
+            .append(site.ann, task, batch.clone(), START)
+            .expect("takes events");
+        let statuses: Vec<u16> = results.iter().map(|result| result.status).collect();
+        assert_eq!(statuses, [200, 409]);
+        let results = site
+            .store
+            .append(site.ann, task, batch[2..].to_vec(), START)
+            .expect("takes events");
+        assert_eq!(results[0].state, Some(TaskState::Submitted));
+        site.whole();
+    });
+}
+
+#[test]
+fn an_answer_can_be_taken_back_until_it_is_reviewed() {
+    on_each("undo", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.answer(site.ann, "hasty", START);
+        let undone = site.send(site.ann, task, event(EventKind::Undo, 0, 1, None), START);
+        assert_eq!(
+            (undone.status, undone.state, undone.rev),
+            (200, Some(TaskState::Leased), 2)
+        );
+        let epoch = undone.lease.expect("a lease again").epoch;
+        assert_eq!(site.claim(site.bob, START), None, "the place is still mine");
+        let again = event(EventKind::Submit, epoch, 2, Some(masks("better")));
+        assert_eq!(site.send(site.ann, task, again, START).status, 200);
+        let (reviewed, lease) = site.review(START);
+        assert_eq!(reviewed, task);
+        let late = site.send(site.ann, task, event(EventKind::Undo, 0, 3, None), START);
+        assert_eq!(problem(&late), Code::WrongState);
+        assert_eq!(
+            site.decide(task, lease, Decision::Accept, START),
+            Ok(TaskState::Accepted)
+        );
+        site.whole();
+    });
+}
+
+#[test]
+fn a_returned_task_comes_back_to_its_author_first_and_to_others_after_days() {
+    on_each("returned", |store| {
+        let site = fixture(store, mask_tasks(2));
+        let task = site.answer(site.ann, "poor", START);
+        let (_, lease) = site.review(START);
+        assert_eq!(
+            site.decide(task, lease, Decision::Return, START),
+            Ok(TaskState::Returned)
+        );
+        let home = site.store.home(site.ann, START).expect("home");
+        assert_eq!(
+            (home.returned[0].task, home.returned[0].comment.as_str()),
+            (task, "because")
+        );
+        let other = site.claim(site.bob, START).expect("the other task");
+        assert_ne!(other, task);
+        assert_eq!(
+            site.claim(site.ann, START),
+            Some(task),
+            "first in its author's queue"
+        );
+        let detail = site.store.task(&site.who(site.ann), task).expect("a task");
+        assert_eq!(detail.comment.as_deref(), Some("because"));
+        let better = event(
+            EventKind::Submit,
+            site.epoch(site.ann, task),
+            1,
+            Some(masks("good")),
+        );
+        assert_eq!(site.send(site.ann, task, better, START).status, 200);
+        let (again, lease) = site.review(START);
+        assert_eq!(again, task);
+        assert_eq!(
+            site.decide(task, lease, Decision::Return, START),
+            Ok(TaskState::Returned)
+        );
+        let weeks_later = START + 8 * 24 * 60 * MINUTE;
+        let sent = event(
+            EventKind::Submit,
+            site.epoch(site.bob, other),
+            0,
+            Some(masks("x")),
+        );
+        assert_eq!(site.send(site.bob, other, sent, START).status, 200);
+        assert_eq!(site.claim(site.bob, weeks_later), Some(task));
+        site.whole();
+    });
+}
+
+#[test]
+fn reviewers_do_not_judge_their_own_work_and_decisions_can_be_undone() {
+    on_each("review", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.answer(site.eve.id, "mine", START);
+        let review = site
+            .store
+            .review_next(site.eve.id, ReviewQueue::Sample, None, START)
+            .expect("claims");
+        let ReviewClaimed::Nothing(empty) = review else {
+            panic!("one's own work is not given out")
+        };
+        assert_eq!((empty.waiting, empty.mine), (1, 1));
+        assert_eq!(
+            site.decide(task, 0, Decision::Accept, START),
+            Err(Code::OwnWork)
+        );
+        let other = Fixture {
+            store: Arc::clone(&site.store),
+            ann: site.ann,
+            bob: site.bob,
+            eve: Who {
+                id: site
+                    .store
+                    .add_user(None, "zoe", Role::Reviewer, START)
+                    .expect("a user")
+                    .id,
+                name: "zoe".to_owned(),
+                role: Role::Reviewer,
+            },
+        };
+        assert_eq!(
+            other.decide(task, 99, Decision::Accept, START),
+            Err(Code::LeaseLost)
+        );
+        let (_, lease) = other.review(START);
+        assert_eq!(
+            other.decide(task, lease, Decision::Merge, START),
+            Ok(TaskState::Accepted)
+        );
+        assert_eq!(
+            other.decide(task, lease, Decision::Accept, START),
+            Err(Code::WrongState)
+        );
+        let accepted = site.store.accepted(0, 10).expect("answers");
+        assert!(accepted[0].merged && accepted[0].answer == masks("merged"));
+        assert_eq!(
+            other.decide(task, 0, Decision::Reopen, START),
+            Ok(TaskState::Submitted)
+        );
+        assert!(site.store.accepted(0, 10).expect("answers").is_empty());
+        let (_, lease) = other.review(START);
+        assert_eq!(
+            other.decide(task, lease, Decision::Drop, START),
+            Ok(TaskState::Dropped)
+        );
+        assert_eq!(site.state(task), TaskState::Dropped);
+        site.whole();
+    });
+}
+
+#[test]
+fn two_answers_that_differ_come_first_in_the_queue_of_disagreement() {
+    on_each("disagreement", |store| {
+        let site = fixture(store, Vec::new());
+        let settings = Settings {
+            answers_per_task: 2,
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        site.store
+            .import(None, mask_tasks(2), START)
+            .expect("tasks");
+        for user in [site.ann, site.bob] {
+            let task = site.claim(user, START).expect("a task");
+            let sent = event(
+                EventKind::Submit,
+                site.epoch(user, task),
+                0,
+                Some(masks("same")),
+            );
+            assert_eq!(site.send(user, task, sent, START).status, 200);
+            let task = site.claim(user, START).expect("a task");
+            let mut answer = masks("same");
+            if let (true, annotate::wire::Answer::MaskText { masks, .. }) =
+                (user == site.bob, &mut answer)
+            {
+                masks[0].parts = vec!["RIGHT_ARM".to_owned()];
+            }
+            let sent = event(EventKind::Submit, site.epoch(user, task), 0, Some(answer));
+            assert_eq!(site.send(user, task, sent, START).status, 200);
+        }
+        let (task, _) = site.review(START);
+        let record = site.store.task_record(task).expect("a task");
+        assert!(record.distance.expect("a distance") > 0.0);
+        site.whole();
+    });
+}
+
+#[test]
+fn skipped_tasks_stay_away_and_postponed_ones_come_last() {
+    on_each("skips", |store| {
+        let site = fixture(store, mask_tasks(3));
+        let first = site.claim(site.ann, START).expect("a task");
+        let lacking = event(EventKind::Skip, site.epoch(site.ann, first), 0, None);
+        assert_eq!(
+            problem(&site.send(site.ann, first, lacking, START)),
+            Code::Invalid
+        );
+        let skip = NewEvent {
+            reason: Some(SkipReason::CannotTell),
+            ..event(EventKind::Skip, site.epoch(site.ann, first), 0, None)
+        };
+        assert_eq!(
+            site.send(site.ann, first, skip, START).state,
+            Some(TaskState::Open)
+        );
+        let second = site.claim(site.ann, START).expect("a task");
+        let later = event(EventKind::Postpone, site.epoch(site.ann, second), 0, None);
+        assert_eq!(site.send(site.ann, second, later, START).status, 200);
+        let third = site.answer(site.ann, "third", START);
+        assert_ne!(third, second);
+        assert_eq!(site.claim(site.ann, START), Some(second));
+        assert_eq!(
+            site.claim(site.bob, START),
+            Some(first),
+            "others may still want it"
+        );
+        assert_eq!(site.store.rejects().expect("rejects").len(), 1);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_bundle_is_leased_together_and_handed_in_one_by_one() {
+    on_each("bundles", |store| {
+        let tasks = (0..10)
+            .map(|number| NewTask {
+                bundle: Some(if number < 8 { "a" } else { "b" }.to_owned()),
+                bundle_index: number % 8,
+                ..bare_task(usize::try_from(number).expect("small"), TaskKind::Pair)
+            })
+            .collect();
+        let site = fixture(store, tasks);
+        let mut seen = Vec::new();
+        for number in 0..8 {
+            let task = site
+                .claim_kind(site.ann, TaskKind::Pair, START)
+                .expect("a task");
+            let detail = site.store.task(&site.who(site.ann), task).expect("a task");
+            assert_eq!(
+                detail.bundle.iter().filter(|item| item.leased).count(),
+                8 - number
+            );
+            let verdict = if number % 2 == 0 {
+                Verdict::Unnatural
+            } else {
+                Verdict::Keep
+            };
+            let sent = event(
+                EventKind::Submit,
+                site.epoch(site.ann, task),
+                0,
+                Some(pair(verdict)),
+            );
+            assert_eq!(site.send(site.ann, task, sent, START).status, 200);
+            seen.push(task);
+        }
+        let mut distinct = seen.clone();
+        distinct.dedup();
+        assert_eq!(distinct.len(), 8);
+        let other = site
+            .claim_kind(site.ann, TaskKind::Pair, START)
+            .expect("the next bundle");
+        assert!(!seen.contains(&other));
+        assert_eq!(site.claim_kind(site.bob, TaskKind::Pair, START), None);
+        site.whole();
+    });
+}
+
+#[test]
+fn gold_tasks_look_like_others_and_are_scored() {
+    on_each("gold", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.answer(site.ann, "known", START);
+        assert!(
+            site.store.make_gold(1, task, START).is_err(),
+            "only accepted answers are known"
+        );
+        let (_, lease) = site.review(START);
+        assert_eq!(
+            site.decide(task, lease, Decision::Accept, START),
+            Ok(TaskState::Accepted)
+        );
+        let gold = site.store.make_gold(1, task, START).expect("a gold task");
+        let settings = Settings {
+            gold_percent: 100,
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        assert_eq!(site.claim(site.bob, START), Some(gold));
+        let sent = event(
+            EventKind::Submit,
+            site.epoch(site.bob, gold),
+            0,
+            Some(masks("known")),
+        );
+        assert_eq!(site.send(site.bob, gold, sent, START).status, 200);
+        let people = site.store.people().expect("people");
+        let bob = people
+            .iter()
+            .find(|person| person.user.id == site.bob)
+            .expect("bob");
+        assert_eq!(bob.gold, [1.0]);
+        let counted: i64 = site
+            .store
+            .funnel()
+            .expect("counts")
+            .iter()
+            .map(|(_, _, count)| count)
+            .sum();
+        assert_eq!(counted, 1, "gold tasks are not counted as work");
+        site.whole();
+    });
+}
+
+#[test]
+fn leases_are_renewed_given_back_and_taken_away() {
+    on_each("leases", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let lease = site
+            .store
+            .task(&site.who(site.ann), task)
+            .expect("a task")
+            .lease
+            .expect("a lease");
+        let renewed = site
+            .store
+            .renew(site.ann, lease.id, START + MINUTE)
+            .expect("renews");
+        assert_eq!(renewed.expires, lease.expires + MINUTE);
+        assert!(site.store.renew(site.bob, lease.id, START).is_err());
+        assert!(
+            site.store
+                .release(&site.who(site.bob), lease.id, START)
+                .is_err()
+        );
+        site.store
+            .release(&site.eve, lease.id, START)
+            .expect("a reviewer may");
+        let lost = site
+            .store
+            .renew(site.ann, lease.id, START)
+            .expect_err("gone");
+        assert_eq!(lost.problem().code, Code::LeaseLost);
+        assert_eq!(site.claim(site.bob, START), Some(task));
+        site.whole();
+    });
+}
+
+#[test]
+fn tokens_end_are_revoked_and_work_once_where_they_should() {
+    on_each("tokens", |store| {
+        plain_settings(store.as_ref());
+        let user = store
+            .add_user(None, "ann", Role::Annotator, START)
+            .expect("a user");
+        let issue = |purpose| {
+            store
+                .issue(user.id, purpose, START + MINUTE, START)
+                .expect("a token")
+                .token
+        };
+        let token = issue(TokenUse::Token);
+        let good = |token: &str, purpose, now| store.authenticate(token, &[purpose], now).is_ok();
+        assert!(good(&token, TokenUse::Token, START));
+        assert!(
+            !good(&token, TokenUse::Session, START),
+            "a token is no session"
+        );
+        assert!(!good(&token, TokenUse::Token, START + MINUTE), "it ended");
+        assert!(!good("ann_0000", TokenUse::Token, START));
+        let once = issue(TokenUse::Once);
+        assert!(good(&once, TokenUse::Once, START));
+        assert!(!good(&once, TokenUse::Once, START), "it was used");
+        let session = issue(TokenUse::Session);
+        store.log_out(&session).expect("logs out");
+        assert!(!good(&session, TokenUse::Session, START));
+        let session = issue(TokenUse::Session);
+        let id = store.tokens(user.id).expect("tokens")[0].id;
+        store.revoke(id).expect("revokes");
+        assert!(!good(&token, TokenUse::Token, START));
+        assert!(
+            !good(&session, TokenUse::Session, START),
+            "sessions go with it"
+        );
+        let token = issue(TokenUse::Token);
+        store
+            .change_user(None, user.id, None, Some(false), START)
+            .expect("changes");
+        assert!(!good(&token, TokenUse::Token, START));
+        let admin = store.users().expect("users")[0].clone();
+        assert!(
+            store
+                .change_user(None, admin.id, Some(Role::Annotator), None, START)
+                .is_err(),
+            "the last admin"
+        );
+        assert!(
+            store.add_user(None, "ann", Role::Admin, START).is_err(),
+            "the name is taken"
+        );
+    });
+}
+
+#[test]
+fn importing_again_changes_nothing() {
+    on_each("import", |store| {
+        let site = fixture(store, mask_tasks(3));
+        site.answer(site.ann, "done", START);
+        let again = site
+            .store
+            .import(None, mask_tasks(5), START)
+            .expect("imports");
+        assert_eq!((again.new, again.known), (2, 3));
+        site.whole();
+    });
+}
+
+#[test]
+fn random_walks_end_in_a_store_that_follows_from_its_log() {
+    on_each("walks", |store| {
+        let site = fixture(store, Vec::new());
+        let settings = Settings {
+            answers_per_task: 2,
+            lease_minutes: 5,
+            blind_percent: 50,
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        let mut tasks = mask_tasks(6);
+        tasks.extend((6..16).map(|number| NewTask {
+            bundle: Some(format!("{}", number / 4)),
+            bundle_index: number % 4,
+            ..bare_task(usize::try_from(number).expect("small"), TaskKind::Pair)
+        }));
+        site.store.import(None, tasks, START).expect("tasks");
+        let mut rng = Seed(11).rng(&["walk"]);
+        let mut now = START;
+        let mut held: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
+        for step in 0..1500 {
+            now += rng.random_range(0..2 * MINUTE);
+            let user = [site.ann, site.bob, site.eve.id][rng.random_range(0..3)];
+            let kind = if rng.random::<bool>() {
+                TaskKind::MaskText
+            } else {
+                TaskKind::Pair
+            };
+            match rng.random_range(0..10) {
+                0..4 => {
+                    if let Some(task) = site.claim_kind(user, kind, now) {
+                        held.entry(user).or_default().push(task);
+                    }
+                }
+                4..8 => {
+                    let Some(task) = held.get(&user).and_then(|tasks| tasks.last()).copied() else {
+                        continue;
+                    };
+                    let kind = site.store.task_record(task).expect("a task").kind;
+                    let answer = match kind {
+                        TaskKind::Pair => pair(Verdict::ALL[rng.random_range(0..4)]),
+                        _ => masks(&format!("step {step}")),
+                    };
+                    let rev = site
+                        .store
+                        .task(&site.who(user), task)
+                        .ok()
+                        .and_then(|detail| detail.mine)
+                        .map_or(0, |mine| mine.rev);
+                    let what = [
+                        EventKind::Draft,
+                        EventKind::Submit,
+                        EventKind::Submit,
+                        EventKind::Undo,
+                        EventKind::Skip,
+                        EventKind::Postpone,
+                    ][rng.random_range(0..6)];
+                    let stale = i64::from(rng.random_range(0..8) == 0);
+                    let epoch = site.store.task(&site.eve, task).map_or(0, |_| {
+                        site.store
+                            .leases(0)
+                            .expect("leases")
+                            .iter()
+                            .find(|held| held.lease.task == task && held.lease.user == user)
+                            .map_or(0, |held| held.lease.epoch)
+                    });
+                    let mut sent = event(what, epoch, rev - stale, Some(answer));
+                    sent.reason = Some(SkipReason::Other);
+                    let result = site.send(user, task, sent.clone(), now);
+                    assert_eq!(site.send(user, task, sent, now).status, result.status);
+                }
+                8 => {
+                    let claimed =
+                        site.store
+                            .review_next(site.eve.id, ReviewQueue::Disagreement, None, now);
+                    if let ReviewClaimed::Task(detail) = claimed.expect("claims") {
+                        let decision = Decision::ALL[rng.random_range(0..4)];
+                        let author = detail
+                            .candidates
+                            .iter()
+                            .find(|(revision, _)| revision.state == RevisionState::Submitted)
+                            .map(|(revision, _)| revision.author);
+                        let mut review = NewReview {
+                            idem_key: key(),
+                            task: detail.task.id,
+                            lease_epoch: detail.lease.epoch,
+                            decision,
+                            author: author.filter(|_| decision != Decision::Merge),
+                            answer: None,
+                            comment: "walk".to_owned(),
+                        };
+                        if decision == Decision::Merge {
+                            review.answer = Some(match detail.task.kind {
+                                TaskKind::Pair => pair(Verdict::Keep),
+                                _ => masks("merged"),
+                            });
+                        }
+                        site.store
+                            .review(site.eve.id, review, now)
+                            .expect("decides");
+                    }
+                }
+                _ => {
+                    let decided = site.store.funnel().expect("counts");
+                    if decided
+                        .iter()
+                        .any(|(_, state, count)| *state == TaskState::Dropped && *count > 8)
+                    {
+                        for task in 1..=16 {
+                            let state = site.state(task);
+                            if state == TaskState::Dropped || state == TaskState::Accepted {
+                                // Whoever answered it may not reopen it; that is fine.
+                                let _tried = site.decide(task, 0, Decision::Reopen, now);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        site.whole();
+        let before = site.store.funnel().expect("counts");
+        assert_eq!(site.store.rebuild().expect("rebuilds"), Vec::<&str>::new());
+        assert_eq!(site.store.funnel().expect("counts"), before);
+        assert!(site.store.last_seq().expect("a place") > 500);
+    });
+}
+
+#[test]
+fn many_at_once_lose_nothing() {
+    on_each("many", |store| {
+        let site = fixture(store, mask_tasks(60));
+        let users: Vec<i64> = (0..6)
+            .map(|number| {
+                let name = format!("worker{number}");
+                site.store
+                    .add_user(None, &name, Role::Annotator, START)
+                    .expect("a user")
+                    .id
+            })
+            .collect();
+        std::thread::scope(|scope| {
+            for &user in &users {
+                let site = &site;
+                scope.spawn(move || {
+                    while let Some(task) = site.claim(user, START) {
+                        let sent = event(
+                            EventKind::Submit,
+                            site.epoch(user, task),
+                            0,
+                            Some(masks("x")),
+                        );
+                        assert_eq!(site.send(user, task, sent, START).status, 200);
+                    }
+                });
+            }
+        });
+        let labels = site.store.labels(0, 1000).expect("labels");
+        assert_eq!(labels.len(), 60, "each task was answered once");
+        site.whole();
+    });
+}

@@ -1,0 +1,503 @@
+//! `stance annotate` as a person starts it, and as a power cut ends it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use annotate::store::{NewTask, open_sqlite};
+use annotate::wire::{
+    Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, Settings, TaskKind, TaskView,
+    User, Verdict,
+};
+use datasets_spec::Seed;
+use rand::RngExt;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+
+use crate::util::{arg, command, corpus, stance};
+
+#[derive(Deserialize)]
+struct Listening {
+    url: String,
+    token: String,
+}
+
+#[derive(Deserialize)]
+struct Token {
+    token: String,
+    user: User,
+}
+
+/// A server that is a process of its own.
+struct Process {
+    child: Child,
+    url: String,
+    once: String,
+}
+
+impl Process {
+    fn start(dataset: &Path, listen: &str) -> Self {
+        let mut child = command(&[
+            "annotate",
+            arg(dataset),
+            "--listen",
+            listen,
+            "--json",
+            "--quiet",
+        ])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("stance starts");
+        let mut line = String::new();
+        let stdout = child.stdout.take().expect("a pipe");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let listening: Listening =
+            serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line:?}"));
+        Self {
+            child,
+            url: listening.url.trim_end_matches('/').to_owned(),
+            once: listening.token,
+        }
+    }
+
+    /// Ends it as a power cut would.
+    fn kill(&mut self) {
+        self.child.kill().expect("a running server");
+        self.child.wait().expect("an end");
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _killed = self.child.kill();
+        let _ended = self.child.wait();
+    }
+}
+
+/// A dataset of the built-in corpus with masks and pairs.
+fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
+    let dir = corpus(clips);
+    let out = dir.path().join("dataset");
+    stance(&[
+        "ingest",
+        arg(&dir.path().join("corpus")),
+        "--out",
+        arg(&out),
+    ])
+    .expect_code(0);
+    stance(&["masks", arg(&out)]).expect_code(0);
+    (dir, out)
+}
+
+struct Person {
+    user: User,
+    token: String,
+    agent: ureq::Agent,
+}
+
+impl Person {
+    fn new(dataset: &Path, name: &str, role: &str) -> Self {
+        let token: Token = stance(&[
+            "annotate",
+            arg(dataset),
+            "--json",
+            "user",
+            "add",
+            name,
+            "--role",
+            role,
+        ])
+        .expect_code(0)
+        .json();
+        Self {
+            user: token.user,
+            token: token.token,
+            agent: ureq::Agent::config_builder()
+                .http_status_as_error(false)
+                .timeout_global(Some(Duration::from_secs(20)))
+                .build()
+                .new_agent(),
+        }
+    }
+
+    /// The answer, or none if the server is not there.
+    fn ask(&self, url: &str, path: &str, body: &Value) -> Option<(u16, Vec<u8>)> {
+        let mut response = self
+            .agent
+            .post(format!("{url}/api/v1/{path}"))
+            .header("authorization", format!("Bearer {}", self.token))
+            .send(body.to_string().as_bytes())
+            .ok()?;
+        let bytes = response.body_mut().read_to_vec().ok()?;
+        Some((response.status().as_u16(), bytes))
+    }
+
+    fn post<T: DeserializeOwned>(&self, url: &str, path: &str, body: &Value) -> T {
+        let (status, bytes) = self.ask(url, path, body).expect("a server");
+        assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&bytes));
+        serde_json::from_slice(&bytes).expect("JSON")
+    }
+}
+
+fn masks(text: &str) -> Answer {
+    let mask = |part: &str| MaskAnswer {
+        parts: vec![part.to_owned()],
+        soft: true,
+        text: format!("The person is {text} with their {}.", part.to_lowercase()),
+        suggestion: None,
+    };
+    Answer::MaskText {
+        masks: vec![mask("LEFT_ARM"), mask("LOWER_BODY")],
+        count_reason: None,
+        note: String::new(),
+    }
+}
+
+fn pair() -> Answer {
+    Answer::Pair {
+        verdict: Verdict::Keep,
+        parts: vec!["RIGHT_ARM".to_owned()],
+        edit_type: Some(EditType::Speed),
+        text: "move the right arm faster".to_owned(),
+        suggestion: None,
+        note: String::new(),
+    }
+}
+
+fn events(view: &TaskView, key: &str, answer: &Answer) -> Value {
+    json!({ "events": [{
+        "idem_key": key, "kind": "submit", "secs": 3.0, "answer": answer,
+        "lease_epoch": view.lease.as_ref().map_or(0, |lease| lease.epoch),
+        "base_rev": view.mine.as_ref().map_or(0, |mine| mine.rev),
+    }] })
+}
+
+fn wants_one_answer(dataset: &Path) {
+    let store = open_sqlite(&dataset.join("annotate").join("store.sqlite")).expect("a store");
+    let settings = Settings {
+        blind_percent: 0,
+        gold_percent: 0,
+        overlap_percent: 0,
+        ..Settings::default()
+    };
+    store.put_settings(1, settings, 0).expect("settings");
+}
+
+#[test]
+fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
+    let (_dir, dataset) = dataset(52);
+    let (ann, eve) = (
+        Person::new(&dataset, "ann", "annotator"),
+        Person::new(&dataset, "eve", "reviewer"),
+    );
+    wants_one_answer(&dataset);
+    let server = Process::start(&dataset, "127.0.0.1:0");
+    let url = &server.url;
+    let me: Value = {
+        let body = json!({ "token": server.once }).to_string();
+        let mut response = ann
+            .agent
+            .post(format!("{url}/api/v1/session"))
+            .header("origin", url)
+            .header("x-annotate", "1")
+            .send(body.as_bytes())
+            .expect("a server");
+        response.body_mut().read_json().expect("JSON")
+    };
+    assert_eq!(me["user"]["role"], "admin");
+    let mut done = BTreeMap::new();
+    for (kind, answer, count) in [
+        (TaskKind::MaskText, masks("testing"), 6),
+        (TaskKind::Pair, pair(), 2),
+    ] {
+        for number in 0..count {
+            let next: Next = ann.post(url, "queue/next", &json!({ "kind": kind }));
+            let view = next
+                .task
+                .unwrap_or_else(|| panic!("a task of kind {kind}, {:?}", next.empty));
+            let key = format!("{kind}-{number}-key").replace('_', "-");
+            let results: EventResults = ann.post(
+                url,
+                &format!("tasks/{}/events", view.task.id),
+                &events(&view, &key, &answer),
+            );
+            assert_eq!(
+                results.results[0].status, 200,
+                "{:?}",
+                results.results[0].problem
+            );
+            *done.entry(kind).or_insert(0) += 1;
+        }
+    }
+    for number in 0..8 {
+        let next: ReviewNext = eve.post(url, "review/next", &json!({ "queue": "disagreement" }));
+        let review = next.review.expect("a review");
+        let decision = json!({ "idem_key": format!("review-{number}"), "task": review.task.id,
+            "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann.user.id });
+        let _: Value = eve.post(url, "reviews", &decision);
+    }
+    // The server goes on while the accepted answers are written.
+    let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"])
+        .expect_code(0)
+        .json();
+    assert_eq!(written["counts"]["masks_by_people"], 6);
+    let masks: Value = stance(&[
+        "masks",
+        arg(&dataset),
+        "--accept",
+        "/dev/null",
+        "--author",
+        "x",
+        "--json",
+    ])
+    .expect_code(0)
+    .json();
+    assert_eq!(masks["origins"]["human"], 12);
+    let triplets: Value = stance(&[
+        "triplets",
+        "stats",
+        arg(&dataset),
+        "--count",
+        "64",
+        "--json",
+    ])
+    .expect_code(0)
+    .json();
+    let text = triplets.to_string();
+    assert!(
+        text.contains("testing"),
+        "the annotators' words are among the instructions: {text}"
+    );
+    assert!(text.contains("fine-grained"), "{text}");
+    let out = dataset.with_file_name("triplets");
+    stance(&[
+        "triplets",
+        arg(&dataset),
+        "--out",
+        arg(&out),
+        "--count",
+        "16",
+    ])
+    .expect_code(0);
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+}
+
+#[test]
+fn the_command_says_what_to_do_when_it_cannot() {
+    let (_dir, dataset) = dataset(4);
+    let data = arg(&dataset);
+    let nowhere = dataset.with_file_name("nowhere");
+    let missing = stance(&["annotate", arg(&nowhere), "user", "list"]).expect_code(1);
+    assert!(
+        missing.stderr.contains("is not a dataset"),
+        "{}",
+        missing.stderr
+    );
+    assert!(!nowhere.exists(), "no folder is made of a typing error");
+    let token = stance(&["annotate", data, "user", "add", "ann"]).expect_code(0);
+    assert!(token.stdout.trim().starts_with("ann_") && token.stdout.trim().len() == 68);
+    let again = stance(&["annotate", data, "user", "add", "ann"]).expect_code(1);
+    assert!(
+        again.stderr.contains("choose another name"),
+        "{}",
+        again.stderr
+    );
+    let unknown = stance(&["annotate", data, "token", "bob"]).expect_code(1);
+    assert!(
+        unknown.stderr.contains("known are: ann"),
+        "{}",
+        unknown.stderr
+    );
+    stance(&["annotate", data, "user", "add", "x", "--role", "king"]).expect_code(2);
+    stance(&["annotate", data, "export", "--format", "csv"]).expect_code(2);
+    let users: Value = stance(&["annotate", data, "--json", "user", "list"])
+        .expect_code(0)
+        .json();
+    assert_eq!(users[0]["name"], "ann");
+    stance(&["annotate", data, "user", "disable", "ann"]).expect_code(0);
+    let copy = dataset.with_file_name("copy.sqlite");
+    stance(&["annotate", data, "backup", arg(&copy)]).expect_code(0);
+    stance(&["annotate", data, "backup", arg(&copy)]).expect_code(1);
+    let imported: Value = stance(&["annotate", data, "--json", "import"])
+        .expect_code(0)
+        .json();
+    assert!(
+        imported["counts"]["new_tasks"]
+            .as_i64()
+            .is_some_and(|count| count > 0)
+    );
+    let checked: Value = stance(&["annotate", data, "--json", "check"])
+        .expect_code(0)
+        .json();
+    assert_eq!(checked["findings"], json!([]));
+    let rebuilt: Value = stance(&["annotate", data, "--json", "rebuild"])
+        .expect_code(0)
+        .json();
+    assert_eq!(rebuilt["changed"], json!([]));
+    let taken = Process::start(&dataset, "127.0.0.1:0");
+    let address = taken.url.trim_start_matches("http://").to_owned();
+    let busy = stance(&["annotate", data, "--listen", &address]).expect_code(1);
+    assert!(busy.stderr.contains("--listen"), "{}", busy.stderr);
+}
+
+/// How often the server is killed; the full form of the test sets `ANNOTATE_KILLS=50`.
+fn kills() -> usize {
+    std::env::var("ANNOTATE_KILLS")
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(4)
+}
+
+/// An acknowledged event: its place in the log, and what it was.
+type Acknowledged = (i64, i64, i64);
+
+#[test]
+fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
+    use std::io::Write;
+    const CLIENTS: usize = 20;
+    const TASKS: usize = 20_000;
+    let (_dir, dataset) = dataset(4);
+    let people: Vec<Person> = (0..CLIENTS)
+        .map(|number| Person::new(&dataset, &format!("worker{number}"), "annotator"))
+        .collect();
+    wants_one_answer(&dataset);
+    stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
+    let file = dataset.join("annotate").join("store.sqlite");
+    {
+        let store = open_sqlite(&file).expect("a store");
+        let hash = store.all_motions().expect("motions")[0].hash.clone();
+        let tasks = (0..TASKS).map(|number| NewTask {
+            key: format!("crash{number:06}"),
+            kind: TaskKind::MaskText,
+            source: hash.clone(),
+            target: None,
+            split: "train".to_owned(),
+            bundle: None,
+            bundle_index: 0,
+            category: None,
+            hint: None,
+            style: None,
+            priority: 1,
+            gold: None,
+            extra: None,
+            suggestions: Vec::new(),
+            accepted: None,
+        });
+        store.import(None, tasks.collect(), 0).expect("tasks");
+    }
+    let mut server = Process::start(&dataset, "127.0.0.1:0");
+    let url = server.url.clone();
+    let address = url.trim_start_matches("http://").to_owned();
+    let stop = AtomicBool::new(false);
+    let acknowledged: Mutex<Vec<Acknowledged>> = Mutex::new(Vec::new());
+    let count = Arc::new(AtomicUsize::new(0));
+    let mut rng = Seed(3).rng(&["kills"]);
+    let mut restarts = Vec::new();
+    std::thread::scope(|scope| {
+        for person in &people {
+            let (url, stop, acknowledged, count) = (&url, &stop, &acknowledged, Arc::clone(&count));
+            scope.spawn(move || work(person, url, stop, acknowledged, &count));
+        }
+        for _ in 0..kills() {
+            let wanted = count.load(Ordering::SeqCst) + rng.random_range(5..60);
+            let deadline = Instant::now() + Duration::from_secs(120);
+            while count.load(Ordering::SeqCst) < wanted {
+                assert!(Instant::now() < deadline, "the server does not answer");
+                std::thread::yield_now();
+            }
+            server.kill();
+            let begun = Instant::now();
+            server = Process::start(&dataset, &address);
+            restarts.push(begun.elapsed());
+        }
+        stop.store(true, Ordering::SeqCst);
+    });
+    server.kill();
+    let store = open_sqlite(&file).expect("opens without repair");
+    let mut log = BTreeMap::new();
+    let mut after = 0;
+    loop {
+        let some = store.log(after, 5000).expect("the log");
+        let Some(last) = some.last() else { break };
+        after = last.seq;
+        log.extend(some.into_iter().map(|entry| (entry.seq, entry)));
+    }
+    let acknowledged = acknowledged.into_inner().expect("no panic");
+    for (seq, task, actor) in &acknowledged {
+        let entry = log
+            .get(seq)
+            .unwrap_or_else(|| panic!("entry {seq} was acknowledged and is lost"));
+        assert_eq!(
+            (entry.kind.as_str(), entry.task, entry.actor),
+            ("submitted", Some(*task), Some(*actor))
+        );
+    }
+    let mut answered = BTreeSet::new();
+    for entry in log.values().filter(|entry| entry.kind == "submitted") {
+        assert!(
+            answered.insert(entry.task),
+            "task {:?} was answered twice",
+            entry.task
+        );
+    }
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    let _said = writeln!(
+        std::io::stderr().lock(),
+        "kill -9: {} times under {CLIENTS} clients, {} answers acknowledged, {} in the log, slowest restart {:.2?}",
+        restarts.len(),
+        acknowledged.len(),
+        answered.len(),
+        restarts.iter().max().expect("a restart")
+    );
+    assert!(acknowledged.len() >= 5 * restarts.len());
+}
+
+/// Claims and answers until told to stop; asks again with the same key when the server is away.
+fn work(
+    person: &Person,
+    url: &str,
+    stop: &AtomicBool,
+    acknowledged: &Mutex<Vec<Acknowledged>>,
+    count: &AtomicUsize,
+) {
+    let again = |path: &str, body: &Value| -> Option<Vec<u8>> {
+        while !stop.load(Ordering::SeqCst) {
+            match person.ask(url, path, body) {
+                Some((200, bytes)) => return Some(bytes),
+                Some((status, bytes)) => {
+                    panic!("{path}: {status} {}", String::from_utf8_lossy(&bytes))
+                }
+                None => std::thread::yield_now(),
+            }
+        }
+        None
+    };
+    for number in 0.. {
+        let Some(bytes) = again("queue/next", &json!({ "kind": "mask_text" })) else {
+            return;
+        };
+        let next: Next = serde_json::from_slice(&bytes).expect("JSON");
+        let view = next.task.expect("there are tasks enough");
+        let key = format!("worker-{}-{number}", person.user.id);
+        let path = format!("tasks/{}/events", view.task.id);
+        let Some(bytes) = again(&path, &events(&view, &key, &masks("testing"))) else {
+            return;
+        };
+        let results: EventResults = serde_json::from_slice(&bytes).expect("JSON");
+        let result = &results.results[0];
+        assert_eq!(result.status, 200, "{:?}", result.problem);
+        let seq = result.seq.expect("a place");
+        acknowledged
+            .lock()
+            .expect("no panic")
+            .push((seq, view.task.id, person.user.id));
+        count.fetch_add(1, Ordering::SeqCst);
+    }
+}
