@@ -92,6 +92,10 @@ export class App {
   /** Logs in, fetches what never changes, and shows the page in the address. */
   async start(): Promise<void> {
     document.body.append(this.banner, this.header, this.main, this.toasts.element);
+    // An address with a token that is pasted over this page changes only what follows the `#`.
+    window.addEventListener("hashchange", () => {
+      if (window.location.hash.startsWith("#token=")) window.location.reload();
+    });
     this.store = await BrowserStore.open().catch(() => new MemoryStore() as KeyValue);
     this.me = await this.firstLogin();
     const [skeleton] = await Promise.all([this.api.get<SkeletonInfo>("skeleton"), this.prepareWebgl(), this.keys.learnLayout()]);
