@@ -91,7 +91,7 @@ pub struct Server {
     child: Option<Child>,
     port: u16,
     dataset: PathBuf,
-    admin: String,
+    printed_token: String,
 }
 
 impl Server {
@@ -102,7 +102,7 @@ impl Server {
             child: None,
             port,
             dataset: dataset.path(),
-            admin: String::new(),
+            printed_token: String::new(),
         };
         server.up().await;
         server
@@ -129,7 +129,7 @@ impl Server {
             .expect("the server says where it is");
         let shown: Value = serde_json::from_str(&line).expect("one JSON document");
         if let Some(token) = shown["token"].as_str() {
-            self.admin = token.to_owned();
+            self.printed_token = token.to_owned();
         }
         // Whatever else it prints is read, so that it never waits for a reader.
         tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
@@ -148,9 +148,9 @@ impl Server {
         format!("http://127.0.0.1:{}/{path}", self.port)
     }
 
-    /// The token of the administrator, printed at the first start.
-    pub fn admin(&self) -> &str {
-        &self.admin
+    /// The token in the address that was printed last: an administrator's, good for one login.
+    pub fn printed_token(&self) -> &str {
+        &self.printed_token
     }
 }
 

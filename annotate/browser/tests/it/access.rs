@@ -40,7 +40,7 @@ async fn admin() -> (Server, Browser, Dataset) {
     let dataset = Dataset::fresh().await;
     let server = Server::start(&dataset).await;
     let browser = Browser::start(Graphics::Software).await;
-    let token = server.admin().to_owned();
+    let token = server.printed_token().to_owned();
     browser.log_in(&server, &token, "app/home").await;
     (server, browser, dataset)
 }

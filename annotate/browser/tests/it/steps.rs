@@ -21,10 +21,11 @@ impl Desk {
     pub(crate) async fn open_with(path: &str, graphics: Graphics) -> Self {
         let dataset = Dataset::fresh().await;
         let token = dataset.add_user("ann", "annotator").await;
+        let boss = dataset.add_user("boss", "admin").await;
         let server = Server::start(&dataset).await;
         let browser = Browser::start(graphics).await;
         browser.open(&server.page("")).await;
-        nothing_by_chance(&browser, server.admin()).await;
+        nothing_by_chance(&browser, &boss).await;
         browser.log_in(&server, &token, path).await;
         Self {
             dataset,
