@@ -429,13 +429,37 @@ pub(crate) async fn blocking<T: Send + 'static>(
     }
 }
 
+/// Bytes of a body that is too large that are still read: a browser that is cut off in the middle of
+/// sending does not see why.
+const DRAINED_BYTES: usize = 32 * 1024 * 1024;
+
 async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
-    axum::body::to_bytes(body, limit).await.map_err(|_| {
-        Error::refused(
+    let mut chunks = body.into_data_stream();
+    let mut bytes = Vec::new();
+    let mut total = 0;
+    while let Some(chunk) = std::future::poll_fn(|context| {
+        futures_core::Stream::poll_next(std::pin::Pin::new(&mut chunks), context)
+    })
+    .await
+    {
+        let chunk = chunk.map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
+        total += chunk.len();
+        if total <= limit {
+            bytes.extend_from_slice(&chunk);
+        } else {
+            bytes = Vec::new();
+            if total > limit + DRAINED_BYTES {
+                break;
+            }
+        }
+    }
+    if total > limit {
+        return Err(Error::refused(
             Code::TooLarge,
             format!("a body has up to {limit} bytes here; send less at a time"),
-        )
-    })
+        ));
+    }
+    Ok(bytes.into())
 }
 
 fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {

@@ -19,7 +19,7 @@ use crate::wire::{
 
 /// Source of the pairs this program writes into a dataset.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
-/// Candidate pairs made of the takes of one action in one style.
+/// Clips of an action that candidate pairs are made of.
 const TAKES_AT_MOST: usize = 16;
 
 /// What an import did.
@@ -63,7 +63,6 @@ pub(super) fn mask_key(motion: &str) -> String {
 
 struct Clip {
     record: MotionRecord,
-    folder: String,
     source_clip: String,
     mirrored: bool,
 }
@@ -80,15 +79,11 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
         let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
         let styles: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "style")?;
         let actions: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "action")?;
-        let paths: Vec<String> = read_column::<MotionRow, _>(&path, "source_path")?;
         let mirrored: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "mirrored_of")?;
         for index in 0..ids.len() {
             let id = ids[index].as_str().to_owned();
             clips.push(Clip {
                 source_clip: ids[index].source_clip().to_owned(),
-                folder: paths[index]
-                    .rsplit_once('/')
-                    .map_or(String::new(), |(folder, _)| folder.to_owned()),
                 mirrored: mirrored[index].is_some() || id.ends_with("~m"),
                 record: MotionRecord {
                     hash: hashes[index].clone(),
@@ -113,7 +108,7 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// Makes tasks of a dataset: a mask task of every clip that mirrors no other, a pair task of every
 /// fine-grained pair, in bundles of eight, and a style task of every style pair. Masks of the pipeline
 /// come along as suggestions; masks by people and pairs this program wrote are accepted answers. Where
-/// the dataset has no fine-grained pairs, takes of one action in one style are candidates.
+/// the dataset has no fine-grained pairs, clips of one action are candidates.
 ///
 /// What is there already stays as it is.
 ///
@@ -294,27 +289,22 @@ fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
     }
 }
 
-/// Candidate pairs: each take of an action in a style against the next one of the same folder and
-/// split, up to sixteen takes of each.
+/// Candidate pairs: each clip of an action against the next one of the same split, those of one style
+/// side by side, up to sixteen clips of each action.
 fn takes(clips: &[&Clip]) -> BTreeMap<String, Vec<NewTask>> {
-    let mut groups: BTreeMap<(String, String, String, String), Vec<&Clip>> = BTreeMap::new();
+    let mut groups: BTreeMap<(String, String), Vec<&Clip>> = BTreeMap::new();
     for clip in clips.iter().filter(|clip| !clip.mirrored) {
         let Some(action) = clip.record.action.clone() else {
             continue;
         };
-        let style = clip.record.style.clone().unwrap_or_default();
         groups
-            .entry((
-                action,
-                style,
-                clip.record.split.clone(),
-                clip.folder.clone(),
-            ))
+            .entry((action, clip.record.split.clone()))
             .or_default()
             .push(clip);
     }
     let mut tasks: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for ((action, _, split, _), group) in groups {
+    for ((action, split), mut group) in groups {
+        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
         let group = &group[..group.len().min(TAKES_AT_MOST)];
         for pair in group.windows(2) {
             if pair[0].source_clip == pair[1].source_clip {

@@ -183,8 +183,8 @@ impl Site {
         let root = folder.path().join("dataset");
         dataset(&root);
         let store = open_sqlite(&folder.path().join("store.sqlite")).expect("a store");
-        from_dataset(store.as_ref(), &root, None, START, &mut |_, _| {}).expect("imports");
         plain_settings(store.as_ref());
+        from_dataset(store.as_ref(), &root, None, START, &mut |_, _| {}).expect("imports");
         let clock = Hands(Arc::new(AtomicI64::new(START)));
         let hands = clock.clone();
         let server = Server::start(
