@@ -507,7 +507,7 @@ pub(crate) mod tests {
         assert!((distance(&masks(&[]), &arm) - 1.0).abs() < 1e-12);
         assert!((distance(&pair(Verdict::Keep), &pair(Verdict::Unclear)) - 1.0).abs() < 1e-12);
         assert!(distance(&pair(Verdict::Unclear), &pair(Verdict::Unclear)).abs() < 1e-12);
-        assert_eq!(spread(&[arm.clone()]), None);
+        assert_eq!(spread(std::slice::from_ref(&arm)), None);
         assert_eq!(spread(&[arm.clone(), arm, legs]), Some(1.0));
     }
 

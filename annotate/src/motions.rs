@@ -61,6 +61,8 @@ pub struct MotionLibrary {
     places: BTreeMap<String, Place>,
     reference: [f64; NUM_RELEASE_PARTS],
     cache: Mutex<VecDeque<(String, Arc<Motion>)>>,
+    /// Parts that move, of motions asked for before.
+    active: Mutex<BTreeMap<String, Vec<BodyPart>>>,
 }
 
 impl std::fmt::Debug for MotionLibrary {
@@ -100,6 +102,7 @@ impl MotionLibrary {
             places,
             reference: [1.0; NUM_RELEASE_PARTS],
             cache: Mutex::new(VecDeque::new()),
+            active: Mutex::new(BTreeMap::new()),
         };
         library.reference = library.measure(&dataset)?;
         Ok(library)
@@ -221,7 +224,18 @@ impl MotionLibrary {
     /// # Errors
     /// As [`MotionLibrary::motion`].
     pub fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
-        Ok(active_parts(&self.heat(hash)?))
+        let known = |active: &BTreeMap<String, Vec<BodyPart>>| active.get(hash).cloned();
+        let lock = || {
+            self.active
+                .lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner)
+        };
+        if let Some(parts) = known(&lock()) {
+            return Ok(parts);
+        }
+        let parts = active_parts(&self.heat(hash)?);
+        lock().insert(hash.to_owned(), parts.clone());
+        Ok(parts)
     }
 
     /// Where two motions differ.

@@ -8,7 +8,7 @@ use super::db::{self, Database, Tx, params};
 use super::log::{self, Body, Entry, LoggedTask, Reply};
 use super::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, Label, Millis, MotionRecord,
-    NewSuggestion, NewTask, PersonCounts, ReviewClaimed, ReviewDetail, ShelfFilter, Store,
+    NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Store,
     TaskDetail, TaskRecord, TokenUse, WeekCounts, Who, log_kind, people, project, read,
 };
 use crate::Error;
@@ -1290,7 +1290,7 @@ impl Store for SqlStore {
         self.read(move |tx| read::accepted(tx, after, limit))
     }
 
-    fn rejects(&self) -> Result<Vec<(TaskRecord, Option<i64>, String, String, Millis)>, Error> {
+    fn rejects(&self) -> Result<Vec<Reject>, Error> {
         self.read(read::rejects)
     }
 

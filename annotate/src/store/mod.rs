@@ -264,6 +264,19 @@ pub struct AcceptedAnswer {
     pub seq: i64,
 }
 
+/// A task that was dropped, or skipped by somebody.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reject {
+    /// The task.
+    pub task: TaskRecord,
+    /// Who decided.
+    pub user: Option<i64>,
+    /// Why.
+    pub reason: String,
+    /// More about it.
+    pub note: String,
+}
+
 /// Which accepted answers to show.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ShelfFilter {
@@ -504,7 +517,7 @@ pub trait Store: Send + Sync {
     ///
     /// # Errors
     /// The store fails.
-    fn rejects(&self) -> Result<Vec<(TaskRecord, Option<i64>, String, String, Millis)>, Error>;
+    fn rejects(&self) -> Result<Vec<Reject>, Error>;
     /// Pairs kept by category and edit type.
     ///
     /// # Errors

@@ -3,8 +3,8 @@
 use super::db::{Row, Tx, Value, params};
 use super::log::{self, NUM_TASK_COLUMNS};
 use super::{
-    AcceptedAnswer, AuditFilter, BundleEntry, Label, Millis, PersonCounts, ShelfFilter, TaskDetail,
-    TaskRecord, WeekCounts, Who, people, project,
+    AcceptedAnswer, AuditFilter, BundleEntry, Label, Millis, PersonCounts, Reject, ShelfFilter,
+    TaskDetail, TaskRecord, WeekCounts, Who, people, project,
 };
 use crate::Error;
 use crate::state::Purpose;
@@ -283,31 +283,28 @@ pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<La
         .collect()
 }
 
-pub(super) fn rejects(
-    tx: &mut dyn Tx,
-) -> Result<Vec<(TaskRecord, Option<i64>, String, String, Millis)>, Error> {
+pub(super) fn rejects(tx: &mut dyn Tx) -> Result<Vec<Reject>, Error> {
     let columns = log::TASK_COLUMNS;
     let from = NUM_TASK_COLUMNS;
     let mut all = Vec::new();
     let skipped = format!(
-        "SELECT {columns}, s.usr, COALESCE(s.reason, ''), s.note, s.at FROM skip s JOIN task t ON t.id = s.task
+        "SELECT {columns}, s.usr, COALESCE(s.reason, ''), s.note FROM skip s JOIN task t ON t.id = s.task
          WHERE s.postponed = 0 ORDER BY t.id, s.usr"
     );
     let dropped = format!(
-        "SELECT {columns}, v.reviewer, 'dropped', v.comment, v.at FROM task t JOIN review v ON v.task = t.id
+        "SELECT {columns}, v.reviewer, 'dropped', v.comment FROM task t JOIN review v ON v.task = t.id
          WHERE t.state = 'dropped' AND v.seq = (
            SELECT MAX(w.seq) FROM review w WHERE w.task = t.id AND w.decision = 'dropped')
          ORDER BY t.id"
     );
     for sql in [dropped, skipped] {
         for row in tx.query(&sql, &[])? {
-            all.push((
-                log::read_task(&row)?,
-                row.opt_int(from)?,
-                row.string(from + 1)?,
-                row.string(from + 2)?,
-                row.int(from + 3)?,
-            ));
+            all.push(Reject {
+                task: log::read_task(&row)?,
+                user: row.opt_int(from)?,
+                reason: row.string(from + 1)?,
+                note: row.string(from + 2)?,
+            });
         }
     }
     Ok(all)

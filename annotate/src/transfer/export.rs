@@ -19,7 +19,7 @@ use crate::Error;
 use crate::answer::mask_of;
 use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, MotionRecord, Store, TaskRecord};
-use crate::wire::{Answer, Estimate, ExportFormat, TaskKind, Verdict};
+use crate::wire::{Answer, Estimate, ExportFormat, Extent, TaskKind, Verdict};
 
 /// Tasks read at a time.
 const BATCH: usize = 2000;
@@ -317,7 +317,8 @@ impl Exporter<'_> {
 
     fn rejects(&mut self) -> Result<Vec<RejectRow>, Error> {
         let mut rows = Vec::new();
-        for (task, user, reason, note, _) in self.store.rejects()? {
+        for reject in self.store.rejects()? {
+            let task = reject.task;
             if !self.wanted(&task.split) || task.gold.is_some() {
                 continue;
             }
@@ -328,9 +329,9 @@ impl Exporter<'_> {
                 motion_id,
                 target_id,
                 split: task.split,
-                reason,
-                note,
-                author: pseudonym(user.unwrap_or(0)),
+                reason: reject.reason,
+                note: reject.note,
+                author: pseudonym(reject.user.unwrap_or(0)),
             });
         }
         for accepted in self.accepted()? {
@@ -611,13 +612,13 @@ fn pair_row(
     split: Split,
     answer: &Answer,
 ) -> Result<Option<PairRow>, Error> {
-    let (parts, text, style, kind) = match answer {
+    let (named, text, style, kind) = match answer {
         Answer::Pair {
             verdict: Verdict::Keep,
             parts,
             text,
             ..
-        } => (parts, text, None, "fine-grained"),
+        } => (parts.clone(), text, None, "fine-grained"),
         Answer::Style {
             verdict: Verdict::Keep,
             parts,
@@ -628,30 +629,16 @@ fn pair_row(
         } => {
             // Parts that were not named follow from the extent.
             let by_extent = match extent {
-                Some(crate::wire::Extent::Lower) => &["LOWER_BODY"][..],
-                Some(crate::wire::Extent::Upper) => &["UPPER_BODY"],
-                Some(crate::wire::Extent::Whole) | None => &[],
+                Some(Extent::Lower) => &["LOWER_BODY"][..],
+                Some(Extent::Upper) => &["UPPER_BODY"],
+                Some(Extent::Whole) | None => &[],
             };
-            let named: Vec<String> = if parts.is_empty() {
+            let named = if parts.is_empty() {
                 by_extent.iter().map(|&part| part.to_owned()).collect()
             } else {
                 parts.clone()
             };
-            return Ok(target
-                .map(|target| {
-                    Ok::<_, Error>(PairRow {
-                        id: key.strip_prefix("pair:").unwrap_or(key).to_owned(),
-                        split,
-                        source: PAIR_SOURCE.to_owned(),
-                        kind: "style".to_owned(),
-                        source_id: MotionId::parse(motion)?,
-                        target_id: MotionId::parse(&target)?,
-                        style: style.clone(),
-                        parts: named,
-                        instruction: text.clone(),
-                    })
-                })
-                .transpose()?);
+            (named, text, style.clone(), "style")
         }
         _ => return Ok(None),
     };
@@ -666,7 +653,7 @@ fn pair_row(
         source_id: MotionId::parse(motion)?,
         target_id: MotionId::parse(&target)?,
         style,
-        parts: parts.clone(),
+        parts: named,
         instruction: text.clone(),
     }))
 }
