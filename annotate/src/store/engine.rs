@@ -249,6 +249,29 @@ fn prolong(
     })
 }
 
+/// [`prolong`], and the leases on the rest of its bundle with it: eight slow pairs take longer than one.
+fn prolong_bundle(
+    tx: &mut dyn Tx,
+    held: &log::LeaseRow,
+    settings: &Settings,
+    now: Millis,
+) -> Result<Lease, Error> {
+    let sql = format!(
+        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
+         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2
+           AND t.bundle = (SELECT bundle FROM task WHERE id = ?3) ORDER BY l.id",
+        log::LEASE_COLUMNS
+    );
+    let rest = tx.query(
+        &sql,
+        params![held.lease.user, held.lease.id, held.lease.task],
+    )?;
+    for row in rest {
+        prolong(tx, &log::read_lease(&row)?, settings, now)?;
+    }
+    prolong(tx, held, settings, now)
+}
+
 fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Claimed, Error> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
@@ -261,7 +284,7 @@ fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Clai
     if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
         let held = log::read_lease(&row)?;
         if held.lease.expires < lease_end(&settings, now) - MINUTE {
-            prolong(tx, &held, &settings, now)?;
+            prolong_bundle(tx, &held, &settings, now)?;
         }
         return Ok(Claimed::Task(held.lease.task));
     }
@@ -1193,7 +1216,7 @@ impl Store for SqlStore {
             if held.purpose == Purpose::Returned {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
-            prolong(tx, &held, &settings, now)
+            prolong_bundle(tx, &held, &settings, now)
         })
     }
 

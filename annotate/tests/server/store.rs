@@ -570,6 +570,30 @@ fn a_bundle_is_leased_together_and_handed_in_one_by_one() {
             .collect();
         let site = fixture(store, tasks);
         let mut seen = Vec::new();
+        let first = site
+            .claim_kind(site.ann, TaskKind::Pair, START)
+            .expect("a task");
+        let lease = site
+            .store
+            .task(&site.who(site.ann), first)
+            .expect("a task")
+            .lease
+            .expect("a lease");
+        site.store
+            .renew(site.ann, lease.id, START + 10 * MINUTE)
+            .expect("renews");
+        let ends: Vec<i64> = site
+            .store
+            .leases(START)
+            .expect("leases")
+            .iter()
+            .map(|held| held.lease.expires)
+            .collect();
+        assert_eq!(
+            ends,
+            [START + 25 * MINUTE; 8],
+            "the bundle is renewed as one"
+        );
         for number in 0..8 {
             let task = site
                 .claim_kind(site.ann, TaskKind::Pair, START)
