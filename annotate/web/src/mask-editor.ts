@@ -5,6 +5,7 @@ import type { App } from "./app";
 import { fill, h, setAttr } from "./dom";
 import type { ActionId } from "./keys";
 import { TEXT_LIMIT, lintCards } from "./lints";
+import { shortName } from "./motions";
 import type { Strip } from "./strips";
 import { askReason, keyButton } from "./ui";
 import type { Clip, Viewer } from "./viewer";
@@ -345,7 +346,7 @@ export class MaskEditor {
         {
           track: { frames, points: 28, fps: partner.fps, data },
           paint: this.app.parts.paint(parts, soft),
-          label: `Blend: ${this.app.parts.phrases(parts)} of this motion on ${partner.id}`,
+          label: `Blend: ${this.app.parts.phrases(parts)} of this motion on ${shortName(partner.id)}`,
         },
       ]);
     } catch (error) {
@@ -412,7 +413,7 @@ export class MaskEditor {
     fill(
       this.previewBox,
       h("strong", {}, "Blend preview"),
-      h("p", { class: "note" }, `This mask on ${partner?.id ?? ""}. If the blend looks wrong, the mask is wrong.`),
+      h("p", { class: "note" }, `This mask on ${shortName(partner?.id ?? "")}. If the blend looks wrong, the mask is wrong.`),
       h("label", { class: "inline" }, "Soft ring takes ", slider, shown),
       h(
         "div",
@@ -446,7 +447,8 @@ export class MaskEditor {
     }
     const remove = keyButton("Delete", app.keys.hint("mask_delete"), () => this.remove(index));
     head.append(remove);
-    card.append(this.renderParts(mask), this.renderDraft(mask));
+    const draft = this.renderDraft(mask);
+    card.append(this.renderParts(mask), draft);
     const text = h("textarea", {
       attrs: {
         rows: 3,
@@ -460,6 +462,7 @@ export class MaskEditor {
         input: () => {
           const masks = this.answer.masks.map((other, at) => (at === index ? { ...other, text: text.value } : other));
           this.commit(masks, `text-${index}`);
+          draft.hidden = text.value.trim() !== "" || draft.childElementCount === 0;
           this.refreshLints();
         },
         blur: () => this.host.seal(),

@@ -8,6 +8,11 @@ const POINTS = 28;
 /** Motions kept; a bundle of pairs needs sixteen. */
 const KEPT = 48;
 
+/** The last piece of a motion's id, which tells clips apart; ids begin with folders of the source. */
+export function shortName(id: string): string {
+  return id.split("/").at(-1) ?? id;
+}
+
 export class Motions {
   private readonly joints = new Map<string, Promise<Float32Array>>();
   private readonly heats = new Map<string, Promise<Float32Array>>();

@@ -3,6 +3,7 @@
 import type { App, Screen } from "../app";
 import { h } from "../dom";
 import type { ActionId } from "../keys";
+import { shortName } from "../motions";
 import { BLANK_MASKS, MaskEditor } from "../mask-editor";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
@@ -49,7 +50,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const strip = heatStrip(app, viewer);
   strip.setValues(heat, Math.floor(heat.length / 5));
   viewer.setStrips([strip]);
-  const clip: Clip = { track, paint: PLAIN, label: motion.id };
+  const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");
 
   let editor: MaskEditor | null = null;

@@ -3,6 +3,7 @@
 import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import type { ActionId } from "../keys";
+import { shortName } from "../motions";
 import { PairEditor, blankTwo, type TwoAnswer } from "../pair-editor";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
@@ -56,7 +57,7 @@ export class PairView {
     const [before, after] = task.motions;
     if (!before || !after) throw new Error(`task ${task.id} does not have two motions`);
     const [first, second] = await Promise.all([app.motions.track(before), app.motions.track(after)]);
-    const label = (word: string, id: string): string => `${word} · ${id}`;
+    const label = (word: string, id: string): string => `${word} · ${shortName(id)}`;
     const view = new PairView(app, task, [
       { track: first, paint: PLAIN, label: label("Before", before.id) },
       { track: second, paint: PLAIN, label: label("After", after.id) },
@@ -116,9 +117,11 @@ export class PairView {
   private async loadDiff(align: "none" | "stretch"): Promise<void> {
     const diff = await this.app.api.floats("GET", `pairs/${this.task.id}/diff?align=${align}`);
     const columns = Math.floor(diff.length / 6);
-    const largest = diff.reduce((a, b) => Math.max(a, b), DIFF_FULL);
-    this.strip.setValues(diff.map((value) => value / largest), columns);
-    this.strip.element.title = `darkest: ${largest.toFixed(2)} m apart`;
+    // The way through the room may differ by metres; limbs have a scale of their own.
+    const root = diff.slice(0, columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
+    const parts = diff.slice(columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
+    this.strip.setValues(diff.map((value, index) => value / (index < columns ? root : parts)), columns);
+    this.strip.element.title = `darkest: root ${root.toFixed(2)} m, parts ${parts.toFixed(2)} m apart`;
   }
 }
 

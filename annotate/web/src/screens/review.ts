@@ -6,6 +6,7 @@ import { fill, h, setAttr } from "../dom";
 import type { ActionId, Scope } from "../keys";
 import { MaskEditor } from "../mask-editor";
 import { describe } from "../merge";
+import { shortName } from "../motions";
 import { PairEditor, type TwoAnswer } from "../pair-editor";
 import { PLAIN, bits } from "../stage/body";
 import { Strip } from "../strips";
@@ -103,7 +104,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     heat = heatStrip(app, viewer);
     heat.setValues(values, Math.floor(values.length / 5));
     viewer.setStrips([heat]);
-    const own: Clip = { track, paint: PLAIN, label: motion.id };
+    const own: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
     clip = own;
     viewer.load([own], "single");
     shown = {

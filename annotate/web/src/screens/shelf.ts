@@ -4,6 +4,7 @@ import { reason } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
+import { shortName } from "../motions";
 import { field } from "../ui";
 import { KIND_WORDS, type Shelf, type Task } from "../wire";
 
@@ -40,7 +41,7 @@ export async function openShelf(app: App): Promise<Screen> {
     const { answer } = item;
     const parts = answer.kind === "mask_text" ? (answer.masks[0]?.parts ?? []) : answer.parts;
     const paint = app.parts.paint(parts, true);
-    const clips = tracks.map((track, index) => ({ track, paint, label: item.task.motions[index]?.id ?? "" }));
+    const clips = tracks.map((track, index) => ({ track, paint, label: shortName(item.task.motions[index]?.id ?? "") }));
     viewer.load(clips, clips.length > 1 ? "side_by_side" : "single");
   };
   const draw = (): void => {
@@ -48,7 +49,7 @@ export async function openShelf(app: App): Promise<Screen> {
       const button = h(
         "button",
         { class: "shelf-item", attrs: { type: "button", "aria-pressed": "false" } },
-        h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => motion.id).join(" → ")}`),
+        h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`),
         ...describe(app, item.answer).map((line) => h("span", {}, line)),
       );
       button.addEventListener("click", () => {
