@@ -249,6 +249,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         .expect_code(0)
         .json();
     assert_eq!(written["counts"]["masks_by_people"], 6);
+    stance(&["verify", arg(&dataset)]).expect_code(0);
     let masks: Value = stance(&[
         "masks",
         arg(&dataset),
