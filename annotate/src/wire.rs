@@ -601,14 +601,10 @@ pub struct Prefs {
     pub speed: Option<f64>,
     /// Whether the camera follows the root.
     pub follow_root: Option<bool>,
-    /// Whether the floor grid is drawn.
-    pub floor: Option<bool>,
     /// Whether a pair is shown as ghosts.
     pub ghost: Option<bool>,
     /// Whether the soft ring is on for a new mask.
     pub soft_ring: Option<bool>,
-    /// Whether colours keep apart for readers who see red and green alike.
-    pub high_contrast: Option<bool>,
 }
 
 /// `GET skeleton`.

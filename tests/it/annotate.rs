@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -42,18 +42,17 @@ struct Process {
 
 impl Process {
     fn start(dataset: &Path, listen: &str) -> Self {
-        let mut child = command(&[
-            "annotate",
-            arg(dataset),
-            "--listen",
-            listen,
-            "--json",
-            "--quiet",
-        ])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("stance starts");
+        let args = ["annotate", arg(dataset), "--listen", listen];
+        Self::spawn(command(&args))
+    }
+
+    fn spawn(mut command: Command) -> Self {
+        let mut child = command
+            .args(["--json", "--quiet"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("stance starts");
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
@@ -354,6 +353,77 @@ fn kills() -> usize {
         .ok()
         .and_then(|text| text.parse().ok())
         .unwrap_or(4)
+}
+
+#[test]
+#[cfg(unix)]
+fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
+    let (_dir, dataset) = dataset(4);
+    let ann = Person::new(&dataset, "ann", "annotator");
+    wants_one_answer(&dataset);
+    // No file of the server may grow beyond so many kilobytes; the signal that says so is ignored.
+    let mut shell = Command::new("bash");
+    shell
+        .args(["-c", "trap '' XFSZ; ulimit -f 1500; exec \"$@\"", "limited"])
+        .arg(env!("CARGO_BIN_EXE_stance"))
+        .args(["annotate", arg(&dataset), "--listen", "127.0.0.1:0"]);
+    let mut server = Process::spawn(shell);
+    let url = server.url.clone();
+    let next: Next = ann.post(&url, "queue/next", &json!({ "kind": "mask_text" }));
+    let view = next.task.expect("a task");
+    let path = format!("tasks/{}/events", view.task.id);
+    let epoch = view.lease.as_ref().expect("a lease").epoch;
+    let draft = |rev: i64| {
+        json!({ "events": [{
+            "idem_key": format!("draft-{rev:06}"), "kind": "draft", "secs": 1.0,
+            "answer": masks(&"waving and ".repeat(150)), "lease_epoch": epoch, "base_rev": rev,
+        }] })
+    };
+    let mut rev = 0;
+    let refused = loop {
+        assert!(rev < 20_000, "the disk is never full");
+        let (status, bytes) = ann.ask(&url, &path, &draft(rev)).expect("a server");
+        if status != 200 {
+            break (status, bytes);
+        }
+        let results: EventResults = serde_json::from_slice(&bytes).expect("JSON");
+        match results.results[0].status {
+            200 => rev = results.results[0].rev,
+            status => break (status, bytes),
+        }
+    };
+    let text = String::from_utf8_lossy(&refused.1).into_owned();
+    assert_eq!(refused.0, 507, "{text}");
+    assert!(text.contains("read_only"), "{text}");
+    assert!(rev > 10, "{rev} drafts were saved");
+    // It still answers, and says on every page that nothing is saved.
+    let ask = |path: &str| -> (u16, String) {
+        let mut response = ann
+            .agent
+            .get(format!("{url}{path}"))
+            .header("authorization", format!("Bearer {}", ann.token))
+            .call()
+            .expect("a server");
+        let text = response.body_mut().read_to_string().expect("text");
+        (response.status().as_u16(), text)
+    };
+    assert_eq!(ask("/healthz").0, 200);
+    assert_eq!(ask("/readyz").0, 507);
+    let (status, me) = ask("/api/v1/me");
+    assert_eq!(status, 200);
+    assert!(!me.contains("\"read_only\":null"), "{me}");
+    server.kill();
+
+    let server = Process::start(&dataset, "127.0.0.1:0");
+    let view: TaskView = {
+        let next: Next = ann.post(&server.url, "queue/next", &json!({ "kind": "mask_text" }));
+        next.task.expect("the task is still hers")
+    };
+    assert_eq!(view.mine.as_ref().expect("her draft").rev, rev);
+    // The one that was refused is sent again and taken once.
+    let path = format!("tasks/{}/events", view.task.id);
+    let results: EventResults = ann.post(&server.url, &path, &draft(rev));
+    assert_eq!(results.results[0].status, 200);
 }
 
 /// An acknowledged event: its place in the log, and what it was.

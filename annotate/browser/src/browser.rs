@@ -327,6 +327,44 @@ impl Browser {
         .await;
     }
 
+    /// Goes to a link, a button or a field with the Tab key alone, as far as there are any.
+    pub async fn tab_to(&self, label: &str) {
+        const MOST: usize = 60;
+        for _ in 0..MOST {
+            let here = self
+                .js("const at = document.activeElement; return at.getAttribute('aria-label') ?? at.textContent;")
+                .await;
+            if here.as_str().is_some_and(|text| text.trim() == label) {
+                return;
+            }
+            self.press(&[keys::TAB]).await;
+        }
+        panic!("{label} is not within {MOST} steps of the Tab key");
+    }
+
+    /// Keeps pictures of the page in two sizes where ANNOTATE_PICTURES names a folder: for looking at.
+    pub async fn picture(&self, name: &str) {
+        let Some(folder) = std::env::var_os("ANNOTATE_PICTURES") else {
+            return;
+        };
+        let edge = self
+            .js("return [outerWidth - innerWidth, outerHeight - innerHeight];")
+            .await;
+        let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;
+        // The smaller size comes last: it is the one tests run in.
+        for (width, height) in [(1920, 1080), (1280, 800)] {
+            self.client
+                .set_window_size(width + edge(0), height + edge(1))
+                .await
+                .expect("the window has another size");
+            self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }")
+                .await;
+            let png = self.client.screenshot().await.expect("a picture");
+            let path = std::path::Path::new(&folder).join(format!("{name}-{width}.png"));
+            std::fs::write(&path, png).expect("the picture is kept");
+        }
+    }
+
     /// The text of the first element that fits.
     pub async fn text_of(&self, selector: &str) -> String {
         let text = self

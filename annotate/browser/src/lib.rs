@@ -9,7 +9,7 @@ mod browser;
 mod server;
 
 pub use browser::{Browser, Graphics, keys};
-pub use server::{Dataset, Server};
+pub use server::{Dataset, Server, report_page};
 
 use std::time::Duration;
 

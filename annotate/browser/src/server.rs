@@ -39,6 +39,22 @@ async fn run(args: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("stdout is text")
 }
 
+/// The page of a run of the whole chain: the one STANCE_REPORT names, or that of a short demo.
+pub async fn report_page() -> PathBuf {
+    static MADE: OnceLock<TempDir> = OnceLock::new();
+    static MAKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+    if let Some(page) = std::env::var_os("STANCE_REPORT") {
+        return PathBuf::from(page);
+    }
+    let _guard = MAKING.lock().await;
+    if MADE.get().is_none() {
+        let folder = TempDir::new().expect("a temporary folder");
+        run(&["demo", "--quick", "--out", &text(folder.path())]).await;
+        let _ = MADE.set(folder);
+    }
+    MADE.get().expect("made above").path().join("report.html")
+}
+
 /// A dataset of a test's own: a copy of one that is made once for all tests.
 #[derive(Debug)]
 pub struct Dataset {
@@ -73,6 +89,12 @@ impl Dataset {
         self.folder.path().join("dataset")
     }
 
+    /// Writes what was accepted into the dataset and gives what the command printed.
+    pub async fn export(&self) -> Value {
+        let printed = run(&["annotate", &text(&self.path()), "export", "--json"]).await;
+        serde_json::from_str(&printed).expect("one JSON document")
+    }
+
     /// Adds somebody and gives their token.
     pub async fn add_user(&self, name: &str, role: &str) -> String {
         let path = text(&self.path());
@@ -92,17 +114,25 @@ pub struct Server {
     port: u16,
     dataset: PathBuf,
     printed_token: String,
+    /// Where a language model answers, if one does.
+    model: Option<String>,
 }
 
 impl Server {
     /// Starts a server on a free port.
     pub async fn start(dataset: &Dataset) -> Self {
+        Self::start_with(dataset, None).await
+    }
+
+    /// Starts a server that asks a language model for drafts.
+    pub async fn start_with(dataset: &Dataset, model: Option<String>) -> Self {
         let port = free_port();
         let mut server = Self {
             child: None,
             port,
             dataset: dataset.path(),
             printed_token: String::new(),
+            model,
         };
         server.up().await;
         server
@@ -110,7 +140,13 @@ impl Server {
 
     /// Starts it, again on the same port.
     pub async fn up(&mut self) {
-        let mut child = Command::new(stance())
+        let mut command = Command::new(stance());
+        if let Some(model) = &self.model {
+            command
+                .env("STANCE_MODEL_URL", model)
+                .env("STANCE_MODEL_NAME", "tiny");
+        }
+        let mut child = command
             .arg("annotate")
             .arg(&self.dataset)
             .args(["--listen", &format!("127.0.0.1:{}", self.port), "--json"])

@@ -308,12 +308,6 @@ impl Database for Postgres {
     }
 
     fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(|tx| {
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES ('ready', '') ON CONFLICT (name) DO UPDATE SET body = ''",
-                &[],
-            )?;
-            Ok(())
-        }))
+        self.write(Box::new(super::db::try_writing))
     }
 }

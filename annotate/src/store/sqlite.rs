@@ -354,13 +354,7 @@ impl Database for Sqlite {
     }
 
     fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(|tx| {
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES ('ready', '') ON CONFLICT (name) DO UPDATE SET body = ''",
-                &[],
-            )?;
-            Ok(())
-        }))
+        self.write(Box::new(super::db::try_writing))
     }
 }
 
@@ -467,6 +461,83 @@ mod tests {
         assert!(matches!(outcome, Err::<(), _>(Error::Closed)));
         db::write(&store, put("b")).expect("the writer goes on");
         assert_eq!(names(&store), ["b"]);
+    }
+
+    fn pragma(store: &Sqlite, sql: &'static str) {
+        db::write(store, move |tx| tx.query(sql, &[])).expect("a pragma");
+    }
+
+    /// A row that takes a few pages.
+    fn put_much(store: &Sqlite, name: &str) -> Result<(), Error> {
+        let name = name.to_owned();
+        db::write(store, move |tx| {
+            let body = "x".repeat(20_000);
+            tx.execute(
+                "INSERT INTO setting (name, body) VALUES (?1, ?2)",
+                params![&name, &body],
+            )?;
+            Ok(())
+        })
+    }
+
+    #[test]
+    fn a_full_disk_refuses_writes_until_there_is_room_and_loses_nothing() {
+        let (_dir, store) = store();
+        // The database may not grow beyond so many pages, which SQLite reports as a full disk.
+        pragma(&store, "PRAGMA max_page_count=160");
+        let mut written = Vec::new();
+        let refused = loop {
+            let name = format!("{:03}", written.len());
+            match put_much(&store, &name) {
+                Ok(()) => written.push(name),
+                Err(error) => break error,
+            }
+        };
+        assert!(matches!(refused, Error::ReadOnly { .. }), "{refused}");
+        assert!(!written.is_empty());
+        assert_eq!(names(&store), written, "what was acknowledged can be read");
+        assert!(matches!(
+            put_much(&store, "again"),
+            Err(Error::ReadOnly { .. })
+        ));
+        pragma(&store, "PRAGMA max_page_count=1000000");
+        put_much(&store, "later").expect("there is room again");
+        written.push("later".to_owned());
+        assert_eq!(names(&store), written);
+    }
+
+    #[test]
+    fn a_read_only_store_says_so_and_can_be_read() {
+        let (_dir, store) = store();
+        db::write(&store, put("kept")).expect("writes");
+        pragma(&store, "PRAGMA query_only=ON");
+        let refused = db::write(&store, put("new"));
+        assert!(matches!(refused, Err(Error::ReadOnly { .. })));
+        assert_eq!(names(&store), ["kept"]);
+    }
+
+    #[test]
+    fn a_write_ahead_log_that_was_cut_gives_what_came_before() {
+        let (dir, store) = store();
+        let written: Vec<String> = (0..12).map(|number| format!("{number:03}")).collect();
+        for name in &written {
+            put_much(&store, name).expect("writes");
+        }
+        let log = std::fs::read(dir.path().join("s.sqlite-wal")).expect("a log");
+        for cut in 0..8 {
+            // A store that a crash left behind, with the end of its log missing.
+            let crashed = tempfile::tempdir().expect("a folder");
+            let path = crashed.path().join("s.sqlite");
+            std::fs::copy(dir.path().join("s.sqlite"), &path).expect("a copy");
+            let kept = &log[..log.len() - cut * log.len() / 8];
+            std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
+            // Cut to nothing, the first transaction is gone with the tables; they are made anew.
+            let reopened = Sqlite::open(&path).expect("opens without repair");
+            let found = names(&reopened);
+            assert_eq!(found, written[..found.len()], "a prefix, in order");
+            assert_eq!(cut == 0, found.len() == written.len());
+            db::write(&reopened, put("later")).expect("goes on");
+        }
     }
 
     #[test]

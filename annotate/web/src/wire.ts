@@ -72,10 +72,8 @@ export interface Prefs {
   keys: Record<string, string[]>;
   speed: number | null;
   follow_root: boolean | null;
-  floor: boolean | null;
   ghost: boolean | null;
   soft_ring: boolean | null;
-  high_contrast: boolean | null;
 }
 
 export interface Me {
