@@ -25,7 +25,9 @@ use eval::metric::retrieval::unit_rows;
 use eval::protocol::Protocol;
 use eval::score::{Instruments, MotionEncoder, MotionJudge};
 use eval::times::WindowTimes;
-use pipeline::compose::{ComposeConfig, Library, ReadOrder, Stream, WindowLoader, edit_items};
+use pipeline::compose::{
+    ComposeConfig, Library, ReadOrder, Stream, WindowLoader, edit_items, other_take,
+};
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::masks::{MaskConfig, automatic_masks};
 use pipeline::pairs::{PairConfig, style_pairs};
@@ -33,9 +35,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
+use train::Session;
 use train::checkpoint::Slot;
 use train::config::{GuidanceConfig, Preset, TextEncoder, TrainConfig};
 use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
+use train::edit::{self, TestItem};
 use train::fit::{Corpus, TextRecord, TrainReport, train_motionrefit};
 use train::j2s::{self, J2sConfig, J2sReport, PoseNet};
 use train::sample::{EditSettings, EditTimes, Editor};
@@ -43,7 +47,6 @@ use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
 use train::text::hub::HubCache;
 use train::text::table::EmbeddingTable;
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
-use train::{Session, edit};
 
 use crate::cli::Global;
 use crate::cmd::ingest as ingest_cmd;
@@ -715,7 +718,7 @@ pub(crate) fn cross_scores(
         unit_rows(&Matrix::from_rows(&rows))
     };
     let (texts_at, motions_at) = (
-        unit(encoder.encode_texts(&texts))?,
+        unit(encoder.encode_texts(&texts)?)?,
         unit(encoder.encode(&motions)?)?,
     );
     let repeats = (0..protocol.repeats)
@@ -892,7 +895,8 @@ pub(crate) fn edits(
         config,
         global.seed(),
     );
-    let plan_hash = plan("edits", &inputs)?;
+    // The number counts changes of what the table holds.
+    let plan_hash = plan("edits-2", &inputs)?;
     if let Ok(done) = Dataset::open_unverified(out)
         && plan_of(&done, EditRow::TABLE) == plan_hash
     {
@@ -901,16 +905,24 @@ pub(crate) fn edits(
     let skeleton = skeleton_of(&dataset)?;
     let library = library(&dataset, split)?;
     // Evaluation items are composed by the published rule whatever an ablation trains with.
-    let items = edit_items(
-        &library,
-        &ComposeConfig::default(),
-        global.seed(),
-        config.count,
-    )?;
+    let compose = ComposeConfig::default();
+    let items = edit_items(&library, &compose, global.seed(), config.count)?;
+    let others: Vec<Option<Motion>> = items
+        .iter()
+        .map(|item| other_take(&library, &compose, item))
+        .collect();
     let texts: Vec<String> = items.iter().map(|item| item.instruction.clone()).collect();
     let editor = with_texts(editor, source, &texts, progress)?;
     let settings = edit_settings(&editor, config, global.seed());
     let system = system_name(&editor);
+    let items: Vec<TestItem<'_>> = items
+        .iter()
+        .zip(&others)
+        .map(|(triplet, other)| TestItem {
+            triplet,
+            other_take: other.as_ref(),
+        })
+        .collect();
     let (rows, times) = with_session(progress, |session| {
         edit::edit_items(&editor, &system, &items, &skeleton, &settings, session)
     })?;
@@ -946,11 +958,11 @@ impl MotionEncoder for Encoder {
     }
 
     fn recipe(&self) -> String {
-        let record = self.0.record();
         format!(
-            "{}, trained on dataset {:.12}",
-            train::features::RECIPE,
-            record.dataset_hash
+            "{} at {} fps, trained on dataset {:.12}",
+            self.0.recipe().name(),
+            self.0.fps(),
+            self.0.dataset_hash()
         )
     }
 }
@@ -995,8 +1007,8 @@ pub(crate) fn comparison(
         body = Some(skeleton);
         let systems: BTreeSet<String> = rows
             .iter()
+            .filter(|row| row.is_edit())
             .map(|row| row.system.clone())
-            .filter(|system| !is_side(system))
             .collect();
         let [system] = Vec::from_iter(systems)
             .try_into()
@@ -1011,8 +1023,7 @@ pub(crate) fn comparison(
         // Two runs of one method bear the same name.
         let name = format!("{system} ({side})");
         for mut row in rows {
-            let held = is_side(&row.system);
-            if held {
+            if !row.is_edit() {
                 let seen = |other: &EditRow| other.system == row.system && other.id == row.id;
                 if items.iter().any(seen) {
                     continue;
@@ -1029,10 +1040,6 @@ pub(crate) fn comparison(
         let names = [names[0].as_str(), names[1].as_str()];
         Ok(compare(&items, names, instruments, protocol, progress)?)
     })
-}
-
-fn is_side(system: &str) -> bool {
-    [EditRow::SOURCE, EditRow::TARGET].contains(&system)
 }
 
 /// Run folders of what motions are judged by.
@@ -1090,7 +1097,7 @@ pub(crate) fn edit_rows(edits: &[PathBuf]) -> anyhow::Result<(Vec<EditRow>, Skel
         skeleton = Some(skeleton_of(&table)?);
         for row in table.read::<EditRow>(None)? {
             // Originals and targets of the same items come with every table; one copy is enough.
-            if !is_side(&row.system)
+            if row.is_edit()
                 || !items
                     .iter()
                     .any(|seen| seen.system == row.system && seen.id == row.id)

@@ -165,10 +165,10 @@ impl WithSimd for Block<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         // Twelve sums of a vector each hide the latency of the multiply-add.
         match S::F32_LANES {
-            16 => self.run::<S, 1, 12, 4>(simd),
-            8 => self.run::<S, 2, 6, 4>(simd),
-            4 => self.run::<S, 4, 3, 3>(simd),
-            _ => self.run::<S, PANEL, 1, 1>(simd),
+            16 => self.run::<S, 12, 4>(simd),
+            8 => self.run::<S, 6, 4>(simd),
+            4 => self.run::<S, 3, 3>(simd),
+            _ => self.run::<S, 1, 1>(simd),
         }
     }
 }
@@ -177,7 +177,7 @@ impl Block<'_> {
     /// `FEW` is the height of a cheaper tile for the last rows, of which there are 4 in the two
     /// windows of a guided step.
     #[inline(always)]
-    fn run<S: Simd, const VECTORS: usize, const ROWS: usize, const FEW: usize>(self, simd: S) {
+    fn run<S: Simd, const ROWS: usize, const FEW: usize>(self, simd: S) {
         let Self {
             a,
             b,
@@ -211,32 +211,31 @@ impl Block<'_> {
                 for strip in 0..strips {
                     let first = strip * ROWS;
                     let height = ROWS.min(num_rows - first);
-                    let packed = &packed[strip * depth..][..depth];
+                    let strip = &packed[strip * depth..][..depth];
                     let looks = looks.next().unwrap_or(&[]);
+                    // Each in a function of its own: where a tile was part of this one, its sums have
+                    // been seen in memory in place of registers, at a third of the speed, depending on
+                    // what else was compiled.
                     let sums = if height <= FEW {
-                        tile::<S, VECTORS, ROWS, FEW>(simd, packed, lines, looks)
+                        simd.vectorize(Tile::<ROWS, FEW> {
+                            a: strip,
+                            b: lines,
+                            looks,
+                        })
                     } else {
-                        tile::<S, VECTORS, ROWS, ROWS>(simd, packed, lines, looks)
+                        simd.vectorize(Tile::<ROWS, ROWS> {
+                            a: strip,
+                            b: lines,
+                            looks,
+                        })
                     };
                     for (row, sums) in sums.iter().enumerate().take(height) {
                         let at = (first + row) * b.columns + first_column;
                         let out = &mut out[at..at + width];
                         if let Ok(out) = <&mut [f32; PANEL]>::try_from(&mut *out) {
-                            let (out, _) = S::as_mut_simd_f32s(out);
-                            for vector in 0..VECTORS {
-                                out[vector] = if is_first {
-                                    sums[vector]
-                                } else {
-                                    simd.add_f32s(out[vector], sums[vector])
-                                };
-                            }
+                            put(out, sums, is_first);
                         } else {
-                            let mut line = [0.0f32; PANEL];
-                            let (vectors, _) = S::as_mut_simd_f32s(&mut line);
-                            vectors.copy_from_slice(sums);
-                            for (out, sum) in out.iter_mut().zip(line) {
-                                *out = if is_first { sum } else { *out + sum };
-                            }
+                            put(out, sums, is_first);
                         }
                     }
                 }
@@ -277,29 +276,80 @@ fn pack_strip<const ROWS: usize>(
     }
 }
 
-/// The product of the first `USED` rows of a strip and a panel.
+/// Writes a line of a tile, or adds it to what is there.
 #[inline(always)]
-fn tile<S: Simd, const VECTORS: usize, const ROWS: usize, const USED: usize>(
-    simd: S,
-    a: &[[f32; ROWS]],
-    b: &[[f32; PANEL]],
-    looks: &[[f32; PANEL]],
-) -> [[S::f32s; VECTORS]; ROWS] {
-    let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-    let mut looks = looks.iter();
-    for (a, b) in a.chunks(LOOK_AHEAD).zip(b.chunks(LOOK_AHEAD)) {
-        if let Some(line) = looks.next() {
-            std::hint::black_box(line[0]);
+fn put(out: &mut [f32], sums: &[f32; PANEL], is_first: bool) {
+    if is_first {
+        out.copy_from_slice(&sums[..out.len()]);
+    } else {
+        for (out, sum) in out.iter_mut().zip(sums) {
+            *out += sum;
         }
+    }
+}
+
+/// The product of the first `USED` rows of a strip and a panel.
+struct Tile<'a, const ROWS: usize, const USED: usize> {
+    a: &'a [[f32; ROWS]],
+    b: &'a [[f32; PANEL]],
+    /// Lines to look at on the way.
+    looks: &'a [[f32; PANEL]],
+}
+
+impl<const ROWS: usize, const USED: usize> WithSimd for Tile<'_, ROWS, USED> {
+    type Output = [[f32; PANEL]; ROWS];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        match S::F32_LANES {
+            16 => self.sums::<S, 1>(simd),
+            8 => self.sums::<S, 2>(simd),
+            4 => self.sums::<S, 4>(simd),
+            _ => self.sums::<S, PANEL>(simd),
+        }
+    }
+}
+
+impl<const ROWS: usize, const USED: usize> Tile<'_, ROWS, USED> {
+    #[inline(always)]
+    fn sums<S: Simd, const VECTORS: usize>(self, simd: S) -> [[f32; PANEL]; ROWS] {
+        let mut sums = [[simd.splat_f32s(0.0); VECTORS]; USED];
+        // Blocks of a length known in advance become straight code.
+        let (a, a_rest) = self.a.as_chunks::<LOOK_AHEAD>();
+        let (b, b_rest) = self.b.as_chunks::<LOOK_AHEAD>();
+        let mut looks = self.looks.iter();
         for (a, b) in a.iter().zip(b) {
-            let (line, _) = S::as_simd_f32s(b);
-            for row in 0..USED {
-                let factor = simd.splat_f32s(a[row]);
-                for vector in 0..VECTORS {
-                    sums[row][vector] =
-                        simd.mul_add_e_f32s(factor, line[vector], sums[row][vector]);
-                }
+            if let Some(line) = looks.next() {
+                std::hint::black_box(line[0]);
             }
+            for (a, b) in a.iter().zip(b) {
+                sums = with_term(simd, sums, a, b);
+            }
+        }
+        for (a, b) in a_rest.iter().zip(b_rest) {
+            sums = with_term(simd, sums, a, b);
+        }
+        let mut lines = [[0.0; PANEL]; ROWS];
+        for (line, sums) in lines.iter_mut().zip(sums) {
+            S::as_mut_simd_f32s(line).0.copy_from_slice(&sums);
+        }
+        lines
+    }
+}
+
+/// Sums with the terms of one line added.
+#[inline(always)]
+fn with_term<S: Simd, const VECTORS: usize, const ROWS: usize, const USED: usize>(
+    simd: S,
+    mut sums: [[S::f32s; VECTORS]; USED],
+    a: &[f32; ROWS],
+    b: &[f32; PANEL],
+) -> [[S::f32s; VECTORS]; USED] {
+    let (line, _) = S::as_simd_f32s(b);
+    for (sums, &factor) in sums.iter_mut().zip(a) {
+        let factor = simd.splat_f32s(factor);
+        for vector in 0..VECTORS {
+            sums[vector] = simd.mul_add_e_f32s(factor, line[vector], sums[vector]);
         }
     }
     sums

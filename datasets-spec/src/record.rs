@@ -308,7 +308,7 @@ table! {
         pub id: String [""],
         /// Split of the item
         pub split: Split [""],
-        /// System that made the motion; `source` and `target` are the two sides of the item itself
+        /// System that made the motion; `source` and `target` are the two sides of the item itself, `other take` the target made of another capture
         pub system: String [""],
         /// BLAKE3 of the checkpoint, hexadecimal; empty where no model took part
         pub checkpoint_hash: String [""],
@@ -424,6 +424,14 @@ impl EditRow {
     pub const SOURCE: &'static str = "source";
     /// The name of the system whose motions are the ground-truth edits of the items.
     pub const TARGET: &'static str = "target";
+    /// The name of the system whose motions are the targets made of another capture of the same action
+    /// in the same style, for the items that have one.
+    pub const OTHER_TAKE: &'static str = "other take";
+
+    /// Whether some system made the motion, which is no side of the item itself.
+    pub fn is_edit(&self) -> bool {
+        ![Self::SOURCE, Self::TARGET, Self::OTHER_TAKE].contains(&self.system.as_str())
+    }
 
     /// The motion of the row.
     ///

@@ -12,7 +12,7 @@ use divan::counter::ItemsCount;
 use eval::linalg::Matrix;
 use eval::metric::fid::fid;
 use eval::metric::foot_score::{Floor, foot_score};
-use eval::metric::retrieval::{ranks, retrieval, unit_rows};
+use eval::metric::retrieval::{Rows, ranks, retrieval, unit_rows};
 use eval::protocol::{Gallery, Protocol};
 use glam::DVec3;
 use rand::RngExt;
@@ -41,14 +41,15 @@ fn fid_10k(bencher: Bencher) {
 
 #[divan::bench(sample_count = 3, sample_size = 1)]
 fn full_gallery_10k(bencher: Bencher) {
-    let (queries, gallery) = (latents("queries"), latents("gallery"));
+    let rows = |name| Rows::new(&latents(name)).expect("finite");
+    let (queries, gallery) = (rows("queries"), rows("gallery"));
     bencher.bench_local(|| ranks(black_box(&queries), &gallery).expect("valid"));
 }
 
 /// Ten repeats of 312 galleries.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn galleries_of_32(bencher: Bencher) {
-    let unit = |name| unit_rows(&latents(name)).expect("directions");
+    let unit = |name| Rows::new(&unit_rows(&latents(name)).expect("directions")).expect("finite");
     let (queries, gallery) = (unit("queries"), unit("gallery"));
     let protocol = Protocol {
         gallery: Gallery::Batches(32),

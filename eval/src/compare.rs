@@ -15,7 +15,7 @@ use crate::metric::fid::{Gaussian, MIN_ROWS, Reference};
 use crate::metric::retrieval::{RECALL_AT, gallery_ranks};
 use crate::metric::{Better, Metric};
 use crate::protocol::{Protocol, Queries};
-use crate::score::{Instruments, System, Take, TestSet, measured};
+use crate::score::{Instruments, Measured, System, Take, TestSet, measured};
 
 /// Resamples behind an interval of a mean.
 pub const RESAMPLES: usize = 1000;
@@ -93,7 +93,9 @@ pub fn compare(
                 .join(", "),
         });
     }
-    let (sources, systems) = measured(&test_set, instruments, protocol, progress)?;
+    let Measured {
+        sources, systems, ..
+    } = measured(&test_set, instruments, protocol, progress)?;
     let find = |name: &str| systems.iter().find(|system| system.name == name);
     let tasks = test_set.tasks();
     progress.begin("compare", Some(tasks.len() as u64));
@@ -211,9 +213,9 @@ fn item_values(
         let mut hits = [(); RECALL_AT.len()].map(|()| vec![0.0; num_items]);
         for repeat in 0..protocol.repeats {
             let take = &system.takes[repeat % num_takes];
-            let (queries, gallery): (&Matrix, &Matrix) = match protocol.queries {
-                Queries::Real => (&real.unit, &take.unit),
-                Queries::Edited => (&take.unit, &real.unit),
+            let (queries, gallery) = match protocol.queries {
+                Queries::Real => (&real.compared, &take.compared),
+                Queries::Edited => (&take.compared, &real.compared),
             };
             let galleries = protocol.galleries(num_items, repeat);
             let found = gallery_ranks(queries, gallery, &galleries)?;

@@ -264,17 +264,62 @@ pub fn mean_and_covariance(features: &Matrix) -> (Vec<f64>, Matrix) {
     for sum in &mut mean {
         *sum /= num_rows as f64;
     }
-    let mut centred = features.clone();
-    for row in 0..num_rows {
-        for (value, mean) in centred.row_mut(row).iter_mut().zip(&mean) {
-            *value -= mean;
-        }
-    }
-    let mut covariance = symmetric_product(centred.view().transpose());
+    let mut covariance = scatter(features, &mean);
     for value in &mut covariance.data {
         *value /= (num_rows - 1) as f64;
     }
     (mean, covariance)
+}
+
+/// Rows whose products are summed while they stay in the cache.
+const ROWS_PER_BLOCK: usize = 256;
+/// Sums that are taken apart from each other, so that threads can share the work; their number does
+/// not depend on the threads, and so neither does the result.
+const PARTIAL_SUMS: usize = 4;
+
+/// The sum over all rows of the products of their differences from the mean, `[D, D]`.
+fn scatter(features: &Matrix, mean: &[f64]) -> Matrix {
+    let size = features.num_cols;
+    if size == 0 {
+        return Matrix::zeros(0, 0);
+    }
+    let share = features.num_rows.div_ceil(PARTIAL_SUMS).max(1) * size;
+    let sums: Vec<Matrix> = features
+        .data
+        .par_chunks(share)
+        .map(|rows| {
+            let mut sum = Matrix::zeros(size, size);
+            let mut centred = Vec::with_capacity(ROWS_PER_BLOCK * size);
+            for rows in rows.chunks(ROWS_PER_BLOCK * size) {
+                centred.clear();
+                for row in rows.chunks_exact(size) {
+                    centred.extend(row.iter().zip(mean).map(|(value, mean)| value - mean));
+                }
+                let block = MatRef::from_row_major_slice(&centred, rows.len() / size, size);
+                triangular::matmul(
+                    MatMut::from_row_major_slice_mut(&mut sum.data, size, size),
+                    BlockStructure::TriangularLower,
+                    Accum::Add,
+                    block.transpose(),
+                    BlockStructure::Rectangular,
+                    block,
+                    BlockStructure::Rectangular,
+                    1.0,
+                    Par::Seq,
+                );
+            }
+            sum
+        })
+        .collect();
+    let mut total = Matrix::zeros(size, size);
+    for row in 0..size {
+        for col in 0..=row {
+            let value: f64 = sums.iter().map(|sum| sum.data[row * size + col]).sum();
+            total.data[row * size + col] = value;
+            total.data[col * size + row] = value;
+        }
+    }
+    total
 }
 
 /// The eigenvalues of a symmetric matrix in ascending order, with their eigenvectors.

@@ -18,15 +18,20 @@ use crate::metric::foot_score::{FOOT_JOINTS, MIN_FRAMES, foot_score};
 use crate::metric::interval::Interval;
 use crate::metric::multimodality::{self, multimodality};
 use crate::metric::position_error::mean_position_error;
-use crate::metric::retrieval::{retrieval, unit_rows};
+use crate::metric::retrieval::{Rows, retrieval, unit_rows};
 use crate::protocol::{Protocol, Queries};
 
 /// Row of the real data: the targets taken as if a system had made them.
 pub const REAL_DATA: &str = "Real Data";
 /// Row of the identity editor: the originals returned unchanged.
 pub const IDENTITY: &str = "Identity";
+/// Row of the targets made of other captures: how far two renditions of one target lie apart.
+pub const NOISE_FLOOR: &str = "Noise Floor";
 /// Task of a score over all kinds of edit together.
 pub const ALL_TASKS: &str = "all";
+/// Task of a score over the items whose target was captured more than once, the only ones that have
+/// a noise floor.
+pub const RECAPTURED: &str = "recaptured";
 
 /// Motions decoded and encoded together: enough for a full batch of the encoder, and little memory.
 const MOTIONS_PER_CALL: usize = 256;
@@ -78,7 +83,9 @@ pub struct Instruments<'a> {
 ///
 /// The result has one row for each task, system and metric: first [`REAL_DATA`] and [`IDENTITY`],
 /// then the systems by name. A task is a kind of edit; with more than one kind there is also
-/// [`ALL_TASKS`], which comes first. A metric that needs more items than a task has is left out.
+/// [`ALL_TASKS`], which comes first. Where items have an [`EditRow::OTHER_TAKE`] they also make the task
+/// [`RECAPTURED`], in which [`NOISE_FLOOR`] follows the identity editor. A metric that needs more items
+/// than a task has is left out.
 ///
 /// # Errors
 /// A side is missing or a system lacks items, has unknown ones or uneven takes, bears a reserved
@@ -96,17 +103,28 @@ pub fn score(
 ) -> Result<Vec<ScoreRow>, Error> {
     protocol.check()?;
     let test_set = TestSet::new(items)?;
-    let (sources, systems) = measured(&test_set, instruments, protocol, progress)?;
+    let Measured {
+        sources,
+        systems,
+        floor,
+    } = measured(&test_set, instruments, protocol, progress)?;
     let encoder_hash = instruments.encoder.hash();
     let tasks = test_set.tasks();
     progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
     let mut scores = Vec::new();
     for (task, indices) in tasks {
         let sources = sources.select(&indices);
-        let systems: Vec<System<'_>> = systems
+        let mut systems: Vec<System<'_>> = systems
             .iter()
             .map(|system| system.select(&indices))
             .collect();
+        if task == RECAPTURED {
+            let floor = System {
+                name: NOISE_FLOOR,
+                takes: floor.iter().cloned().collect(),
+            };
+            systems.insert(2, floor);
+        }
         let repeats = (0..protocol.repeats)
             .into_par_iter()
             .map(|repeat| {
@@ -143,13 +161,22 @@ pub fn score(
     Ok(scores)
 }
 
-/// Encodes the originals and all systems, the real data being the first of them.
+/// The sides of a test set as numbers.
+pub(crate) struct Measured<'a> {
+    pub(crate) sources: Take,
+    /// The real data, the identity editor and all systems.
+    pub(crate) systems: Vec<System<'a>>,
+    /// The other takes, of the items that have one.
+    floor: Option<Take>,
+}
+
+/// Encodes the originals and all systems.
 pub(crate) fn measured<'a>(
     test_set: &TestSet<'a>,
     instruments: Instruments<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
-) -> Result<(Take, Vec<System<'a>>), Error> {
+) -> Result<Measured<'a>, Error> {
     let measuring = Measuring {
         instruments,
         protocol,
@@ -183,19 +210,32 @@ pub(crate) fn measured<'a>(
             .collect::<Result<Vec<_>, Error>>()?;
         systems.push(System { name, takes });
     }
+    let floor = match test_set.recaptured() {
+        indices if indices.is_empty() => None,
+        indices => {
+            let targets: Vec<&EditRow> = indices.iter().map(|&i| test_set.targets[i]).collect();
+            let others: Vec<&EditRow> = test_set.others.iter().flatten().copied().collect();
+            Some(measuring.take(&others, &targets, cut)?)
+        }
+    };
     progress.finish(&format!(
         "{} items, {} rows",
         test_set.targets.len(),
         systems.len()
     ));
-
-    Ok((sources, systems))
+    Ok(Measured {
+        sources,
+        systems,
+        floor,
+    })
 }
 
 /// The rows of a table of edits, by role and in the order of the item ids.
 pub(crate) struct TestSet<'a> {
     sources: Vec<&'a EditRow>,
     pub(crate) targets: Vec<&'a EditRow>,
+    /// The target of each item made of another capture, where there is one.
+    others: Vec<Option<&'a EditRow>>,
     /// Takes of each system, each with one row for every item.
     pub(crate) systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
 }
@@ -204,7 +244,7 @@ impl<'a> TestSet<'a> {
     pub(crate) fn new(items: &'a [EditRow]) -> Result<Self, Error> {
         let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
         for row in items {
-            if row.system == REAL_DATA || row.system == IDENTITY {
+            if [REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&row.system.as_str()) {
                 return Err(Error::ReservedSystem {
                     system: row.system.clone(),
                 });
@@ -223,7 +263,9 @@ impl<'a> TestSet<'a> {
             system: EditRow::SOURCE,
         })?;
         let ids: Vec<&str> = targets.keys().copied().collect();
+        let others = by_system.remove(EditRow::OTHER_TAKE).unwrap_or_default();
         Ok(Self {
+            others: other_takes(others, &ids)?,
             sources: single_take(EditRow::SOURCE, sources, &ids)?,
             targets: single_take(EditRow::TARGET, targets, &ids)?,
             systems: by_system
@@ -236,7 +278,14 @@ impl<'a> TestSet<'a> {
     /// Motions that will be encoded.
     fn num_motions(&self) -> usize {
         let num_takes: usize = self.systems.values().map(Vec::len).sum();
-        (2 + num_takes) * self.targets.len()
+        (2 + num_takes) * self.targets.len() + self.others.iter().flatten().count()
+    }
+
+    /// Positions of the items whose target was captured more than once.
+    fn recaptured(&self) -> Vec<usize> {
+        (0..self.others.len())
+            .filter(|&index| self.others[index].is_some())
+            .collect()
     }
 
     /// Positions of the items of each task.
@@ -246,8 +295,28 @@ impl<'a> TestSet<'a> {
             kinds.entry(&row.kind).or_default().push(index);
         }
         let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.targets.len()).collect()));
-        all.into_iter().chain(kinds).collect()
+        let recaptured =
+            Some((RECAPTURED, self.recaptured())).filter(|(_, items)| !items.is_empty());
+        all.into_iter().chain(kinds).chain(recaptured).collect()
     }
+}
+
+/// The one other take of each item that has one.
+fn other_takes<'a>(
+    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
+    ids: &[&'a str],
+) -> Result<Vec<Option<&'a EditRow>>, Error> {
+    let with_one: Vec<&str> = ids
+        .iter()
+        .copied()
+        .filter(|id| rows.contains_key(id))
+        .collect();
+    let found = single_take(EditRow::OTHER_TAKE, rows, &with_one)?;
+    let mut found = found.into_iter().peekable();
+    Ok(ids
+        .iter()
+        .map(|id| found.next_if(|row| row.id == *id))
+        .collect())
 }
 
 /// Orders the rows of a system by item and take. Takes are told apart by their seed.
@@ -352,6 +421,8 @@ impl System<'_> {
 pub(crate) struct Take {
     pub(crate) raw: Matrix,
     pub(crate) unit: Matrix,
+    /// The rows of unit length as they are compared.
+    pub(crate) compared: Rows,
     /// Metrics whose value is the mean over the items.
     pub(crate) of_items: Vec<(Metric, Vec<f64>)>,
 }
@@ -361,6 +432,7 @@ impl Take {
         Self {
             raw: self.raw.select_rows(indices),
             unit: self.unit.select_rows(indices),
+            compared: self.compared.select(indices),
             of_items: self
                 .of_items
                 .iter()
@@ -431,9 +503,11 @@ impl Measuring<'_> {
         of_items.extend(drifts.map(|values| (Metric::BoneDrift, values)));
         let raw = Matrix::from_rows(&latents);
         let unit = unit_rows(&raw)?;
+        let compared = Rows::new(&unit)?;
         Ok(Take {
             raw,
             unit,
+            compared,
             of_items,
         })
     }
@@ -482,7 +556,7 @@ impl Measuring<'_> {
     }
 }
 
-struct Measured {
+struct MeasuredMotion {
     motion: Motion,
     foot_score: f64,
     position_error_m: f64,
@@ -495,7 +569,7 @@ fn measure(
     cut: Cut,
     skeleton: &Skeleton,
     protocol: &Protocol,
-) -> Result<Measured, Error> {
+) -> Result<MeasuredMotion, Error> {
     let mut motion = decode(row)?;
     let target_motion = decode(target)?;
     if motion.fps() != target_motion.fps() {
@@ -525,7 +599,7 @@ fn measure(
                 needed: MIN_FRAMES,
             }
         })?;
-    Ok(Measured {
+    Ok(MeasuredMotion {
         foot_score,
         position_error_m: mean_position_error(&keypoints, &expected),
         motion,
@@ -576,8 +650,8 @@ fn evaluate(
         None => None,
     };
     let ask = |real: &Take, edited: &Take| match protocol.queries {
-        Queries::Real => retrieval(&real.unit, &edited.unit, &galleries),
-        Queries::Edited => retrieval(&edited.unit, &real.unit, &galleries),
+        Queries::Real => retrieval(&real.compared, &edited.compared, &galleries),
+        Queries::Edited => retrieval(&edited.compared, &real.compared, &galleries),
     };
 
     takes
@@ -749,6 +823,40 @@ mod tests {
             .find(|row| row.task == task && row.system == system && row.metric == metric.name())
             .unwrap_or_else(|| panic!("{task} {system} {metric}"))
             .mean
+    }
+
+    #[test]
+    fn other_takes_make_a_task_with_a_noise_floor() {
+        let mut rows = sides(40);
+        with_system(&mut rows, "perfect", EditRow::TARGET);
+        let others: Vec<EditRow> = (0..40)
+            .step_by(4)
+            .map(|index| row(EditRow::OTHER_TAKE, index, "semantic", "other"))
+            .collect();
+        rows.extend(others);
+        let scores = scored(&rows, &Protocol::default()).expect("scores");
+        let of = |task: &str, system: &str| value(&scores, task, system, Metric::PositionError);
+        assert_eq!(of(RECAPTURED, "perfect"), 0.0);
+        assert!(of(RECAPTURED, NOISE_FLOOR) > 0.0);
+        let systems = |task: &str| -> Vec<&str> {
+            let rows = scores.iter().filter(|row| row.task == task);
+            let mut names: Vec<&str> = rows.map(|row| row.system.as_str()).collect();
+            names.dedup();
+            names
+        };
+        assert_eq!(
+            systems(RECAPTURED),
+            [REAL_DATA, IDENTITY, NOISE_FLOOR, "perfect"]
+        );
+        assert_eq!(systems(ALL_TASKS), [REAL_DATA, IDENTITY, "perfect"]);
+        let n = scores.iter().find(|row| row.task == RECAPTURED);
+        assert_eq!(n.map(|row| row.n), Some(10));
+
+        rows.push(row(EditRow::OTHER_TAKE, 0, "semantic", "third"));
+        assert!(matches!(
+            scored(&rows, &Protocol::default()),
+            Err(Error::UnevenTakes { .. })
+        ));
     }
 
     #[test]

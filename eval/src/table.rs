@@ -6,7 +6,10 @@ use datasets_spec::record::ScoreRow;
 
 use crate::metric::interval::Interval;
 use crate::metric::{Better, Metric};
-use crate::score::{ALL_TASKS, IDENTITY, REAL_DATA};
+use crate::score::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA, RECAPTURED};
+
+/// The rows that no system made, in their order.
+const GIVEN: [&str; 3] = [REAL_DATA, IDENTITY, NOISE_FLOOR];
 
 /// The scores of one task under one protocol and one encoder.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +28,7 @@ pub struct Table {
     pub repeats: u32,
     /// The columns.
     pub columns: Vec<Column>,
-    /// The rows: real data, identity, then the systems.
+    /// The rows: real data, identity, noise floor where there is one, then the systems.
     pub rows: Vec<Row>,
 }
 
@@ -50,7 +53,7 @@ impl Column {
 pub struct Row {
     /// Name of the system.
     pub system: String,
-    /// Whether the row is one every table has and no competitor: real data and identity.
+    /// Whether the row is no competitor: real data, identity, noise floor.
     pub baseline: bool,
     /// Whether the values are taken from a publication and were not measured.
     pub published: bool,
@@ -101,7 +104,7 @@ impl Table {
             }
         }
         // A stable sort: tasks keep together even when two runs were joined.
-        keys.sort_by_key(|(task, ..)| (*task != ALL_TASKS, *task));
+        keys.sort_by_key(|(task, ..)| (*task != ALL_TASKS, *task == RECAPTURED, *task));
         keys.into_iter()
             .filter_map(|wanted| {
                 let rows: Vec<&ScoreRow> = scores.iter().filter(|row| key(row) == wanted).collect();
@@ -131,7 +134,12 @@ impl Table {
             };
             values.insert((&row.system, metric), interval);
         }
-        names.sort_by_key(|name| (*name != REAL_DATA, *name != IDENTITY));
+        names.sort_by_key(|name| {
+            GIVEN
+                .iter()
+                .position(|given| given == name)
+                .unwrap_or(GIVEN.len())
+        });
         let columns: Vec<Column> = metrics
             .iter()
             .filter(|metric| values.keys().any(|(_, known)| known == *metric))
@@ -147,7 +155,7 @@ impl Table {
             .into_iter()
             .map(|name| Row {
                 system: name.to_owned(),
-                baseline: name == REAL_DATA || name == IDENTITY,
+                baseline: GIVEN.contains(&name),
                 published: false,
                 cells: columns
                     .iter()

@@ -12,7 +12,7 @@ use eval::metric::matching::CrossRetrieval;
 use eval::metric::retrieval::Retrieval;
 use eval::protocol::{FidSample, Gallery, Protocol, Queries};
 use eval::published::PaperTable;
-use eval::score::ALL_TASKS;
+use eval::score::{ALL_TASKS, RECAPTURED};
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
@@ -239,8 +239,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 /// and the tasks there are otherwise.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.recipes, &table.columns());
-    let wanted =
-        |found: &Table| found.task == ALL_TASKS || table.tasks().contains(&found.task.as_str());
+    let wanted = |found: &Table| {
+        [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
+            || table.tasks().contains(&found.task.as_str())
+    };
     if tables
         .iter()
         .any(|found| table.tasks().contains(&found.task.as_str()))

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::ValueEnum;
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::{Progress, Skeleton};
@@ -10,6 +10,7 @@ use train::checkpoint::Slot;
 use train::config::TrainConfig;
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
 use train::exchange;
+use train::features::{FeatureRecipe, FeatureStats};
 use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
@@ -53,8 +54,17 @@ struct ImportArgs {
     #[arg(long, default_value = "official")]
     preset: String,
     /// The released range of model units (norm_scaled.npy), or a range.json of `stance model export`
-    #[arg(long, value_name = "FILE")]
-    range: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "features")]
+    range: Option<PathBuf>,
+    /// What an evaluation encoder sees of a motion
+    #[arg(long, value_enum, required_if_eq("model", "tmr"), requires = "stats")]
+    features: Option<Features>,
+    /// Folder with the mean.pt and std.pt of those features
+    #[arg(long, value_name = "FOLDER")]
+    stats: Option<PathBuf>,
+    /// Attention heads of an evaluation encoder, which its file does not tell
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    heads: usize,
     /// Folder of the CLIP text encoder the editor listens to [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
     clip: Option<PathBuf>,
@@ -83,6 +93,28 @@ enum Model {
     Motionrefit,
     /// The body-part coordinator
     Coordinator,
+    /// The motion encoder of TMR or of the MotionFix evaluation (motion_encoder.pt, or last.ckpt)
+    Tmr,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Features {
+    /// 135 numbers, y up, 20 fps
+    Smpl135,
+    /// The 263 numbers of HumanML3D, 20 fps: TMR
+    Humanml3d,
+    /// 135 numbers, z up, 30 fps: the MotionFix evaluation
+    Motionfix,
+}
+
+impl Features {
+    pub(crate) fn recipe(self) -> FeatureRecipe {
+        match self {
+            Self::Smpl135 => FeatureRecipe::Smpl135,
+            Self::Humanml3d => FeatureRecipe::HumanMl3d,
+            Self::Motionfix => FeatureRecipe::MotionFix,
+        }
+    }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -124,18 +156,15 @@ fn fetch(global: &Global) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    let preset = chain::preset(&args.preset)?;
-    let bytes = read(&args.file)?;
-    let is_safetensors = args
-        .file
-        .extension()
-        .is_some_and(|ending| ending == "safetensors");
-    let weights = if is_safetensors {
-        bytes
-    } else {
-        state_dict_from_torch(&bytes, &args.file, &StateDictOptions::default())?
+    if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
+        return import_encoder(args, features.recipe(), stats);
+    }
+    let Some(range_file) = &args.range else {
+        bail!("the range of model units is missing: --range norm_scaled.npy");
     };
-    let normalizer = range(&args.range)?;
+    let preset = chain::preset(&args.preset)?;
+    let weights = weights(&args.file, &StateDictOptions::default())?;
+    let normalizer = range(range_file)?;
     // The released models were trained on the male body; the skeleton of this program stands in
     // wherever a motion is posed for them.
     let skeleton = Skeleton::smplx_neutral();
@@ -161,8 +190,48 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
             };
             exchange::import_coordinator(out, &record, skeleton.name(), weights, file, &device())?;
         }
+        Model::Tmr => bail!("name what the encoder sees: --features and --stats"),
     }
     Ok(())
+}
+
+/// The released divide by the spread of the training split and a little more, so that nothing is
+/// divided by zero.
+const TINY_SPREAD: f32 = 1e-12;
+
+fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> anyhow::Result<()> {
+    let options = StateDictOptions {
+        strip: &["module.", "motion_encoder."],
+        keep: &["tokens", "projection.", "seqTransEncoder."],
+        ..StateDictOptions::default()
+    };
+    let weights = weights(&args.file, &options)?;
+    let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
+        let path = stats.join(name);
+        Ok(exchange::read_torch_numbers(&read(&path)?, &path)?)
+    };
+    let features = FeatureStats {
+        recipe,
+        mean: numbers("mean.pt")?,
+        std: numbers("std.pt")?
+            .into_iter()
+            .map(|std| std + TINY_SPREAD)
+            .collect(),
+    };
+    let (out, file) = (&args.out, &args.file);
+    exchange::import_motion_encoder(out, args.heads, features, weights, file, &device())?;
+    Ok(())
+}
+
+fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8>> {
+    let bytes = read(file)?;
+    if file
+        .extension()
+        .is_some_and(|ending| ending == "safetensors")
+    {
+        return Ok(bytes);
+    }
+    Ok(state_dict_from_torch(&bytes, file, options)?)
 }
 
 fn range(path: &Path) -> anyhow::Result<Normalizer> {

@@ -158,11 +158,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The original first, the target last, what was made between them.
+/// The original first, the targets last, what was made between them.
 fn order(system: &str) -> u8 {
     match system {
         EditRow::SOURCE => 0,
         EditRow::TARGET => 2,
+        EditRow::OTHER_TAKE => 3,
         _ => 1,
     }
 }

@@ -453,7 +453,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         title: done.plan.title.clone(),
         subtitle: format!(
             "{motions} clips, {} edited items, from source files to the table below",
-            done.edits.manifest().rows(EditRow::TABLE, None) / 3
+            done.plan.config.edit.count
         ),
         cards,
         tables: tables(done.scores),
@@ -502,7 +502,7 @@ fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
 fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
     let rows: Vec<EditRow> = done.edits.read(None)?;
     let skeleton = chain::skeleton_of(done.edits)?;
-    let items: Vec<&[EditRow]> = rows.chunks_exact(3).collect();
+    let items: Vec<&[EditRow]> = rows.chunk_by(|a, b| a.id == b.id).collect();
     let step = (items.len() / STRIPS).max(1);
     items
         .into_iter()
@@ -513,7 +513,7 @@ fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
             let mut drawn = Vec::new();
             for wanted in order {
                 let is_wanted = |row: &&EditRow| match wanted {
-                    "" => ![EditRow::SOURCE, EditRow::TARGET].contains(&row.system.as_str()),
+                    "" => row.is_edit(),
                     side => row.system == side,
                 };
                 let row = item

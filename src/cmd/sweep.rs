@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, Skeleton, Split};
 use eval::draw::plot::{Curve, HeatMap, Plot, Scale, heat_map, plot};
 use eval::metric::Metric;
 use eval::protocol::Protocol;
-use eval::score::{ALL_TASKS, IDENTITY, REAL_DATA};
+use eval::score::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use pipeline::compose::ComposeConfig;
 use serde::{Deserialize, Serialize};
 use train::config::TrainConfig;
@@ -408,7 +408,7 @@ fn drawing(
         all.or_else(|| found.next())
             .map_or(f64::NAN, |row| row.mean)
     };
-    let is_edited = |system: &str| system != REAL_DATA && system != IDENTITY;
+    let is_edited = |system: &str| ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system);
     let on_axis: Vec<(&Point, f64)> = points
         .iter()
         .zip(scored)

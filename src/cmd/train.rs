@@ -13,6 +13,7 @@ use train::tmr::TmrConfig;
 
 use crate::chain::{self, TrainInputs};
 use crate::cli::Global;
+use crate::cmd::model::Features;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
@@ -43,6 +44,9 @@ pub(crate) struct Args {
     /// TOML file of settings that differ from the preset
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// What the evaluation encoder sees of a motion, in place of what the preset says
+    #[arg(long, value_enum)]
+    features: Option<Features>,
     /// Steps to train, in place of the preset's length
     #[arg(long)]
     steps: Option<u64>,
@@ -102,6 +106,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Model::J2s = model {
         return train_j2s(args, dataset, out, own.as_ref(), global);
     }
+    if args.features.is_some() && !matches!(model, Model::Tmr) {
+        bail!("--features is about the evaluation encoder: stance train tmr");
+    }
     let preset = chain::preset(&args.preset)?;
     let bars = global.bars();
     let seed = global.seed();
@@ -139,6 +146,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 bail!("the length of a run of tmr is given in --steps");
             }
             config.num_steps = args.steps.unwrap_or(config.num_steps);
+            if let Some(features) = args.features {
+                config.features = features.recipe();
+            }
             chain::train_encoder(dataset, out, &config, &bars)?
         }
         Model::J2s => unreachable!("handled above"),

@@ -13,10 +13,19 @@ use serde::{Deserialize, Serialize};
 use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
 use crate::{Error, Session};
 
-/// Edits the original of every item and returns three rows an item: the original (`source`), the
-/// ground truth (`target`) and what the editor made of the original (`system`). All three are at
-/// 20 fps and equally long: whole windows of the original, as far as they reach. Beside them comes
-/// where the time went.
+/// An item with the target made of another capture, where there is one.
+#[derive(Clone, Copy, Debug)]
+pub struct TestItem<'a> {
+    /// The item.
+    pub triplet: &'a Triplet,
+    /// Its other target.
+    pub other_take: Option<&'a Motion>,
+}
+
+/// Edits the original of every item and returns its rows: the original (`source`), the ground truth
+/// (`target`), the ground truth of another capture where there is one (`other take`), and what the
+/// editor made of the original (`system`). All are at 20 fps and as long as the edit, whole
+/// windows of the original, as far as they reach. Beside them comes where the time went.
 ///
 /// # Errors
 /// An original is shorter than a window, or a generated motion is not finite.
@@ -26,7 +35,7 @@ use crate::{Error, Session};
 pub fn edit_items(
     editor: &Editor,
     system: &str,
-    items: &[Triplet],
+    items: &[TestItem<'_>],
     skeleton: &Skeleton,
     settings: &EditSettings,
     session: &Session<'_>,
@@ -34,7 +43,7 @@ pub fn edit_items(
     let record = &editor.record().config;
     let prepared: Vec<EditItem> = items
         .iter()
-        .map(|item| {
+        .map(|TestItem { triplet: item, .. }| {
             EditItem::new(
                 &item.id,
                 &item.original,
@@ -48,7 +57,7 @@ pub fn edit_items(
     let edited = editor.edit_batch(&prepared, skeleton, settings, session, &mut times)?;
     let begun = session.secs();
     session.progress.begin("fit", Some(items.len() as u64));
-    let rows: Vec<[EditRow; 3]> = items
+    let rows: Vec<Vec<EditRow>> = items
         .par_iter()
         .zip(prepared.par_iter().zip(&edited))
         .map(|(item, (prepared, frames))| {
@@ -168,10 +177,14 @@ fn motion_error(id: &str) -> impl Fn(datasets_spec::Error) -> Error {
 fn item_rows(
     editor: &Editor,
     system: &str,
-    item: &Triplet,
+    item: &TestItem<'_>,
     (made, misfit): (Motion, Misfit),
     settings: &EditSettings,
-) -> Result<[EditRow; 3], Error> {
+) -> Result<Vec<EditRow>, Error> {
+    let TestItem {
+        triplet: item,
+        other_take,
+    } = item;
     let side = |motion: &Motion| {
         Resample::Exact
             .apply(motion, Fps::STORE)
@@ -197,9 +210,13 @@ fn item_rows(
             fit_error_m: misfit.map(|misfit| misfit.fit_error_m),
             bone_drift_m: misfit.map(|misfit| misfit.bone_drift_m),
         };
-    Ok([
+    let mut rows = vec![
         row(EditRow::SOURCE, "", &side(&item.original)?, None),
         row(EditRow::TARGET, "", &side(&item.edited)?, None),
-        row(system, editor.hash(), &made, Some(misfit)),
-    ])
+    ];
+    if let Some(other) = other_take {
+        rows.push(row(EditRow::OTHER_TAKE, "", &side(other)?, None));
+    }
+    rows.push(row(system, editor.hash(), &made, Some(misfit)));
+    Ok(rows)
 }

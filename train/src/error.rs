@@ -94,6 +94,12 @@ pub enum Error {
         /// In what it differs.
         problem: String,
     },
+    /// An evaluation encoder cannot do what it is asked for.
+    #[error("the encoder {problem}")]
+    Encoder {
+        /// What it lacks.
+        problem: String,
+    },
     /// The work was stopped from outside before it was done.
     #[error("{what} was stopped before it was done")]
     Stopped {
@@ -109,7 +115,7 @@ pub enum Error {
         step: u64,
     },
     /// An item to edit is malformed.
-    #[error("edit item {id:?} {problem}")]
+    #[error("item {id:?} {problem}")]
     Item {
         /// Id of the item.
         id: String,

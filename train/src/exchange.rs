@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use datasets_spec::Skeleton;
 use datasets_spec::normalise::Normalizer;
 use pipeline::source::pickle::{self, Value};
 use safetensors::SafeTensors;
@@ -10,12 +11,16 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use crate::Error;
 use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
+use crate::config::NetworkConfig;
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
+use crate::features::FeatureStats;
 use crate::fit::{self, EditorRecord};
 use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
+use crate::model::tmr::SequenceEncoder;
 use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::tmr::{self, MotionEncoderRecord};
 
 /// Rows of the position tables the released checkpoints store.
 const TABLE_ROWS: usize = 5_000;
@@ -90,6 +95,104 @@ pub fn import_coordinator(
         &RunRecord::new(coordinator::KIND, "imported", skeleton, record),
     )?;
     run.write(Slot::Best, &files.into())
+}
+
+/// Makes a run folder of TMR's motion encoder trained elsewhere: that of TMR itself, or the evaluator of
+/// MotionFix. Its size is read off its tensors.
+///
+/// # Errors
+/// The folder holds another run, a tensor is missing or does not fit the recipe, the statistics are
+/// of another width, or a file cannot be written.
+///
+/// # Source
+/// `formats` section 7.
+pub fn import_motion_encoder(
+    run_dir: &Path,
+    num_heads: usize,
+    features: FeatureStats,
+    weights: Vec<u8>,
+    path: &Path,
+    device: &Device,
+) -> Result<(), Error> {
+    let recipe = features.recipe;
+    for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
+        if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
+            return Err(Error::Encoder {
+                problem: format!(
+                    "needs a {name} of {} finite numbers for features {}, and has {}",
+                    recipe.width(),
+                    recipe.name(),
+                    values.len()
+                ),
+            });
+        }
+    }
+    // Lightning's checkpoints name the networks, the extracted files do not.
+    const NETWORK: &str = "motion_encoder.";
+    let (prefix, model) = {
+        let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
+        let named = file.names().iter().any(|name| name.starts_with(NETWORK));
+        let prefix = if named { NETWORK } else { "" };
+        let shape = |name: &str| -> Result<[usize; 2], Error> {
+            let tensor = file.tensor(&format!("{prefix}{name}"));
+            let tensor = tensor.map_err(|problem| Error::weights(path, problem))?;
+            <[usize; 2]>::try_from(tensor.shape())
+                .map_err(|_| Error::weights(path, format!("{prefix}{name} is no matrix")))
+        };
+        let [width, num_features] = shape("projection.weight")?;
+        if num_features != recipe.width() {
+            return Err(Error::Encoder {
+                problem: format!(
+                    "takes {num_features} numbers a frame, and features {} have {}",
+                    recipe.name(),
+                    recipe.width()
+                ),
+            });
+        }
+        let [feed_forward, _] = shape("seqTransEncoder.layers.0.linear1.weight")?;
+        let layer = |k: usize| format!("{prefix}seqTransEncoder.layers.{k}.linear1.weight");
+        let num_layers = (0..)
+            .take_while(|&k| file.tensor(&layer(k)).is_ok())
+            .count();
+        let model = NetworkConfig {
+            width,
+            num_layers,
+            num_heads,
+            feed_forward,
+            dropout: 0.0,
+        };
+        (prefix, model)
+    };
+    model.check()?;
+    let mut network = SequenceEncoder::new(recipe.width(), &model, device);
+    from_safetensors(&mut network, weights, prefix, path)?;
+    let record = MotionEncoderRecord { model, features };
+    let files = [(
+        tmr::MOTION_WEIGHTS.to_owned(),
+        to_safetensors(&network, run_dir)?,
+    )];
+    // Its features do not depend on the body.
+    let skeleton = Skeleton::smplx_neutral();
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(tmr::MOTION_KIND, "imported", skeleton.name(), &record),
+    )?;
+    run.write(Slot::Best, &files.into())
+}
+
+/// Reads the numbers of a file of `torch.save` that holds one tensor, such as `mean.pt`.
+///
+/// # Errors
+/// The file is malformed, or holds something else.
+pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
+    let value = pickle::read_torch(bytes).map_err(|rejected| {
+        Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
+    })?;
+    value
+        .as_array()
+        .and_then(pickle::Array::to_f64)
+        .map(|values| values.into_iter().map(|value| value as f32).collect())
+        .ok_or_else(|| Error::weights(path, format!("it holds {}, no tensor", value.describe())))
 }
 
 /// Writes the network of a run as one safetensors file under the released names, the position tables

@@ -1,7 +1,13 @@
 //! What the evaluation encoder sees of a motion.
 
-use datasets_spec::{Fps, Motion, Pose, Resample, rotation};
+use std::borrow::Cow;
+use std::f64::consts::FRAC_PI_2;
+use std::ops::Range;
+
+use datasets_spec::record::HUMANML3D_WIDTH;
+use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton, rotation};
 use glam::{DMat3, DQuat, DVec3};
+use pipeline::feature::humanml3d::{features_of_joints, joints_of_motion};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -9,22 +15,8 @@ use crate::Error;
 /// Numbers of a frame: 3 of translation, 21 joints and the root with 6 each.
 pub const FEATURE_WIDTH: usize = 135;
 
-/// Numbers of a frame that are translation; the others are rotations.
-const TRANSLATION_WIDTH: usize = 3;
-
-/// Name of the recipe of [`smpl135`], recorded with everything normalised by it.
-pub const RECIPE: &str = "smpl135";
-
 /// Features of one frame.
 pub type FeatureFrame = [f32; FEATURE_WIDTH];
-
-/// Smallest spread a translation feature is divided by, in metres a frame.
-const MIN_TRANSLATION_STD: f64 = 0.01;
-/// Smallest spread a rotation feature is divided by; 0.1 is a turn of about 6 degrees. Joints that
-/// hardly turn in the training split (ankles' toes, collars) would otherwise turn a small difference
-/// into tens of standard deviations, and twists that no keypoint shows, which a fitted body has by
-/// convention and a captured one by nature, would decide every distance.
-const MIN_ROTATION_STD: f64 = 0.1;
 
 /// The features of consecutive frames: `[translation since the frame before, in the root frame of
 /// that frame | 21 body rotations | root rotation]`, rotations as the first two rows of their
@@ -55,13 +47,136 @@ pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
         .collect()
 }
 
-/// Brings a motion to the rate of the store and keeps every `stride`-th frame.
-pub(crate) fn encoder_poses(
-    motion: &Motion,
-    stride: usize,
-) -> Result<Vec<Pose>, datasets_spec::Error> {
-    let motion = Resample::Exact.apply(motion, Fps::STORE)?;
-    Ok(motion.poses().into_iter().step_by(stride).collect())
+/// What of a motion an encoder sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FeatureRecipe {
+    /// [`smpl135`] of segments that have been turned to face +z, y up, at 20 fps.
+    Smpl135,
+    /// The 263 numbers of HumanML3D at 20 fps, of the whole clip: the input of the released TMR. They
+    /// lie on HumanML3D's own skeleton, so the body of a motion does not matter.
+    HumanMl3d,
+    /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of the released evaluator of
+    /// MotionFix.
+    MotionFix,
+}
+
+impl FeatureRecipe {
+    /// Numbers of a frame.
+    pub const fn width(self) -> usize {
+        match self {
+            Self::Smpl135 | Self::MotionFix => FEATURE_WIDTH,
+            Self::HumanMl3d => HUMANML3D_WIDTH,
+        }
+    }
+
+    /// The rate features are computed at.
+    pub fn fps(self) -> Fps {
+        match self {
+            Self::Smpl135 | Self::HumanMl3d => Fps::STORE,
+            Self::MotionFix => Fps::new(30.0).expect("a rate"),
+        }
+    }
+
+    /// The name recorded with everything normalised by the recipe.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Smpl135 => "smpl135",
+            Self::HumanMl3d => "humanml3d",
+            Self::MotionFix => "motionfix",
+        }
+    }
+
+    /// The smallest spread a column is divided by. Joints that hardly turn in the training split
+    /// (ankles' toes, collars) would otherwise turn a small difference into tens of standard
+    /// deviations, and twists that no keypoint shows, which a fitted body has by convention and a
+    /// captured one by nature, would decide every distance.
+    fn min_std(self, column: usize) -> f64 {
+        /// In metres, or metres a frame.
+        const LENGTH: f64 = 0.01;
+        /// Of an entry of a rotation matrix; 0.1 is a turn of about 6 degrees.
+        const ROTATION: f64 = 0.1;
+        /// Of 0 or 1.
+        const CONTACT: f64 = 0.1;
+        match self {
+            Self::Smpl135 | Self::MotionFix if column < 3 => LENGTH,
+            Self::Smpl135 | Self::MotionFix => ROTATION,
+            Self::HumanMl3d if (67..193).contains(&column) => ROTATION,
+            Self::HumanMl3d if column >= 259 => CONTACT,
+            Self::HumanMl3d => LENGTH,
+        }
+    }
+}
+
+/// A clip on its way to features: segments of it can be had.
+pub(crate) enum Prepared {
+    /// Poses at the encoder's rate; features depend on where a segment begins.
+    Poses(FeatureRecipe, Vec<Pose>),
+    /// Features of the whole clip.
+    Rows(FeatureRecipe, Vec<f32>),
+}
+
+impl Prepared {
+    /// Brings a motion to the recipe's rate and keeps every `stride`-th frame.
+    pub(crate) fn new(
+        motion: &Motion,
+        recipe: FeatureRecipe,
+        stride: usize,
+        id: &str,
+    ) -> Result<Self, Error> {
+        let motion = Resample::Exact
+            .apply(motion, recipe.fps())
+            .map_err(|source| Error::Motion {
+                id: id.to_owned(),
+                source,
+            })?;
+        if recipe == FeatureRecipe::HumanMl3d {
+            let joints = joints_of_motion(&motion, &Skeleton::smplx_neutral());
+            let rows = features_of_joints(&joints).map_err(|error| Error::Item {
+                id: id.to_owned(),
+                problem: format!("has no HumanML3D features: {error}"),
+            })?;
+            let rows = rows.into_iter().step_by(stride).flatten().collect();
+            return Ok(Self::Rows(recipe, rows));
+        }
+        let poses = motion.poses().into_iter().step_by(stride).collect();
+        Ok(Self::Poses(recipe, poses))
+    }
+
+    /// Frames.
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::Poses(_, poses) => poses.len(),
+            Self::Rows(recipe, rows) => rows.len() / recipe.width(),
+        }
+    }
+
+    /// Features of a segment, row after row.
+    pub(crate) fn features(&self, segment: Range<usize>) -> Cow<'_, [f32]> {
+        match self {
+            Self::Poses(recipe, poses) => {
+                let mut poses = poses[segment].to_vec();
+                face_forward(&mut poses);
+                if *recipe == FeatureRecipe::MotionFix {
+                    stand_on_z(&mut poses);
+                }
+                Cow::Owned(smpl135(&poses).into_flattened())
+            }
+            Self::Rows(recipe, rows) => {
+                let width = recipe.width();
+                Cow::Borrowed(&rows[width * segment.start..width * segment.end])
+            }
+        }
+    }
+}
+
+/// Turns poses so that up is +z; what faced +z faces -y, whose heading is 0 there.
+fn stand_on_z(poses: &mut [Pose]) {
+    let turn = DQuat::from_rotation_x(FRAC_PI_2);
+    for pose in poses {
+        pose.transl = turn * pose.transl;
+        pose.rotations[0] = turn * pose.rotations[0];
+    }
 }
 
 /// Turns a segment about the vertical so that its first frame faces +z.
@@ -82,25 +197,28 @@ pub(crate) fn face_forward(segment: &mut [Pose]) {
 #[serde(deny_unknown_fields)]
 pub struct FeatureStats {
     /// Recipe of the features.
-    pub recipe: String,
-    /// Mean, `[135]`.
+    pub recipe: FeatureRecipe,
+    /// Mean, one number a column.
     pub mean: Vec<f32>,
-    /// Standard deviation, at least 0.01, `[135]`.
+    /// Standard deviation, bounded from below, one number a column.
     pub std: Vec<f32>,
 }
 
 impl FeatureStats {
-    /// Fits mean and standard deviation.
+    /// Fits mean and standard deviation to rows of features.
     ///
     /// # Errors
-    /// There is no frame.
-    pub fn fit<'a>(frames: impl IntoIterator<Item = &'a FeatureFrame>) -> Result<Self, Error> {
+    /// There is no row.
+    pub fn fit<'a>(
+        recipe: FeatureRecipe,
+        rows: impl IntoIterator<Item = &'a [f32]>,
+    ) -> Result<Self, Error> {
         let mut count = 0u64;
-        let mut mean = vec![0.0f64; FEATURE_WIDTH];
-        let mut squares = vec![0.0f64; FEATURE_WIDTH];
-        for frame in frames {
+        let mut mean = vec![0.0f64; recipe.width()];
+        let mut squares = vec![0.0f64; recipe.width()];
+        for row in rows {
             count += 1;
-            for ((mean, squares), &value) in mean.iter_mut().zip(&mut squares).zip(frame) {
+            for ((mean, squares), &value) in mean.iter_mut().zip(&mut squares).zip(row) {
                 // Welford's update keeps its digits where the mean is large against the spread.
                 let delta = f64::from(value) - *mean;
                 *mean += delta / count as f64;
@@ -113,39 +231,29 @@ impl FeatureStats {
             });
         }
         Ok(Self {
-            recipe: RECIPE.to_owned(),
+            recipe,
             mean: mean.iter().map(|&mean| mean as f32).collect(),
             std: squares
                 .iter()
                 .enumerate()
                 .map(|(column, squares)| {
-                    let least = if column < TRANSLATION_WIDTH {
-                        MIN_TRANSLATION_STD
-                    } else {
-                        MIN_ROTATION_STD
-                    };
-                    (squares / count as f64).sqrt().max(least) as f32
+                    (squares / count as f64).sqrt().max(recipe.min_std(column)) as f32
                 })
                 .collect(),
         })
     }
 
-    /// Appends a frame in units of standard deviations from the mean.
-    pub(crate) fn push_normalized(&self, frame: &FeatureFrame, out: &mut Vec<f32>) {
-        out.extend(
-            frame
-                .iter()
-                .zip(&self.mean)
-                .zip(&self.std)
-                .map(|((value, mean), std)| (value - mean) / std),
-        );
+    /// Appends rows in units of standard deviations from the mean.
+    pub(crate) fn push_normalized(&self, rows: &[f32], out: &mut Vec<f32>) {
+        for row in rows.chunks_exact(self.recipe.width()) {
+            let columns = row.iter().zip(&self.mean).zip(&self.std);
+            out.extend(columns.map(|((value, mean), std)| (value - mean) / std));
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::FRAC_PI_2;
-
     use super::*;
 
     #[test]
@@ -198,7 +306,11 @@ mod tests {
     fn statistics_of_two_frames_are_half_sum_and_half_difference() {
         let mut frames = [[1.0f32; FEATURE_WIDTH]; 2];
         frames[1][5] = 4.0;
-        let stats = FeatureStats::fit(&frames).expect("frames");
+        let recipe = FeatureRecipe::Smpl135;
+        let fit = |frames: &[FeatureFrame]| {
+            FeatureStats::fit(recipe, frames.iter().map(|frame| &frame[..]))
+        };
+        let stats = fit(&frames).expect("frames");
         assert_eq!((stats.mean[5], stats.std[5]), (2.5, 1.5));
         // Columns that never change get the least spread of their kind.
         assert_eq!((stats.mean[6], stats.std[6]), (1.0, 0.1));
@@ -206,6 +318,55 @@ mod tests {
         let mut out = Vec::new();
         stats.push_normalized(&frames[1], &mut out);
         assert_eq!(out[5], 1.0);
-        assert!(FeatureStats::fit(&[]).is_err());
+        assert!(fit(&[]).is_err());
+    }
+
+    #[test]
+    fn segments_of_any_recipe_have_its_width_and_rate() {
+        let poses: Vec<Pose> = (0..41)
+            .map(|frame| {
+                let t = f64::from(frame) / 20.0;
+                let mut pose = Pose {
+                    transl: DVec3::new(0.3 * t, 1.0, 0.8 * t),
+                    ..Pose::REST
+                };
+                pose.rotations[0] = DQuat::from_rotation_y(0.4 * t);
+                pose.rotations[16] = DQuat::from_rotation_z(t.sin());
+                pose
+            })
+            .collect();
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("finite");
+        for (recipe, frames) in [
+            (FeatureRecipe::Smpl135, 41),
+            (FeatureRecipe::HumanMl3d, 40),
+            (FeatureRecipe::MotionFix, 61),
+        ] {
+            let clip = Prepared::new(&motion, recipe, 1, "clip").expect("long enough");
+            assert_eq!(clip.len(), frames, "{recipe:?}");
+            let segment = clip.features(3..13);
+            assert_eq!(segment.len(), 10 * recipe.width());
+            assert!(segment.iter().all(|value| value.is_finite()));
+        }
+        // The second frame of 30 fps has moved two thirds as far as that of 20 fps, and up is z.
+        let moved = |recipe: FeatureRecipe| {
+            let clip = Prepared::new(&motion, recipe, 1, "clip").expect("long enough");
+            let frames = clip.features(0..2);
+            [0, 1, 2].map(|axis| f64::from(frames[FEATURE_WIDTH + axis]))
+        };
+        let (ours, theirs) = (
+            moved(FeatureRecipe::Smpl135),
+            moved(FeatureRecipe::MotionFix),
+        );
+        for (ours, theirs) in ours.iter().zip(theirs) {
+            // The heading turns by a hundredth of a radian between two frames.
+            assert!((ours * 2.0 / 3.0 - theirs).abs() < 2e-4, "{ours} {theirs}");
+        }
+        let clip =
+            Prepared::new(&motion, FeatureRecipe::MotionFix, 1, "clip").expect("long enough");
+        let frame = clip.features(0..1);
+        // The rows of a quarter turn about x, which is the root of a body that faces -y with z up.
+        for (value, expected) in frame[129..].iter().zip([1.0, 0.0, 0.0, 0.0, 0.0, -1.0]) {
+            assert!((value - expected).abs() < 1e-6);
+        }
     }
 }

@@ -1,27 +1,35 @@
 //! The encoder motions are judged by: training and use.
 
+use std::ops::Range;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Motion, Pose, Seed};
+use datasets_spec::{Motion, Seed};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
+use crate::checkpoint::{
+    self, Files, Run, RunRecord, Slot, read_for_use, read_kind, take, weights_hash,
+};
 use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, WordsConfig, positive};
 use crate::diffusion::Loss;
-use crate::features::{FEATURE_WIDTH, FeatureStats, encoder_poses, face_forward, smpl135};
+use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::learn::{Course, Task, TrainReport, learn};
-use crate::model::tmr::{Tmr, TmrSizes, info_nce};
+use crate::model::tmr::{SequenceEncoder, Tmr, TmrSizes, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::vocabulary::{TokenBatch, Vocabulary};
 use crate::{Error, Session};
 
 const KIND: &str = "tmr";
 const WEIGHTS: &str = "tmr.safetensors";
+
+/// Kind of a run folder with a motion encoder trained elsewhere.
+pub(crate) const MOTION_KIND: &str = "tmr-motion";
+/// Its weights.
+pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
 /// Motions or texts encoded at a time.
 const ENCODE_BATCH: usize = 32;
@@ -30,13 +38,15 @@ const ENCODE_BATCH: usize = 32;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TmrConfig {
+    /// What of a motion the encoder sees.
+    pub features: FeatureRecipe,
     /// Sizes of the transformers; the width is that of the latent space.
     pub model: NetworkConfig,
     /// Width of a word vector.
     pub word_width: usize,
     /// Vocabulary.
     pub text: WordsConfig,
-    /// Frames of the store from one frame of the encoder to the next.
+    /// Frames at the rate of the features from one frame of the encoder to the next.
     pub frame_stride: usize,
     /// Shortest crop shown in training, in frames of the encoder.
     pub min_frames: usize,
@@ -86,6 +96,7 @@ impl TmrConfig {
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper | Preset::Official => Self {
+                features: FeatureRecipe::HumanMl3d,
                 model: NetworkConfig {
                     width: 256,
                     num_layers: 6,
@@ -123,6 +134,7 @@ impl TmrConfig {
                 seed: 0,
             },
             Preset::Tiny => Self {
+                features: FeatureRecipe::Smpl135,
                 model: NetworkConfig {
                     width: 64,
                     num_layers: 2,
@@ -196,7 +208,7 @@ impl TmrConfig {
 
     fn sizes(&self, vocabulary: &Vocabulary) -> TmrSizes {
         TmrSizes {
-            motion_features: FEATURE_WIDTH,
+            motion_features: self.features.width(),
             num_tokens: vocabulary.num_tokens(),
             word_width: self.word_width,
             network: self.model,
@@ -242,7 +254,7 @@ pub struct TmrRecord {
 
 /// A clip as the encoder sees it.
 struct Clip {
-    poses: Vec<Pose>,
+    motion: Prepared,
     captions: Vec<Vec<i32>>,
 }
 
@@ -293,7 +305,7 @@ pub fn train_tmr(
     )?;
     let record = TmrRecord {
         train: config.clone(),
-        features: fit_features(&train)?,
+        features: fit_features(config.features, &train)?,
         vocabulary,
     };
     let run = Run::open(
@@ -379,7 +391,7 @@ fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Devic
     let features = Tensor::<3>::from_data(
         TensorData::new(
             batch.features.clone(),
-            [num_clips, batch.steps, FEATURE_WIDTH],
+            [num_clips, batch.steps, config.features.width()],
         ),
         device,
     );
@@ -453,14 +465,8 @@ fn clips(
                     problem: "has no caption".to_owned(),
                 });
             }
-            let poses = encoder_poses(clip.motion, config.frame_stride).map_err(|source| {
-                Error::Motion {
-                    id: clip.id.to_owned(),
-                    source,
-                }
-            })?;
             Ok(Clip {
-                poses,
+                motion: Prepared::new(clip.motion, config.features, config.frame_stride, clip.id)?,
                 captions: clip
                     .captions
                     .iter()
@@ -471,16 +477,16 @@ fn clips(
         .collect()
 }
 
-fn fit_features(clips: &[Clip]) -> Result<FeatureStats, Error> {
-    let frames: Vec<_> = clips
+fn fit_features(recipe: FeatureRecipe, clips: &[Clip]) -> Result<FeatureStats, Error> {
+    let rows: Vec<_> = clips
         .par_iter()
-        .flat_map_iter(|clip| {
-            let mut poses = clip.poses.clone();
-            face_forward(&mut poses);
-            smpl135(&poses)
-        })
+        .map(|clip| clip.motion.features(0..clip.motion.len()))
         .collect();
-    FeatureStats::fit(&frames)
+    let width = recipe.width();
+    FeatureStats::fit(
+        recipe,
+        rows.iter().flat_map(|rows| rows.chunks_exact(width)),
+    )
 }
 
 /// Draws batches of clips; what is drawn depends on the seed and the step alone.
@@ -508,7 +514,7 @@ impl ClipDrawer<'_> {
         let crops: Vec<Crop> = order[first..first + batch_size]
             .iter()
             .map(|&clip| {
-                let num_frames = self.clips[clip].poses.len();
+                let num_frames = self.clips[clip].motion.len();
                 let frames = longest.min(num_frames);
                 Crop {
                     clip,
@@ -532,7 +538,7 @@ impl ClipDrawer<'_> {
                 clip,
                 caption: 0,
                 start: 0,
-                frames: self.clips[clip].poses.len().min(self.config.max_frames),
+                frames: self.clips[clip].motion.len().min(self.config.max_frames),
             })
             .collect();
         crops
@@ -562,11 +568,14 @@ impl ClipDrawer<'_> {
                 (0..texts.len()).map(move |j| i != j && texts[i] == texts[j])
             })
             .collect();
-        let segments: Vec<Vec<Pose>> = crops
+        let segments: Vec<(&Prepared, Range<usize>)> = crops
             .iter()
-            .map(|crop| self.clips[crop.clip].poses[crop.start..crop.start + crop.frames].to_vec())
+            .map(|crop| {
+                let range = crop.start..crop.start + crop.frames;
+                (&self.clips[crop.clip].motion, range)
+            })
             .collect();
-        let (features, lengths, steps) = feature_rows(segments, self.features);
+        let (features, lengths, steps) = feature_rows(&segments, self.features);
         ClipBatch {
             features,
             lengths,
@@ -586,21 +595,19 @@ struct Crop {
     frames: usize,
 }
 
-/// Normalised features of segments that have been turned to face +z, padded with zeros to the
-/// longest: values `[B, T, 135]`, lengths and `T`.
+/// Normalised features of segments, padded with zeros to the longest: values `[B, T, F]`, lengths and
+/// `T`.
 fn feature_rows(
-    mut segments: Vec<Vec<Pose>>,
+    segments: &[(&Prepared, Range<usize>)],
     stats: &FeatureStats,
 ) -> (Vec<f32>, Vec<usize>, usize) {
-    let lengths: Vec<usize> = segments.iter().map(Vec::len).collect();
+    let lengths: Vec<usize> = segments.iter().map(|(_, range)| range.len()).collect();
     let steps = lengths.iter().copied().max().unwrap_or(0);
-    let mut values = Vec::with_capacity(segments.len() * steps * FEATURE_WIDTH);
-    for (row, segment) in segments.iter_mut().enumerate() {
-        face_forward(segment);
-        for frame in smpl135(segment) {
-            stats.push_normalized(&frame, &mut values);
-        }
-        values.resize((row + 1) * steps * FEATURE_WIDTH, 0.0);
+    let width = stats.recipe.width();
+    let mut values = Vec::with_capacity(segments.len() * steps * width);
+    for (row, (clip, range)) in segments.iter().enumerate() {
+        stats.push_normalized(&clip.features(range.clone()), &mut values);
+        values.resize((row + 1) * steps * width, 0.0);
     }
     (values, lengths, steps)
 }
@@ -610,11 +617,27 @@ fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error>
     from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
 }
 
+/// What is recorded of a motion encoder trained elsewhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotionEncoderRecord {
+    /// Size of the transformer.
+    pub model: NetworkConfig,
+    /// What of a motion it sees, and how that is brought to units.
+    pub features: FeatureStats,
+}
+
 /// A trained encoder.
 #[derive(Debug)]
 pub struct TmrEncoder {
-    model: Tmr,
-    record: RunRecord<TmrRecord>,
+    motion_encoder: SequenceEncoder,
+    /// What understands texts, if that is known.
+    texts: Option<(Tmr, Vocabulary)>,
+    features: FeatureStats,
+    frame_stride: usize,
+    /// Frames past this many do not enter a motion's code.
+    max_frames: usize,
+    dataset_hash: String,
     hash: String,
     device: Device,
 }
@@ -625,25 +648,69 @@ impl TmrEncoder {
     /// # Errors
     /// The folder is not a run of the encoder, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
+        if read_kind(run_dir)? == MOTION_KIND {
+            return Self::load_motion(run_dir, device);
+        }
         let record: RunRecord<TmrRecord> = checkpoint::read_record(run_dir, KIND)?;
-        record.config.train.check()?;
+        let config = &record.config.train;
+        config.check()?;
         let mut files = read_for_use(run_dir, slot, KIND)?;
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
-        let sizes = record.config.train.sizes(&record.config.vocabulary);
+        let sizes = config.sizes(&record.config.vocabulary);
         let mut model = Tmr::new(&sizes, device);
         load(&mut model, &mut files, run_dir)?;
         Ok(Self {
-            model,
-            record,
+            motion_encoder: model.motion_encoder.clone(),
+            frame_stride: config.frame_stride,
+            max_frames: config.max_frames,
+            texts: Some((model, record.config.vocabulary)),
+            features: record.config.features,
+            dataset_hash: record.dataset_hash,
             hash,
             device: device.clone(),
         })
     }
 
-    /// The settings the encoder was trained with and what was fitted to its training split.
-    pub fn record(&self) -> &RunRecord<TmrRecord> {
-        &self.record
+    fn load_motion(run_dir: &Path, device: &Device) -> Result<Self, Error> {
+        let record: RunRecord<MotionEncoderRecord> = checkpoint::read_record(run_dir, MOTION_KIND)?;
+        let MotionEncoderRecord { model, features } = record.config.clone();
+        model.check()?;
+        let mut files = read_for_use(run_dir, Slot::Best, MOTION_KIND)?;
+        let bytes = take(&mut files, MOTION_WEIGHTS, run_dir)?;
+        let hash = weights_hash(&record.config, &[&bytes]);
+        let mut motion_encoder = SequenceEncoder::new(features.recipe.width(), &model, device);
+        from_safetensors(
+            &mut motion_encoder,
+            bytes,
+            "",
+            &run_dir.join(MOTION_WEIGHTS),
+        )?;
+        Ok(Self {
+            motion_encoder,
+            texts: None,
+            features,
+            frame_stride: 1,
+            max_frames: usize::MAX,
+            dataset_hash: record.dataset_hash,
+            hash,
+            device: device.clone(),
+        })
+    }
+
+    /// What the encoder sees of a motion.
+    pub fn recipe(&self) -> FeatureRecipe {
+        self.features.recipe
+    }
+
+    /// Frames a second the encoder sees.
+    pub fn fps(&self) -> f64 {
+        self.features.recipe.fps().get() / self.frame_stride as f64
+    }
+
+    /// Root hash of the dataset it was trained on; `imported` where that is not known.
+    pub fn dataset_hash(&self) -> &str {
+        &self.dataset_hash
     }
 
     /// What identifies the weights: BLAKE3, hexadecimal.
@@ -654,50 +721,68 @@ impl TmrEncoder {
     /// The mean latent vector of each motion, `[d]`.
     ///
     /// # Errors
-    /// A motion cannot be brought to the encoder's rate.
+    /// A motion cannot be brought to the encoder's rate, or is too short for its features.
     pub fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f32>>, Error> {
-        let config = &self.record.config.train;
         let mut codes = Vec::with_capacity(motions.len());
         for (chunk_index, chunk) in motions.chunks(ENCODE_BATCH).enumerate() {
-            let segments = chunk
-                .iter()
+            let clips: Vec<Prepared> = chunk
+                .par_iter()
                 .enumerate()
                 .map(|(index, motion)| {
-                    let mut poses =
-                        encoder_poses(motion, config.frame_stride).map_err(|source| {
-                            Error::Motion {
-                                id: format!("#{}", chunk_index * ENCODE_BATCH + index),
-                                source,
-                            }
-                        })?;
-                    poses.truncate(config.max_frames);
-                    Ok(poses)
+                    let id = format!("#{}", chunk_index * ENCODE_BATCH + index);
+                    Prepared::new(motion, self.features.recipe, self.frame_stride, &id)
                 })
-                .collect::<Result<Vec<_>, Error>>()?;
-            let (features, lengths, steps) = feature_rows(segments, &self.record.config.features);
-            let features = Tensor::<3>::from_data(
-                TensorData::new(features, [chunk.len(), steps, FEATURE_WIDTH]),
-                &self.device,
-            );
-            let code = self.model.motion_encoder.forward(features, &lengths).mu;
-            codes.extend(rows(code));
+                .collect::<Result<_, Error>>()?;
+            let segments: Vec<(&Prepared, Range<usize>)> = clips
+                .iter()
+                .map(|clip| (clip, 0..clip.len().min(self.max_frames)))
+                .collect();
+            let (features, lengths, steps) = feature_rows(&segments, &self.features);
+            codes.extend(self.encode_features(features, &lengths, steps));
         }
         Ok(codes)
     }
 
+    /// The mean latent vectors of normalised features.
+    ///
+    /// # Shapes
+    /// `features` is `[B, T, F]` with zeros after each row's length; the result `[B][d]`.
+    ///
+    /// # Panics
+    /// If the sizes disagree.
+    pub fn encode_features(
+        &self,
+        features: Vec<f32>,
+        lengths: &[usize],
+        steps: usize,
+    ) -> Vec<Vec<f32>> {
+        let shape = [lengths.len(), steps, self.features.recipe.width()];
+        let features = Tensor::<3>::from_data(TensorData::new(features, shape), &self.device);
+        rows(self.motion_encoder.forward(features, lengths).mu)
+    }
+
     /// The mean latent vector of each text, `[d]`.
-    pub fn encode_texts(&self, texts: &[&str]) -> Vec<Vec<f32>> {
-        texts
+    ///
+    /// # Errors
+    /// The encoder was trained elsewhere, so that its words are not known here.
+    pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
+        let Some((model, vocabulary)) = &self.texts else {
+            return Err(Error::Encoder {
+                problem: "was imported and knows motions alone: the released text side stands on \
+                          DistilBERT, which this program has not"
+                    .to_owned(),
+            });
+        };
+        Ok(texts
             .chunks(ENCODE_BATCH)
             .flat_map(|chunk| {
-                let tokens = self
-                    .record
-                    .config
-                    .vocabulary
-                    .encode_batch(chunk.iter().copied());
-                rows(self.model.encode_text(&tokens).mu)
+                rows(
+                    model
+                        .encode_text(&vocabulary.encode_batch(chunk.iter().copied()))
+                        .mu,
+                )
             })
-            .collect()
+            .collect())
     }
 }
 

@@ -11,7 +11,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
 use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::{Pose, rotation};
+use datasets_spec::{Fps, Motion, Pose, rotation};
 use glam::DVec3;
 use safetensors::SafeTensors;
 use train::config::{
@@ -741,6 +741,56 @@ fn golden_tmr_encoder_decoder() {
         "out.sim",
         3e-5,
     );
+}
+
+#[test]
+fn golden_tmr_is_imported_as_an_encoder_of_motions() {
+    use train::checkpoint::Slot;
+    use train::exchange::import_motion_encoder;
+    use train::features::{FeatureRecipe, FeatureStats};
+    use train::tmr::TmrEncoder;
+
+    let golden = Golden::read("tmr_encoder_decoder");
+    let recorded = golden.bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+    let width = golden.size("nfeats_motion");
+    let stats = |recipe: FeatureRecipe| FeatureStats {
+        recipe,
+        mean: vec![0.0; width],
+        std: vec![1.0; width],
+    };
+    // All three networks in one file, as Lightning keeps them, and the motion encoder alone.
+    for taken in ["weights.", "weights.motion_encoder."] {
+        let tensors = reference
+            .tensors()
+            .into_iter()
+            .filter_map(|(name, tensor)| Some((name.strip_prefix(taken)?.to_owned(), tensor)));
+        let bytes = safetensors::serialize(tensors, None).expect("serialises");
+        let dir = tempfile::tempdir().expect("a folder");
+        let run = dir.path().join("run");
+        let device = Device::flex();
+        let import = |recipe: FeatureRecipe| {
+            let heads = golden.size("num_heads");
+            let path = Path::new("motion_encoder.pt");
+            import_motion_encoder(&run, heads, stats(recipe), bytes.clone(), path, &device)
+        };
+        let problem = import(FeatureRecipe::MotionFix).expect_err("another recipe");
+        assert!(problem.to_string().contains("135"), "{problem}");
+        import(FeatureRecipe::HumanMl3d).expect("imported");
+
+        let encoder = TmrEncoder::load(&run, Slot::Best, &device).expect("an encoder");
+        assert_eq!(encoder.recipe(), FeatureRecipe::HumanMl3d);
+        let lengths = golden.indices("in.motion_lengths");
+        let steps = golden.values("in.motion").1[1];
+        let codes = encoder.encode_features(golden.f32s("in.motion"), &lengths, steps);
+        let difference = max_difference(&codes.concat(), &golden.f32s("out.motion_mu"));
+        assert!(difference < 3e-5, "{difference}");
+        // The released text side stands on another network.
+        assert!(encoder.encode_texts(&["walk"]).is_err());
+        let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 30]).expect("finite");
+        let code = encoder.encode(&[&motion]).expect("long enough");
+        assert!(code[0].iter().all(|value| value.is_finite()));
+    }
 }
 
 #[test]

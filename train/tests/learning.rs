@@ -24,6 +24,7 @@ use train::coordinator::{
 };
 use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
 use train::diffusion::{Prediction, Schedule, training_loss};
+use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
 use train::model::weights::draw;
@@ -916,7 +917,6 @@ const SITTING: [(usize, DVec3); 4] = [
 
 #[test]
 fn the_encoder_learns_to_tell_motions_apart() {
-    let dir = tempfile::tempdir().expect("a folder");
     let kinds: [(&str, &[(usize, DVec3)]); 3] = [
         ("walk", &[]),
         ("raise both arms", &ARMS_UP),
@@ -942,7 +942,21 @@ fn the_encoder_learns_to_tell_motions_apart() {
             captions,
         })
         .collect();
+    for recipe in [FeatureRecipe::Smpl135, FeatureRecipe::HumanMl3d] {
+        check_encoder(&motions, &clips, &kinds.map(|(text, _)| text), recipe);
+    }
+}
+
+/// Trains an encoder on 18 motions of three texts in turn and asks it for the text of each.
+fn check_encoder(
+    motions: &[(String, Motion, Vec<String>)],
+    clips: &[CaptionedMotion<'_>],
+    kinds: &[&str; 3],
+    recipe: FeatureRecipe,
+) {
+    let dir = tempfile::tempdir().expect("a folder");
     let mut config = TmrConfig::preset(Preset::Tiny);
+    config.features = recipe;
     config.max_frames = 24;
     config.batch_size = 18;
     config.num_steps = 150;
@@ -952,8 +966,8 @@ fn the_encoder_learns_to_tell_motions_apart() {
         dir.path(),
         &config,
         TmrCorpus {
-            train: &clips,
-            val: &clips,
+            train: clips,
+            val: clips,
             skeleton: "smplx-neutral",
             dataset_hash: "0",
         },
@@ -970,12 +984,12 @@ fn the_encoder_learns_to_tell_motions_apart() {
         report.first_loss.expect("a line"),
         report.last_loss.expect("a line"),
     );
-    assert!(last < 0.7 * first, "{first} fell to {last}");
+    assert!(last < 0.7 * first, "{recipe:?}: {first} fell to {last}");
 
     let encoder = TmrEncoder::load(dir.path(), Slot::Last, &Device::flex()).expect("loads");
     let refs: Vec<&Motion> = motions.iter().map(|(_, motion, _)| motion).collect();
     let codes = encoder.encode(&refs).expect("encodes");
-    let texts = encoder.encode_texts(&kinds.map(|(text, _)| text));
+    let texts = encoder.encode_texts(kinds).expect("trained here");
     let cosine = |a: &[f32], b: &[f32]| {
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
         dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
@@ -990,7 +1004,10 @@ fn the_encoder_learns_to_tell_motions_apart() {
         })
         .count();
     // Guessing gets 6 of 18.
-    assert!(right >= 15, "{right} of 18 motions found their text");
+    assert!(
+        right >= 15,
+        "{recipe:?}: {right} of 18 motions found their text"
+    );
     // Padding to a longer neighbour must not matter: f32 rounding of another batch shape.
     let alone = encoder.encode(&refs[..1]).expect("encodes");
     for (a, b) in alone[0].iter().zip(&codes[0]) {

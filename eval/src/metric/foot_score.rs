@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use datasets_spec::lanes::{Kernel, LANES, vectorised};
+use datasets_spec::lanes::{Kernel, LANES, exp, vectorised};
 use datasets_spec::{Fps, Joint};
 
 /// The joints whose motion is looked at, in the order the functions here expect them.
@@ -123,25 +123,27 @@ impl Kernel for Sum<'_> {
             let count = LANES.min(interior - start);
             let mut penalties = [0.0; LANES];
             let [before, now, after] = [0, 1, 2].map(|at| &self.feet[start + at..][..count]);
-            for (lane, penalty) in penalties.iter_mut().enumerate().take(count) {
-                let mut square = f64::INFINITY;
-                let mut height = f64::INFINITY;
-                for joint in 0..4 {
+            // Squares and heights of the slowest and the lowest joint, then everything else: the
+            // first loop reads numbers that lie side by side, the second is whole vectors.
+            let (mut squares, mut heights) = ([0.0; LANES], [0.0; LANES]);
+            let least = |a: f64, b: f64| if a < b { a } else { b };
+            for lane in 0..count {
+                let moved = [0, 1, 2, 3].map(|joint| {
                     let (a, b) = (after[lane][joint], before[lane][joint]);
                     let (x, y, z) = (a.x - b.x, a.y - b.y, a.z - b.z);
-                    let moved = x * x + y * y + z * z;
-                    square = if moved < square { moved } else { square };
-                    let y = now[lane][joint].y;
-                    height = if y < height { y } else { height };
-                }
-                let speed = square.sqrt() * self.half_rate - STILL_SPEED;
-                let height = (height - self.floor).abs() - TOUCH_HEIGHT;
+                    x * x + y * y + z * z
+                });
+                squares[lane] = least(least(moved[0], moved[1]), least(moved[2], moved[3]));
+                let high = now[lane].map(|point| point.y);
+                heights[lane] = least(least(high[0], high[1]), least(high[2], high[3]));
+            }
+            for lane in 0..LANES {
+                let speed = squares[lane].sqrt() * self.half_rate - STILL_SPEED;
+                let height = (heights[lane] - self.floor).abs() - TOUCH_HEIGHT;
                 let positive = |value: f64| if value > 0.0 { value } else { 0.0 };
-                *penalty = positive(speed) + positive(height);
+                penalties[lane] = exp(-(positive(speed) + positive(height)));
             }
-            for &penalty in &penalties[..count] {
-                total += if penalty > 0.0 { (-penalty).exp() } else { 1.0 };
-            }
+            total += penalties[..count].iter().sum::<f64>();
         }
         total
     }

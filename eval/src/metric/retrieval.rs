@@ -1,5 +1,6 @@
 //! Whether a motion finds its counterpart among others.
 
+use datasets_spec::dots::dots;
 use datasets_spec::product::{self, Packed, Write, multiply};
 use rayon::prelude::*;
 
@@ -18,6 +19,9 @@ pub const PAPER_GALLERY: usize = 32;
 /// Queries a thread ranks at a time: as many as a block of the product has rows, and 4 MB of
 /// similarities with a gallery of 10,000.
 const QUERIES_PER_TASK: usize = 96;
+
+/// Largest gallery whose similarities are taken one by one; packing a larger one pays.
+const SMALL_GALLERY: usize = 64;
 
 /// What a set of ranks amounts to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -189,69 +193,77 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// The rank of gallery row i for query row i by dot product, counted from zero. Only some rows of
-/// similarities are held at a time, so that memory does not grow with the product of the sizes.
-///
-/// Similarities are in single precision, as those of the reference. Equal gallery rows are exact
-/// ties, wherever they stand.
-///
-/// # Shapes
-/// Both are `[N, D]`; pass rows of unit length to rank by cosine.
-///
-/// # Errors
-/// The sizes differ or a number is not finite.
-pub fn ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
-    let (queries, gallery) = compared(queries, gallery)?;
-    Ok(ranks_of_rows(&queries, &gallery))
-}
-
-/// Rows of latents in single precision.
-struct Rows {
+/// Latents in single precision, in which similarities are taken, as the reference takes them. All
+/// numbers are finite.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rows {
     values: Vec<f32>,
     width: usize,
 }
 
 impl Rows {
-    fn of(matrix: &Matrix) -> Self {
-        Self {
-            values: matrix.rows().flatten().map(|&value| value as f32).collect(),
-            width: matrix.num_cols(),
+    /// Rounds latents.
+    ///
+    /// # Errors
+    /// A number is not finite, in single precision at the latest.
+    pub fn new(latents: &Matrix) -> Result<Self, Error> {
+        let values: Vec<f32> = latents
+            .rows()
+            .flatten()
+            .map(|&value| value as f32)
+            .collect();
+        match values.iter().position(|value| !value.is_finite()) {
+            Some(at) => Err(Error::NotFinite {
+                metric: METRIC,
+                row: at / latents.num_cols(),
+            }),
+            None => Ok(Self {
+                values,
+                width: latents.num_cols(),
+            }),
         }
     }
 
-    fn select(&self, indices: &[usize]) -> Self {
+    /// Number of rows.
+    pub fn num_rows(&self) -> usize {
+        self.values.len().checked_div(self.width).unwrap_or(0)
+    }
+
+    /// The rows at the given positions, in that order.
+    ///
+    /// # Panics
+    /// If a position does not exist.
+    pub fn select(&self, indices: &[usize]) -> Self {
         let mut values = Vec::with_capacity(indices.len() * self.width);
         for &index in indices {
-            values.extend_from_slice(&self.values[index * self.width..][..self.width]);
+            values.extend_from_slice(self.row(index));
         }
         Self {
             values,
             width: self.width,
         }
     }
+
+    fn row(&self, index: usize) -> &[f32] {
+        &self.values[index * self.width..][..self.width]
+    }
 }
 
-fn compared(queries: &Matrix, gallery: &Matrix) -> Result<(Rows, Rows), Error> {
-    check_size(
-        METRIC,
-        "gallery size",
-        gallery.num_rows(),
-        queries.num_rows(),
-    )?;
-    check_size(
-        METRIC,
-        "latent width",
-        gallery.num_cols(),
-        queries.num_cols(),
-    )?;
-    check_finite(METRIC, queries)?;
-    check_finite(METRIC, gallery)?;
-    Ok((Rows::of(queries), Rows::of(gallery)))
-}
-
-fn ranks_of_rows(queries: &Rows, gallery: &Rows) -> Vec<f64> {
-    if queries.values.is_empty() {
-        return Vec::new();
+/// The rank of gallery row i for query row i by dot product, counted from zero. Only some rows of
+/// similarities are held at a time, so that memory does not grow with the product of the sizes.
+///
+/// Equal gallery rows are exact ties, wherever they stand.
+///
+/// # Shapes
+/// Both are `[N, D]`; pass rows of unit length to rank by cosine.
+///
+/// # Errors
+/// The sizes differ.
+pub fn ranks(queries: &Rows, gallery: &Rows) -> Result<Vec<f64>, Error> {
+    check_compared(queries, gallery)?;
+    if gallery.num_rows() <= SMALL_GALLERY {
+        let all: Vec<usize> = (0..gallery.num_rows()).collect();
+        return Ok(ranks_within(queries, gallery, &all, &mut Vec::new()));
     }
     let width = queries.width;
     let packed = Packed::new(product::Matrix::new(&gallery.values, width).transposed());
@@ -264,22 +276,53 @@ fn ranks_of_rows(queries: &Rows, gallery: &Rows) -> Vec<f64> {
             let queries = product::Matrix::new(queries, width);
             let mut similarities = vec![0.0; queries.rows() * size];
             multiply(queries, &packed, &mut similarities, Write::Replace);
-            similarities
-                .chunks_exact(size)
-                .enumerate()
-                .map(|(row, similarities)| {
-                    let own = similarities[task * QUERIES_PER_TASK + row];
-                    let (mut nearer, mut equal) = (0u32, 0u32);
-                    for &other in similarities {
-                        nearer += u32::from(other > own);
-                        equal += u32::from(other == own);
-                    }
-                    mean_position(nearer as usize, equal as usize)
-                })
-                .collect()
+            ranks_of_lines(&similarities, size, task * QUERIES_PER_TASK)
         })
         .collect();
-    ranks.concat()
+    Ok(ranks.concat())
+}
+
+fn check_compared(queries: &Rows, gallery: &Rows) -> Result<(), Error> {
+    check_size(
+        METRIC,
+        "gallery size",
+        gallery.num_rows(),
+        queries.num_rows(),
+    )?;
+    check_size(METRIC, "latent width", gallery.width, queries.width)
+}
+
+/// The ranks within a small gallery, in its order. `similarities` is room that is used again.
+fn ranks_within(
+    queries: &Rows,
+    gallery: &Rows,
+    indices: &[usize],
+    similarities: &mut Vec<f32>,
+) -> Vec<f64> {
+    let [queries, gallery] = [queries, gallery].map(|rows| {
+        let picked: Vec<&[f32]> = indices.iter().map(|&index| rows.row(index)).collect();
+        picked
+    });
+    similarities.resize(indices.len() * indices.len(), 0.0);
+    dots(&queries, &gallery, similarities);
+    ranks_of_lines(similarities, indices.len(), 0)
+}
+
+/// The rank of entry `first + i` of line i.
+fn ranks_of_lines(similarities: &[f32], size: usize, first: usize) -> Vec<f64> {
+    similarities
+        .chunks_exact(size.max(1))
+        .enumerate()
+        .map(|(line, similarities)| {
+            let own = similarities[first + line];
+            let (mut nearer, mut equal) = (0u32, 0u32);
+            for &other in similarities {
+                nearer += u32::from(other > own);
+                equal += u32::from(other == own);
+            }
+            mean_position(nearer as usize, equal as usize)
+        })
+        .collect()
 }
 
 /// Ranks within each gallery and averages the results over the galleries.
@@ -288,7 +331,7 @@ fn ranks_of_rows(queries: &Rows, gallery: &Rows) -> Vec<f64> {
 /// `queries` and `gallery` are `[N, D]` with rows of unit length; `galleries` lists positions.
 ///
 /// # Errors
-/// There is no gallery or an empty one, the sizes differ, or a number is not finite.
+/// There is no gallery or an empty one, or the sizes differ.
 ///
 /// # Panics
 /// If a position does not exist.
@@ -297,8 +340,8 @@ fn ranks_of_rows(queries: &Rows, gallery: &Rows) -> Vec<f64> {
 /// MotionFix evaluation: the original or target motions are the queries, the generated ones the
 /// gallery. The paper's "Edited-to-Source" reads the other way round.
 pub fn retrieval(
-    queries: &Matrix,
-    gallery: &Matrix,
+    queries: &Rows,
+    gallery: &Rows,
     galleries: &[Vec<usize>],
 ) -> Result<Retrieval, Error> {
     let parts: Vec<Retrieval> = gallery_ranks(queries, gallery, galleries)?
@@ -310,8 +353,8 @@ pub fn retrieval(
 
 /// The ranks of [`ranks`] within each gallery, in its order.
 pub(crate) fn gallery_ranks(
-    queries: &Matrix,
-    gallery: &Matrix,
+    queries: &Rows,
+    gallery: &Rows,
     galleries: &[Vec<usize>],
 ) -> Result<Vec<Vec<f64>>, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
@@ -321,11 +364,17 @@ pub(crate) fn gallery_ranks(
             found: 0,
         });
     }
-    let (queries, gallery) = compared(queries, gallery)?;
-    Ok(galleries
+    check_compared(queries, gallery)?;
+    galleries
         .par_iter()
-        .map(|indices| ranks_of_rows(&queries.select(indices), &gallery.select(indices)))
-        .collect())
+        .map_init(Vec::new, |similarities, indices| {
+            if indices.len() <= SMALL_GALLERY {
+                Ok(ranks_within(queries, gallery, indices, similarities))
+            } else {
+                ranks(&queries.select(indices), &gallery.select(indices))
+            }
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -341,6 +390,10 @@ mod tests {
     const GOLDEN_RECALL_AT: [usize; 5] = [1, 2, 3, 5, 10];
     /// Galleries of the recorded batches.
     const GOLDEN_GALLERY: usize = 32;
+
+    fn rows(latents: &Matrix) -> Rows {
+        Rows::new(latents).expect("finite")
+    }
 
     fn golden_metrics(ranks: &[f64]) -> Vec<f64> {
         let mut metrics: Vec<f64> = GOLDEN_RECALL_AT
@@ -456,14 +509,24 @@ mod tests {
             [0.1, 0.7, -0.3, 0.2, 0.9],
             [-0.5, 0.2, 0.4, 0.1, 0.3],
         ]);
-        let unit = unit_rows(&latents).expect("directions");
+        let unit = rows(&unit_rows(&latents).expect("directions"));
         assert_eq!(ranks(&unit, &unit).expect("same size"), [0.5, 0.5, 0.0]);
     }
 
     #[test]
     fn galleries_are_ranked_apart_and_averaged() {
-        let queries = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]);
-        let gallery = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]);
+        let queries = rows(&Matrix::from_rows(&[
+            [1.0, 0.0],
+            [0.0, 1.0],
+            [1.0, 0.0],
+            [0.0, 1.0],
+        ]));
+        let gallery = rows(&Matrix::from_rows(&[
+            [1.0, 0.0],
+            [0.0, 1.0],
+            [0.0, 1.0],
+            [1.0, 0.0],
+        ]));
         let result = retrieval(&queries, &gallery, &[vec![0, 1], vec![2, 3]]).expect("valid");
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
@@ -483,7 +546,11 @@ mod tests {
         assert!((unit.row(0)[0] - 0.6).abs() < 1e-15);
         let nan = Matrix::from_rows(&[[f64::NAN]]);
         assert!(matches!(unit_rows(&nan), Err(Error::NotFinite { .. })));
-        assert!(ranks(&zero, &Matrix::zeros(3, 3)).is_err());
+        assert!(ranks(&rows(&zero), &rows(&Matrix::zeros(3, 3))).is_err());
+        for bad in [f64::NAN, f64::INFINITY, 1e300] {
+            let found = Rows::new(&Matrix::from_rows(&[[0.0, 0.0], [1.0, bad]]));
+            assert!(matches!(found, Err(Error::NotFinite { row: 1, .. })));
+        }
     }
 
     proptest! {
@@ -502,12 +569,12 @@ mod tests {
                 Matrix::new(size, width, data)
             };
             let (queries, gallery) = (draw(), draw());
-            let found = ranks(&queries, &gallery).expect("same size");
+            let found = ranks(&rows(&queries), &rows(&gallery)).expect("same size");
             let stored = ranks_of_similarity(&queries.times_transposed(&gallery)).expect("square");
             prop_assert_eq!(&found, &stored);
 
             let order: Vec<usize> = (0..size).map(|index| (index + seed as usize % size) % size).collect();
-            let moved = ranks(&queries.select_rows(&order), &gallery.select_rows(&order))
+            let moved = ranks(&rows(&queries).select(&order), &rows(&gallery).select(&order))
                 .expect("same size");
             let expected: Vec<f64> = order.iter().map(|&index| found[index]).collect();
             prop_assert_eq!(moved, expected);

@@ -23,6 +23,7 @@ pub(super) struct Clip {
     /// Number shared by all clips of one source: mirrored and cropped copies.
     pub(super) origin: usize,
     pub(super) action: Option<String>,
+    pub(super) style: Option<String>,
     pub(super) motion: Motion,
     /// Whether it may be drawn as a partner: motions made from others here may not.
     pub(super) in_base: bool,
@@ -121,6 +122,7 @@ impl Library {
                 id: row.id.clone(),
                 origin: 0,
                 action: row.action.clone(),
+                style: row.style.clone(),
                 motion,
                 in_base: true,
             };

@@ -34,7 +34,7 @@ pub use library::Library;
 pub use loader::{ReadOrder, WindowLoader};
 pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
-pub use triplet::{Triplet, edit_items};
+pub use triplet::{Triplet, edit_items, other_take};
 
 use datasets_spec::{MotionId, Split};
 

@@ -203,6 +203,58 @@ pub fn edit_items(
         .collect()
 }
 
+/// The edited motion of an evaluation item with another capture of the same action in the same style in
+/// place of its target. No editor can be expected to come nearer to the target than that. None where
+/// there is no such capture, or none as long as a window.
+///
+/// # Panics
+/// If the item is of another library or of other settings.
+pub fn other_take(library: &Library, config: &ComposeConfig, item: &Triplet) -> Option<Motion> {
+    let captured = |id: &MotionId| {
+        let mut clips = library.clips.iter();
+        clips
+            .find(|clip| clip.in_base && clip.id == *id)
+            .expect("a motion of this library")
+    };
+    let target = captured(&item.target_id);
+    let same = |clip: &&Clip| {
+        clip.in_base
+            && clip.action.is_some()
+            && clip.action == target.action
+            && clip.style == target.style
+            && clip.origin != target.origin
+            && clip.id != item.source_id
+    };
+    let window = config.span(config.stride(library.fps()).ok()?);
+    let takes: Vec<&Clip> = library
+        .clips
+        .iter()
+        .filter(same)
+        .filter(|clip| clip.motion.len() >= window.min(item.original.len()))
+        .collect();
+    let longest = takes.iter().map(|clip| clip.motion.len()).max()?;
+    // As much of the edit as any take has; which of those that have it is drawn.
+    let frames = longest.min(item.original.len());
+    let takes: Vec<&Clip> = takes
+        .into_iter()
+        .filter(|clip| clip.motion.len() >= frames)
+        .collect();
+    let mut rng = item.seed.rng(&["other take", &item.id]);
+    let take = &takes[rng.random_range(0..takes.len())].motion;
+    let start = item.target_start.min(take.len() - frames);
+    let over = take.crop(start..start + frames).ok()?;
+    if item.mask == BlendMask::EMPTY {
+        return Some(over);
+    }
+    let under = match item.donor_ids.first() {
+        Some(donor) => captured(donor)
+            .motion
+            .crop(item.donor_start..item.donor_start + frames),
+        None => item.original.crop(0..frames),
+    };
+    blend_motion(&under.ok()?, &over, item.mask, item.alpha, config.slerp).ok()
+}
+
 /// What a triplet is called, what it says and where it comes from.
 struct Place {
     id: String,
@@ -597,6 +649,42 @@ mod tests {
         let ids: std::collections::BTreeSet<&str> =
             items.iter().map(|item| item.id.as_str()).collect();
         assert_eq!(ids.len(), items.len());
+    }
+
+    #[test]
+    fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
+        let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
+        let skeleton = Skeleton::smplx_neutral();
+        // The waving clips are the annotated ones; the last of them is alone in its style.
+        for (number, row) in motions.iter_mut().enumerate() {
+            row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
+        }
+        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let config = ComposeConfig::default();
+        let items = edit_items(&library, &config, Seed(3), 10).expect("enough clips");
+        assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
+        for item in &items {
+            let other = other_take(&library, &config, item);
+            assert_eq!(other, other_take(&library, &config, item));
+            if item.target_id.as_str() == "clip8" {
+                assert_eq!(other, None);
+                continue;
+            }
+            let other = other.expect("three more clips wave in plain style");
+            assert!(other.len() <= item.original.len() && other.len() >= fixture::SPAN);
+            // Outside the mask it is the original, inside it is not the target.
+            for joint in 0..22 {
+                let outside =
+                    !item.mask.hard().contains(joint) && !item.mask.soft().contains(joint);
+                let equal = |motion: &Motion| {
+                    (0..other.len())
+                        .all(|at| other.axis_angle(at, joint) == motion.axis_angle(at, joint))
+                };
+                assert_eq!(equal(&item.original), outside, "joint {joint}");
+                assert_eq!(equal(&item.edited), outside, "joint {joint}");
+            }
+        }
     }
 
     #[test]
