@@ -57,7 +57,6 @@ fn draft_distances(store: &dyn Store, answer: &Answer) -> Result<Vec<f64>, Error
 /// Figures of one person.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PersonFigures {
-    pub(crate) done: i64,
     pub(crate) median_secs: Option<f64>,
     pub(crate) draft_unchanged: Option<f64>,
     pub(crate) draft_distance: Option<f64>,
@@ -171,7 +170,6 @@ impl Figures {
                     .filter(|&&distance| distance == 0.0)
                     .count();
                 let figures = PersonFigures {
-                    done: person.secs.len() as i64,
                     median_secs: median(&mut person.secs),
                     draft_unchanged: (!person.drafts.is_empty())
                         .then(|| unchanged as f64 / person.drafts.len() as f64),

@@ -247,7 +247,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"])
         .expect_code(0)
         .json();
-    assert_eq!(written["counts"]["masks_by_people"], 6);
+    assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
     let masks: Value = stance(&[
         "masks",

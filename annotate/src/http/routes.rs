@@ -782,7 +782,7 @@ fn people(cx: &Context) -> Result<Reply, Error> {
                 .unwrap_or_default();
             let gold = counts.gold.len();
             Person {
-                done: known.done,
+                done: counts.done,
                 median_secs: known.median_secs,
                 accepted: counts.accepted,
                 returned: counts.returned,

@@ -312,6 +312,8 @@ pub struct AuditFilter {
 pub struct PersonCounts {
     /// Who.
     pub user: User,
+    /// Answers handed in.
+    pub done: i64,
     /// Answers accepted.
     pub accepted: i64,
     /// Answers sent back, ever.

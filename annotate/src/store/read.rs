@@ -364,6 +364,10 @@ pub(super) fn people(tx: &mut dyn Tx) -> Result<Vec<PersonCounts>, Error> {
     let mut all = Vec::new();
     for user in people::users(tx)? {
         let id = user.id;
+        let done = tx.number(
+            "SELECT COUNT(*) FROM revision WHERE author = ?1 AND state <> 'draft'",
+            params![id],
+        )?;
         let accepted = tx.number(
             "SELECT COUNT(*) FROM revision WHERE author = ?1 AND state = 'accepted'",
             params![id],
@@ -387,6 +391,7 @@ pub(super) fn people(tx: &mut dyn Tx) -> Result<Vec<PersonCounts>, Error> {
         )?;
         all.push(PersonCounts {
             user,
+            done,
             accepted,
             returned,
             gold,

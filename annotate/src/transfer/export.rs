@@ -508,6 +508,7 @@ impl Exporter<'_> {
                 )?);
                 continue;
             }
+            self.done.count("pairs_judged", 1);
             if let Some(id) = key.strip_prefix("pair:") {
                 judged.insert(id.to_owned());
             }
@@ -530,9 +531,8 @@ impl Exporter<'_> {
         );
         pairs.sort_by(|a, b| a.id.cmp(&b.id));
         self.done.count("masks", imported.len());
-        self.done.count("masks_by_people", answered.len());
+        self.done.count("motions_described", answered.len());
         self.done.count("pairs", pairs.len());
-        self.done.count("pairs_judged", judged.len());
         let skeleton = dataset.skeleton()?;
         let plan = |table: &str, rows: &dyn std::fmt::Debug| {
             blake3::hash(format!("annotate {table} {rows:?}").as_bytes())

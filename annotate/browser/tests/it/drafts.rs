@@ -83,7 +83,7 @@ async fn a_draft_is_asked_for_by_key_edited_and_told_apart() {
         json!(true),
         "a draft is text"
     );
-    browser.press(&["t"]).await;
+    // The text has the focus.
     browser.type_text(" Twice.").await;
     browser.saved().await;
     let mask = mine(&browser, task).await["answer"]["masks"][0].clone();

@@ -24,10 +24,30 @@ async fn log_in(browser: &Browser, token: &str) {
         .await;
 }
 
-/// Opens a page by its link.
+/// Opens a page by its link at the top. Where work is done, Tab goes from card to card on the stage, and
+/// F6 leads to the other regions.
 async fn follow(browser: &Browser, label: &str) {
+    const REGIONS: usize = 5;
+    for _ in 0..REGIONS {
+        let at_top = browser
+            .js("return document.activeElement.closest('header') !== null;")
+            .await;
+        if at_top == json!(true) {
+            break;
+        }
+        browser.press(&[keys::F6]).await;
+    }
     browser.tab_to(label).await;
+    browser
+        .js("document.querySelector('#main')?.firstElementChild?.setAttribute('data-left', '');")
+        .await;
     browser.press(&[keys::ENTER]).await;
+    browser
+        .until(
+            "another page is shown",
+            "!document.querySelector('[data-left]')",
+        )
+        .await;
 }
 
 async fn log_out(browser: &Browser) {
@@ -62,6 +82,9 @@ async fn answer(
                 &format!("document.querySelector('.work')?.dataset.task !== '{task}'"),
             )
             .await;
+        let path = format!("tasks/{task}");
+        let after = browser.request_as(token, "GET", &path, None).await;
+        assert_eq!(after["body"]["mine"]["state"], "submitted", "{after}");
         if view["body"]["task"]["wanted"] == 1 {
             return task;
         }
@@ -153,6 +176,6 @@ async fn one_clip_of_each_kind_goes_from_the_token_to_the_tables_by_keys_alone()
     drop(server);
 
     let counts = dataset.export().await;
-    assert_eq!(counts["counts"]["masks"], json!(2), "{counts}");
-    assert_eq!(counts["counts"]["pairs"], json!(2), "{counts}");
+    assert_eq!(counts["counts"]["motions_described"], 1, "{counts}");
+    assert_eq!(counts["counts"]["pairs_judged"], 2, "{counts}");
 }
