@@ -21,7 +21,11 @@ const GROUP: usize = 128;
 /// Connections that read.
 const READERS: usize = 4;
 /// Statements a connection keeps prepared.
-const STATEMENTS: usize = 128;
+const STATEMENTS: usize = 512;
+/// Kilobytes of pages the writer keeps: the tables of 100,000 tasks, the log apart.
+const WRITER_CACHE_KB: usize = 64 * 1024;
+/// Kilobytes of pages each reader keeps.
+const READER_CACHE_KB: usize = 16 * 1024;
 /// How long to wait for another process, such as `sqlite3` on the same file, to let go of a lock.
 const BUSY: Duration = Duration::from_secs(10);
 
@@ -138,9 +142,10 @@ fn open_writer(path: &Path) -> Result<Connection, Error> {
             "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
         ));
     }
-    db.execute_batch(
-        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000;",
-    )
+    db.execute_batch(&format!(
+        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
+         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
+    ))
     .map_err(refuse)?;
     let version: i64 = db
         .query_row("PRAGMA user_version", [], |row| row.get(0))
@@ -169,7 +174,10 @@ fn open_reader(path: &Path) -> Result<Connection, Error> {
     let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);
-    db.execute_batch("PRAGMA query_only=ON").map_err(refuse)?;
+    db.execute_batch(&format!(
+        "PRAGMA query_only=ON; PRAGMA cache_size=-{READER_CACHE_KB};"
+    ))
+    .map_err(refuse)?;
     Ok(db)
 }
 
