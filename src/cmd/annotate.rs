@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use annotate::http::{Server, ServerConfig};
+use annotate::http::{PATIENCE, Server, ServerConfig};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{self, Store, TokenUse};
@@ -498,6 +498,7 @@ fn serve(args: &Args, store: Arc<dyn Store>, global: &Global) -> anyhow::Result<
             data: folder(args),
             dataset: args.dataset.clone(),
             model,
+            patience: PATIENCE,
             clock: Arc::new(now),
             log: report::note,
         },

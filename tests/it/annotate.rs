@@ -356,6 +356,38 @@ fn kills() -> usize {
 }
 
 #[test]
+fn others_are_let_in_when_asked_for_and_with_a_warning() {
+    let (_dir, dataset) = dataset(2);
+    for (listen, more, is_warned) in [
+        ("0.0.0.0:0", &[][..], true),
+        ("0.0.0.0:0", &["--secure"], false),
+        ("127.0.0.1:0", &[], false),
+    ] {
+        let mut command = command(&["annotate", arg(&dataset), "--listen", listen]);
+        let mut child = command
+            .args(more)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("stance starts");
+        let mut line = String::new();
+        let stdout = child.stdout.take().expect("a pipe");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        // It listens; what it had to say before is said.
+        child.kill().expect("a running server");
+        let said = child.wait_with_output().expect("an end").stderr;
+        let said = String::from_utf8_lossy(&said);
+        assert_eq!(
+            said.contains("nothing on the way is encrypted"),
+            is_warned,
+            "{said}"
+        );
+        let host = listen.trim_end_matches('0');
+        assert!(line.starts_with(&format!("http://{host}")), "{line}");
+    }
+}
+
+#[test]
 #[cfg(unix)]
 fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
     let (_dir, dataset) = dataset(4);

@@ -39,10 +39,8 @@ pub use routes::ROUTES;
 /// Tells the time in milliseconds since the epoch.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
 
-/// Longest a request may take.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(15);
-/// Longest the head of a request may take to arrive.
-const HEAD_TIMEOUT: Duration = Duration::from_secs(15);
+/// How long a server waits for a request unless told otherwise.
+pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Connections served at once.
 const CONNECTIONS: usize = 1024;
 /// Days a browser stays logged in.
@@ -130,6 +128,8 @@ pub struct ServerConfig {
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
+    /// Longest a request may take, and its head to arrive; [`PATIENCE`] for people.
+    pub patience: Duration,
     /// Tells the time.
     pub clock: Clock,
     /// Takes what the operator should read.
@@ -258,6 +258,7 @@ impl Drop for Server {
 
 async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
     let router = router(&app);
+    let patience = app.config.patience;
     let places = Arc::new(tokio::sync::Semaphore::new(CONNECTIONS));
     loop {
         let Ok(place) = Arc::clone(&places).acquire_owned().await else {
@@ -285,7 +286,7 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
             );
             let served = hyper::server::conn::http1::Builder::new()
                 .timer(TokioTimer::new())
-                .header_read_timeout(HEAD_TIMEOUT)
+                .header_read_timeout(patience)
                 .max_buf_size(64 * 1024)
                 .serve_connection(TokioIo::new(socket), service)
                 .await;
@@ -339,13 +340,15 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
         // Streams last; all else has its time.
         Handler::Stream => answer(Arc::clone(&app), route, request).await,
         Handler::Work(_) => {
-            match tokio::time::timeout(REQUEST_TIMEOUT, answer(Arc::clone(&app), route, request))
-                .await
-            {
+            let patience = app.config.patience;
+            match tokio::time::timeout(patience, answer(Arc::clone(&app), route, request)).await {
                 Ok(outcome) => outcome,
                 Err(_) => Err(Error::refused(
                     Code::Timeout,
-                    "this took more than 15 seconds; send it again: what carries a key is done once",
+                    format!(
+                        "this took more than {} seconds; send it again: what carries a key is done once",
+                        patience.as_secs_f64()
+                    ),
                 )),
             }
         }

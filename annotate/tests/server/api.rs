@@ -477,6 +477,13 @@ fn malformed_requests_are_refused_by_name() {
         (ann.get("shelf?limit=ten"), Code::BadRequest),
         (ann.get("shelf?q=%zz"), Code::BadRequest),
         (ann.post(&path, &json!({ "events": [] })), Code::Invalid),
+        (
+            ann.post(
+                &path,
+                &json!({ "events": vec![event(EventKind::Draft, lease, 0, Some(masks("much"))); 65] }),
+            ),
+            Code::Invalid,
+        ),
         (ann.get("nothing"), Code::NotFound),
         (ann.call("PATCH", "me", Some(b"{}")), Code::MethodNotAllowed),
         (

@@ -1,5 +1,9 @@
 //! Hostile data: what is sent, imported or named is never trusted.
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
 use annotate::wire::{Code, EventKind, EventResults, Role, TaskKind, TaskView};
 use serde_json::json;
 
@@ -132,6 +136,41 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
             401
         );
     }
+}
+
+/// What a server says to bytes that stop coming; a server that never answers fails the test.
+fn answer_to(site: &Site, bytes: &[u8]) -> String {
+    let mut stream = TcpStream::connect(site.server.address()).expect("a connection");
+    stream
+        .set_read_timeout(Some(Duration::from_secs(60)))
+        .expect("a limit");
+    stream.write_all(bytes).expect("the server reads");
+    let mut answer = Vec::new();
+    stream
+        .read_to_end(&mut answer)
+        .expect("it closes the connection");
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+#[test]
+fn requests_that_never_end_are_given_up() {
+    let site = Site::with(None, Duration::from_millis(200));
+    let ann = site.person("ann", Role::Annotator);
+    // A head without an end.
+    let head = "GET /healthz HTTP/1.1\r\nHost: here\r\nX-Slow: ";
+    let answer = answer_to(&site, head.as_bytes());
+    assert!(!answer.contains("200 OK"), "{answer}");
+    // A body that is shorter than it says.
+    let body = format!(
+        "POST /api/v1/queue/next HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\
+         Authorization: Bearer {}\r\nContent-Length: 100\r\n\r\n{{",
+        ann.token
+    );
+    let answer = answer_to(&site, body.as_bytes());
+    assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
+    assert!(answer.contains("\"timeout\""), "{answer}");
+    // Others are served meanwhile and afterwards.
+    assert_eq!(ann.get("me").status, 200);
 }
 
 #[test]

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::time::Duration;
 
-use annotate::http::{Server, ServerConfig};
+use annotate::http::{PATIENCE, Server, ServerConfig};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{MotionRecord, NewTask, Store, TokenUse, open_sqlite};
@@ -179,6 +180,11 @@ impl Site {
     }
 
     pub(crate) fn with_model(model: Option<Model>) -> Self {
+        Self::with(model, PATIENCE)
+    }
+
+    /// A server that waits this long for a request.
+    pub(crate) fn with(model: Option<Model>, patience: Duration) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let root = folder.path().join("dataset");
         dataset(&root);
@@ -196,6 +202,7 @@ impl Site {
                 data: folder.path().join("data"),
                 dataset: root.clone(),
                 model,
+                patience,
                 clock: Arc::new(move || hands.now()),
                 log: |text| panic!("the server reports a defect: {text}"),
             },
