@@ -1,11 +1,19 @@
 //! The front end, embedded.
 
-include!(concat!(env!("OUT_DIR"), "/files.rs"));
-
-/// Shown where the front end was not built.
-const NO_FRONT_END: &[u8] =
-    b"<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>stance annotate</title>\
-<p>The server runs; its front end was not built into it. See annotate/web/README.md.</p></html>";
+/// Names and contents, as they are committed: `cargo build` needs no Node.
+static FILES: &[(&str, &[u8])] = &[
+    (
+        "LICENSE-three.txt",
+        include_bytes!("../../web/dist/LICENSE-three.txt"),
+    ),
+    ("app.css", include_bytes!("../../web/dist/app.css")),
+    ("app.js", include_bytes!("../../web/dist/app.js")),
+    ("index.html", include_bytes!("../../web/dist/index.html")),
+    (
+        "vendor-three.js",
+        include_bytes!("../../web/dist/vendor-three.js"),
+    ),
+];
 
 /// A file of the front end.
 pub(super) struct Asset {
@@ -22,12 +30,7 @@ pub(super) fn find(path: &str) -> Option<Asset> {
         None if path == "/" || path == "/app" || path.starts_with("/app/") => "index.html",
         None => return None,
     };
-    let found = FILES.iter().find(|(known, _)| *known == name);
-    let bytes = match found {
-        Some((_, bytes)) => *bytes,
-        None if name == "index.html" => NO_FRONT_END,
-        None => return None,
-    };
+    let (_, bytes) = FILES.iter().find(|(known, _)| *known == name)?;
     Some(Asset {
         bytes,
         mime: mime(name),
@@ -46,5 +49,31 @@ fn mime(name: &str) -> &'static str {
         "png" => "image/png",
         "ico" => "image/x-icon",
         _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::FILES;
+
+    #[test]
+    fn every_built_file_is_embedded() {
+        let dist = concat!(env!("CARGO_MANIFEST_DIR"), "/web/dist");
+        let built: BTreeSet<String> = std::fs::read_dir(dist)
+            .expect("the built front end")
+            .map(|entry| {
+                entry
+                    .expect("an entry")
+                    .file_name()
+                    .to_string_lossy()
+                    .into_owned()
+            })
+            // What says how the others were made is for the tests alone.
+            .filter(|name| name != "manifest.json")
+            .collect();
+        let embedded: BTreeSet<String> = FILES.iter().map(|(name, _)| (*name).to_owned()).collect();
+        assert_eq!(embedded, built);
     }
 }

@@ -24,8 +24,6 @@ const READERS: usize = 4;
 const STATEMENTS: usize = 512;
 /// Kilobytes of pages the writer keeps: the tables of 100,000 tasks, the log apart.
 const WRITER_CACHE_KB: usize = 64 * 1024;
-/// Kilobytes of pages each reader keeps.
-const READER_CACHE_KB: usize = 16 * 1024;
 /// How long to wait for another process, such as `sqlite3` on the same file, to let go of a lock.
 const BUSY: Duration = Duration::from_secs(10);
 
@@ -174,10 +172,7 @@ fn open_reader(path: &Path) -> Result<Connection, Error> {
     let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);
-    db.execute_batch(&format!(
-        "PRAGMA query_only=ON; PRAGMA cache_size=-{READER_CACHE_KB};"
-    ))
-    .map_err(refuse)?;
+    db.execute_batch("PRAGMA query_only=ON").map_err(refuse)?;
     Ok(db)
 }
 
