@@ -15,6 +15,8 @@ use crate::wire::{ExportFormat, ExportRequest, ImportFormat, Job};
 pub(crate) struct Import {
     pub(crate) format: ImportFormat,
     pub(crate) dataset: PathBuf,
+    /// The server's own folder.
+    pub(crate) data: PathBuf,
     pub(crate) body: Vec<u8>,
 }
 
@@ -126,10 +128,10 @@ fn run_import(
             transfer::from_release(store, &motions, &document, Some(actor), clock())?
         }
         ImportFormat::Annotations => {
-            let file = tempfile_in(&std::env::temp_dir(), job.id, &import.body)?;
+            let file = upload_in(&import.data, job.id, &import.body)?;
             let motions = known_motions(store)?;
             let taken = transfer::from_annotations(store, &motions, &file, Some(actor), clock());
-            // It lies among temporary files and goes with them in any case.
+            // What cannot be removed now takes room and does no harm.
             let _removed = std::fs::remove_file(&file);
             taken?
         }
@@ -140,8 +142,12 @@ fn run_import(
     Ok(())
 }
 
-fn tempfile_in(folder: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
-    let path = folder.join(format!("annotate-{}-{job}.parquet", std::process::id()));
+/// Keeps what was sent in a file of the server's own folder: in one that others write to, somebody
+/// could have put a link under its name.
+fn upload_in(data: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
+    let folder = data.join("imports");
+    std::fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+    let path = folder.join(format!("{job}.parquet"));
     std::fs::write(&path, body).map_err(Error::io("write", &path))?;
     Ok(path)
 }

@@ -232,6 +232,7 @@ impl Block<'_> {
                     for (row, sums) in sums.iter().enumerate().take(height) {
                         let at = (first + row) * b.columns + first_column;
                         let out = &mut out[at..at + width];
+                        // A whole line has a length known in advance and is a few vectors.
                         if let Ok(out) = <&mut [f32; PANEL]>::try_from(&mut *out) {
                             put(out, sums, is_first);
                         } else {

@@ -905,6 +905,7 @@ fn import(cx: &Context) -> Result<Reply, Error> {
     let work = jobs::Import {
         format,
         dataset: cx.app.config.dataset.clone(),
+        data: cx.app.config.data.clone(),
         body: cx.body.to_vec(),
     };
     let job = jobs::start_import(&cx.app.store, &cx.app.config.clock, cx.who()?.id, work)?;

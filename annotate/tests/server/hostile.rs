@@ -189,4 +189,7 @@ fn an_import_that_is_no_release_fails_and_says_why() {
         .call("POST", "imports?format=annotations", Some(b"PAR1 or not"))
         .ok();
     assert_eq!(crate::transfer::finished(&admin, job.id).state, "failed");
+    // What was sent lay in the server's own folder, and is gone.
+    let kept = std::fs::read_dir(site.folder.path().join("data").join("imports"));
+    assert_eq!(kept.expect("the folder").count(), 0);
 }
