@@ -12,7 +12,6 @@ pub mod canonical;
 mod card;
 mod croissant;
 pub mod dataset;
-pub mod dots;
 mod error;
 pub mod fit;
 mod ids;

@@ -12,8 +12,9 @@ use divan::counter::ItemsCount;
 use eval::linalg::Matrix;
 use eval::metric::fid::fid;
 use eval::metric::foot_score::{Floor, foot_score};
-use eval::metric::retrieval::{Rows, ranks, retrieval, unit_rows};
+use eval::metric::retrieval::{compare, ranks, retrieval, unit_rows};
 use eval::protocol::{Gallery, Protocol};
+use eval::similarity::Rows;
 use glam::DVec3;
 use rand::RngExt;
 
@@ -59,8 +60,9 @@ fn galleries_of_32(bencher: Bencher) {
         .map(|repeat| protocol.galleries(NUM_LATENTS, repeat))
         .collect();
     bencher.bench_local(|| {
+        let pairing = compare(black_box(&queries), &gallery).expect("same size");
         for galleries in &repeats {
-            black_box(retrieval(&queries, &gallery, galleries).expect("valid"));
+            black_box(retrieval(&pairing, galleries).expect("valid"));
         }
     });
 }

@@ -12,10 +12,11 @@ use crate::Error;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
 use crate::metric::fid::{Gaussian, MIN_ROWS, Reference};
-use crate::metric::retrieval::{RECALL_AT, gallery_ranks};
+use crate::metric::retrieval::{self, RECALL_AT, gallery_ranks};
 use crate::metric::{Better, Metric};
 use crate::protocol::{Protocol, Queries};
 use crate::score::{Instruments, Measured, System, Take, TestSet, measured};
+use crate::similarity::Pairing;
 
 /// Resamples behind an interval of a mean.
 pub const RESAMPLES: usize = 1000;
@@ -211,14 +212,17 @@ fn item_values(
         let mut counts = vec![0.0; num_items];
         let mut ranks = vec![0.0; num_items];
         let mut hits = [(); RECALL_AT.len()].map(|()| vec![0.0; num_items]);
+        let asked: Vec<Pairing<'_>> = system
+            .takes
+            .iter()
+            .map(|take| match protocol.queries {
+                Queries::Real => retrieval::compare(&real.compared, &take.compared),
+                Queries::Edited => retrieval::compare(&take.compared, &real.compared),
+            })
+            .collect::<Result<_, _>>()?;
         for repeat in 0..protocol.repeats {
-            let take = &system.takes[repeat % num_takes];
-            let (queries, gallery) = match protocol.queries {
-                Queries::Real => (&real.compared, &take.compared),
-                Queries::Edited => (&take.compared, &real.compared),
-            };
             let galleries = protocol.galleries(num_items, repeat);
-            let found = gallery_ranks(queries, gallery, &galleries)?;
+            let found = gallery_ranks(&asked[repeat % num_takes], &galleries)?;
             for (indices, found) in galleries.iter().zip(found) {
                 for (&item, rank) in indices.iter().zip(found) {
                     counts[item] += 1.0;

@@ -18,8 +18,9 @@ use crate::metric::foot_score::{FOOT_JOINTS, MIN_FRAMES, foot_score};
 use crate::metric::interval::Interval;
 use crate::metric::multimodality::{self, multimodality};
 use crate::metric::position_error::mean_position_error;
-use crate::metric::retrieval::{Rows, retrieval, unit_rows};
+use crate::metric::retrieval::{compare, retrieval, unit_rows};
 use crate::protocol::{Protocol, Queries};
+use crate::similarity::{Pairing, Rows};
 
 /// Row of the real data: the targets taken as if a system had made them.
 pub const REAL_DATA: &str = "Real Data";
@@ -125,10 +126,15 @@ pub fn score(
             };
             systems.insert(2, floor);
         }
+        let targets = &systems[0].takes[0];
+        let asked: Vec<Asked<'_>> = systems
+            .iter()
+            .map(|system| Asked::new(&sources, targets, system, protocol.queries))
+            .collect::<Result<_, _>>()?;
         let repeats = (0..protocol.repeats)
             .into_par_iter()
             .map(|repeat| {
-                let values = evaluate(&sources, &systems, protocol, repeat)?;
+                let values = evaluate(&systems, &asked, protocol, repeat)?;
                 progress.advance(1);
                 Ok(values)
             })
@@ -626,10 +632,35 @@ fn feet(keypoints: &[[DVec3; NUM_KEYPOINTS]]) -> Vec<[DVec3; FOOT_JOINTS.len()]>
         .collect()
 }
 
+/// The takes of a system against the originals and against the targets.
+struct Asked<'a> {
+    takes: Vec<[Pairing<'a>; 2]>,
+}
+
+impl<'a> Asked<'a> {
+    fn new(
+        sources: &'a Take,
+        targets: &'a Take,
+        system: &'a System<'_>,
+        queries: Queries,
+    ) -> Result<Self, Error> {
+        let ask = |real: &'a Take, edited: &'a Take| match queries {
+            Queries::Real => compare(&real.compared, &edited.compared),
+            Queries::Edited => compare(&edited.compared, &real.compared),
+        };
+        let takes = system
+            .takes
+            .iter()
+            .map(|take| Ok([ask(sources, take)?, ask(targets, take)?]))
+            .collect::<Result<_, Error>>()?;
+        Ok(Self { takes })
+    }
+}
+
 /// One evaluation of all systems of a task; the first of them is the real data.
 fn evaluate(
-    sources: &Take,
     systems: &[System<'_>],
+    asked: &[Asked<'_>],
     protocol: &Protocol,
     repeat: usize,
 ) -> Result<Vec<BTreeMap<Metric, f64>>, Error> {
@@ -649,15 +680,10 @@ fn evaluate(
         )),
         None => None,
     };
-    let ask = |real: &Take, edited: &Take| match protocol.queries {
-        Queries::Real => retrieval(&real.compared, &edited.compared, &galleries),
-        Queries::Edited => retrieval(&edited.compared, &real.compared, &galleries),
-    };
-
     takes
         .into_iter()
-        .zip(systems)
-        .map(|(take, system)| {
+        .zip(systems.iter().zip(asked))
+        .map(|(take, (system, asked))| {
             let mut values = BTreeMap::new();
             if system.takes.len() > multimodality::T2M_PAIRS {
                 let conditions = conditions(&system.takes);
@@ -680,8 +706,9 @@ fn evaluate(
             for (metric, of_items) in &take.of_items {
                 values.insert(*metric, mean(of_items));
             }
-            let to_source = ask(sources, take)?;
-            let to_target = ask(targets, take)?;
+            let [to_source, to_target] = &asked.takes[repeat % asked.takes.len()];
+            let to_source = retrieval(to_source, &galleries)?;
+            let to_target = retrieval(to_target, &galleries)?;
             for (place, (source, target)) in
                 to_source.recall.iter().zip(to_target.recall).enumerate()
             {

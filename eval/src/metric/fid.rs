@@ -2,7 +2,10 @@
 
 use super::{check_finite, check_size};
 use crate::Error;
-use crate::linalg::{Matrix, mean_and_covariance, symmetric_eigen, symmetric_eigenvalues};
+use crate::linalg::{
+    Matrix, congruence, mean_and_covariance, root_of_definite, symmetric_eigen,
+    symmetric_eigenvalues,
+};
 
 const METRIC: &str = "FID";
 
@@ -54,9 +57,13 @@ impl Gaussian {
                 found: latents.num_rows(),
             });
         }
-        check_finite(METRIC, latents)?;
         let (mean, covariance) = mean_and_covariance(latents);
-        Ok(Self { mean, covariance })
+        // A number that is not finite leaves its mark in the mean of its column; so the latents are
+        // looked through only to say which it was.
+        if mean.iter().any(|value| !value.is_finite()) {
+            check_finite(METRIC, latents)?;
+        }
+        Self::new(mean, covariance)
     }
 
     /// The mean, `[D]`.
@@ -75,13 +82,22 @@ impl Gaussian {
 #[derive(Clone, Debug)]
 pub struct Reference {
     gaussian: Gaussian,
-    /// `Λ^{1/2} Vᵀ` over the range of the covariance, `[R, D]`: its Gram matrix is the covariance.
+    /// A matrix whose Gram matrix is the covariance, `[R, D]`: Cholesky's factor where the covariance
+    /// is clearly definite, else `Λ^{1/2} Vᵀ` over its range.
     root: Matrix,
+    is_triangular: bool,
 }
 
 impl Reference {
     /// Decomposes the covariance.
     pub fn new(gaussian: Gaussian) -> Self {
+        if let Some(root) = root_of_definite(&gaussian.covariance) {
+            return Self {
+                gaussian,
+                root,
+                is_triangular: true,
+            };
+        }
         let eigen = symmetric_eigen(&gaussian.covariance);
         let size = eigen.values.len();
         let largest = eigen.values.last().copied().unwrap_or(0.0);
@@ -96,7 +112,11 @@ impl Reference {
                 *entry *= length;
             }
         }
-        Self { gaussian, root }
+        Self {
+            gaussian,
+            root,
+            is_triangular: false,
+        }
     }
 
     /// The squared Fréchet distance to another distribution, never negative.
@@ -105,7 +125,7 @@ impl Reference {
     /// The distributions differ in dimension.
     ///
     /// # Source
-    /// `‖μ_A - μ_B‖² + tr Σ_A + tr Σ_B - 2 tr (Σ_A^{1/2} Σ_B Σ_A^{1/2})^{1/2}`. The product under
+    /// `‖μ_A - μ_B‖² + tr Σ_A + tr Σ_B - 2 tr (R Σ_B Rᵀ)^{1/2}` with `Rᵀ R = Σ_A`. The product under
     /// the root has the eigenvalues of `Σ_A Σ_B` and is symmetric, so no complex root arises; the
     /// reference (T2M) takes the root of the plain product and agrees wherever that is defined.
     pub fn distance(&self, other: &Gaussian) -> Result<f64, Error> {
@@ -122,8 +142,7 @@ impl Reference {
             .zip(&other.mean)
             .map(|(a, b)| (a - b) * (a - b))
             .sum();
-        let seen = self.root.times_transposed(&other.covariance);
-        let inner = seen.times_transposed(&self.root);
+        let inner = congruence(&self.root, &other.covariance, self.is_triangular);
         let overlap: f64 = symmetric_eigenvalues(&inner)
             .into_iter()
             .map(|value| value.max(0.0).sqrt())

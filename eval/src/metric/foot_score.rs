@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use datasets_spec::lanes::{Kernel, LANES, exp, vectorised};
+use datasets_spec::lanes::{Kernel, exp, vectorised};
 use datasets_spec::{Fps, Joint};
 
 /// The joints whose motion is looked at, in the order the functions here expect them.
@@ -104,6 +104,13 @@ pub fn foot_score(feet: &[[DVec3; 4]], fps: Fps, floor: Floor) -> Option<f64> {
     Some(total / frames as f64)
 }
 
+/// Frames of a block: two vectors of AVX2 of them. In larger ones the arithmetic of a block does not
+/// overlap with the fetching of the next.
+const BLOCK: usize = 8;
+
+/// Coordinates of a frame.
+const NUMBERS: usize = 3 * FOOT_JOINTS.len();
+
 /// The sum of [`foot_score`] in blocks of frames, so that its loops become vector instructions. A
 /// joint is compared by the square of its speed, and one exponential serves both penalties.
 struct Sum<'a> {
@@ -117,35 +124,50 @@ impl Kernel for Sum<'_> {
 
     #[inline(always)]
     fn run(self) -> f64 {
-        let mut total = 0.0;
+        let numbers: &[f64] = pulp::bytemuck::cast_slice(self.feet);
+        let mut totals = [0.0; BLOCK];
         let interior = self.feet.len() - 2;
-        for start in (0..interior).step_by(LANES) {
-            let count = LANES.min(interior - start);
-            let mut penalties = [0.0; LANES];
-            let [before, now, after] = [0, 1, 2].map(|at| &self.feet[start + at..][..count]);
-            // Squares and heights of the slowest and the lowest joint, then everything else: the
-            // first loop reads numbers that lie side by side, the second is whole vectors.
-            let (mut squares, mut heights) = ([0.0; LANES], [0.0; LANES]);
-            let least = |a: f64, b: f64| if a < b { a } else { b };
-            for lane in 0..count {
-                let moved = [0, 1, 2, 3].map(|joint| {
-                    let (a, b) = (after[lane][joint], before[lane][joint]);
-                    let (x, y, z) = (a.x - b.x, a.y - b.y, a.z - b.z);
-                    x * x + y * y + z * z
-                });
-                squares[lane] = least(least(moved[0], moved[1]), least(moved[2], moved[3]));
-                let high = now[lane].map(|point| point.y);
-                heights[lane] = least(least(high[0], high[1]), least(high[2], high[3]));
+        // Steps squared, and sums of three neighbours of them: numbers are taken as they lie side by
+        // side, and of what comes out only one in three is a joint.
+        let mut squares = [0.0; NUMBERS * BLOCK + 2];
+        let mut sums = [0.0; NUMBERS * BLOCK];
+        for start in (0..interior).step_by(BLOCK) {
+            let count = BLOCK.min(interior - start);
+            let frames = |first: usize| &numbers[NUMBERS * first..][..NUMBERS * count];
+            let (before, now, after) = (frames(start), frames(start + 1), frames(start + 2));
+            for ((square, after), before) in squares.iter_mut().zip(after).zip(before) {
+                let step = after - before;
+                *square = step * step;
             }
-            for lane in 0..LANES {
-                let speed = squares[lane].sqrt() * self.half_rate - STILL_SPEED;
+            for (at, sum) in sums.iter_mut().enumerate() {
+                *sum = squares[at] + squares[at + 1] + squares[at + 2];
+            }
+            let (mut slowest_squares, mut heights) = ([0.0; BLOCK], [0.0; BLOCK]);
+            let least = |a: f64, b: f64| if a < b { a } else { b };
+            let lowest = |of: &[f64; NUMBERS], first: usize| {
+                least(
+                    least(of[first], of[first + 3]),
+                    least(of[first + 6], of[first + 9]),
+                )
+            };
+            for (slowest, sums) in slowest_squares.iter_mut().zip(sums.as_chunks().0) {
+                *slowest = lowest(sums, 0);
+            }
+            for (height, now) in heights.iter_mut().zip(now.as_chunks().0) {
+                *height = lowest(now, 1);
+            }
+            let mut scores = [0.0; BLOCK];
+            for lane in 0..BLOCK {
+                let speed = slowest_squares[lane].sqrt() * self.half_rate - STILL_SPEED;
                 let height = (heights[lane] - self.floor).abs() - TOUCH_HEIGHT;
                 let positive = |value: f64| if value > 0.0 { value } else { 0.0 };
-                penalties[lane] = exp(-(positive(speed) + positive(height)));
+                scores[lane] = exp(-(positive(speed) + positive(height)));
             }
-            total += penalties[..count].iter().sum::<f64>();
+            for (total, score) in totals.iter_mut().zip(&scores[..count]) {
+                *total += score;
+            }
         }
-        total
+        totals.iter().sum()
     }
 }
 

@@ -1,12 +1,11 @@
 //! Whether a motion finds its counterpart among others.
 
-use datasets_spec::dots::dots;
-use datasets_spec::product::{self, Packed, Write, multiply};
 use rayon::prelude::*;
 
 use super::{check_finite, check_size};
 use crate::Error;
 use crate::linalg::{Matrix, dot};
+use crate::similarity::{Pairing, Place, Rows};
 
 const METRIC: &str = "retrieval";
 
@@ -15,10 +14,6 @@ pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 
 /// Galleries in the paper's main tables.
 pub const PAPER_GALLERY: usize = 32;
-
-/// Queries a thread ranks at a time: as many as a block of the product has rows, and 4 MB of
-/// similarities with a gallery of 10,000.
-const QUERIES_PER_TASK: usize = 96;
 
 /// Largest gallery whose similarities are taken one by one; packing a larger one pays.
 const SMALL_GALLERY: usize = 64;
@@ -122,8 +117,8 @@ fn count((nearer, equal): (usize, usize), other: f64, own: f64) -> (usize, usize
 }
 
 fn mean_position(nearer: usize, equal: usize) -> f64 {
-    // `equal` includes the entry itself.
-    nearer as f64 + (equal - 1) as f64 / 2.0
+    // `equal` includes the entry itself, unless its similarity overflowed.
+    nearer as f64 + equal.saturating_sub(1) as f64 / 2.0
 }
 
 /// The rank of the diagonal in each row of a similarity matrix.
@@ -193,64 +188,8 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// Latents in single precision, in which similarities are taken, as the reference takes them. All
-/// numbers are finite.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Rows {
-    values: Vec<f32>,
-    width: usize,
-}
-
-impl Rows {
-    /// Rounds latents.
-    ///
-    /// # Errors
-    /// A number is not finite, in single precision at the latest.
-    pub fn new(latents: &Matrix) -> Result<Self, Error> {
-        let values: Vec<f32> = latents
-            .rows()
-            .flatten()
-            .map(|&value| value as f32)
-            .collect();
-        match values.iter().position(|value| !value.is_finite()) {
-            Some(at) => Err(Error::NotFinite {
-                metric: METRIC,
-                row: at / latents.num_cols(),
-            }),
-            None => Ok(Self {
-                values,
-                width: latents.num_cols(),
-            }),
-        }
-    }
-
-    /// Number of rows.
-    pub fn num_rows(&self) -> usize {
-        self.values.len().checked_div(self.width).unwrap_or(0)
-    }
-
-    /// The rows at the given positions, in that order.
-    ///
-    /// # Panics
-    /// If a position does not exist.
-    pub fn select(&self, indices: &[usize]) -> Self {
-        let mut values = Vec::with_capacity(indices.len() * self.width);
-        for &index in indices {
-            values.extend_from_slice(self.row(index));
-        }
-        Self {
-            values,
-            width: self.width,
-        }
-    }
-
-    fn row(&self, index: usize) -> &[f32] {
-        &self.values[index * self.width..][..self.width]
-    }
-}
-
-/// The rank of gallery row i for query row i by dot product, counted from zero. Only some rows of
-/// similarities are held at a time, so that memory does not grow with the product of the sizes.
+/// The rank of gallery row i for query row i by dot product in single precision, counted from zero.
+/// Memory does not grow with the product of the sizes.
 ///
 /// Equal gallery rows are exact ties, wherever they stand.
 ///
@@ -260,78 +199,38 @@ impl Rows {
 /// # Errors
 /// The sizes differ.
 pub fn ranks(queries: &Rows, gallery: &Rows) -> Result<Vec<f64>, Error> {
-    check_compared(queries, gallery)?;
-    if gallery.num_rows() <= SMALL_GALLERY {
-        let all: Vec<usize> = (0..gallery.num_rows()).collect();
-        return Ok(ranks_within(queries, gallery, &all, &mut Vec::new()));
-    }
-    let width = queries.width;
-    let packed = Packed::new(product::Matrix::new(&gallery.values, width).transposed());
-    let size = packed.columns();
-    let ranks: Vec<Vec<f64>> = queries
-        .values
-        .par_chunks(QUERIES_PER_TASK * width)
-        .enumerate()
-        .map(|(task, queries)| {
-            let queries = product::Matrix::new(queries, width);
-            let mut similarities = vec![0.0; queries.rows() * size];
-            multiply(queries, &packed, &mut similarities, Write::Replace);
-            ranks_of_lines(&similarities, size, task * QUERIES_PER_TASK)
-        })
-        .collect();
-    Ok(ranks.concat())
+    Ok(ranks_of_places(&compare(queries, gallery)?.places()))
 }
 
-fn check_compared(queries: &Rows, gallery: &Rows) -> Result<(), Error> {
+/// Queries and a gallery whose ranks are to be taken, in one gallery or in many.
+///
+/// # Errors
+/// The sizes differ.
+pub fn compare<'a>(queries: &'a Rows, gallery: &'a Rows) -> Result<Pairing<'a>, Error> {
     check_size(
         METRIC,
         "gallery size",
         gallery.num_rows(),
         queries.num_rows(),
     )?;
-    check_size(METRIC, "latent width", gallery.width, queries.width)
+    check_size(METRIC, "latent width", gallery.width(), queries.width())?;
+    Ok(Pairing::new(queries, gallery))
 }
 
-/// The ranks within a small gallery, in its order. `similarities` is room that is used again.
-fn ranks_within(
-    queries: &Rows,
-    gallery: &Rows,
-    indices: &[usize],
-    similarities: &mut Vec<f32>,
-) -> Vec<f64> {
-    let [queries, gallery] = [queries, gallery].map(|rows| {
-        let picked: Vec<&[f32]> = indices.iter().map(|&index| rows.row(index)).collect();
-        picked
-    });
-    similarities.resize(indices.len() * indices.len(), 0.0);
-    dots(&queries, &gallery, similarities);
-    ranks_of_lines(similarities, indices.len(), 0)
-}
-
-/// The rank of entry `first + i` of line i.
-fn ranks_of_lines(similarities: &[f32], size: usize, first: usize) -> Vec<f64> {
-    similarities
-        .chunks_exact(size.max(1))
-        .enumerate()
-        .map(|(line, similarities)| {
-            let own = similarities[first + line];
-            let (mut nearer, mut equal) = (0u32, 0u32);
-            for &other in similarities {
-                nearer += u32::from(other > own);
-                equal += u32::from(other == own);
-            }
-            mean_position(nearer as usize, equal as usize)
-        })
+fn ranks_of_places(places: &[Place]) -> Vec<f64> {
+    places
+        .iter()
+        .map(|place| mean_position(place.nearer as usize, place.equal as usize))
         .collect()
 }
 
 /// Ranks within each gallery and averages the results over the galleries.
 ///
 /// # Shapes
-/// `queries` and `gallery` are `[N, D]` with rows of unit length; `galleries` lists positions.
+/// Rows of unit length are compared by cosine; `galleries` lists positions.
 ///
 /// # Errors
-/// There is no gallery or an empty one, or the sizes differ.
+/// There is no gallery or an empty one.
 ///
 /// # Panics
 /// If a position does not exist.
@@ -339,12 +238,8 @@ fn ranks_of_lines(similarities: &[f32], size: usize, first: usize) -> Vec<f64> {
 /// # Source
 /// MotionFix evaluation: the original or target motions are the queries, the generated ones the
 /// gallery. The paper's "Edited-to-Source" reads the other way round.
-pub fn retrieval(
-    queries: &Rows,
-    gallery: &Rows,
-    galleries: &[Vec<usize>],
-) -> Result<Retrieval, Error> {
-    let parts: Vec<Retrieval> = gallery_ranks(queries, gallery, galleries)?
+pub fn retrieval(pairing: &Pairing<'_>, galleries: &[Vec<usize>]) -> Result<Retrieval, Error> {
+    let parts: Vec<Retrieval> = gallery_ranks(pairing, galleries)?
         .iter()
         .map(|ranks| Retrieval::of_ranks(ranks))
         .collect();
@@ -353,8 +248,7 @@ pub fn retrieval(
 
 /// The ranks of [`ranks`] within each gallery, in its order.
 pub(crate) fn gallery_ranks(
-    queries: &Rows,
-    gallery: &Rows,
+    pairing: &Pairing<'_>,
     galleries: &[Vec<usize>],
 ) -> Result<Vec<Vec<f64>>, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
@@ -364,17 +258,17 @@ pub(crate) fn gallery_ranks(
             found: 0,
         });
     }
-    check_compared(queries, gallery)?;
-    galleries
+    Ok(galleries
         .par_iter()
-        .map_init(Vec::new, |similarities, indices| {
-            if indices.len() <= SMALL_GALLERY {
-                Ok(ranks_within(queries, gallery, indices, similarities))
+        .map_init(Vec::new, |room, indices| {
+            let places = if indices.len() <= SMALL_GALLERY {
+                pairing.places_within(indices, room)
             } else {
-                ranks(&queries.select(indices), &gallery.select(indices))
-            }
+                pairing.select(indices).places()
+            };
+            ranks_of_places(&places)
         })
-        .collect()
+        .collect())
 }
 
 #[cfg(test)]
@@ -527,11 +421,12 @@ mod tests {
             [0.0, 1.0],
             [1.0, 0.0],
         ]));
-        let result = retrieval(&queries, &gallery, &[vec![0, 1], vec![2, 3]]).expect("valid");
+        let pairing = compare(&queries, &gallery).expect("same size");
+        let result = retrieval(&pairing, &[vec![0, 1], vec![2, 3]]).expect("valid");
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
-        assert!(retrieval(&queries, &gallery, &[]).is_err());
-        assert!(retrieval(&queries, &gallery, &[vec![]]).is_err());
+        assert!(retrieval(&pairing, &[]).is_err());
+        assert!(retrieval(&pairing, &[vec![]]).is_err());
     }
 
     #[test]

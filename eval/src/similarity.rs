@@ -1,0 +1,827 @@
+//! Comparing every vector of one list with every vector of another, exactly, at the cost of half
+//! the numbers.
+//!
+//! What a rank asks of a similarity is whether it is above, below or equal to another. Vectors are
+//! therefore also held rounded to 16 bits, whose products are summed without further error at
+//! twice the rate of single precision and from half the memory. The rounding is measured, so that the
+//! distance of a rounded similarity from the one in single precision has a bound (Cauchy and
+//! Schwarz); the few that come as near to the threshold as that are taken again in single precision.
+//! The ranks are those of single precision, to the last tie. Where nearly all vectors are the same
+//! that second look is at nearly all of them, and several times as slow.
+
+use std::borrow::Cow;
+
+use pulp::{Arch, NullaryFnOnce, Simd, WithSimd, i16x16, i32x8};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::linalg::Matrix;
+
+const METRIC: &str = "retrieval";
+
+/// Numbers of a line of rounded vectors: a vector of AVX2.
+const LINE: usize = 16;
+
+/// Gallery rows of a panel, each with two numbers in a line pair.
+const PANEL: usize = 16;
+
+/// Queries whose similarities with a panel are taken together: with two vectors of sums each they
+/// fill the registers.
+const STRIP: usize = 6;
+
+/// Queries that pass the gallery together: rounded and packed they stay in the second-level cache.
+const BLOCK: usize = 96;
+
+/// Blocks a thread ranks before it takes a second look, at each vector of the gallery for all of them:
+/// the gallery in single precision is too large to be fetched for each block.
+const BLOCKS_PER_TASK: usize = 4;
+
+/// Lines of the next panel that a tile looks at, so that the machine fetches it meanwhile.
+const LOOKS: usize = PANEL;
+
+/// The longest vector of a list has this length once it is rounded.
+const LENGTH: f64 = 32767.0;
+
+/// Vectors of single precision, and rounded. All numbers are finite.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rows {
+    values: Vec<f32>,
+    width: usize,
+    /// The rounded numbers of each vector in whole lines, the last filled with zeros.
+    rounded: Vec<[i16; LINE]>,
+    lines: usize,
+    /// What numbers are multiplied with before they are rounded.
+    scale: f64,
+    /// Largest length of a rounded vector.
+    longest: f64,
+    /// Largest length of a difference between a scaled vector and the rounded one.
+    error: f64,
+}
+
+impl Rows {
+    /// Rounds vectors.
+    ///
+    /// # Errors
+    /// A number is not finite, in single precision at the latest.
+    pub fn new(vectors: &Matrix) -> Result<Self, Error> {
+        let width = vectors.num_cols();
+        let values: Vec<f32> = vectors
+            .rows()
+            .flatten()
+            .map(|&value| value as f32)
+            .collect();
+        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            return Err(Error::NotFinite {
+                metric: METRIC,
+                row: at / width,
+            });
+        }
+        let length = |squares: f64| squares.sqrt();
+        let exact_rows = || values.chunks_exact(width.max(1));
+        let longest = exact_rows()
+            .map(|row| length(row.iter().map(|&value| f64::from(value).powi(2)).sum()))
+            .fold(0.0, f64::max);
+        let lines = width.div_ceil(LINE);
+        let mut rows = Self {
+            rounded: vec![[0; LINE]; lines * vectors.num_rows()],
+            scale: if longest > 0.0 { LENGTH / longest } else { 0.0 },
+            longest: 0.0,
+            error: 0.0,
+            width,
+            lines,
+            values: Vec::new(),
+        };
+        for (row, rounded) in exact_rows().zip(rows.rounded.chunks_exact_mut(lines.max(1))) {
+            let (mut squares, mut errors) = (0.0, 0.0);
+            for (&value, rounded) in row.iter().zip(rounded.as_flattened_mut()) {
+                let scaled = f64::from(value) * rows.scale;
+                let whole = scaled.round();
+                // No number is longer than the vector it is of.
+                *rounded = whole as i16;
+                squares += whole.powi(2);
+                errors += (whole - scaled).powi(2);
+            }
+            rows.longest = rows.longest.max(length(squares));
+            rows.error = rows.error.max(length(errors));
+        }
+        rows.values = values;
+        Ok(rows)
+    }
+
+    /// Number of vectors.
+    pub fn num_rows(&self) -> usize {
+        self.values.len().checked_div(self.width).unwrap_or(0)
+    }
+
+    /// Numbers of a vector.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The vectors at the given positions, in that order.
+    ///
+    /// # Panics
+    /// If a position does not exist.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        let mut values = Vec::with_capacity(indices.len() * self.width);
+        let mut rounded = Vec::with_capacity(indices.len() * self.lines);
+        for &index in indices {
+            values.extend_from_slice(self.row(index));
+            rounded.extend_from_slice(self.rounded(index));
+        }
+        Self {
+            values,
+            rounded,
+            ..*self
+        }
+    }
+
+    fn row(&self, index: usize) -> &[f32] {
+        &self.values[index * self.width..][..self.width]
+    }
+
+    fn rounded(&self, index: usize) -> &[[i16; LINE]] {
+        &self.rounded[index * self.lines..][..self.lines]
+    }
+}
+
+/// Queries, a gallery, and how similar query i is to gallery vector i.
+#[derive(Clone, Debug)]
+pub struct Pairing<'a> {
+    queries: Cow<'a, Rows>,
+    gallery: Cow<'a, Rows>,
+    own: Vec<f32>,
+    /// Most that a rounded similarity differs from a scaled one in single precision.
+    bound: f64,
+}
+
+/// How many of a gallery are nearer to a query than its own counterpart, and how many as near,
+/// the counterpart included.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// Vectors with a larger dot product.
+    pub nearer: u32,
+    /// Vectors with the same dot product.
+    pub equal: u32,
+}
+
+impl<'a> Pairing<'a> {
+    /// Takes the similarity of each query to its counterpart.
+    ///
+    /// # Panics
+    /// If the lists are of different size.
+    pub fn new(queries: &'a Rows, gallery: &'a Rows) -> Self {
+        assert_eq!(queries.num_rows(), gallery.num_rows(), "as many of each");
+        assert_eq!(queries.width, gallery.width, "vectors of one length");
+        let own = (0..queries.num_rows())
+            .map(|index| dot(queries.row(index), gallery.row(index)))
+            .collect();
+        let (q, g) = (queries, gallery);
+        let rounding = q.longest * g.error + q.error * g.longest + q.error * g.error;
+        // A sum of n products in single precision is within n units of the last place of the
+        // product of the lengths, and as many of the smallest number if products vanish.
+        let width = queries.width as f64;
+        let summing =
+            f64::from(f32::EPSILON) * (q.longest + q.error) * (g.longest + g.error) * width;
+        let vanishing = width * f64::from(f32::MIN_POSITIVE) * q.scale * g.scale;
+        Self {
+            queries: Cow::Borrowed(queries),
+            gallery: Cow::Borrowed(gallery),
+            own,
+            bound: rounding + summing + vanishing + 1.0,
+        }
+    }
+
+    /// Some of the queries and their counterparts.
+    ///
+    /// # Panics
+    /// If an index does not exist.
+    pub fn select(&self, indices: &[usize]) -> Pairing<'static> {
+        Pairing {
+            queries: Cow::Owned(self.queries.select(indices)),
+            gallery: Cow::Owned(self.gallery.select(indices)),
+            own: indices.iter().map(|&index| self.own[index]).collect(),
+            bound: self.bound,
+        }
+    }
+
+    /// Number of queries.
+    pub fn len(&self) -> usize {
+        self.own.len()
+    }
+
+    /// Whether there are no queries.
+    pub fn is_empty(&self) -> bool {
+        self.own.is_empty()
+    }
+
+    /// Where each query's counterpart stands in the whole gallery. Memory does not grow with the
+    /// product of the sizes.
+    pub fn places(&self) -> Vec<Place> {
+        let packed = pack_panels(&self.gallery);
+        let all: Vec<usize> = (0..self.len()).collect();
+        let tasks: Vec<Vec<Place>> = all
+            .par_chunks(BLOCK * BLOCKS_PER_TASK)
+            .map(|queries| {
+                let mut places = vec![Place::default(); queries.len()];
+                let mut unclear = Vec::new();
+                for (block, places) in queries.chunks(BLOCK).zip(places.chunks_mut(BLOCK)) {
+                    on_machine(Sweep {
+                        pairing: self,
+                        packed: &packed,
+                        first: block[0],
+                        places,
+                        unclear: &mut unclear,
+                    });
+                }
+                unclear.sort_unstable();
+                for (other, query) in unclear {
+                    self.look_again(query, other, &mut places[query - queries[0]]);
+                }
+                places
+            })
+            .collect();
+        tasks.concat()
+    }
+
+    /// Where the counterpart of each query of a small gallery stands in it. `room` is used again.
+    ///
+    /// # Panics
+    /// If an index does not exist.
+    pub fn places_within(&self, indices: &[usize], room: &mut Vec<i32>) -> Vec<Place> {
+        let size = indices.len();
+        room.resize(size * size, 0);
+        on_machine(Dots {
+            pairing: self,
+            indices,
+            out: room,
+        });
+        let lines = room.chunks_exact(size.max(1));
+        lines
+            .zip(indices)
+            .map(|(line, &query)| {
+                let mut place = Place::default();
+                let range = self.unclear(query);
+                let (nearer, unclear) = count(line, range);
+                place.nearer = nearer;
+                if unclear > 0 {
+                    for (&similarity, &other) in line.iter().zip(indices) {
+                        if range.holds(similarity) {
+                            self.look_again(query, other, &mut place);
+                        }
+                    }
+                }
+                place
+            })
+            .collect()
+    }
+
+    /// The rounded similarities that may or may not be above the query's own.
+    fn unclear(&self, query: usize) -> Range {
+        let own = f64::from(self.own[query]) * self.queries.scale * self.gallery.scale;
+        if own.is_finite() {
+            Range {
+                from: (own - self.bound).floor() as i32,
+                to: (own + self.bound).ceil() as i32,
+            }
+        } else {
+            Range {
+                from: i32::MIN,
+                to: i32::MAX,
+            }
+        }
+    }
+
+    /// Compares in single precision.
+    fn look_again(&self, query: usize, other: usize, place: &mut Place) {
+        let own = self.own[query];
+        let similarity = if other == query {
+            own
+        } else {
+            dot(self.queries.row(query), self.gallery.row(other))
+        };
+        place.nearer += u32::from(similarity > own);
+        place.equal += u32::from(similarity == own);
+    }
+}
+
+/// Whole numbers between two, both included.
+#[derive(Clone, Copy)]
+struct Range {
+    from: i32,
+    to: i32,
+}
+
+impl Range {
+    #[inline(always)]
+    fn holds(self, value: i32) -> bool {
+        (value >= self.from) & (value <= self.to)
+    }
+}
+
+/// How many similarities are above a range and how many in it.
+#[inline(always)]
+fn count(similarities: &[i32], range: Range) -> (u32, u32) {
+    let (mut above, mut within) = (0, 0);
+    for &similarity in similarities {
+        above += u32::from(similarity > range.to);
+        within += u32::from(range.holds(similarity));
+    }
+    (above, within)
+}
+
+/// The dot product in single precision. Products are summed in 16 parts and none is fused into its
+/// sum, so that the result is the same on any machine.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    Arch::new().dispatch(Dot(a, b))
+}
+
+struct Dot<'a>(&'a [f32], &'a [f32]);
+
+impl WithSimd for Dot<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        match S::F32_LANES {
+            16 => self.run::<S, 1>(simd),
+            8 => self.run::<S, 2>(simd),
+            4 => self.run::<S, 4>(simd),
+            _ => self.run::<S, LINE>(simd),
+        }
+    }
+}
+
+impl Dot<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const VECTORS: usize>(self, simd: S) -> f32 {
+        let mut sums = [simd.splat_f32s(0.0); VECTORS];
+        let (a, a_rest) = self.0.as_chunks::<LINE>();
+        let (b, b_rest) = self.1.as_chunks::<LINE>();
+        for (a, b) in a.iter().zip(b) {
+            let ((a, _), (b, _)) = (S::as_simd_f32s(a), S::as_simd_f32s(b));
+            for vector in 0..VECTORS {
+                sums[vector] = simd.add_f32s(sums[vector], simd.mul_f32s(a[vector], b[vector]));
+            }
+        }
+        let mut parts = [0.0; LINE];
+        S::as_mut_simd_f32s(&mut parts).0.copy_from_slice(&sums);
+        for ((part, a), b) in parts.iter_mut().zip(a_rest).zip(b_rest) {
+            *part += a * b;
+        }
+        let mut half = LINE / 2;
+        while half > 0 {
+            for part in 0..half {
+                parts[part] += parts[part + half];
+            }
+            half /= 2;
+        }
+        parts[0]
+    }
+}
+
+/// Panel after panel of a gallery: for each pair of neighbouring numbers, those of 16 vectors.
+/// Vectors that are missing in the last panel are zero.
+fn pack_panels(gallery: &Rows) -> Vec<[i16; 2 * PANEL]> {
+    let pairs = gallery.lines * LINE / 2;
+    let num_rows = gallery.num_rows();
+    let mut packed = vec![[0; 2 * PANEL]; pairs * num_rows.div_ceil(PANEL)];
+    packed
+        .par_chunks_exact_mut(pairs.max(1))
+        .enumerate()
+        .for_each(|(panel, packed)| {
+            for column in 0..PANEL.min(num_rows - panel * PANEL) {
+                let row = gallery.rounded(panel * PANEL + column).as_flattened();
+                for (line, pair) in packed.iter_mut().zip(row.as_chunks::<2>().0) {
+                    line[2 * column] = pair[0];
+                    line[2 * column + 1] = pair[1];
+                }
+            }
+        });
+    packed
+}
+
+/// What the kernels ask of a machine.
+trait Machine: Copy {
+    /// Products of numbers in the same place, those of neighbours added.
+    fn products(self, a: i16x16, b: i16x16) -> i32x8;
+
+    /// Sums of numbers in the same place.
+    fn add(self, a: i32x8, b: i32x8) -> i32x8;
+
+    /// Runs a function compiled for the machine.
+    fn vectorize<F: NullaryFnOnce>(self, function: F) -> F::Output;
+}
+
+/// AVX2.
+#[cfg(target_arch = "x86_64")]
+impl Machine for pulp::x86::V3 {
+    #[inline(always)]
+    fn products(self, a: i16x16, b: i16x16) -> i32x8 {
+        self.multiply_wrapping_add_adjacent_i16x16(a, b)
+    }
+
+    #[inline(always)]
+    fn add(self, a: i32x8, b: i32x8) -> i32x8 {
+        self.add_i32s(a, b)
+    }
+
+    #[inline(always)]
+    fn vectorize<F: NullaryFnOnce>(self, function: F) -> F::Output {
+        self.vectorize(function)
+    }
+}
+
+/// Any machine.
+#[derive(Clone, Copy)]
+struct Plain;
+
+impl Machine for Plain {
+    #[inline(always)]
+    fn products(self, a: i16x16, b: i16x16) -> i32x8 {
+        let (a, b): ([i16; LINE], [i16; LINE]) = (pulp::cast(a), pulp::cast(b));
+        let product = |at: usize| i32::from(a[at]) * i32::from(b[at]);
+        let sums: [i32; LINE / 2] =
+            std::array::from_fn(|pair| product(2 * pair) + product(2 * pair + 1));
+        pulp::cast(sums)
+    }
+
+    #[inline(always)]
+    fn add(self, a: i32x8, b: i32x8) -> i32x8 {
+        let (a, b): ([i32; LINE / 2], [i32; LINE / 2]) = (pulp::cast(a), pulp::cast(b));
+        let sums: [i32; LINE / 2] = std::array::from_fn(|lane| a[lane] + b[lane]);
+        pulp::cast(sums)
+    }
+
+    #[inline(always)]
+    fn vectorize<F: NullaryFnOnce>(self, function: F) -> F::Output {
+        function.call()
+    }
+}
+
+/// Work on rounded vectors.
+trait Job {
+    type Output;
+
+    fn run<M: Machine>(self, machine: M) -> Self::Output;
+}
+
+/// Does a job with the best instructions there are.
+fn on_machine<J: Job>(job: J) -> J::Output {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(machine) = pulp::x86::V3::try_new() {
+        return job.run(machine);
+    }
+    job.run(Plain)
+}
+
+/// A block of queries against the whole gallery.
+struct Sweep<'a> {
+    pairing: &'a Pairing<'a>,
+    packed: &'a [[i16; 2 * PANEL]],
+    first: usize,
+    places: &'a mut [Place],
+    /// The vectors and queries whose similarity is to be looked at again.
+    unclear: &'a mut Vec<(usize, usize)>,
+}
+
+impl Job for Sweep<'_> {
+    type Output = ();
+
+    fn run<M: Machine>(self, machine: M) -> Self::Output {
+        let Self {
+            pairing: Pairing {
+                queries, gallery, ..
+            },
+            packed,
+            first,
+            places,
+            unclear,
+        } = self;
+        let pairs = queries.lines * LINE / 2;
+        let strips: Vec<Vec<[[i16; 2]; STRIP]>> = (0..places.len())
+            .step_by(STRIP)
+            .map(|start| {
+                let mut strip = vec![[[0; 2]; STRIP]; pairs];
+                for row in 0..STRIP.min(places.len() - start) {
+                    let numbers = queries.rounded(first + start + row).as_flattened();
+                    for (line, pair) in strip.iter_mut().zip(numbers.as_chunks().0) {
+                        line[row] = *pair;
+                    }
+                }
+                strip
+            })
+            .collect();
+        let ranges: Vec<Range> = (0..places.len())
+            .map(|query| self.pairing.unclear(first + query))
+            .collect();
+        for panel in 0..gallery.num_rows().div_ceil(PANEL) {
+            let lines = &packed[panel * pairs..][..pairs];
+            let next = packed.get((panel + 1) * pairs..).unwrap_or(&[]);
+            let mut looks = next[..next.len().min(pairs)].chunks(LOOKS);
+            let width = PANEL.min(gallery.num_rows() - panel * PANEL);
+            for (index, strip) in strips.iter().enumerate() {
+                let start = index * STRIP;
+                let height = STRIP.min(places.len() - start);
+                let mut own = [ranges[start]; STRIP];
+                own[..height].copy_from_slice(&ranges[start..start + height]);
+                let tile = machine.vectorize(Tile {
+                    machine,
+                    a: strip,
+                    b: lines,
+                    looks: looks.next().unwrap_or(&[]),
+                    ranges: own,
+                });
+                for row in 0..height {
+                    let line = &tile.similarities[row][..width];
+                    let range = ranges[start + row];
+                    let (mut above, mut within) = tile.counts[row];
+                    if width < PANEL {
+                        (above, within) = count(line, range);
+                    }
+                    places[start + row].nearer += above;
+                    if within > 0 {
+                        let found = (0..width).filter(|&column| range.holds(line[column]));
+                        let query = first + start + row;
+                        unclear.extend(found.map(|column| (panel * PANEL + column, query)));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The similarities of a strip of queries with a panel, and how many of each are above and in its
+/// range.
+struct Tile<'a, M> {
+    machine: M,
+    a: &'a [[[i16; 2]; STRIP]],
+    b: &'a [[i16; 2 * PANEL]],
+    looks: &'a [[i16; 2 * PANEL]],
+    ranges: [Range; STRIP],
+}
+
+struct TileSums {
+    similarities: [[i32; PANEL]; STRIP],
+    counts: [(u32, u32); STRIP],
+}
+
+impl<M: Machine> NullaryFnOnce for Tile<'_, M> {
+    type Output = TileSums;
+
+    #[inline(always)]
+    fn call(self) -> TileSums {
+        let machine = self.machine;
+        let mut sums: [[i32x8; 2]; STRIP] = [[pulp::cast([0; LINE / 2]); 2]; STRIP];
+        for line in self.looks {
+            std::hint::black_box(line[0]);
+        }
+        for (a, b) in self.a.iter().zip(self.b) {
+            let b: [i16x16; 2] = pulp::cast(*b);
+            for (sums, pair) in sums.iter_mut().zip(a) {
+                let factor: i16x16 = pulp::cast([*pair; LINE / 2]);
+                for vector in 0..2 {
+                    let products = machine.products(factor, b[vector]);
+                    sums[vector] = machine.add(sums[vector], products);
+                }
+            }
+        }
+        let similarities: [[i32; PANEL]; STRIP] = pulp::cast(sums);
+        let mut counts = [(0, 0); STRIP];
+        for row in 0..STRIP {
+            counts[row] = count(&similarities[row], self.ranges[row]);
+        }
+        TileSums {
+            similarities,
+            counts,
+        }
+    }
+}
+
+/// The rounded similarities of some queries with their counterparts, a line for each.
+struct Dots<'a> {
+    pairing: &'a Pairing<'a>,
+    indices: &'a [usize],
+    out: &'a mut [i32],
+}
+
+impl Job for Dots<'_> {
+    type Output = ();
+
+    /// Nine products at a time share what they read: three vectors of each list.
+    fn run<M: Machine>(self, machine: M) {
+        let size = self.indices.len();
+        let last = size.saturating_sub(1);
+        for first in (0..size).step_by(3) {
+            for start in (0..size).step_by(3) {
+                // At an edge the last vector stands in for those that are missing.
+                let at = |place: usize| self.indices[place.min(last)];
+                let query = |next| self.pairing.queries.rounded(at(first + next));
+                let other = |next| self.pairing.gallery.rounded(at(start + next));
+                let sums = machine.vectorize(Nine {
+                    machine,
+                    a: [query(0), query(1), query(2)],
+                    b: [other(0), other(1), other(2)],
+                });
+                for (row, sums) in sums.iter().enumerate().take(size - first) {
+                    let at = (first + row) * size + start;
+                    let width = 3.min(size - start);
+                    self.out[at..at + width].copy_from_slice(&sums[..width]);
+                }
+            }
+        }
+    }
+}
+
+struct Nine<'a, M> {
+    machine: M,
+    a: [&'a [[i16; LINE]]; 3],
+    b: [&'a [[i16; LINE]]; 3],
+}
+
+impl<M: Machine> NullaryFnOnce for Nine<'_, M> {
+    type Output = [[i32; 3]; 3];
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let machine = self.machine;
+        let mut sums: [[i32x8; 3]; 3] = [[pulp::cast([0; LINE / 2]); 3]; 3];
+        let ([a0, a1, a2], [b0, b1, b2]) = (self.a, self.b);
+        let (a, b) = (a0.iter().zip(a1).zip(a2), b0.iter().zip(b1).zip(b2));
+        for (((a0, a1), a2), ((b0, b1), b2)) in a.zip(b) {
+            let b: [i16x16; 3] = [pulp::cast(*b0), pulp::cast(*b1), pulp::cast(*b2)];
+            for (sums, a) in sums.iter_mut().zip([*a0, *a1, *a2]) {
+                let a: i16x16 = pulp::cast(a);
+                for (sum, b) in sums.iter_mut().zip(b) {
+                    *sum = machine.add(*sum, machine.products(a, b));
+                }
+            }
+        }
+        let mut found = [[0; 3]; 3];
+        for (found, sums) in found.iter_mut().zip(sums) {
+            for (found, sum) in found.iter_mut().zip(sums) {
+                let parts: [i32; LINE / 2] = pulp::cast(sum);
+                *found = parts.iter().sum();
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+    use proptest::prelude::*;
+    use rand::RngExt;
+
+    use super::*;
+
+    /// What every place is by definition.
+    fn places_by_definition(queries: &Rows, gallery: &Rows) -> Vec<Place> {
+        (0..queries.num_rows())
+            .map(|query| {
+                let similarity = |other: usize| dot(queries.row(query), gallery.row(other));
+                let own = similarity(query);
+                let mut place = Place::default();
+                for other in 0..gallery.num_rows() {
+                    place.nearer += u32::from(similarity(other) > own);
+                    place.equal += u32::from(similarity(other) == own);
+                }
+                place
+            })
+            .collect()
+    }
+
+    fn check(queries: &Matrix, gallery: &Matrix) {
+        let [queries, gallery] = [queries, gallery].map(|rows| Rows::new(rows).expect("finite"));
+        let pairing = Pairing::new(&queries, &gallery);
+        let expected = places_by_definition(&queries, &gallery);
+        assert_eq!(pairing.places(), expected);
+        let all: Vec<usize> = (0..pairing.len()).collect();
+        assert_eq!(pairing.places_within(&all, &mut Vec::new()), expected);
+        let turned: Vec<usize> = all.iter().rev().copied().collect();
+        let backwards: Vec<Place> = expected.into_iter().rev().collect();
+        assert_eq!(pairing.select(&turned).places(), backwards);
+    }
+
+    fn random(num_rows: usize, width: usize, name: &str) -> Matrix {
+        let mut rng = Seed(5).rng(&["similarity", name]);
+        let numbers = (0..num_rows * width).map(|_| rng.random_range(-1.0..1.0));
+        Matrix::new(num_rows, width, numbers.collect())
+    }
+
+    #[test]
+    fn places_are_those_of_single_precision_at_every_edge() {
+        for (num_rows, width) in [(1, 1), (2, 17), (15, 16), (33, 31), (97, 33), (400, 70)] {
+            let (queries, gallery) = (random(num_rows, width, "a"), random(num_rows, width, "b"));
+            check(&queries, &gallery);
+            check(&queries, &queries);
+        }
+        assert!(
+            Pairing::new(
+                &Rows::new(&Matrix::zeros(0, 3)).expect("finite"),
+                &Rows::new(&Matrix::zeros(0, 3)).expect("finite")
+            )
+            .places()
+            .is_empty()
+        );
+    }
+
+    /// Nearly equal vectors, whose order rounding to 16 bits does not tell.
+    #[test]
+    fn what_rounding_hides_is_looked_at_again() {
+        let mut near = random(150, 40, "near");
+        for index in 0..near.num_rows() {
+            for (place, number) in near.row_mut(index).iter_mut().enumerate() {
+                *number = f64::from(place as u32 + 1) + 1e-4 * *number;
+            }
+        }
+        check(&near, &near);
+        let rows = Rows::new(&near).expect("finite");
+        let places = Pairing::new(&rows, &rows).places();
+        assert!(places.iter().any(|place| place.nearer > 100));
+        assert!(places.iter().any(|place| place.nearer < 50));
+    }
+
+    #[test]
+    fn lengths_of_all_sizes_are_compared_as_in_single_precision() {
+        let mut wild = random(60, 20, "wild");
+        for index in 0..wild.num_rows() {
+            let scale = 10f64.powi(index as i32 % 12 - 6);
+            for number in wild.row_mut(index) {
+                *number *= scale;
+            }
+        }
+        check(&wild, &wild);
+        for scale in [1e-44, 1e-25, 1e18, 1e30] {
+            let mut scaled = random(30, 20, "scaled");
+            for index in 0..scaled.num_rows() {
+                for number in scaled.row_mut(index) {
+                    *number *= scale;
+                }
+            }
+            check(&scaled, &scaled);
+        }
+        check(&Matrix::zeros(20, 4), &Matrix::zeros(20, 4));
+    }
+
+    /// The kernels for AVX2 and for any machine sum whole numbers, so that they agree to the bit.
+    #[test]
+    fn every_machine_finds_the_same() {
+        let rows = Rows::new(&random(40, 50, "machines")).expect("finite");
+        let pairing = Pairing::new(&rows, &rows);
+        let indices: Vec<usize> = (0..pairing.len()).collect();
+        let packed = pack_panels(&rows);
+        let found = |machine: bool| {
+            let mut out = vec![0; indices.len() * indices.len()];
+            let mut places = vec![Place::default(); indices.len()];
+            let mut unclear = Vec::new();
+            let dots = Dots {
+                pairing: &pairing,
+                indices: &indices,
+                out: &mut out,
+            };
+            let sweep = Sweep {
+                pairing: &pairing,
+                packed: &packed,
+                first: 0,
+                places: &mut places,
+                unclear: &mut unclear,
+            };
+            if machine {
+                on_machine(dots);
+                on_machine(sweep);
+            } else {
+                dots.run(Plain);
+                sweep.run(Plain);
+            }
+            (out, places, unclear)
+        };
+        assert_eq!(found(true), found(false));
+    }
+
+    proptest! {
+        #[test]
+        fn places_agree_with_their_definition(
+            seed in any::<u64>(),
+            num_rows in 1usize..120,
+            width in 1usize..40,
+            coarse in any::<bool>(),
+        ) {
+            let mut rng = Seed(seed).rng(&["places"]);
+            let mut draw = || {
+                let numbers = (0..num_rows * width).map(|_| {
+                    // A coarse grid, so that ties are common.
+                    if coarse {
+                        f64::from(rng.random_range(-2i32..3))
+                    } else {
+                        rng.random_range(-1.0..1.0)
+                    }
+                });
+                Matrix::new(num_rows, width, numbers.collect())
+            };
+            let (queries, gallery) = (draw(), draw());
+            check(&queries, &gallery);
+        }
+    }
+}
