@@ -80,6 +80,27 @@ impl Drop for Process {
     }
 }
 
+/// A task on a motion, to be taken first.
+fn bare_task(key: String, motion: &str) -> NewTask {
+    NewTask {
+        key,
+        kind: TaskKind::MaskText,
+        source: motion.to_owned(),
+        target: None,
+        split: "train".to_owned(),
+        bundle: None,
+        bundle_index: 0,
+        category: None,
+        hint: None,
+        style: None,
+        priority: 1,
+        gold: None,
+        extra: None,
+        suggestions: Vec::new(),
+        accepted: None,
+    }
+}
+
 /// A dataset of the built-in corpus with masks and pairs.
 fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
     let dir = corpus(clips);
@@ -103,18 +124,14 @@ struct Person {
 
 impl Person {
     fn new(dataset: &Path, name: &str, role: &str) -> Self {
-        let token: Token = stance(&[
-            "annotate",
-            arg(dataset),
-            "--json",
-            "user",
-            "add",
-            name,
-            "--role",
-            role,
-        ])
-        .expect_code(0)
-        .json();
+        Self::of_store(&[], dataset, name, role)
+    }
+
+    /// Somebody of a store that options name.
+    fn of_store(options: &[&str], dataset: &Path, name: &str, role: &str) -> Self {
+        let add = ["--json", "user", "add", name, "--role", role];
+        let args = [&["annotate", arg(dataset)], options, &add].concat();
+        let token: Token = stance(&args).expect_code(0).json();
         Self {
             user: token.user,
             token: token.token,
@@ -476,23 +493,7 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     {
         let store = open_sqlite(&file).expect("a store");
         let hash = store.all_motions().expect("motions")[0].hash.clone();
-        let tasks = (0..TASKS).map(|number| NewTask {
-            key: format!("crash{number:06}"),
-            kind: TaskKind::MaskText,
-            source: hash.clone(),
-            target: None,
-            split: "train".to_owned(),
-            bundle: None,
-            bundle_index: 0,
-            category: None,
-            hint: None,
-            style: None,
-            priority: 1,
-            gold: None,
-            extra: None,
-            suggestions: Vec::new(),
-            accepted: None,
-        });
+        let tasks = (0..TASKS).map(|number| bare_task(format!("crash{number:06}"), &hash));
         store.import(None, tasks.collect(), 0).expect("tasks");
     }
     let mut server = Process::start(&dataset, "127.0.0.1:0");
@@ -603,4 +604,123 @@ fn work(
             .push((seq, view.task.id, person.user.id));
         count.fetch_add(1, Ordering::SeqCst);
     }
+}
+
+/// Annotators, tasks of each, and tasks there are, of the load on two servers.
+#[cfg(feature = "postgres")]
+fn load() -> [usize; 3] {
+    let text = std::env::var("ANNOTATE_PG_LOAD").unwrap_or_else(|_| "6x10x300".to_owned());
+    let numbers: Vec<usize> = text
+        .split('x')
+        .filter_map(|number| number.parse().ok())
+        .collect();
+    numbers
+        .try_into()
+        .expect("ANNOTATE_PG_LOAD is annotators x tasks of each x tasks")
+}
+
+/// Two processes of one store on PostgreSQL. The full form is
+///
+/// ```sh
+/// ANNOTATE_PG_LOAD=50x200x100000 bash annotate/tests/with-postgres \
+///     cargo test --release --workspace --test it two_servers -- --nocapture
+/// ```
+#[cfg(feature = "postgres")]
+#[test]
+fn two_servers_of_one_store_give_nothing_twice() {
+    use std::io::Write;
+    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
+        let _said = writeln!(
+            std::io::stderr().lock(),
+            "SKIPPED two servers of one store: needs ANNOTATE_TEST_PG"
+        );
+        return;
+    };
+    let [people, each, tasks] = load();
+    let (_dir, dataset) = dataset(4);
+    let place = ["--store", url.as_str()];
+    let options = [&["annotate", arg(&dataset)], &place[..]].concat();
+    stance(&[&options[..], &["import"]].concat()).expect_code(0);
+    let store = annotate::store::open_postgres(&url, "annotate").expect("a store");
+    let settings = Settings {
+        blind_percent: 0,
+        gold_percent: 0,
+        overlap_percent: 0,
+        ..Settings::default()
+    };
+    store.put_settings(1, settings, 0).expect("settings");
+    let hash = store.all_motions().expect("motions")[0].hash.clone();
+    let run = std::process::id();
+    let bare = (0..tasks).map(|number| bare_task(format!("two{run}_{number:06}"), &hash));
+    store.import(None, bare.collect(), 0).expect("tasks");
+    let servers = [(); 2].map(|()| {
+        let listen = ["--listen", "127.0.0.1:0"];
+        Process::spawn(command(&[&options[..], &listen].concat()))
+    });
+    let clients: Vec<Person> = (0..people)
+        .map(|number| {
+            let name = format!("two{run}_{number}");
+            Person::of_store(&place, &dataset, &name, "annotator")
+        })
+        .collect();
+    let times = Mutex::new([Vec::new(), Vec::new()]);
+    let done: Mutex<Vec<i64>> = Mutex::default();
+    let begun = Instant::now();
+    std::thread::scope(|scope| {
+        for (number, person) in clients.iter().enumerate() {
+            // Everybody changes the server from task to task: their lease is known to both.
+            let (servers, times, done) = (&servers, &times, &done);
+            scope.spawn(move || {
+                for task in 0..each {
+                    let [here, there] = [0, 1].map(|side| &servers[(number + task + side) % 2].url);
+                    let clock = Instant::now();
+                    let next: Next =
+                        person.post(here, "queue/next", &json!({ "kind": "mask_text" }));
+                    let claimed = clock.elapsed();
+                    let view = next.task.expect("a task");
+                    let body = events(&view, &format!("{run}-{number}-{task}"), &masks("waving"));
+                    let clock = Instant::now();
+                    let path = format!("tasks/{}/events", view.task.id);
+                    let results: EventResults = person.post(there, &path, &body);
+                    let saved = clock.elapsed();
+                    assert_eq!(results.results[0].status, 200);
+                    let mut times = times.lock().expect("no panic");
+                    times[0].push(claimed);
+                    times[1].push(saved);
+                    done.lock().expect("no panic").push(view.task.id);
+                }
+            });
+        }
+    });
+    let took = begun.elapsed();
+    let [claims, saves] = times.into_inner().expect("no panic").map(|mut times| {
+        times.sort();
+        [0.5, 0.99].map(|share| times[((times.len() - 1) as f64 * share).round() as usize])
+    });
+    // Figures are printed and not judged: they are those of the machine.
+    let _said = writeln!(
+        std::io::stderr().lock(),
+        "load on PostgreSQL: {people} annotators x {each} of {tasks} tasks on two servers in {took:.1?}; \
+         claim p50 and p99 {claims:.1?}, save {saves:.1?}"
+    );
+    let done = done.into_inner().expect("no panic");
+    let distinct: BTreeSet<i64> = done.iter().copied().collect();
+    assert_eq!(
+        distinct.len(),
+        people * each,
+        "every claim gave another task"
+    );
+    let mut stored = 0;
+    let mut after = 0;
+    loop {
+        let labels = store.labels(after, 2000).expect("labels");
+        let Some(last) = labels.last() else { break };
+        after = last.task;
+        stored += labels
+            .iter()
+            .filter(|label| distinct.contains(&label.task))
+            .count();
+    }
+    assert_eq!(stored, people * each, "every answer is there once");
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
 }

@@ -418,14 +418,14 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
 fn next(cx: &Context) -> Result<Reply, Error> {
     let request: NextRequest = cx.body()?;
     let who = cx.who()?;
-    let (task, empty) = match cx.app.store.claim(who.id, request.kind, cx.now)? {
-        Claimed::Task(task) => (Some(view(&cx.app, cx.app.store.task(who, task)?)?), None),
-        Claimed::Nothing(empty) => (None, Some(empty)),
+    let (task, empty, prefetch) = match cx.app.store.claim(who.id, request.kind, AHEAD, cx.now)? {
+        Claimed::Task { detail, upcoming } => (Some(view(&cx.app, *detail)?), None, upcoming),
+        Claimed::Nothing(empty) => (None, Some(empty), Vec::new()),
     };
     json(&Next {
         task,
         empty,
-        prefetch: cx.app.store.upcoming(who.id, request.kind, AHEAD)?,
+        prefetch,
     })
 }
 
@@ -449,8 +449,10 @@ fn task(cx: &Context) -> Result<Reply, Error> {
 
 fn claim(cx: &Context) -> Result<Reply, Error> {
     let (who, id) = (cx.who()?, cx.id()?);
-    cx.app.store.claim_task(who.id, id, cx.now)?;
-    json(&view(&cx.app, cx.app.store.task(who, id)?)?)
+    json(&view(
+        &cx.app,
+        cx.app.store.claim_task(who.id, id, cx.now)?,
+    )?)
 }
 
 fn events(cx: &Context) -> Result<Reply, Error> {

@@ -1,6 +1,7 @@
 //! What is done to tasks: claiming, answering, reviewing.
 
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
@@ -48,11 +49,30 @@ const FOR_ME: &str = "t.claimable = 1
 /// A store on a database that speaks SQL.
 pub struct SqlStore {
     db: Box<dyn Database>,
+    known: Mutex<people::Known>,
 }
 
 impl SqlStore {
     pub(crate) fn new(db: Box<dyn Database>) -> Self {
-        Self { db }
+        Self {
+            db,
+            known: Mutex::default(),
+        }
+    }
+
+    fn known(&self) -> MutexGuard<'_, people::Known> {
+        // A panic elsewhere cannot have left it half-changed.
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// [`Self::write`] of people or tokens, after which nothing is known of any.
+    fn write_people<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let outcome = self.write(work);
+        self.known().clear();
+        outcome
     }
 
     fn write<T: Send + 'static>(
@@ -272,7 +292,13 @@ fn prolong_bundle(
     prolong(tx, held, settings, now)
 }
 
-fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Claimed, Error> {
+/// The task that somebody works on next, or why there is none.
+fn claim(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    now: Millis,
+) -> Result<Result<i64, Empty>, Error> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let sql = format!(
@@ -286,7 +312,7 @@ fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Clai
         if held.lease.expires < lease_end(&settings, now) - MINUTE {
             prolong_bundle(tx, &held, &settings, now)?;
         }
-        return Ok(Claimed::Task(held.lease.task));
+        return Ok(Ok(held.lease.task));
     }
     let back = tx.one(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
@@ -296,14 +322,14 @@ fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Clai
     if let Some(row) = back {
         let task = row.int(0)?;
         take(tx, user, task, Purpose::Annotate, &settings, now)?;
-        return Ok(Claimed::Task(task));
+        return Ok(Ok(task));
     }
     if let Some(task) = gold_task(tx, user, kind, &settings)? {
         take(tx, user, task, Purpose::Annotate, &settings, now)?;
-        return Ok(Claimed::Task(task));
+        return Ok(Ok(task));
     }
     let Some((first, bundle)) = candidate(tx, user, kind)? else {
-        return Ok(Claimed::Nothing(empty(tx, user, kind)?));
+        return Ok(Err(empty(tx, user, kind)?));
     };
     match bundle {
         None => take(tx, user, first, Purpose::Annotate, &settings, now)?,
@@ -318,7 +344,7 @@ fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Clai
             }
         }
     }
-    Ok(Claimed::Task(first))
+    Ok(Ok(first))
 }
 
 /// The next task for somebody and its bundle: a new one, or else one they postponed.
@@ -343,6 +369,26 @@ fn candidate(
         }
     }
     Ok(None)
+}
+
+/// Hashes of the motions of the tasks that would follow.
+fn upcoming(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    limit: usize,
+) -> Result<Vec<String>, Error> {
+    let sql = format!(
+        "SELECT t.source, t.target FROM task t WHERE t.kind = ?1 AND {FOR_ME}
+           AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
+         ORDER BY t.priority DESC, t.id LIMIT ?3"
+    );
+    let mut hashes = Vec::new();
+    for row in tx.query(&sql, params![kind.as_str(), user, limit as i64])? {
+        hashes.push(row.string(0)?);
+        hashes.extend(row.opt_text(1)?);
+    }
+    Ok(hashes)
 }
 
 /// A gold task, if it is time for one: by a draw that depends on who and how many answers they gave.
@@ -1179,27 +1225,30 @@ impl Store for SqlStore {
         Ok(done)
     }
 
-    fn claim(&self, user: i64, kind: TaskKind, now: Millis) -> Result<Claimed, Error> {
-        self.write(move |tx| claim(tx, user, kind, now))
+    fn claim(
+        &self,
+        user: i64,
+        kind: TaskKind,
+        ahead: usize,
+        now: Millis,
+    ) -> Result<Claimed, Error> {
+        // In one transaction: the writer has at hand what a reader would have to fetch again after
+        // every commit.
+        self.write(move |tx| {
+            Ok(match claim(tx, user, kind, now)? {
+                Ok(task) => Claimed::Task {
+                    detail: Box::new(read::detail(tx, user, task)?),
+                    upcoming: upcoming(tx, user, kind, ahead)?,
+                },
+                Err(empty) => Claimed::Nothing(empty),
+            })
+        })
     }
 
-    fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<(), Error> {
-        self.write(move |tx| claim_task(tx, user, task, now))
-    }
-
-    fn upcoming(&self, user: i64, kind: TaskKind, limit: usize) -> Result<Vec<String>, Error> {
-        self.read(move |tx| {
-            let sql = format!(
-                "SELECT t.source, t.target FROM task t WHERE t.kind = ?1 AND {FOR_ME}
-                   AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
-                 ORDER BY t.priority DESC, t.id LIMIT ?3"
-            );
-            let mut hashes = Vec::new();
-            for row in tx.query(&sql, params![kind.as_str(), user, limit as i64])? {
-                hashes.push(row.string(0)?);
-                hashes.extend(row.opt_text(1)?);
-            }
-            Ok(hashes)
+    fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail, Error> {
+        self.write(move |tx| {
+            claim_task(tx, user, task, now)?;
+            read::detail(tx, user, task)
         })
     }
 
@@ -1248,7 +1297,12 @@ impl Store for SqlStore {
 
     fn task(&self, who: &Who, task: i64) -> Result<TaskDetail, Error> {
         let who = who.clone();
-        self.read(move |tx| read::detail(tx, &who, task))
+        self.read(move |tx| {
+            if who.role < Role::Reviewer && !read::concerns(tx, who.id, task)? {
+                return Err(Error::not_found("task"));
+            }
+            read::detail(tx, who.id, task)
+        })
     }
 
     fn task_record(&self, task: i64) -> Result<TaskRecord, Error> {
@@ -1407,7 +1461,7 @@ impl Store for SqlStore {
         now: Millis,
     ) -> Result<User, Error> {
         let name = name.to_owned();
-        self.write(move |tx| people::add(tx, actor, &name, role, now))
+        self.write_people(move |tx| people::add(tx, actor, &name, role, now))
     }
 
     fn change_user(
@@ -1418,7 +1472,7 @@ impl Store for SqlStore {
         active: Option<bool>,
         now: Millis,
     ) -> Result<User, Error> {
-        self.write(move |tx| people::change(tx, actor, user, role, active, now))
+        self.write_people(move |tx| people::change(tx, actor, user, role, active, now))
     }
 
     fn issue(
@@ -1428,11 +1482,18 @@ impl Store for SqlStore {
         expires: Millis,
         now: Millis,
     ) -> Result<IssuedToken, Error> {
-        self.write(move |tx| people::issue(tx, user, purpose, expires, now))
+        self.write_people(move |tx| people::issue(tx, user, purpose, expires, now))
     }
 
     fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
         let hash = people::hash(token);
+        let changes = {
+            let known = self.known();
+            if let Some(who) = known.find(&hash, purposes, now) {
+                return Ok(who);
+            }
+            known.changes()
+        };
         let purposes = purposes.to_vec();
         let found = {
             let (hash, purposes) = (hash.clone(), purposes.clone());
@@ -1441,7 +1502,9 @@ impl Store for SqlStore {
         if found.needs_note {
             return self.write(move |tx| people::used(tx, &hash, &purposes, now));
         }
-        Ok(found.who)
+        let who = found.who.clone();
+        self.known().put(hash, found, changes, now);
+        Ok(who)
     }
 
     fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>, Error> {
@@ -1449,12 +1512,12 @@ impl Store for SqlStore {
     }
 
     fn revoke(&self, token: i64) -> Result<(), Error> {
-        self.write(move |tx| people::revoke(tx, token))
+        self.write_people(move |tx| people::revoke(tx, token))
     }
 
     fn log_out(&self, token: &str) -> Result<(), Error> {
         let hash = people::hash(token);
-        self.write(move |tx| {
+        self.write_people(move |tx| {
             tx.execute(
                 "UPDATE token SET revoked = 1 WHERE hash = ?1",
                 params![&hash],

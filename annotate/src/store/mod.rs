@@ -197,7 +197,12 @@ pub struct TaskDetail {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Claimed {
     /// A task; the lease on it is held.
-    Task(i64),
+    Task {
+        /// The task as its holder may see it.
+        detail: Box<TaskDetail>,
+        /// Hashes of the motions of the tasks that would follow.
+        upcoming: Vec<String>,
+    },
     /// Nothing, and why.
     Nothing(Empty),
 }
@@ -397,21 +402,17 @@ pub trait Store: Send + Sync {
         tasks: Vec<NewTask>,
         now: Millis,
     ) -> Result<Imported, Error>;
-    /// Claims the next task of a kind, or gives the one that is held.
+    /// Claims the next task of a kind, or gives the one that is held, and looks `ahead` tasks ahead.
     ///
     /// # Errors
     /// The store fails.
-    fn claim(&self, user: i64, kind: TaskKind, now: Millis) -> Result<Claimed, Error>;
+    fn claim(&self, user: i64, kind: TaskKind, ahead: usize, now: Millis)
+    -> Result<Claimed, Error>;
     /// Claims a certain task.
     ///
     /// # Errors
     /// `task_full`, `not_found`, `wrong_state`; or the store fails.
-    fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<(), Error>;
-    /// Hashes of the motions of the tasks that would follow.
-    ///
-    /// # Errors
-    /// The store fails.
-    fn upcoming(&self, user: i64, kind: TaskKind, limit: usize) -> Result<Vec<String>, Error>;
+    fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail, Error>;
     /// Prolongs a lease.
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! Users, tokens and sessions. Of a token only its hash is kept.
 
+use std::collections::HashMap;
+
 use sha2::{Digest, Sha256};
 
 use super::db::{Row, Tx, params};
@@ -187,12 +189,60 @@ pub(super) fn issue(
 }
 
 /// Whose a token is.
+#[derive(Clone)]
 pub(super) struct Found {
     pub(super) who: Who,
+    purpose: String,
+    expires: Millis,
     token: i64,
     once: bool,
     /// Whether its use is to be written down.
     pub(super) needs_note: bool,
+}
+
+/// How long what is known of a token holds: somebody shut out through another server gets in here no
+/// longer than that.
+const KNOWN_FOR: Millis = 1000;
+/// Tokens that are known at most.
+const MOST_KNOWN: usize = 4096;
+
+/// Tokens seen a moment ago, so that not every request has to ask for its own again. Whatever changes
+/// people or tokens empties it.
+#[derive(Default)]
+pub(super) struct Known {
+    by_hash: HashMap<String, (Millis, Found)>,
+    changes: u64,
+}
+
+impl Known {
+    /// Forgets everything.
+    pub(super) fn clear(&mut self) {
+        self.by_hash.clear();
+        self.changes += 1;
+    }
+
+    /// How often everything was forgotten. What is asked of the store before a change is not to be
+    /// put down after it.
+    pub(super) fn changes(&self) -> u64 {
+        self.changes
+    }
+
+    pub(super) fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
+        let (at, found) = self.by_hash.get(hash)?;
+        let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
+        let fits = purposes.iter().any(|use_| use_.as_str() == found.purpose);
+        (is_fresh && fits).then(|| found.who.clone())
+    }
+
+    pub(super) fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
+        if found.needs_note || changes != self.changes {
+            return;
+        }
+        if self.by_hash.len() >= MOST_KNOWN {
+            self.by_hash.clear();
+        }
+        self.by_hash.insert(hash, (now, found));
+    }
 }
 
 pub(super) fn find(
@@ -228,6 +278,8 @@ pub(super) fn find(
             name: row.string(5)?,
             role: role(row.text(6)?)?,
         },
+        purpose: purpose.to_owned(),
+        expires: row.int(2)?,
         token: row.int(0)?,
         once,
         needs_note: once || last_used.is_none_or(|at| now - at > NOTE_EVERY),

@@ -150,7 +150,9 @@ fn open_writer(path: &Path) -> Result<Connection, Error> {
         .map_err(refuse)?;
     if version == 0 {
         let tx = db.transaction().map_err(refuse)?;
-        tx.execute_batch(SCHEMA).map_err(refuse)?;
+        // So a row's number is its place in the table, and no index from the one to the other is kept.
+        let schema = SCHEMA.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
+        tx.execute_batch(&schema).map_err(refuse)?;
         tx.execute_batch(TRIGGERS).map_err(refuse)?;
         tx.pragma_update(None, "user_version", VERSION)
             .map_err(refuse)?;

@@ -98,8 +98,8 @@ impl Fixture {
     }
 
     fn claim_kind(&self, user: i64, kind: TaskKind, now: i64) -> Option<i64> {
-        match self.store.claim(user, kind, now).expect("claims") {
-            Claimed::Task(task) => Some(task),
+        match self.store.claim(user, kind, 3, now).expect("claims") {
+            Claimed::Task { detail, .. } => Some(detail.task.id),
             Claimed::Nothing(_) => None,
         }
     }
@@ -190,7 +190,7 @@ fn a_task_goes_to_as_many_people_as_it_wants_and_no_more() {
         assert_eq!(site.claim(site.eve.id, START), None);
         let Claimed::Nothing(empty) = site
             .store
-            .claim(site.eve.id, TaskKind::MaskText, START)
+            .claim(site.eve.id, TaskKind::MaskText, 3, START)
             .expect("claims")
         else {
             panic!("nothing is left");
