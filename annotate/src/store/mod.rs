@@ -6,6 +6,7 @@
 
 pub(crate) mod db;
 mod engine;
+mod group;
 mod log;
 mod people;
 #[cfg(feature = "postgres")]

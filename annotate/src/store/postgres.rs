@@ -1,20 +1,23 @@
 //! PostgreSQL: the same tables and statements, for several servers on one store.
 //!
 //! Places in the log have no gaps, so transactions that write take turns: each begins with a lock that
-//! it holds to its end. A claim needs nothing more to be exact, and `SKIP LOCKED` would gain nothing.
+//! it holds to its end. A claim needs nothing more to be exact, and `SKIP LOCKED` would gain nothing. One
+//! thread of each server writes, whatever waits in one transaction, so that a turn is taken and a commit
+//! waited for once for many.
 
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::{Condvar, Mutex};
 
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
-use postgres::{Client, NoTls, Statement, Transaction};
+use postgres::{Client, NoTls, Statement};
 
 use super::db::{Database, Row, Tx, Value, Work};
+use super::group::{Writer, WriterThread, caught, lock};
 use crate::Error;
 
-/// Connections, and so transactions at once.
-const CONNECTIONS: usize = 8;
+/// Connections that read.
+const READERS: usize = 4;
 /// The lock writers take turns by: the letters of "annotate".
 const TURN: i64 = 0x616e_6e6f_7461_7465;
 const SCHEMA: &str = include_str!("schema.sql");
@@ -33,12 +36,19 @@ struct Connection {
     statements: HashMap<String, Statement>,
 }
 
-/// A store in a schema of a database.
-pub(crate) struct Postgres {
+/// Where a store is.
+#[derive(Clone)]
+struct Address {
     url: String,
     schema: String,
-    idle: Mutex<Vec<Connection>>,
-    back: Condvar,
+}
+
+/// A store in a schema of a database.
+pub(crate) struct Postgres {
+    address: Address,
+    writer: WriterThread,
+    readers: Mutex<Vec<Connection>>,
+    reader_back: Condvar,
 }
 
 fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
@@ -65,13 +75,11 @@ impl Postgres {
                 reason: "a schema is named with small letters, digits and underscores".to_owned(),
             });
         }
-        let store = Self {
+        let address = Address {
             url: url.to_owned(),
             schema: schema.to_owned(),
-            idle: Mutex::new(Vec::new()),
-            back: Condvar::new(),
         };
-        let mut first = store.connect()?;
+        let mut first = address.connect()?;
         let make = failed("make its tables");
         let mut tx = first.client.transaction().map_err(&make)?;
         tx.execute("SELECT pg_advisory_xact_lock($1)", &[&TURN])
@@ -97,31 +105,39 @@ impl Postgres {
             .get(0);
         if version != VERSION {
             return Err(Error::Open {
-                path: store.place(),
+                path: address.place(),
                 reason: format!(
                     "its tables are of version {version}, this program knows {VERSION}"
                 ),
             });
         }
         tx.commit().map_err(&make)?;
-        let mut idle = vec![first];
-        for _ in 1..CONNECTIONS {
-            idle.push(store.connect()?);
-        }
-        *store.idle() = idle;
-        Ok(store)
+        let readers = (0..READERS)
+            .map(|_| address.connect())
+            .collect::<Result<Vec<_>, _>>()?;
+        let writer = PostgresWriter {
+            address: address.clone(),
+            connection: first,
+            is_open: false,
+        };
+        let writer = WriterThread::start(writer).map_err(|source| Error::Open {
+            path: address.place(),
+            reason: format!("its writer does not start: {source}"),
+        })?;
+        Ok(Self {
+            address,
+            writer,
+            readers: Mutex::new(readers),
+            reader_back: Condvar::new(),
+        })
     }
+}
 
+impl Address {
     /// What messages call the store: without the password of its address.
     fn place(&self) -> String {
         let host = self.url.rsplit('@').next().unwrap_or_default();
         format!("{host}, schema {}", self.schema)
-    }
-
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {
-        self.idle
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
     fn connect(&self) -> Result<Connection, Error> {
@@ -140,64 +156,88 @@ impl Postgres {
             statements: HashMap::new(),
         })
     }
+}
 
-    fn run(&self, work: Work, begin: &str, turn: bool) -> Result<(), Error> {
-        let mut idle = self.idle();
-        let mut connection = loop {
-            if let Some(connection) = idle.pop() {
-                break connection;
-            }
-            idle = self
-                .back
-                .wait(idle)
-                .unwrap_or_else(std::sync::PoisonError::into_inner);
-        };
-        drop(idle);
-        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            if connection.client.is_closed() {
-                connection = self.connect()?;
-            }
-            transact(&mut connection, work, begin, turn)
-        }))
-        .unwrap_or(Err(Error::Closed));
-        self.idle().push(connection);
-        self.back.notify_one();
-        outcome
+/// The connection that writes.
+struct PostgresWriter {
+    address: Address,
+    connection: Connection,
+    is_open: bool,
+}
+
+impl PostgresWriter {
+    fn command(&mut self, sql: &str, action: &'static str) -> Result<(), Error> {
+        self.connection
+            .client
+            .batch_execute(sql)
+            .map_err(failed(action))
     }
 }
 
-fn transact(connection: &mut Connection, work: Work, begin: &str, turn: bool) -> Result<(), Error> {
-    let wrap = failed("begin a transaction");
-    let mut tx = connection.client.transaction().map_err(&wrap)?;
-    tx.batch_execute(begin).map_err(&wrap)?;
-    if turn {
-        tx.execute("SELECT pg_advisory_xact_lock($1)", &[&TURN])
-            .map_err(&wrap)?;
+impl Writer for PostgresWriter {
+    /// Others wait for their turn meanwhile.
+    const GROUP: usize = 32;
+
+    fn begin(&mut self) -> Result<(), Error> {
+        if self.connection.client.is_closed() {
+            self.connection = self.address.connect()?;
+        }
+        self.is_open = true;
+        self.command(
+            &format!("BEGIN; SELECT pg_advisory_xact_lock({TURN})"),
+            "begin a transaction",
+        )
     }
-    let mut open = PostgresTx {
-        tx,
-        statements: &mut connection.statements,
-    };
-    // A transaction that is dropped is rolled back.
-    work(&mut open)?;
-    open.tx.commit().map_err(failed("commit"))
+
+    fn run(&mut self, work: Work) -> Result<(), Error> {
+        self.command("SAVEPOINT work", "begin a transaction")?;
+        match caught(|| work(&mut PostgresTx(&mut self.connection))) {
+            Ok(()) => self.command("RELEASE work", "commit"),
+            Err(error) => {
+                let undone = self.command("ROLLBACK TO work; RELEASE work", "roll back");
+                if undone.is_err() {
+                    // The connection is gone, and with it the whole transaction.
+                    self.is_open = false;
+                }
+                undone?;
+                Err(error)
+            }
+        }
+    }
+
+    fn is_open(&self) -> bool {
+        self.is_open && !self.connection.client.is_closed()
+    }
+
+    fn commit(&mut self) -> Result<(), Error> {
+        let committed = self.command("COMMIT", "commit");
+        self.is_open = committed.is_err();
+        committed
+    }
+
+    fn roll_back(&mut self) {
+        // A connection that cannot even do this is made anew for the next group.
+        let _rolled_back = self.command("ROLLBACK", "roll back");
+        self.is_open = false;
+    }
+
+    fn close(self) {}
 }
 
-struct PostgresTx<'a> {
-    tx: Transaction<'a>,
-    statements: &'a mut HashMap<String, Statement>,
-}
+/// A connection in a transaction.
+struct PostgresTx<'a>(&'a mut Connection);
 
 impl PostgresTx<'_> {
     fn statement(&mut self, sql: &str) -> Result<Statement, Error> {
-        if let Some(statement) = self.statements.get(sql) {
+        if let Some(statement) = self.0.statements.get(sql) {
             return Ok(statement.clone());
         }
         let statement = self
-            .tx
+            .0
+            .client
             .prepare(&sql.replace('?', "$"))
             .map_err(failed("prepare a statement"))?;
-        self.statements.insert(sql.to_owned(), statement.clone());
+        self.0.statements.insert(sql.to_owned(), statement.clone());
         Ok(statement)
     }
 }
@@ -262,7 +302,8 @@ fn borrowed(params: &[Value]) -> Vec<&(dyn ToSql + Sync)> {
 impl Tx for PostgresTx<'_> {
     fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
         let statement = self.statement(sql)?;
-        self.tx
+        self.0
+            .client
             .execute(&statement, &borrowed(params))
             .map_err(failed("write"))
     }
@@ -270,7 +311,8 @@ impl Tx for PostgresTx<'_> {
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
         let statement = self.statement(sql)?;
         let rows = self
-            .tx
+            .0
+            .client
             .query(&statement, &borrowed(params))
             .map_err(failed("read"))?;
         Ok(rows
@@ -286,23 +328,43 @@ impl Tx for PostgresTx<'_> {
 
 impl Database for Postgres {
     fn write(&self, work: Work) -> Result<(), Error> {
-        self.run(work, "", true)
+        self.writer.write(work)
     }
 
     fn read(&self, work: Work) -> Result<(), Error> {
-        self.run(
-            work,
-            "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY",
-            false,
-        )
+        let mut reader = {
+            let mut readers = lock(&self.readers);
+            loop {
+                if let Some(reader) = readers.pop() {
+                    break reader;
+                }
+                readers = self
+                    .reader_back
+                    .wait(readers)
+                    .unwrap_or_else(std::sync::PoisonError::into_inner);
+            }
+        };
+        let outcome = caught(|| {
+            if reader.client.is_closed() {
+                reader = self.address.connect()?;
+            }
+            let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
+            reader.client.batch_execute(begin).map_err(failed("read"))?;
+            work(&mut PostgresTx(&mut reader))
+        });
+        // It changed nothing, so there is nothing to lose.
+        let _ended = reader.client.batch_execute("ROLLBACK");
+        lock(&self.readers).push(reader);
+        self.reader_back.notify_one();
+        outcome
     }
 
     fn backup(&self, _: &Path) -> Result<(), Error> {
         Err(Error::Open {
-            path: self.place(),
+            path: self.address.place(),
             reason: format!(
                 "a PostgreSQL database is copied by its own program: pg_dump --schema={}",
-                self.schema
+                self.address.schema
             ),
         })
     }

@@ -1,23 +1,18 @@
 //! SQLite: one thread writes and commits in groups, others read beside it.
 //!
-//! `synchronous=FULL` makes a commit wait for the disk. While it waits, further work queues up, and
-//! the next commit takes all of it: one wait for many writers. Work that fails is undone by itself
-//! (a savepoint) and leaves the others alone.
+//! `synchronous=FULL` makes a commit wait for the disk, once for a whole group.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Condvar, Mutex};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, params_from_iter};
 
 use super::db::{Database, Row, Tx, Value, Work};
+use super::group::{Writer, WriterThread, caught, lock};
 use crate::Error;
 
-/// Most works taken in one commit; bounds how long the first of them waits.
-const GROUP: usize = 128;
 /// Connections that read.
 const READERS: usize = 4;
 /// Statements a connection keeps prepared.
@@ -37,17 +32,10 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;
 CREATE TRIGGER event_no_delete BEFORE DELETE ON event
 BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 
-struct Job {
-    work: Work,
-    done: SyncSender<Result<(), Error>>,
-}
-
 /// A store in one file.
 pub(crate) struct Sqlite {
     path: PathBuf,
-    /// None once the store is being closed.
-    jobs: Mutex<Option<Sender<Job>>>,
-    writer: Mutex<Option<JoinHandle<()>>>,
+    writer: WriterThread,
     readers: Mutex<Vec<Connection>>,
     reader_back: Condvar,
 }
@@ -68,40 +56,18 @@ impl Sqlite {
         let readers = (0..READERS)
             .map(|_| open_reader(path))
             .collect::<Result<Vec<_>, _>>()?;
-        let (jobs, queue) = channel();
-        let handle = std::thread::Builder::new()
-            .name("annotate-store".to_owned())
-            .spawn(move || write_all(writer, &queue))
-            .map_err(|source| Error::Io {
-                action: "start the writer of",
-                path: path.to_owned(),
-                source,
-            })?;
+        let writer = WriterThread::start(writer).map_err(|source| Error::Io {
+            action: "start the writer of",
+            path: path.to_owned(),
+            source,
+        })?;
         Ok(Self {
             path: path.to_owned(),
-            jobs: Mutex::new(Some(jobs)),
-            writer: Mutex::new(Some(handle)),
+            writer,
             readers: Mutex::new(readers),
             reader_back: Condvar::new(),
         })
     }
-}
-
-impl Drop for Sqlite {
-    fn drop(&mut self) {
-        lock(&self.jobs).take();
-        if let Some(writer) = lock(&self.writer).take() {
-            // A writer that panicked has nothing more to say.
-            let _ended = writer.join();
-        }
-    }
-}
-
-/// A value that a panic elsewhere cannot have left half-changed.
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
@@ -178,86 +144,41 @@ fn open_reader(path: &Path) -> Result<Connection, Error> {
     Ok(db)
 }
 
-/// Takes works as they come, a group a commit, until nobody can send any more.
-fn write_all(mut db: Connection, queue: &Receiver<Job>) {
-    while let Ok(first) = queue.recv() {
-        let mut group = vec![first];
-        while group.len() < GROUP
-            && let Ok(job) = queue.try_recv()
-        {
-            group.push(job);
-        }
-        write_group(&mut db, group);
-    }
-    // What is left in the write-ahead log is read at the next start in any case.
-    let _checkpointed = db.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)");
-}
+impl Writer for Connection {
+    const GROUP: usize = 128;
 
-fn write_group(db: &mut Connection, group: Vec<Job>) {
-    let mut answers = Vec::with_capacity(group.len());
-    let outcome = run_group(db, group, &mut answers);
-    if let Err(error) = &outcome
-        && !db.is_autocommit()
-    {
-        // The commit failed; nothing of the group stays. A second failure changes nothing.
-        let _rolled_back = db.execute_batch("ROLLBACK");
-        debug_assert!(!error.to_string().is_empty());
+    fn begin(&mut self) -> Result<(), Error> {
+        self.execute_batch("BEGIN IMMEDIATE")
+            .map_err(failed("begin a transaction"))
     }
-    let failure = outcome.err().map(|error| match error {
-        Error::ReadOnly { reason } => reason,
-        other => format!("{other:#}"),
-    });
-    for (done, answer) in answers {
-        let answer = match &failure {
-            None => answer,
-            Some(reason) => Err(Error::ReadOnly {
-                reason: reason.clone(),
-            }),
-        };
-        // Somebody who went away does not wait for the answer.
-        let _told = done.send(answer);
-    }
-}
 
-type Answers = Vec<(SyncSender<Result<(), Error>>, Result<(), Error>)>;
-
-fn run_group(db: &mut Connection, group: Vec<Job>, answers: &mut Answers) -> Result<(), Error> {
-    let begun = db
-        .execute_batch("BEGIN IMMEDIATE")
-        .map_err(failed("begin a transaction"));
-    if let Err(error) = begun {
-        answers.extend(group.into_iter().map(|job| (job.done, Ok(()))));
-        return Err(error);
-    }
-    let mut jobs = group.into_iter();
-    for job in jobs.by_ref() {
-        let outcome = one(db, job.work);
-        let lost = db.is_autocommit();
-        answers.push((job.done, outcome));
-        if lost {
-            // SQLite gave the whole transaction up: a full disk, most likely.
-            answers.extend(jobs.map(|job| (job.done, Ok(()))));
-            return Err(Error::ReadOnly {
-                reason: "the disk is full or fails".to_owned(),
-            });
+    fn run(&mut self, work: Work) -> Result<(), Error> {
+        let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
+        match caught(|| work(&mut SqliteTx { db: &savepoint })) {
+            Ok(()) => savepoint.commit().map_err(failed("commit")),
+            Err(error) => {
+                savepoint.rollback().map_err(failed("roll back"))?;
+                Err(error)
+            }
         }
     }
-    db.execute_batch("COMMIT").map_err(failed("commit"))
-}
 
-fn one(db: &mut Connection, work: Work) -> Result<(), Error> {
-    let mut savepoint = db.savepoint().map_err(failed("begin a transaction"))?;
-    let outcome = {
-        let mut tx = SqliteTx { db: &savepoint };
-        std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(&mut tx)))
-            .unwrap_or(Err(Error::Closed))
-    };
-    match outcome {
-        Ok(()) => savepoint.commit().map_err(failed("commit")),
-        Err(error) => {
-            savepoint.rollback().map_err(failed("roll back"))?;
-            Err(error)
-        }
+    fn is_open(&self) -> bool {
+        !self.is_autocommit()
+    }
+
+    fn commit(&mut self) -> Result<(), Error> {
+        self.execute_batch("COMMIT").map_err(failed("commit"))
+    }
+
+    fn roll_back(&mut self) {
+        // A second failure changes nothing.
+        let _rolled_back = self.execute_batch("ROLLBACK");
+    }
+
+    fn close(self) {
+        // What is left in the write-ahead log is read at the next start in any case.
+        let _checkpointed = self.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)");
     }
 }
 
@@ -310,11 +231,7 @@ impl Tx for SqliteTx<'_> {
 
 impl Database for Sqlite {
     fn write(&self, work: Work) -> Result<(), Error> {
-        let (done, answer) = sync_channel(1);
-        let jobs = lock(&self.jobs).clone().ok_or(Error::Closed)?;
-        jobs.send(Job { work, done }).map_err(|_| Error::Closed)?;
-        drop(jobs);
-        answer.recv().map_err(|_| Error::Closed)?
+        self.writer.write(work)
     }
 
     fn read(&self, work: Work) -> Result<(), Error> {
@@ -330,11 +247,10 @@ impl Database for Sqlite {
                     .unwrap_or_else(std::sync::PoisonError::into_inner);
             }
         };
-        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        let outcome = caught(|| {
             reader.execute_batch("BEGIN").map_err(failed("read"))?;
             work(&mut SqliteTx { db: &reader })
-        }))
-        .unwrap_or(Err(Error::Closed));
+        });
         // It changed nothing, so there is nothing to lose.
         let _ended = reader.execute_batch("ROLLBACK");
         lock(&self.readers).push(reader);
