@@ -146,8 +146,11 @@ impl Address {
             reason: error.to_string(),
         })?;
         client
+            // Plans are kept while the tables grow from nothing to hundreds of thousands of rows; one that
+            // reads a small table whole would soon read a large one so, for every claim.
             .batch_execute(&format!(
-                "SET search_path TO {}; SET synchronous_commit TO on",
+                "SET search_path TO {}; SET synchronous_commit TO on; \
+                 SET enable_seqscan TO off; SET enable_material TO off",
                 self.schema
             ))
             .map_err(failed("set itself up"))?;
