@@ -1,9 +1,8 @@
-//! Comparing every vector of one list with every vector of another, exactly, at the cost of half
-//! the numbers.
+//! Comparing every vector of one list with every vector of another, exactly, mostly in whole numbers.
 //!
 //! What a rank asks of a similarity is whether it is above, below or equal to another. Vectors are
-//! therefore also held rounded to 16 bits, whose products are summed without further error at
-//! twice the rate of single precision and from half the memory. The rounding is measured, so that the
+//! therefore also held rounded to 16 bits, whose products are summed without further error at up to
+//! one and a half times the rate of single precision and from half the memory. The rounding is measured, so that the
 //! distance of a rounded similarity from the one in single precision has a bound (Cauchy and
 //! Schwarz); the few that come as near to the threshold as that are taken again in single precision.
 //! The ranks are those of single precision, to the last tie. Where nearly all vectors are the same
@@ -22,7 +21,7 @@ const METRIC: &str = "retrieval";
 /// Numbers of a line of rounded vectors: a vector of AVX2.
 const LINE: usize = 16;
 
-/// Gallery rows of a panel, each with two numbers in a line pair.
+/// Gallery vectors of a panel: two vectors of sums.
 const PANEL: usize = 16;
 
 /// Queries whose similarities with a panel are taken together: with two vectors of sums each they
@@ -35,6 +34,10 @@ const BLOCK: usize = 96;
 /// Blocks a thread ranks before it takes a second look, at each vector of the gallery for all of them:
 /// the gallery in single precision is too large to be fetched for each block.
 const BLOCKS_PER_TASK: usize = 4;
+
+/// Pairs that wait for a second look at most, give or take a block: where nearly all are unclear, they would
+/// fill the memory.
+const MOST_UNCLEAR: usize = 1 << 20;
 
 /// Lines of the next panel that a tile looks at, so that the machine fetches it meanwhile.
 const LOOKS: usize = PANEL;
@@ -225,18 +228,21 @@ impl<'a> Pairing<'a> {
             .map(|queries| {
                 let mut places = vec![Place::default(); queries.len()];
                 let mut unclear = Vec::new();
-                for (block, places) in queries.chunks(BLOCK).zip(places.chunks_mut(BLOCK)) {
+                let num_blocks = queries.len().div_ceil(BLOCK);
+                for (index, block) in queries.chunks(BLOCK).enumerate() {
                     on_machine(Sweep {
                         pairing: self,
                         packed: &packed,
                         first: block[0],
-                        places,
+                        places: &mut places[index * BLOCK..][..block.len()],
                         unclear: &mut unclear,
                     });
-                }
-                unclear.sort_unstable();
-                for (other, query) in unclear {
-                    self.look_again(query, other, &mut places[query - queries[0]]);
+                    if unclear.len() > MOST_UNCLEAR || index + 1 == num_blocks {
+                        unclear.sort_unstable();
+                        for (other, query) in unclear.drain(..) {
+                            self.look_again(query, other, &mut places[query - queries[0]]);
+                        }
+                    }
                 }
                 places
             })
@@ -264,7 +270,10 @@ impl<'a> Pairing<'a> {
                 let range = self.unclear(query);
                 let (nearer, unclear) = count(line, range);
                 place.nearer = nearer;
-                if unclear > 0 {
+                if unclear == 1 {
+                    // The query's own, which is always within its range.
+                    place.equal = 1;
+                } else {
                     for (&similarity, &other) in line.iter().zip(indices) {
                         if range.holds(similarity) {
                             self.look_again(query, other, &mut place);
