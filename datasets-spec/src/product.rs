@@ -8,21 +8,26 @@
 //! # Source
 //! Goto and van de Geijn 2008, Anatomy of high-performance matrix multiplication.
 
+use std::cell::Cell;
+use std::ops::Range;
+
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+
+use crate::lanes::{Aligned, fetch, transpose};
 
 /// Columns of a panel: two vectors of AVX2, one of AVX-512.
 const PANEL: usize = 16;
 
 /// Terms summed before a tile of the result is written: so many rows of a panel fill a first-level
 /// cache. Writing tiles costs more than reading panels from the cache below it.
-const DEPTH: usize = 512;
+const DEPTH: usize = 576;
 
 /// Most rows of the left factor that a task packs at a time: together they stay in the second-level
 /// cache.
 const BLOCK_ROWS: usize = 96;
 
-/// Terms between two looks at the panel that comes next.
+/// Terms after which a tile asks for lines of the panels that come next.
 const LOOK_AHEAD: usize = 4;
 
 /// A view of a matrix: row-major numbers or their transpose.
@@ -65,11 +70,14 @@ impl<'a> Matrix<'a> {
     }
 }
 
+/// A line of a panel.
+type Line = Aligned<[f32; PANEL]>;
+
 /// A matrix packed as the right factor of products.
 #[derive(Clone, Debug)]
 pub struct Packed {
     /// Panel after panel, each `rows` times 16 numbers; missing columns are zero.
-    panels: Vec<[f32; PANEL]>,
+    panels: Vec<Line>,
     rows: usize,
     columns: usize,
 }
@@ -78,7 +86,7 @@ impl Packed {
     /// Packs a matrix.
     pub fn new(matrix: Matrix<'_>) -> Self {
         let (rows, columns) = (matrix.rows, matrix.columns);
-        let mut panels = vec![[0.0; PANEL]; rows * columns.div_ceil(PANEL)];
+        let mut panels = vec![Aligned([0.0; PANEL]); rows * columns.div_ceil(PANEL)];
         panels
             .par_chunks_exact_mut(rows.max(1))
             .enumerate()
@@ -86,16 +94,21 @@ impl Packed {
                 let first = panel * PANEL;
                 let width = PANEL.min(columns - first);
                 if matrix.is_transposed {
-                    for column in 0..width {
-                        let source = &matrix.values[(first + column) * rows..][..rows];
-                        for (line, &value) in packed.iter_mut().zip(source) {
-                            line[column] = value;
+                    let source = |column: usize| &matrix.values[(first + column) * rows..][..rows];
+                    let whole = width - width % 4;
+                    for column in (0..whole).step_by(4) {
+                        let four = [0, 1, 2, 3].map(|next| source(column + next));
+                        interleave(four, column, packed, |line| &mut line.0);
+                    }
+                    for column in whole..width {
+                        for (line, &value) in packed.iter_mut().zip(source(column)) {
+                            line.0[column] = value;
                         }
                     }
                 } else {
-                    for (line, source) in packed.iter_mut().zip(matrix.values.chunks_exact(columns))
-                    {
-                        line[..width].copy_from_slice(&source[first..][..width]);
+                    let sources = matrix.values.chunks_exact(columns);
+                    for (line, source) in packed.iter_mut().zip(sources) {
+                        copy(&mut line.0, &source[first..][..width]);
                     }
                 }
             });
@@ -149,6 +162,11 @@ pub fn multiply(a: Matrix<'_>, b: &Packed, out: &mut [f32], write: Write) {
         });
 }
 
+thread_local! {
+    /// Where rows of the left factor are packed. It is kept from one product to the next.
+    static ROOM: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
+}
+
 /// Rows of a product, the work of one task.
 struct Block<'a> {
     a: Matrix<'a>,
@@ -163,81 +181,112 @@ impl WithSimd for Block<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // Twelve sums of a vector each hide the latency of the multiply-add.
+        // Twelve sums of a vector each hide the latency of the multiply-add. AVX-512 has registers for
+        // twice as many, without which reading the factors would take longer than multiplying them.
         match S::F32_LANES {
-            16 => self.run::<S, 12, 4>(simd),
-            8 => self.run::<S, 6, 4>(simd),
-            4 => self.run::<S, 3, 3>(simd),
-            _ => self.run::<S, 1, 1>(simd),
+            16 => self.run::<S, 12, 4, 2>(simd),
+            8 => self.run::<S, 6, 4, 1>(simd),
+            4 => self.run::<S, 3, 3, 1>(simd),
+            _ => self.run::<S, 1, 1, 1>(simd),
         }
     }
 }
 
 impl Block<'_> {
     /// `FEW` is the height of a cheaper tile for the last rows, of which there are 4 in the two
-    /// windows of a guided step.
+    /// windows of a guided step; `PANELS` are multiplied together.
     #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const FEW: usize>(self, simd: S) {
-        let Self {
-            a,
-            b,
-            first_row,
-            out,
-            write,
-        } = self;
-        let num_rows = out.len() / b.columns;
+    fn run<S: Simd, const ROWS: usize, const FEW: usize, const PANELS: usize>(mut self, simd: S) {
+        let num_rows = self.out.len() / self.b.columns;
         // Equal parts: a short last one would write every tile again for little.
-        let most = b.rows.div_ceil(b.rows.div_ceil(DEPTH).max(1)).max(1);
-        let mut packed = vec![[0.0f32; ROWS]; num_rows.div_ceil(ROWS) * most];
-        for start in (0..b.rows).step_by(most) {
-            let depth = most.min(b.rows - start);
-            let strips = num_rows.div_ceil(ROWS);
-            for strip in 0..strips {
+        let depth = self.b.rows;
+        let most = depth.div_ceil(depth.div_ceil(DEPTH).max(1)).max(1);
+        let mut room = ROOM.take();
+        room.resize(num_rows.div_ceil(ROWS) * ROWS * most, 0.0);
+        let (packed, _) = room.as_chunks_mut::<ROWS>();
+        let num_panels = self.b.columns.div_ceil(PANEL);
+        for start in (0..depth).step_by(most) {
+            let end = depth.min(start + most);
+            let strips = packed.chunks_exact_mut(end - start).enumerate();
+            for (strip, packed) in strips.take(num_rows.div_ceil(ROWS)) {
                 let first = strip * ROWS;
                 let height = ROWS.min(num_rows - first);
-                let packed = &mut packed[strip * depth..][..depth];
-                pack_strip(a, first_row + first, height, start, packed);
+                pack_strip(self.a, self.first_row + first, height, start, packed);
             }
-            let is_first = start == 0 && write == Write::Replace;
-            for (panel, lines) in b.panels.chunks_exact(b.rows).enumerate() {
-                let lines = &lines[start..start + depth];
-                let first_column = panel * PANEL;
-                let width = PANEL.min(b.columns - first_column);
-                // A weight comes from main memory, slower than a tile is summed but not slower than
-                // all tiles of a panel. Each tile therefore looks at some lines of the next panel,
-                // which sets the machine to fetching it.
-                let next = b.panels.get((panel + 1) * b.rows + start..).unwrap_or(&[]);
-                let mut looks = next[..next.len().min(depth)].chunks(depth.div_ceil(LOOK_AHEAD));
-                for strip in 0..strips {
-                    let first = strip * ROWS;
-                    let height = ROWS.min(num_rows - first);
-                    let strip = &packed[strip * depth..][..depth];
-                    let looks = looks.next().unwrap_or(&[]);
-                    // Each in a function of its own: where a tile was part of this one, its sums have
-                    // been seen in memory in place of registers, at a third of the speed, depending on
-                    // what else was compiled.
-                    let sums = if height <= FEW {
-                        simd.vectorize(Tile::<ROWS, FEW> {
-                            a: strip,
-                            b: lines,
-                            looks,
-                        })
+            let together = num_panels - num_panels % PANELS;
+            for panel in (0..together).step_by(PANELS) {
+                self.pass::<S, ROWS, FEW, PANELS>(simd, packed, start..end, panel);
+            }
+            for panel in together..num_panels {
+                self.pass::<S, ROWS, FEW, 1>(simd, packed, start..end, panel);
+            }
+        }
+        ROOM.set(room);
+    }
+
+    /// Multiplies all strips with some panels.
+    #[inline(always)]
+    fn pass<S: Simd, const ROWS: usize, const FEW: usize, const PANELS: usize>(
+        &mut self,
+        simd: S,
+        packed: &[[f32; ROWS]],
+        terms: Range<usize>,
+        panel: usize,
+    ) {
+        let Self { b, out, write, .. } = self;
+        let num_rows = out.len() / b.columns;
+        let lines = |panel: usize| {
+            let lines = b.panels.get(panel * b.rows..).unwrap_or(&[]);
+            lines.get(terms.clone()).unwrap_or(&[])
+        };
+        let panels: [_; PANELS] = std::array::from_fn(|at| lines(panel + at));
+        // A weight comes from main memory, slower than a tile is summed but not slower than all tiles
+        // of a panel. So each tile asks for some lines of the panels that come next.
+        let depth = terms.len();
+        let at_a_time = LOOK_AHEAD.div_ceil(num_rows.div_ceil(ROWS));
+        let part = depth.div_ceil(LOOK_AHEAD) * at_a_time;
+        let is_first = terms.start == 0 && *write == Write::Replace;
+        let strips = packed.chunks_exact(depth).zip((0..num_rows).step_by(ROWS));
+        for (strip, (a, first)) in strips.enumerate() {
+            let height = ROWS.min(num_rows - first);
+            for row in first..first + height {
+                for at in 0..PANELS {
+                    fetch(out, row * b.columns + (panel + at) * PANEL);
+                }
+            }
+            let next: [_; PANELS] = std::array::from_fn(|at| {
+                let lines = lines(panel + PANELS + at);
+                lines.get(strip * part..).unwrap_or(&[])
+            });
+            // Each in a function of its own: where a tile was part of this one, its sums have been
+            // seen in memory in place of registers, at a third of the speed, depending on what else
+            // was compiled.
+            let sums = if height <= FEW {
+                simd.vectorize(Tile::<ROWS, FEW, PANELS> {
+                    a,
+                    panels,
+                    next,
+                    at_a_time,
+                })
+            } else {
+                simd.vectorize(Tile::<ROWS, ROWS, PANELS> {
+                    a,
+                    panels,
+                    next,
+                    at_a_time,
+                })
+            };
+            for (row, sums) in sums.iter().enumerate().take(height) {
+                for (at, sums) in sums.iter().enumerate() {
+                    let first_column = (panel + at) * PANEL;
+                    let width = PANEL.min(b.columns - first_column);
+                    let at = (first + row) * b.columns + first_column;
+                    let out = &mut out[at..at + width];
+                    // A whole line has a length known in advance and is a few vectors.
+                    if let Ok(out) = <&mut [f32; PANEL]>::try_from(&mut *out) {
+                        put(out, sums, is_first);
                     } else {
-                        simd.vectorize(Tile::<ROWS, ROWS> {
-                            a: strip,
-                            b: lines,
-                            looks,
-                        })
-                    };
-                    for (row, sums) in sums.iter().enumerate().take(height) {
-                        let at = (first + row) * b.columns + first_column;
-                        let out = &mut out[at..at + width];
-                        // A whole line has a length known in advance and is a few vectors.
-                        if let Ok(out) = <&mut [f32; PANEL]>::try_from(&mut *out) {
-                            put(out, sums, is_first);
-                        } else {
-                            put(out, sums, is_first);
-                        }
+                        put(out, sums, is_first);
                     }
                 }
             }
@@ -257,22 +306,60 @@ fn pack_strip<const ROWS: usize>(
     if a.is_transposed {
         let lines = a.values.chunks_exact(a.rows).skip(start);
         for (packed, line) in packed.iter_mut().zip(lines) {
-            let line = &line[first_row..first_row + height];
-            *packed = [0.0; ROWS];
-            packed[..height].copy_from_slice(line);
+            copy(packed, &line[first_row..first_row + height]);
         }
     } else {
-        for row in 0..ROWS {
-            if row < height {
-                let line = &a.values[(first_row + row) * a.columns + start..][..packed.len()];
-                for (packed, &value) in packed.iter_mut().zip(line) {
-                    packed[row] = value;
-                }
-            } else {
-                for packed in packed.iter_mut() {
-                    packed[row] = 0.0;
-                }
+        let depth = packed.len();
+        let line = |row: usize| &a.values[(first_row + row) * a.columns + start..][..depth];
+        let mut row = 0;
+        while row < ROWS {
+            if row + 4 <= height {
+                let four = [line(row), line(row + 1), line(row + 2), line(row + 3)];
+                interleave(four, row, packed, |line| line);
+                row += 4;
+                continue;
             }
+            let line = if row < height { line(row) } else { &[] };
+            let values = line.iter().copied().chain(std::iter::repeat(0.0));
+            for (packed, value) in packed.iter_mut().zip(values) {
+                packed[row] = value;
+            }
+            row += 1;
+        }
+    }
+}
+
+/// Copies numbers, of which there may be fewer than there is room for; the rest is zero.
+#[inline(always)]
+fn copy<const N: usize>(to: &mut [f32; N], from: &[f32]) {
+    // A length known in advance is a few vectors, another one a call.
+    if let Ok(whole) = <&[f32; N]>::try_from(from) {
+        *to = *whole;
+    } else {
+        *to = [0.0; N];
+        to[..from.len()].copy_from_slice(from);
+    }
+}
+
+/// Writes four lists side by side, number by number: the first at `place` of every line.
+#[inline(always)]
+fn interleave<L, const N: usize>(
+    lists: [&[f32]; 4],
+    place: usize,
+    lines: &mut [L],
+    numbers: impl Fn(&mut L) -> &mut [f32; N],
+) {
+    let (blocks, rest) = lines.as_chunks_mut::<4>();
+    let done = 4 * blocks.len();
+    let [a, b, c, d] = lists.map(|list| list.as_chunks::<4>().0);
+    for ((((block, a), b), c), d) in blocks.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+        for (line, four) in block.iter_mut().zip(transpose([*a, *b, *c, *d])) {
+            numbers(line)[place..place + 4].copy_from_slice(&four);
+        }
+    }
+    for (at, line) in rest.iter_mut().enumerate() {
+        for (number, list) in numbers(line)[place..].iter_mut().zip(lists) {
+            *number = list[done + at];
         }
     }
 }
@@ -289,16 +376,20 @@ fn put(out: &mut [f32], sums: &[f32; PANEL], is_first: bool) {
     }
 }
 
-/// The product of the first `USED` rows of a strip and a panel.
-struct Tile<'a, const ROWS: usize, const USED: usize> {
+/// The products of the first `USED` rows of a strip and some panels.
+struct Tile<'a, const ROWS: usize, const USED: usize, const PANELS: usize> {
     a: &'a [[f32; ROWS]],
-    b: &'a [[f32; PANEL]],
-    /// Lines to look at on the way.
-    looks: &'a [[f32; PANEL]],
+    panels: [&'a [Line]; PANELS],
+    /// Lines to ask for on the way.
+    next: [&'a [Line]; PANELS],
+    /// So many of each panel after every [`LOOK_AHEAD`] terms.
+    at_a_time: usize,
 }
 
-impl<const ROWS: usize, const USED: usize> WithSimd for Tile<'_, ROWS, USED> {
-    type Output = [[f32; PANEL]; ROWS];
+impl<const ROWS: usize, const USED: usize, const PANELS: usize> WithSimd
+    for Tile<'_, ROWS, USED, PANELS>
+{
+    type Output = [[[f32; PANEL]; PANELS]; ROWS];
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
@@ -311,46 +402,64 @@ impl<const ROWS: usize, const USED: usize> WithSimd for Tile<'_, ROWS, USED> {
     }
 }
 
-impl<const ROWS: usize, const USED: usize> Tile<'_, ROWS, USED> {
+impl<const ROWS: usize, const USED: usize, const PANELS: usize> Tile<'_, ROWS, USED, PANELS> {
     #[inline(always)]
-    fn sums<S: Simd, const VECTORS: usize>(self, simd: S) -> [[f32; PANEL]; ROWS] {
-        let mut sums = [[simd.splat_f32s(0.0); VECTORS]; USED];
+    fn sums<S: Simd, const VECTORS: usize>(self, simd: S) -> [[[f32; PANEL]; PANELS]; ROWS] {
+        let mut sums = [[[simd.splat_f32s(0.0); VECTORS]; PANELS]; USED];
+        let depth = self.a.len();
+        let panels = self.panels.map(|panel| &panel[..depth]);
         // Blocks of a length known in advance become straight code.
         let (a, a_rest) = self.a.as_chunks::<LOOK_AHEAD>();
-        let (b, b_rest) = self.b.as_chunks::<LOOK_AHEAD>();
-        let mut looks = self.looks.iter();
-        for (a, b) in a.iter().zip(b) {
-            if let Some(line) = looks.next() {
-                std::hint::black_box(line[0]);
+        for (block, a) in a.iter().enumerate() {
+            let first = block * LOOK_AHEAD;
+            for line in block * self.at_a_time..(block + 1) * self.at_a_time {
+                for next in self.next {
+                    fetch(next, line);
+                }
             }
-            for (a, b) in a.iter().zip(b) {
-                sums = with_term(simd, sums, a, b);
+            let panels: [&[_; LOOK_AHEAD]; PANELS] = panels.map(|panel| {
+                let lines = panel[first..].first_chunk();
+                lines.expect("panels are as deep as strips")
+            });
+            for (at, a) in a.iter().enumerate() {
+                sums = with_term(simd, sums, a, panels.map(|panel| &panel[at]));
             }
         }
-        for (a, b) in a_rest.iter().zip(b_rest) {
-            sums = with_term(simd, sums, a, b);
+        for (at, a) in a_rest.iter().enumerate() {
+            let at = depth - a_rest.len() + at;
+            sums = with_term(simd, sums, a, panels.map(|panel| &panel[at]));
         }
-        let mut lines = [[0.0; PANEL]; ROWS];
-        for (line, sums) in lines.iter_mut().zip(sums) {
-            S::as_mut_simd_f32s(line).0.copy_from_slice(&sums);
+        let mut lines = [[[0.0; PANEL]; PANELS]; ROWS];
+        for (lines, sums) in lines.iter_mut().zip(sums) {
+            for (line, sums) in lines.iter_mut().zip(sums) {
+                S::as_mut_simd_f32s(line).0.copy_from_slice(&sums);
+            }
         }
         lines
     }
 }
 
-/// Sums with the terms of one line added.
+/// Sums with the terms of one line of each panel added.
 #[inline(always)]
-fn with_term<S: Simd, const VECTORS: usize, const ROWS: usize, const USED: usize>(
+fn with_term<
+    S: Simd,
+    const VECTORS: usize,
+    const ROWS: usize,
+    const USED: usize,
+    const PANELS: usize,
+>(
     simd: S,
-    mut sums: [[S::f32s; VECTORS]; USED],
+    mut sums: [[[S::f32s; VECTORS]; PANELS]; USED],
     a: &[f32; ROWS],
-    b: &[f32; PANEL],
-) -> [[S::f32s; VECTORS]; USED] {
-    let (line, _) = S::as_simd_f32s(b);
+    b: [&Line; PANELS],
+) -> [[[S::f32s; VECTORS]; PANELS]; USED] {
     for (sums, &factor) in sums.iter_mut().zip(a) {
         let factor = simd.splat_f32s(factor);
-        for vector in 0..VECTORS {
-            sums[vector] = simd.mul_add_e_f32s(factor, line[vector], sums[vector]);
+        for (sums, b) in sums.iter_mut().zip(b) {
+            let (line, _) = S::as_simd_f32s(&b.0);
+            for vector in 0..VECTORS {
+                sums[vector] = simd.mul_add_e_f32s(factor, line[vector], sums[vector]);
+            }
         }
     }
     sums
