@@ -15,7 +15,7 @@ use eval::metric::foot_score::{Floor, foot_score};
 use eval::metric::retrieval::{compare, ranks, retrieval, unit_rows};
 use eval::protocol::{Gallery, Protocol};
 use eval::similarity::Rows;
-use glam::DVec3;
+use glam::Vec3;
 use rand::RngExt;
 
 const NUM_LATENTS: usize = 10_000;
@@ -70,10 +70,10 @@ fn galleries_of_32(bencher: Bencher) {
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn foot_score_1m(bencher: Bencher) {
     let mut rng = Seed(3).rng(&["bench", "feet"]);
-    let feet: Vec<[DVec3; 4]> = (0..1_000_000)
+    let feet: Vec<[Vec3; 4]> = (0..1_000_000)
         .map(|_| {
             [(); 4].map(|()| {
-                DVec3::new(
+                Vec3::new(
                     rng.random_range(0.0..0.1),
                     rng.random_range(0.0..0.2),
                     rng.random_range(0.0..0.1),

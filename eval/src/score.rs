@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use datasets_spec::record::{EditRow, ScoreRow};
 use datasets_spec::skeleton::NUM_KEYPOINTS;
 use datasets_spec::{Motion, Progress, Skeleton};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -625,10 +625,10 @@ fn not_a_motion(row: &EditRow, source: datasets_spec::Error) -> Error {
 }
 
 /// The positions the foot score looks at. The first 22 keypoints are the body joints.
-fn feet(keypoints: &[[DVec3; NUM_KEYPOINTS]]) -> Vec<[DVec3; FOOT_JOINTS.len()]> {
+fn feet(keypoints: &[[DVec3; NUM_KEYPOINTS]]) -> Vec<[Vec3; FOOT_JOINTS.len()]> {
     keypoints
         .iter()
-        .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()]))
+        .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()].as_vec3()))
         .collect()
 }
 

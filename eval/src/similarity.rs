@@ -10,7 +10,9 @@
 
 use std::borrow::Cow;
 
-use pulp::{Arch, NullaryFnOnce, Simd, WithSimd, i16x16, i32x8};
+use datasets_spec::lanes::fetch;
+use pulp::bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -18,15 +20,14 @@ use crate::linalg::Matrix;
 
 const METRIC: &str = "retrieval";
 
-/// Numbers of a line of rounded vectors: a vector of AVX2.
-const LINE: usize = 16;
+/// Numbers of a line of rounded vectors: a vector of AVX-512, two of AVX2.
+const LINE: usize = 32;
 
-/// Gallery vectors of a panel: two vectors of sums.
-const PANEL: usize = 16;
+/// Gallery vectors of a panel: a line holds two numbers of each.
+const PANEL: usize = LINE / 2;
 
-/// Queries whose similarities with a panel are taken together: with two vectors of sums each they
-/// fill the registers.
-const STRIP: usize = 6;
+/// Parts in which a dot product in single precision is summed.
+const PARTS: usize = 16;
 
 /// Queries that pass the gallery together: rounded and packed they stay in the second-level cache.
 const BLOCK: usize = 96;
@@ -38,9 +39,6 @@ const BLOCKS_PER_TASK: usize = 4;
 /// Pairs that wait for a second look at most, give or take a block: where nearly all are unclear, they would
 /// fill the memory.
 const MOST_UNCLEAR: usize = 1 << 20;
-
-/// Lines of the next panel that a tile looks at, so that the machine fetches it meanwhile.
-const LOOKS: usize = PANEL;
 
 /// The longest vector of a list has this length once it is rounded.
 const LENGTH: f64 = 32767.0;
@@ -250,16 +248,23 @@ impl<'a> Pairing<'a> {
         tasks.concat()
     }
 
-    /// Where the counterpart of each query of a small gallery stands in it. `room` is used again.
+    /// Where the counterpart of each query of a small gallery stands in it. `next` is the gallery that
+    /// is likely to follow, whose vectors are fetched meanwhile; `room` is used again.
     ///
     /// # Panics
     /// If an index does not exist.
-    pub fn places_within(&self, indices: &[usize], room: &mut Vec<i32>) -> Vec<Place> {
+    pub fn places_within(
+        &self,
+        indices: &[usize],
+        next: &[usize],
+        room: &mut Vec<i32>,
+    ) -> Vec<Place> {
         let size = indices.len();
         room.resize(size * size, 0);
         on_machine(Dots {
             pairing: self,
             indices,
+            next,
             out: room,
         });
         let lines = room.chunks_exact(size.max(1));
@@ -356,7 +361,7 @@ impl WithSimd for Dot<'_> {
             16 => self.run::<S, 1>(simd),
             8 => self.run::<S, 2>(simd),
             4 => self.run::<S, 4>(simd),
-            _ => self.run::<S, LINE>(simd),
+            _ => self.run::<S, PARTS>(simd),
         }
     }
 }
@@ -365,20 +370,20 @@ impl Dot<'_> {
     #[inline(always)]
     fn run<S: Simd, const VECTORS: usize>(self, simd: S) -> f32 {
         let mut sums = [simd.splat_f32s(0.0); VECTORS];
-        let (a, a_rest) = self.0.as_chunks::<LINE>();
-        let (b, b_rest) = self.1.as_chunks::<LINE>();
+        let (a, a_rest) = self.0.as_chunks::<PARTS>();
+        let (b, b_rest) = self.1.as_chunks::<PARTS>();
         for (a, b) in a.iter().zip(b) {
             let ((a, _), (b, _)) = (S::as_simd_f32s(a), S::as_simd_f32s(b));
             for vector in 0..VECTORS {
                 sums[vector] = simd.add_f32s(sums[vector], simd.mul_f32s(a[vector], b[vector]));
             }
         }
-        let mut parts = [0.0; LINE];
+        let mut parts = [0.0; PARTS];
         S::as_mut_simd_f32s(&mut parts).0.copy_from_slice(&sums);
         for ((part, a), b) in parts.iter_mut().zip(a_rest).zip(b_rest) {
             *part += a * b;
         }
-        let mut half = LINE / 2;
+        let mut half = PARTS / 2;
         while half > 0 {
             for part in 0..half {
                 parts[part] += parts[part + half];
@@ -391,10 +396,10 @@ impl Dot<'_> {
 
 /// Panel after panel of a gallery: for each pair of neighbouring numbers, those of 16 vectors.
 /// Vectors that are missing in the last panel are zero.
-fn pack_panels(gallery: &Rows) -> Vec<[i16; 2 * PANEL]> {
+fn pack_panels(gallery: &Rows) -> Vec<[i16; LINE]> {
     let pairs = gallery.lines * LINE / 2;
     let num_rows = gallery.num_rows();
-    let mut packed = vec![[0; 2 * PANEL]; pairs * num_rows.div_ceil(PANEL)];
+    let mut packed = vec![[0; LINE]; pairs * num_rows.div_ceil(PANEL)];
     packed
         .par_chunks_exact_mut(pairs.max(1))
         .enumerate()
@@ -410,29 +415,98 @@ fn pack_panels(gallery: &Rows) -> Vec<[i16; 2 * PANEL]> {
     packed
 }
 
-/// What the kernels ask of a machine.
-trait Machine: Copy {
+/// What the kernels ask of a machine, `VECTORS` of whose registers hold a line.
+trait Machine<const VECTORS: usize>: Copy {
+    /// Numbers of 16 bits in a register.
+    type Numbers: Pod;
+    /// Sums of 32 bits in a register.
+    type Sums: Pod;
+
+    /// The same two numbers again and again.
+    fn pairs(self, pair: [i16; 2]) -> Self::Numbers;
+
     /// Products of numbers in the same place, those of neighbours added.
-    fn products(self, a: i16x16, b: i16x16) -> i32x8;
+    fn products(self, a: Self::Numbers, b: Self::Numbers) -> Self::Sums;
 
     /// Sums of numbers in the same place.
-    fn add(self, a: i32x8, b: i32x8) -> i32x8;
+    fn add(self, a: Self::Sums, b: Self::Sums) -> Self::Sums;
+
+    /// The total of each of four registers.
+    fn totals(self, sums: [Self::Sums; 4]) -> [i32; 4];
 
     /// Runs a function compiled for the machine.
     fn vectorize<F: NullaryFnOnce>(self, function: F) -> F::Output;
 }
 
+/// AVX-512.
+#[cfg(target_arch = "x86_64")]
+impl Machine<1> for pulp::x86::V4 {
+    type Numbers = pulp::i16x32;
+    type Sums = pulp::i32x16;
+
+    #[inline(always)]
+    fn pairs(self, pair: [i16; 2]) -> Self::Numbers {
+        pulp::cast([pair; 16])
+    }
+
+    #[inline(always)]
+    fn products(self, a: Self::Numbers, b: Self::Numbers) -> Self::Sums {
+        self.multiply_wrapping_add_adjacent_i16x32(a, b)
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::Sums, b: Self::Sums) -> Self::Sums {
+        pulp::cast(self.avx512f._mm512_add_epi32(pulp::cast(a), pulp::cast(b)))
+    }
+
+    #[inline(always)]
+    fn totals(self, sums: [Self::Sums; 4]) -> [i32; 4] {
+        let half = |sums: Self::Sums| {
+            let [low, high]: [pulp::i32x8; 2] = pulp::cast(sums);
+            Machine::add(*self, low, high)
+        };
+        Machine::totals(
+            *self,
+            [half(sums[0]), half(sums[1]), half(sums[2]), half(sums[3])],
+        )
+    }
+
+    #[inline(always)]
+    fn vectorize<F: NullaryFnOnce>(self, function: F) -> F::Output {
+        self.vectorize(function)
+    }
+}
+
 /// AVX2.
 #[cfg(target_arch = "x86_64")]
-impl Machine for pulp::x86::V3 {
+impl Machine<2> for pulp::x86::V3 {
+    type Numbers = pulp::i16x16;
+    type Sums = pulp::i32x8;
+
     #[inline(always)]
-    fn products(self, a: i16x16, b: i16x16) -> i32x8 {
+    fn pairs(self, pair: [i16; 2]) -> Self::Numbers {
+        pulp::cast([pair; 8])
+    }
+
+    #[inline(always)]
+    fn products(self, a: Self::Numbers, b: Self::Numbers) -> Self::Sums {
         self.multiply_wrapping_add_adjacent_i16x16(a, b)
     }
 
     #[inline(always)]
-    fn add(self, a: i32x8, b: i32x8) -> i32x8 {
-        self.add_i32s(a, b)
+    fn add(self, a: Self::Sums, b: Self::Sums) -> Self::Sums {
+        pulp::cast(self.avx2._mm256_add_epi32(pulp::cast(a), pulp::cast(b)))
+    }
+
+    #[inline(always)]
+    fn totals(self, sums: [Self::Sums; 4]) -> [i32; 4] {
+        let [a, b, c, d] = sums;
+        // Neighbours added twice leave four totals in either half.
+        let ab = self.avx2._mm256_hadd_epi32(pulp::cast(a), pulp::cast(b));
+        let cd = self.avx2._mm256_hadd_epi32(pulp::cast(c), pulp::cast(d));
+        let [low, high]: [std::arch::x86_64::__m128i; 2] =
+            pulp::cast(self.avx2._mm256_hadd_epi32(ab, cd));
+        pulp::cast(self.sse2._mm_add_epi32(low, high))
     }
 
     #[inline(always)]
@@ -445,21 +519,29 @@ impl Machine for pulp::x86::V3 {
 #[derive(Clone, Copy)]
 struct Plain;
 
-impl Machine for Plain {
+impl Machine<2> for Plain {
+    type Numbers = [i16; 16];
+    type Sums = [i32; 8];
+
     #[inline(always)]
-    fn products(self, a: i16x16, b: i16x16) -> i32x8 {
-        let (a, b): ([i16; LINE], [i16; LINE]) = (pulp::cast(a), pulp::cast(b));
-        let product = |at: usize| i32::from(a[at]) * i32::from(b[at]);
-        let sums: [i32; LINE / 2] =
-            std::array::from_fn(|pair| product(2 * pair) + product(2 * pair + 1));
-        pulp::cast(sums)
+    fn pairs(self, pair: [i16; 2]) -> Self::Numbers {
+        std::array::from_fn(|at| pair[at % 2])
     }
 
     #[inline(always)]
-    fn add(self, a: i32x8, b: i32x8) -> i32x8 {
-        let (a, b): ([i32; LINE / 2], [i32; LINE / 2]) = (pulp::cast(a), pulp::cast(b));
-        let sums: [i32; LINE / 2] = std::array::from_fn(|lane| a[lane] + b[lane]);
-        pulp::cast(sums)
+    fn products(self, a: Self::Numbers, b: Self::Numbers) -> Self::Sums {
+        let product = |at: usize| i32::from(a[at]) * i32::from(b[at]);
+        std::array::from_fn(|pair| product(2 * pair) + product(2 * pair + 1))
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::Sums, b: Self::Sums) -> Self::Sums {
+        std::array::from_fn(|lane| a[lane] + b[lane])
+    }
+
+    #[inline(always)]
+    fn totals(self, sums: [Self::Sums; 4]) -> [i32; 4] {
+        sums.map(|sums| sums.iter().sum())
     }
 
     #[inline(always)]
@@ -472,22 +554,29 @@ impl Machine for Plain {
 trait Job {
     type Output;
 
-    fn run<M: Machine>(self, machine: M) -> Self::Output;
+    /// Works with as many sums of a line as fill the registers: those of `STRIP` queries with a
+    /// panel, or of `SIDE` times `SIDE` pairs of vectors.
+    fn run<M: Machine<VECTORS>, const VECTORS: usize, const STRIP: usize, const SIDE: usize>(
+        self,
+        machine: M,
+    ) -> Self::Output;
 }
 
 /// Does a job with the best instructions there are.
 fn on_machine<J: Job>(job: J) -> J::Output {
     #[cfg(target_arch = "x86_64")]
-    if let Some(machine) = pulp::x86::V3::try_new() {
-        return job.run(machine);
+    if let Some(machine) = pulp::x86::V4::try_new() {
+        return job.run::<_, 1, 12, 4>(machine);
+    } else if let Some(machine) = pulp::x86::V3::try_new() {
+        return job.run::<_, 2, 6, 3>(machine);
     }
-    job.run(Plain)
+    job.run::<_, 2, 6, 3>(Plain)
 }
 
 /// A block of queries against the whole gallery.
 struct Sweep<'a> {
     pairing: &'a Pairing<'a>,
-    packed: &'a [[i16; 2 * PANEL]],
+    packed: &'a [[i16; LINE]],
     first: usize,
     places: &'a mut [Place],
     /// The vectors and queries whose similarity is to be looked at again.
@@ -497,7 +586,10 @@ struct Sweep<'a> {
 impl Job for Sweep<'_> {
     type Output = ();
 
-    fn run<M: Machine>(self, machine: M) -> Self::Output {
+    fn run<M: Machine<VECTORS>, const VECTORS: usize, const STRIP: usize, const SIDE: usize>(
+        self,
+        machine: M,
+    ) {
         let Self {
             pairing: Pairing {
                 queries, gallery, ..
@@ -527,7 +619,8 @@ impl Job for Sweep<'_> {
         for panel in 0..gallery.num_rows().div_ceil(PANEL) {
             let lines = &packed[panel * pairs..][..pairs];
             let next = packed.get((panel + 1) * pairs..).unwrap_or(&[]);
-            let mut looks = next[..next.len().min(pairs)].chunks(LOOKS);
+            let part = pairs.div_ceil(strips.len());
+            let mut parts = next[..next.len().min(pairs)].chunks(part);
             let width = PANEL.min(gallery.num_rows() - panel * PANEL);
             for (index, strip) in strips.iter().enumerate() {
                 let start = index * STRIP;
@@ -538,7 +631,7 @@ impl Job for Sweep<'_> {
                     machine,
                     a: strip,
                     b: lines,
-                    looks: looks.next().unwrap_or(&[]),
+                    next: parts.next().unwrap_or(&[]),
                     ranges: own,
                 });
                 for row in 0..height {
@@ -562,42 +655,45 @@ impl Job for Sweep<'_> {
 
 /// The similarities of a strip of queries with a panel, and how many of each are above and in its
 /// range.
-struct Tile<'a, M> {
+struct Tile<'a, M, const VECTORS: usize, const STRIP: usize> {
     machine: M,
     a: &'a [[[i16; 2]; STRIP]],
-    b: &'a [[i16; 2 * PANEL]],
-    looks: &'a [[i16; 2 * PANEL]],
+    b: &'a [[i16; LINE]],
+    /// Lines of the next panel, to be fetched meanwhile.
+    next: &'a [[i16; LINE]],
     ranges: [Range; STRIP],
 }
 
-struct TileSums {
+struct TileSums<const STRIP: usize> {
     similarities: [[i32; PANEL]; STRIP],
     counts: [(u32, u32); STRIP],
 }
 
-impl<M: Machine> NullaryFnOnce for Tile<'_, M> {
-    type Output = TileSums;
+impl<M: Machine<VECTORS>, const VECTORS: usize, const STRIP: usize> NullaryFnOnce
+    for Tile<'_, M, VECTORS, STRIP>
+{
+    type Output = TileSums<STRIP>;
 
     #[inline(always)]
-    fn call(self) -> TileSums {
+    fn call(self) -> TileSums<STRIP> {
         let machine = self.machine;
-        let mut sums: [[i32x8; 2]; STRIP] = [[pulp::cast([0; LINE / 2]); 2]; STRIP];
-        for line in self.looks {
-            std::hint::black_box(line[0]);
+        let mut sums = [[M::Sums::zeroed(); VECTORS]; STRIP];
+        for at in 0..self.next.len() {
+            fetch(self.next, at);
         }
         for (a, b) in self.a.iter().zip(self.b) {
-            let b: [i16x16; 2] = pulp::cast(*b);
+            let b = vectors::<M, VECTORS>(b);
             for (sums, pair) in sums.iter_mut().zip(a) {
-                let factor: i16x16 = pulp::cast([*pair; LINE / 2]);
-                for vector in 0..2 {
-                    let products = machine.products(factor, b[vector]);
-                    sums[vector] = machine.add(sums[vector], products);
+                let factor = machine.pairs(*pair);
+                for (sum, b) in sums.iter_mut().zip(b) {
+                    *sum = machine.add(*sum, machine.products(factor, b));
                 }
             }
         }
-        let similarities: [[i32; PANEL]; STRIP] = pulp::cast(sums);
+        let mut similarities = [[0; PANEL]; STRIP];
         let mut counts = [(0, 0); STRIP];
         for row in 0..STRIP {
+            similarities[row].copy_from_slice(cast_slice(&sums[row]));
             counts[row] = count(&similarities[row], self.ranges[row]);
         }
         TileSums {
@@ -607,34 +703,56 @@ impl<M: Machine> NullaryFnOnce for Tile<'_, M> {
     }
 }
 
+/// A line in registers.
+#[inline(always)]
+fn vectors<M: Machine<VECTORS>, const VECTORS: usize>(line: &[i16; LINE]) -> [M::Numbers; VECTORS] {
+    let mut vectors = [M::Numbers::zeroed(); VECTORS];
+    cast_slice_mut(&mut vectors).copy_from_slice(line);
+    vectors
+}
+
 /// The rounded similarities of some queries with their counterparts, a line for each.
 struct Dots<'a> {
     pairing: &'a Pairing<'a>,
     indices: &'a [usize],
+    /// Those that follow.
+    next: &'a [usize],
     out: &'a mut [i32],
 }
 
 impl Job for Dots<'_> {
     type Output = ();
 
-    /// Nine products at a time share what they read: three vectors of each list.
-    fn run<M: Machine>(self, machine: M) {
+    /// The products of some vectors of each list are taken together, as they share what they read.
+    fn run<M: Machine<VECTORS>, const VECTORS: usize, const STRIP: usize, const SIDE: usize>(
+        self,
+        machine: M,
+    ) {
         let size = self.indices.len();
         let last = size.saturating_sub(1);
-        for first in (0..size).step_by(3) {
-            for start in (0..size).step_by(3) {
+        let (queries, gallery) = (&self.pairing.queries, &self.pairing.gallery);
+        let tiles = size.div_ceil(SIDE).pow(2);
+        let to_fetch = 2 * self.next.len();
+        let mut rows = self.next.iter().flat_map(|&index| {
+            [queries, gallery].map(|rows| rows.rounded.get(index * rows.lines..).unwrap_or(&[]))
+        });
+        for first in (0..size).step_by(SIDE) {
+            for start in (0..size).step_by(SIDE) {
+                for row in rows.by_ref().take(to_fetch.div_ceil(tiles)) {
+                    for line in 0..queries.lines {
+                        fetch(row, line);
+                    }
+                }
                 // At an edge the last vector stands in for those that are missing.
                 let at = |place: usize| self.indices[place.min(last)];
-                let query = |next| self.pairing.queries.rounded(at(first + next));
-                let other = |next| self.pairing.gallery.rounded(at(start + next));
-                let sums = machine.vectorize(Nine {
+                let sums = machine.vectorize(Square::<M, VECTORS, SIDE> {
                     machine,
-                    a: [query(0), query(1), query(2)],
-                    b: [other(0), other(1), other(2)],
+                    a: std::array::from_fn(|row| queries.rounded(at(first + row))),
+                    b: std::array::from_fn(|row| gallery.rounded(at(start + row))),
                 });
                 for (row, sums) in sums.iter().enumerate().take(size - first) {
                     let at = (first + row) * size + start;
-                    let width = 3.min(size - start);
+                    let width = SIDE.min(size - start);
                     self.out[at..at + width].copy_from_slice(&sums[..width]);
                 }
             }
@@ -642,38 +760,48 @@ impl Job for Dots<'_> {
     }
 }
 
-struct Nine<'a, M> {
+/// The products of all pairs of some vectors of one length, `SIDE` of each list, of which there are four
+/// at most.
+struct Square<'a, M, const VECTORS: usize, const SIDE: usize> {
     machine: M,
-    a: [&'a [[i16; LINE]]; 3],
-    b: [&'a [[i16; LINE]]; 3],
+    a: [&'a [[i16; LINE]]; SIDE],
+    b: [&'a [[i16; LINE]]; SIDE],
 }
 
-impl<M: Machine> NullaryFnOnce for Nine<'_, M> {
-    type Output = [[i32; 3]; 3];
+impl<M: Machine<VECTORS>, const VECTORS: usize, const SIDE: usize> NullaryFnOnce
+    for Square<'_, M, VECTORS, SIDE>
+{
+    type Output = [[i32; 4]; SIDE];
 
     #[inline(always)]
     fn call(self) -> Self::Output {
         let machine = self.machine;
-        let mut sums: [[i32x8; 3]; 3] = [[pulp::cast([0; LINE / 2]); 3]; 3];
-        let ([a0, a1, a2], [b0, b1, b2]) = (self.a, self.b);
-        let (a, b) = (a0.iter().zip(a1).zip(a2), b0.iter().zip(b1).zip(b2));
-        for (((a0, a1), a2), ((b0, b1), b2)) in a.zip(b) {
-            let b: [i16x16; 3] = [pulp::cast(*b0), pulp::cast(*b1), pulp::cast(*b2)];
-            for (sums, a) in sums.iter_mut().zip([*a0, *a1, *a2]) {
-                let a: i16x16 = pulp::cast(a);
-                for (sum, b) in sums.iter_mut().zip(b) {
-                    *sum = machine.add(*sum, machine.products(a, b));
+        let mut sums = [[M::Sums::zeroed(); 4]; SIDE];
+        let lines = self.a[0].len();
+        let (mut a, mut b) = (self.a, self.b);
+        for at in 0..SIDE {
+            a[at] = &a[at][..lines];
+            b[at] = &b[at][..lines];
+        }
+        for line in 0..lines {
+            let mut right = [[M::Numbers::zeroed(); VECTORS]; SIDE];
+            for (vectors_of, b) in right.iter_mut().zip(b) {
+                *vectors_of = vectors::<M, VECTORS>(&b[line]);
+            }
+            for (sums, a) in sums.iter_mut().zip(a) {
+                let left = vectors::<M, VECTORS>(&a[line]);
+                for (sum, right) in sums.iter_mut().zip(&right) {
+                    for (left, right) in left.iter().zip(right) {
+                        *sum = machine.add(*sum, machine.products(*left, *right));
+                    }
                 }
             }
         }
-        let mut found = [[0; 3]; 3];
-        for (found, sums) in found.iter_mut().zip(sums) {
-            for (found, sum) in found.iter_mut().zip(sums) {
-                let parts: [i32; LINE / 2] = pulp::cast(sum);
-                *found = parts.iter().sum();
-            }
+        let mut totals = [[0; 4]; SIDE];
+        for (totals, sums) in totals.iter_mut().zip(sums) {
+            *totals = machine.totals(sums);
         }
-        found
+        totals
     }
 }
 
@@ -707,7 +835,10 @@ mod tests {
         let expected = places_by_definition(&queries, &gallery);
         assert_eq!(pairing.places(), expected);
         let all: Vec<usize> = (0..pairing.len()).collect();
-        assert_eq!(pairing.places_within(&all, &mut Vec::new()), expected);
+        assert_eq!(
+            pairing.places_within(&all, &all[..all.len() / 2], &mut Vec::new()),
+            expected
+        );
         let turned: Vec<usize> = all.iter().rev().copied().collect();
         let backwards: Vec<Place> = expected.into_iter().rev().collect();
         assert_eq!(pairing.select(&turned).places(), backwards);
@@ -788,6 +919,7 @@ mod tests {
             let dots = Dots {
                 pairing: &pairing,
                 indices: &indices,
+                next: &indices,
                 out: &mut out,
             };
             let sweep = Sweep {
@@ -801,8 +933,8 @@ mod tests {
                 on_machine(dots);
                 on_machine(sweep);
             } else {
-                dots.run(Plain);
-                sweep.run(Plain);
+                dots.run::<_, 2, 6, 3>(Plain);
+                sweep.run::<_, 2, 6, 3>(Plain);
             }
             (out, places, unclear)
         };

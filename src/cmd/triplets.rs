@@ -119,7 +119,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
                 let feet: Vec<[_; 4]> = skeleton
                     .points_of_frames::<12>(motion, 0..motion.len())
                     .iter()
-                    .map(|joints| [7, 8, 10, 11].map(|foot| joints[foot]))
+                    .map(|joints| [7, 8, 10, 11].map(|foot| joints[foot].as_vec3()))
                     .collect();
                 foot_score(&feet, motion.fps(), Floor::At(0.0))
             })

@@ -260,9 +260,11 @@ pub(crate) fn gallery_ranks(
     }
     Ok(galleries
         .par_iter()
-        .map_init(Vec::new, |room, indices| {
+        .enumerate()
+        .map_init(Vec::new, |room, (at, indices)| {
             let places = if indices.len() <= SMALL_GALLERY {
-                pairing.places_within(indices, room)
+                let next = galleries.get(at + 1).map_or(&[][..], Vec::as_slice);
+                pairing.places_within(indices, next, room)
             } else {
                 pairing.select(indices).places()
             };
