@@ -6,7 +6,7 @@
 use std::hint::black_box;
 
 use burn::module::Module;
-use burn::optim::{AdamWConfig, GradientsParams};
+use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor};
 use datasets_spec::Seed;
 use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
@@ -18,6 +18,7 @@ use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::{Prediction, Schedule, ScheduleName, training_loss};
 use train::model::denoiser::Denoiser;
 use train::model::weights::draw;
+use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 
 /// Windows in a training step.
@@ -73,7 +74,7 @@ fn training_step(bencher: Bencher, dropout: f64) {
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let text = normal([BATCH, 512], &device);
     let mut model = Some(denoiser(dropout, &device));
-    let mut optimizer = AdamWConfig::new().with_weight_decay(0.01).init();
+    let mut optimizer = adamw(0.01);
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
         let network = model.take().expect("put back after every step");
         let loss = training_loss(&network, &schedule, &batch, text.clone(), &diffusion);

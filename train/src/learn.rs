@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
-use burn::optim::{AdamWConfig, GradientsAccumulator, GradientsParams, ModuleOptimizer};
+use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
 use burn::tensor::{Bytes, Device, Tensor, TensorData};
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
@@ -13,14 +13,12 @@ use crate::checkpoint::{self, Files, Run, Slot, take};
 use crate::config::OptimizerConfig;
 use crate::data::prefetch;
 use crate::model::dropout::seeded;
+use crate::optimizer::adamw;
 use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
 const STATE: &str = "state.json";
 const AVERAGE: &str = "average.safetensors";
-
-/// What AdamW adds to the root of the second moment (PyTorch's default).
-const ADAMW_EPSILON: f32 = 1e-8;
 
 /// What is trained: its data, its loss and its files.
 pub(crate) trait Task: Sync {
@@ -174,10 +172,7 @@ pub(crate) fn learn<T: Task>(
 ) -> Result<(T::Model, TrainReport), Error> {
     let run_dir = run.dir();
     let device = session.device.clone().autodiff();
-    let mut optimizer: ModuleOptimizer = AdamWConfig::new()
-        .with_epsilon(ADAMW_EPSILON)
-        .with_weight_decay(course.optimizer.weight_decay as f32)
-        .init();
+    let mut optimizer = adamw(course.optimizer.weight_decay);
     let mut state = TrainState::default();
     let mut average = None;
     if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {

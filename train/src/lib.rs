@@ -25,6 +25,7 @@ pub mod j2s;
 mod learn;
 pub mod metrics;
 pub mod model;
+pub mod optimizer;
 pub mod sample;
 mod session;
 pub mod text;

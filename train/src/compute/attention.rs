@@ -1,9 +1,9 @@
 //! Self-attention of short sequences, from the joint projection of queries, keys and values.
 
-use datasets_spec::lanes::{Kernel, vectorised};
+use datasets_spec::lanes::{Kernel, LANES, vectorised};
 use rayon::prelude::*;
 
-use super::rows::{Mask, add_scaled, dot, exp};
+use super::rows::{Mask, exp};
 
 /// Sizes of an attention.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +38,81 @@ impl Heads<'_> {
     }
 }
 
+/// Rows of a small product that are summed together.
+const ROWS: usize = 4;
+
+/// A small matrix with room for whole blocks: rows in fours, and columns in [`LANES`]. What is beyond its size
+/// is zero or never looked at.
+struct Small {
+    values: Vec<f32>,
+    stride: usize,
+}
+
+impl Small {
+    fn new(rows: usize, columns: usize) -> Self {
+        let stride = columns.next_multiple_of(LANES);
+        Self {
+            values: vec![0.0; rows.next_multiple_of(ROWS) * stride],
+            stride,
+        }
+    }
+
+    #[inline(always)]
+    fn row(&self, row: usize) -> &[f32] {
+        &self.values[row * self.stride..][..self.stride]
+    }
+
+    #[inline(always)]
+    fn row_mut(&mut self, row: usize) -> &mut [f32] {
+        &mut self.values[row * self.stride..][..self.stride]
+    }
+
+    /// Takes over rows.
+    #[inline(always)]
+    fn copy<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
+        for (row, from) in rows.enumerate() {
+            self.row_mut(row)[..from.len()].copy_from_slice(from);
+        }
+    }
+
+    /// Takes over the columns of what these are the rows of.
+    #[inline(always)]
+    fn copy_transposed<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
+        for (column, from) in rows.enumerate() {
+            let lines = self.values.chunks_exact_mut(self.stride);
+            for (line, &value) in lines.zip(from) {
+                line[column] = value;
+            }
+        }
+    }
+
+    /// Becomes the product of the first columns of `a`, `depth` of them, and as many rows of `b`.
+    #[inline(always)]
+    fn multiply(&mut self, a: &Self, b: &Self, depth: usize) {
+        let blocks = self.values.chunks_exact_mut(ROWS * self.stride);
+        for (out, a) in blocks.zip(a.values.chunks_exact(ROWS * a.stride)) {
+            for column in (0..self.stride).step_by(LANES) {
+                let mut sums = [[0.0f32; LANES]; ROWS];
+                for at in 0..depth {
+                    let line: &[f32; LANES] = b.values[at * b.stride + column..]
+                        .first_chunk()
+                        .expect("rows are whole blocks");
+                    for (row, sums) in sums.iter_mut().enumerate() {
+                        let factor = a[row * (a.len() / ROWS) + at];
+                        for lane in 0..LANES {
+                            sums[lane] += factor * line[lane];
+                        }
+                    }
+                }
+                for (row, sums) in sums.iter().enumerate() {
+                    let first = row * (out.len() / ROWS) + column;
+                    out[first..first + LANES].copy_from_slice(sums);
+                }
+            }
+        }
+    }
+}
+
 /// Attends: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
 /// before dropout, `[B, heads, T, T]`.
 pub(crate) fn forward(
@@ -69,43 +144,50 @@ pub(crate) fn forward(
             let (head, scale) = (self.heads.head(), self.heads.scale());
             let padding = self.heads.padding_of(self.index);
             let first = self.index * self.heads.weights();
-            self.out.fill(0.0);
+            let (mut queries, mut keys) = (Small::new(length, head), Small::new(head, length));
+            let (mut values, mut scores) = (Small::new(length, head), Small::new(length, length));
+            let mut attended = Small::new(length, head);
             for at in 0..count {
-                let part = |token: usize, part: usize| {
-                    &self.joint[token * 3 * width + part * width + at * head..][..head]
+                let part = |part: usize| {
+                    let first = part * width + at * head;
+                    let rows = self.joint.chunks_exact(3 * width);
+                    rows.map(move |row| &row[first..first + head])
                 };
+                queries.copy(part(0));
+                keys.copy_transposed(part(1));
+                values.copy(part(2));
+                scores.multiply(&queries, &keys, head);
                 for query in 0..length {
-                    let row = (at * length + query) * length;
-                    let weights = &mut self.weights[row..row + length];
-                    let q = part(query, 0);
+                    let scores = &mut scores.row_mut(query)[..length];
                     let mut largest = f32::NEG_INFINITY;
-                    for (key, weight) in weights.iter_mut().enumerate() {
-                        *weight = scale * dot(q, part(key, 1));
+                    for (key, score) in scores.iter_mut().enumerate() {
+                        *score *= scale;
                         if padding.is_some_and(|padding| padding[key]) {
-                            *weight = f32::NEG_INFINITY;
+                            *score = f32::NEG_INFINITY;
                         }
-                        largest = largest.max(*weight);
+                        largest = largest.max(*score);
                     }
-                    for weight in weights.iter_mut() {
+                    for score in scores.iter_mut() {
                         // A key that is padding has no weight at all.
-                        let is_padding = *weight == f32::NEG_INFINITY;
-                        *weight = if is_padding {
-                            0.0
-                        } else {
-                            exp(*weight - largest)
-                        };
+                        let is_padding = *score == f32::NEG_INFINITY;
+                        let weight = exp(*score - largest);
+                        *score = if is_padding { 0.0 } else { weight };
                     }
-                    let scale = weights.iter().sum::<f32>().recip();
-                    let out = &mut self.out[query * width + at * head..][..head];
-                    for (key, weight) in weights.iter_mut().enumerate() {
-                        *weight *= scale;
-                        let kept = if self.mask.is_active() {
-                            *weight * self.mask.factor((first + row + key) as u32)
-                        } else {
-                            *weight
-                        };
-                        add_scaled(out, kept, part(key, 2));
+                    let scale = scores.iter().sum::<f32>().recip();
+                    for score in scores.iter_mut() {
+                        *score *= scale;
                     }
+                    let row = (at * length + query) * length;
+                    self.weights[row..row + length].copy_from_slice(scores);
+                    if self.mask.is_active() {
+                        for (key, score) in scores.iter_mut().enumerate() {
+                            *score *= self.mask.factor((first + row + key) as u32);
+                        }
+                    }
+                }
+                attended.multiply(&scores, &values, length);
+                for (query, row) in self.out.chunks_exact_mut(width).enumerate() {
+                    row[at * head..][..head].copy_from_slice(&attended.row(query)[..head]);
                 }
             }
         }
@@ -158,34 +240,55 @@ pub(crate) fn backward(
             } = self.heads;
             let (head, scale) = (self.heads.head(), self.heads.scale());
             let first = self.index * self.heads.weights();
-            let mut of_weights = vec![0.0f32; length];
+            let tokens = || Small::new(length, head);
+            let pairs = || Small::new(length, length);
+            let (mut queries, mut keys, mut grad) = (tokens(), tokens(), tokens());
+            let mut values = Small::new(head, length);
+            // Gradients of the weights, then of the scores; these and the dropped-out weights by keys.
+            let (mut of_scores, mut by_key, mut dropped) = (pairs(), pairs(), pairs());
+            let mut of_part = tokens();
             for at in 0..count {
-                let place = |token: usize, part: usize| {
-                    let start = token * 3 * width + part * width + at * head;
-                    start..start + head
+                let part = |part: usize| {
+                    let first = part * width + at * head;
+                    let rows = self.joint.chunks_exact(3 * width);
+                    rows.map(move |row| &row[first..first + head])
                 };
+                queries.copy(part(0));
+                keys.copy(part(1));
+                values.copy_transposed(part(2));
+                let rows = self.grad.chunks_exact(width);
+                grad.copy(rows.map(|row| &row[at * head..][..head]));
+                of_scores.multiply(&grad, &values, head);
                 for query in 0..length {
                     let row = (at * length + query) * length;
                     let weights = &self.weights[row..row + length];
-                    let grad = &self.grad[query * width + at * head..][..head];
+                    let of_scores = &mut of_scores.row_mut(query)[..length];
                     let mut along = 0.0;
-                    for (key, of_weight) in of_weights.iter_mut().enumerate() {
-                        let factor = if self.mask.is_active() {
-                            self.mask.factor((first + row + key) as u32)
-                        } else {
-                            1.0
-                        };
-                        *of_weight = factor * dot(grad, &self.joint[place(key, 2)]);
-                        along += *of_weight * weights[key];
-                        let of_value = &mut self.of_joint[place(key, 2)];
-                        add_scaled(of_value, factor * weights[key], grad);
+                    if self.mask.is_active() {
+                        for (key, of_weight) in of_scores.iter_mut().enumerate() {
+                            let factor = self.mask.factor((first + row + key) as u32);
+                            *of_weight *= factor;
+                            dropped.row_mut(key)[query] = factor * weights[key];
+                        }
+                    } else {
+                        for (key, &weight) in weights.iter().enumerate() {
+                            dropped.row_mut(key)[query] = weight;
+                        }
                     }
-                    for (key, of_weight) in of_weights.iter().enumerate() {
-                        let of_score = scale * weights[key] * (of_weight - along);
-                        let of_query = &mut self.of_joint[place(query, 0)];
-                        add_scaled(of_query, of_score, &self.joint[place(key, 1)]);
-                        let of_key = &mut self.of_joint[place(key, 1)];
-                        add_scaled(of_key, of_score, &self.joint[place(query, 0)]);
+                    for (of_weight, weight) in of_scores.iter().zip(weights) {
+                        along += of_weight * weight;
+                    }
+                    for (key, of_score) in of_scores.iter_mut().enumerate() {
+                        *of_score = scale * weights[key] * (*of_score - along);
+                        by_key.row_mut(key)[query] = *of_score;
+                    }
+                }
+                let factors = [(&of_scores, &keys), (&by_key, &queries), (&dropped, &grad)];
+                for (part, (a, b)) in factors.into_iter().enumerate() {
+                    of_part.multiply(a, b, length);
+                    let first = part * width + at * head;
+                    for (token, row) in self.of_joint.chunks_exact_mut(3 * width).enumerate() {
+                        row[first..first + head].copy_from_slice(&of_part.row(token)[..head]);
                     }
                 }
             }
