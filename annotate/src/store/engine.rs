@@ -8,9 +8,10 @@ use serde::Serialize;
 use super::db::{self, Database, Tx, params};
 use super::log::{self, Body, Entry, LoggedTask, Reply};
 use super::{
-    AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, Label, Millis, MotionRecord,
-    NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Store,
-    TaskDetail, TaskRecord, TokenUse, WeekCounts, Who, log_kind, people, project, read,
+    AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
+    MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ReviewDetail,
+    ShelfFilter, Store, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who, log_kind, people,
+    project, read,
 };
 use crate::Error;
 use crate::answer;
@@ -1364,12 +1365,24 @@ impl Store for SqlStore {
         self.read(move |tx| read::labels(tx, after, limit))
     }
 
-    fn accepted(&self, after: i64, limit: usize) -> Result<Vec<AcceptedAnswer>, Error> {
-        self.read(move |tx| read::accepted(tx, after, limit))
+    fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>, Error> {
+        let after = after.to_owned();
+        self.read(move |tx| read::next_keys(tx, after, count))
     }
 
-    fn rejects(&self) -> Result<Vec<Reject>, Error> {
-        self.read(read::rejects)
+    fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::labels_of(tx, &keys))
+    }
+
+    fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::accepted(tx, &keys))
+    }
+
+    fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::rejects(tx, &keys))
     }
 
     fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>, Error> {

@@ -230,6 +230,15 @@ pub struct ReviewDetail {
     pub comments: Vec<String>,
 }
 
+/// Tasks whose keys are above one and not above another, by their bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KeyRange {
+    /// The key before the first.
+    pub after: String,
+    /// The last key.
+    pub up_to: String,
+}
+
 /// An answer with its task, for figures and exports.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
@@ -512,16 +521,26 @@ pub trait Store: Send + Sync {
     /// # Errors
     /// The store fails.
     fn labels(&self, after: i64, limit: usize) -> Result<Vec<Label>, Error>;
-    /// Accepted answers by task, after a task, so many at a time.
+    /// The keys of the tasks that follow a key, so many of them; none after the last.
     ///
     /// # Errors
     /// The store fails.
-    fn accepted(&self, after: i64, limit: usize) -> Result<Vec<AcceptedAnswer>, Error>;
-    /// Tasks that were dropped or skipped: with who, why and when.
+    fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>, Error>;
+    /// Answers handed in to some tasks, with the task, by its key and by author.
     ///
     /// # Errors
     /// The store fails.
-    fn rejects(&self) -> Result<Vec<Reject>, Error>;
+    fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>, Error>;
+    /// Accepted answers to some tasks, by the key of their task.
+    ///
+    /// # Errors
+    /// The store fails.
+    fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error>;
+    /// Those of some tasks that were dropped or skipped: with who, why and when.
+    ///
+    /// # Errors
+    /// The store fails.
+    fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>, Error>;
     /// Pairs kept by category and edit type.
     ///
     /// # Errors

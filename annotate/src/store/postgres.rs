@@ -94,7 +94,12 @@ impl Postgres {
             .map_err(&make)?
             .get::<_, i64>(0);
         if there == 0 {
-            tx.batch_execute(SCHEMA).map_err(&make)?;
+            // Keys are ordered by their bytes, whatever the language of the database.
+            let schema = SCHEMA.replace(
+                "key TEXT NOT NULL UNIQUE",
+                "key TEXT COLLATE \"C\" NOT NULL UNIQUE",
+            );
+            tx.batch_execute(&schema).map_err(&make)?;
             tx.batch_execute(TRIGGERS).map_err(&make)?;
             tx.execute("INSERT INTO version (number) VALUES ($1)", &[&VERSION])
                 .map_err(&make)?;

@@ -3,8 +3,8 @@
 use super::db::{Row, Tx, Value, params};
 use super::log::{self, NUM_TASK_COLUMNS};
 use super::{
-    AcceptedAnswer, AuditFilter, BundleEntry, Label, Millis, PersonCounts, Reject, ShelfFilter,
-    TaskDetail, TaskRecord, WeekCounts, people, project,
+    AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
+    ShelfFilter, TaskDetail, TaskRecord, WeekCounts, people, project,
 };
 use crate::Error;
 use crate::state::Purpose;
@@ -237,17 +237,29 @@ fn read_accepted(row: &Row) -> Result<AcceptedAnswer, Error> {
     })
 }
 
-pub(super) fn accepted(
+/// The range of the next keys.
+pub(super) fn next_keys(
     tx: &mut dyn Tx,
-    after: i64,
-    limit: usize,
-) -> Result<Vec<AcceptedAnswer>, Error> {
+    after: String,
+    count: usize,
+) -> Result<Option<KeyRange>, Error> {
+    let last = tx.one(
+        "SELECT MAX(n.key) FROM (SELECT key FROM task WHERE key > ?1 ORDER BY key LIMIT ?2) n",
+        params![after.as_str(), count as i64],
+    )?;
+    let up_to = last
+        .and_then(|row| row.opt_text(0).transpose())
+        .transpose()?;
+    Ok(up_to.map(|up_to| KeyRange { after, up_to }))
+}
+
+pub(super) fn accepted(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
     let sql = format!(
-        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
-         WHERE a.task > ?1 ORDER BY a.task LIMIT ?2",
+        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq FROM task t JOIN accepted a ON a.task = t.id
+         WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key",
         log::TASK_COLUMNS
     );
-    tx.query(&sql, params![after, limit as i64])?
+    tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])?
         .iter()
         .map(read_accepted)
         .collect()
@@ -281,22 +293,51 @@ pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<La
         .collect()
 }
 
-pub(super) fn rejects(tx: &mut dyn Tx) -> Result<Vec<Reject>, Error> {
+pub(super) fn labels_of(
+    tx: &mut dyn Tx,
+    keys: &KeyRange,
+) -> Result<Vec<(TaskRecord, Label)>, Error> {
+    let (task, revision) = (log::TASK_COLUMNS, log::REVISION_COLUMNS);
+    let sql = format!(
+        "SELECT {task}, r.blind, {revision} FROM task t JOIN revision r ON r.task = t.id
+         WHERE r.state <> 'draft' AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author"
+    );
+    tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])?
+        .iter()
+        .map(|row| {
+            let task = log::read_task(row)?;
+            let label = Label {
+                revision: log::read_revision(row, NUM_TASK_COLUMNS + 1)?,
+                task: task.id,
+                kind: task.kind,
+                gold: task.gold.is_some(),
+                category: task.category.clone(),
+                source: task.source.clone(),
+                target: task.target.clone(),
+                split: task.split.clone(),
+                blind: row.flag(NUM_TASK_COLUMNS)?,
+            };
+            Ok((task, label))
+        })
+        .collect()
+}
+
+pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
     let columns = log::TASK_COLUMNS;
     let from = NUM_TASK_COLUMNS;
     let mut all = Vec::new();
     let skipped = format!(
         "SELECT {columns}, s.usr, COALESCE(s.reason, ''), s.note FROM skip s JOIN task t ON t.id = s.task
-         WHERE s.postponed = 0 ORDER BY t.id, s.usr"
+         WHERE s.postponed = 0 AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, s.usr"
     );
     let dropped = format!(
         "SELECT {columns}, v.reviewer, 'dropped', v.comment FROM task t JOIN review v ON v.task = t.id
-         WHERE t.state = 'dropped' AND v.seq = (
+         WHERE t.state = 'dropped' AND t.key > ?1 AND t.key <= ?2 AND v.seq = (
            SELECT MAX(w.seq) FROM review w WHERE w.task = t.id AND w.decision = 'dropped')
-         ORDER BY t.id"
+         ORDER BY t.key"
     );
     for sql in [dropped, skipped] {
-        for row in tx.query(&sql, &[])? {
+        for row in tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])? {
             all.push(Reject {
                 task: log::read_task(&row)?,
                 user: row.opt_int(from)?,

@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, PairRow};
-use datasets_spec::table::{Row, write_rows};
+use datasets_spec::table::{Row, RowWriter};
 use datasets_spec::{Dataset, JointSet, MASK_DEF_VERSION, MotionId, Split};
-use serde::Serialize;
+use serde::ser::{SerializeMap, SerializeSeq};
+use serde::{Serialize, Serializer};
 use serde_json::json;
 
 use super::import::PAIR_SOURCE;
@@ -18,7 +19,7 @@ use super::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
 use crate::Error;
 use crate::answer::mask_of;
 use crate::quality::{Figures, draft_distance};
-use crate::store::{AcceptedAnswer, MotionRecord, Store, TaskRecord};
+use crate::store::{AcceptedAnswer, KeyRange, MotionRecord, Store, TaskRecord};
 use crate::wire::{Answer, Estimate, ExportFormat, Extent, TaskKind, Verdict};
 
 /// Tasks read at a time.
@@ -61,9 +62,13 @@ fn pseudonym(user: i64) -> String {
     }
 }
 
+/// Takes the next row of a table.
+type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
+
 struct Exporter<'a> {
     store: &'a dyn Store,
     splits: &'a [String],
+    /// The motions of the tasks that are looked at.
     motions: BTreeMap<String, MotionRecord>,
     done: Exported,
 }
@@ -74,12 +79,7 @@ impl Exporter<'_> {
     }
 
     /// A motion, which has to be of the split its task says: nothing of a test clip may end up in train.
-    fn motion(&mut self, hash: &str, split: &str) -> Result<MotionRecord, Error> {
-        if !self.motions.contains_key(hash) {
-            for motion in self.store.motions(vec![hash.to_owned()])? {
-                self.motions.insert(motion.hash.clone(), motion);
-            }
-        }
+    fn motion(&self, hash: &str, split: &str) -> Result<&MotionRecord, Error> {
         let motion = self
             .motions
             .get(hash)
@@ -93,33 +93,65 @@ impl Exporter<'_> {
                 ),
             });
         }
-        Ok(motion.clone())
+        Ok(motion)
     }
 
-    fn ids(&mut self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
-        let source = self.motion(&task.source, &task.split)?.id;
+    fn ids(&self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
+        let source = self.motion(&task.source, &task.split)?.id.clone();
         let target = match &task.target {
-            Some(hash) => Some(self.motion(hash, &task.split)?.id),
+            Some(hash) => Some(self.motion(hash, &task.split)?.id.clone()),
             None => None,
         };
         Ok((source, target))
     }
 
-    /// All accepted answers of the splits, by the key of their task.
-    fn accepted(&self) -> Result<Vec<AcceptedAnswer>, Error> {
-        let mut all = Vec::new();
-        let mut after = 0;
-        loop {
-            let some = self.store.accepted(after, BATCH)?;
-            let Some(last) = some.last() else { break };
-            after = last.task.id;
-            all.extend(
-                some.into_iter()
-                    .filter(|answer| self.wanted(&answer.task.split)),
-            );
+    /// Goes through the tasks in the order of their keys, a few at a time, so that memory does not
+    /// grow with their number.
+    fn each_range<E: From<Error>>(
+        &mut self,
+        mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut after = String::new();
+        while let Some(keys) = self.store.next_keys(&after, BATCH)? {
+            each(self, &keys)?;
+            after = keys.up_to;
         }
-        all.sort_by(|a, b| a.task.key.cmp(&b.task.key));
+        Ok(())
+    }
+
+    /// The accepted answers of the splits in a range, by the key of their task.
+    fn accepted(&mut self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
+        let mut all = self.store.accepted(keys)?;
+        all.retain(|answer| self.wanted(&answer.task.split));
+        self.meet(all.iter().map(|answer| &answer.task))?;
         Ok(all)
+    }
+
+    /// Fetches the motions of some tasks at once, and forgets the others.
+    fn meet<'t>(&mut self, tasks: impl Iterator<Item = &'t TaskRecord>) -> Result<(), Error> {
+        let hashes: BTreeSet<&String> = tasks
+            .flat_map(|task| [Some(&task.source), task.target.as_ref()])
+            .flatten()
+            .collect();
+        let found = self.store.motions(hashes.into_iter().cloned().collect())?;
+        self.motions = found
+            .into_iter()
+            .map(|motion| (motion.hash.clone(), motion))
+            .collect();
+        Ok(())
+    }
+
+    /// Goes through the accepted answers of the splits, by the key of their task.
+    fn each_accepted<E: From<Error>>(
+        &mut self,
+        mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.each_range(|exporter, keys| {
+            for accepted in exporter.accepted(keys)? {
+                each(exporter, accepted)?;
+            }
+            Ok(())
+        })
     }
 }
 
@@ -165,134 +197,188 @@ fn write_file(
     std::fs::rename(&temporary, &path).map_err(Error::io("rename", &path))
 }
 
+/// Writes JSON value by value.
+type JsonWriter<'a> =
+    serde_json::Serializer<BufWriter<&'a mut File>, serde_json::ser::PrettyFormatter<'static>>;
+
+/// What goes wrong while JSON is written.
+enum JsonError {
+    Json(serde_json::Error),
+    Other(Error),
+}
+
+impl From<serde_json::Error> for JsonError {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Json(error)
+    }
+}
+
+impl From<Error> for JsonError {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+/// Writes a file of JSON value by value, whole or not at all.
+fn write_json(
+    folder: &Path,
+    name: &str,
+    write: impl FnOnce(&mut JsonWriter<'_>) -> Result<(), JsonError>,
+) -> Result<(), Error> {
+    write_file(folder, name, |file, path| {
+        let mut json = serde_json::Serializer::pretty(BufWriter::new(file));
+        write(&mut json).map_err(|error| match error {
+            JsonError::Json(error) => Error::io("write", path)(error.into()),
+            JsonError::Other(error) => error,
+        })?;
+        let mut file = json.into_inner();
+        file.write_all(b"\n")
+            .and_then(|()| file.flush())
+            .map_err(Error::io("write", path))
+    })
+}
+
 impl Exporter<'_> {
-    fn table<R: Row>(&mut self, folder: &Path, rows: &[R]) -> Result<(), Error> {
+    /// Writes a table row by row.
+    fn table<R: Row>(
+        &mut self,
+        folder: &Path,
+        fill: impl FnOnce(&mut Self, Put<'_, R>) -> Result<(), Error>,
+    ) -> Result<(), Error> {
         let name = format!("{}.parquet", R::TABLE);
         let facts = [
             ("tool", format!("stance {}", env!("CARGO_PKG_VERSION"))),
             ("mask_def_version", MASK_DEF_VERSION.to_string()),
         ];
+        let mut count = 0;
         write_file(folder, &name, |file, path| {
-            write_rows(file, path, rows, &facts)?;
+            let mut writer = RowWriter::new(file, path, &facts)?;
+            fill(self, &mut |row| {
+                count += 1;
+                Ok(writer.push(row)?)
+            })?;
+            writer.finish()?;
             Ok(())
         })?;
-        self.done.count(R::TABLE, rows.len());
+        self.done.count(R::TABLE, count);
         self.done.files.push(name);
         Ok(())
     }
 
-    fn annotations(&mut self) -> Result<Vec<AnnotationRow>, Error> {
-        let mut rows = Vec::new();
-        for accepted in self.accepted()? {
-            let (motion_id, target_id) = self.ids(&accepted.task)?;
-            let task = &accepted.task;
-            let empty = AnnotationRow {
-                task: task.key.clone(),
-                kind: task.kind.to_string(),
-                motion_id,
-                target_id,
-                split: task.split.clone(),
-                category: task.category.clone(),
-                hint: task.hint.clone(),
-                source_style: task.style.clone(),
-                number: 0,
-                count: 1,
-                verdict: None,
-                parts: Vec::new(),
-                hard_joints: Vec::new(),
-                soft_joints: Vec::new(),
-                mask_def_version: MASK_DEF_VERSION,
-                text: String::new(),
-                edit_type: None,
-                style: None,
-                extent: None,
-                count_reason: None,
-                note: String::new(),
-                author: pseudonym(accepted.author),
-                merged: u32::from(accepted.merged),
-                extra: task.extra.as_ref().map(ToString::to_string),
-            };
-            match accepted.answer {
-                Answer::MaskText {
-                    masks,
-                    count_reason,
-                    note,
-                } => {
-                    let base = AnnotationRow {
-                        count: masks.len() as u32,
-                        count_reason: count_reason.map(|reason| reason.to_string()),
-                        note,
-                        ..empty
-                    };
-                    if masks.is_empty() {
-                        rows.push(base.clone());
-                    }
-                    for (number, mask) in masks.into_iter().enumerate() {
-                        let joints = mask_of(&mask.parts, mask.soft);
-                        rows.push(AnnotationRow {
-                            number: number as u32,
-                            hard_joints: JointSet::names(joints.hard()),
-                            soft_joints: JointSet::names(joints.soft()),
-                            parts: mask.parts,
-                            text: mask.text,
-                            ..base.clone()
-                        });
-                    }
-                }
-                Answer::Pair {
-                    verdict,
-                    parts,
-                    edit_type,
-                    text,
-                    note,
-                    ..
-                } => rows.push(AnnotationRow {
-                    verdict: Some(verdict.to_string()),
-                    hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-                    soft_joints: JointSet::names(mask_of(&parts, true).soft()),
-                    parts,
-                    edit_type: edit_type.map(|kind| kind.to_string()),
-                    text,
-                    note,
-                    ..empty
-                }),
-                Answer::Style {
-                    verdict,
-                    parts,
-                    style,
-                    extent,
-                    text,
-                    note,
-                    ..
-                } => rows.push(AnnotationRow {
-                    verdict: Some(verdict.to_string()),
-                    hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-                    soft_joints: JointSet::names(mask_of(&parts, true).soft()),
-                    parts,
-                    style,
-                    extent: extent.map(|extent| extent.to_string()),
-                    text,
-                    note,
-                    ..empty
-                }),
-            }
-        }
-        Ok(rows)
+    fn annotations(&mut self, put: Put<'_, AnnotationRow>) -> Result<(), Error> {
+        self.each_accepted(|exporter, accepted| exporter.annotation(accepted, put))
     }
 
-    fn labels(&mut self) -> Result<Vec<LabelRow>, Error> {
-        let mut rows = Vec::new();
-        let mut after = 0;
-        loop {
-            let some = self.store.labels(after, BATCH)?;
-            let Some(last) = some.last() else { break };
-            after = last.task;
-            for label in some {
-                if !self.wanted(&label.split) {
+    fn annotation(
+        &mut self,
+        accepted: AcceptedAnswer,
+        put: Put<'_, AnnotationRow>,
+    ) -> Result<(), Error> {
+        let (motion_id, target_id) = self.ids(&accepted.task)?;
+        let task = &accepted.task;
+        let empty = AnnotationRow {
+            task: task.key.clone(),
+            kind: task.kind.to_string(),
+            motion_id,
+            target_id,
+            split: task.split.clone(),
+            category: task.category.clone(),
+            hint: task.hint.clone(),
+            source_style: task.style.clone(),
+            number: 0,
+            count: 1,
+            verdict: None,
+            parts: Vec::new(),
+            hard_joints: Vec::new(),
+            soft_joints: Vec::new(),
+            mask_def_version: MASK_DEF_VERSION,
+            text: String::new(),
+            edit_type: None,
+            style: None,
+            extent: None,
+            count_reason: None,
+            note: String::new(),
+            author: pseudonym(accepted.author),
+            merged: u32::from(accepted.merged),
+            extra: task.extra.as_ref().map(ToString::to_string),
+        };
+        match accepted.answer {
+            Answer::MaskText {
+                masks,
+                count_reason,
+                note,
+            } => {
+                let base = AnnotationRow {
+                    count: masks.len() as u32,
+                    count_reason: count_reason.map(|reason| reason.to_string()),
+                    note,
+                    ..empty
+                };
+                if masks.is_empty() {
+                    put(base.clone())?;
+                }
+                for (number, mask) in masks.into_iter().enumerate() {
+                    let joints = mask_of(&mask.parts, mask.soft);
+                    put(AnnotationRow {
+                        number: number as u32,
+                        hard_joints: JointSet::names(joints.hard()),
+                        soft_joints: JointSet::names(joints.soft()),
+                        parts: mask.parts,
+                        text: mask.text,
+                        ..base.clone()
+                    })?;
+                }
+            }
+            Answer::Pair {
+                verdict,
+                parts,
+                edit_type,
+                text,
+                note,
+                ..
+            } => put(AnnotationRow {
+                verdict: Some(verdict.to_string()),
+                hard_joints: JointSet::names(mask_of(&parts, true).hard()),
+                soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+                parts,
+                edit_type: edit_type.map(|kind| kind.to_string()),
+                text,
+                note,
+                ..empty
+            })?,
+            Answer::Style {
+                verdict,
+                parts,
+                style,
+                extent,
+                text,
+                note,
+                ..
+            } => put(AnnotationRow {
+                verdict: Some(verdict.to_string()),
+                hard_joints: JointSet::names(mask_of(&parts, true).hard()),
+                soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+                parts,
+                style,
+                extent: extent.map(|extent| extent.to_string()),
+                text,
+                note,
+                ..empty
+            })?,
+        }
+        Ok(())
+    }
+
+    fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
+        self.each_range(|exporter, keys| {
+            let mut rows = Vec::new();
+            let labels = exporter.store.labels_of(keys)?;
+            exporter.meet(labels.iter().map(|(task, _)| task))?;
+            for (task, label) in labels {
+                if !exporter.wanted(&task.split) {
                     continue;
                 }
-                let task = self.store.task_record(label.task)?;
-                let (motion_id, target_id) = self.ids(&task)?;
+                let (motion_id, target_id) = exporter.ids(&task)?;
                 let answer = &label.revision.answer;
                 rows.push(LabelRow {
                     task: task.key,
@@ -302,7 +388,7 @@ impl Exporter<'_> {
                     split: label.split,
                     author: pseudonym(label.revision.author),
                     state: label.revision.state.to_string(),
-                    draft_distance: draft_distance(self.store, answer)?,
+                    draft_distance: draft_distance(exporter.store, answer)?,
                     answer: serde_json::to_string(answer).unwrap_or_default(),
                     secs: label.revision.secs,
                     blind: u32::from(label.blind),
@@ -310,14 +396,26 @@ impl Exporter<'_> {
                     at: u64::try_from(label.revision.at).unwrap_or(0),
                 });
             }
-        }
-        rows.sort_by(|a, b| (&a.task, &a.author).cmp(&(&b.task, &b.author)));
-        Ok(rows)
+            rows.sort_by(|a, b| (&a.task, &a.author).cmp(&(&b.task, &b.author)));
+            rows.into_iter().try_for_each(&mut *put)
+        })
     }
 
-    fn rejects(&mut self) -> Result<Vec<RejectRow>, Error> {
+    fn rejects(&mut self, put: Put<'_, RejectRow>) -> Result<(), Error> {
+        self.each_range(|exporter, keys| {
+            let mut rows = exporter.rejects_of(keys)?;
+            rows.sort_by(|a, b| {
+                (&a.task, &a.author, &a.reason).cmp(&(&b.task, &b.author, &b.reason))
+            });
+            rows.into_iter().try_for_each(&mut *put)
+        })
+    }
+
+    fn rejects_of(&mut self, keys: &KeyRange) -> Result<Vec<RejectRow>, Error> {
         let mut rows = Vec::new();
-        for reject in self.store.rejects()? {
+        let rejects = self.store.rejects(keys)?;
+        self.meet(rejects.iter().map(|reject| &reject.task))?;
+        for reject in rejects {
             let task = reject.task;
             if !self.wanted(&task.split) || task.gold.is_some() {
                 continue;
@@ -334,12 +432,9 @@ impl Exporter<'_> {
                 author: pseudonym(reject.user.unwrap_or(0)),
             });
         }
-        for accepted in self.accepted()? {
-            let Some(verdict) = accepted
-                .answer
-                .verdict()
-                .filter(|verdict| *verdict != Verdict::Keep)
-            else {
+        for accepted in self.accepted(keys)? {
+            let verdict = accepted.answer.verdict();
+            let Some(verdict) = verdict.filter(|verdict| *verdict != Verdict::Keep) else {
                 continue;
             };
             let (motion_id, target_id) = self.ids(&accepted.task)?;
@@ -354,77 +449,96 @@ impl Exporter<'_> {
                 author: pseudonym(accepted.author),
             });
         }
-        rows.sort_by(|a, b| (&a.task, &a.author, &a.reason).cmp(&(&b.task, &b.author, &b.reason)));
         Ok(rows)
     }
 
-    fn parquet(&mut self, folder: &Path, events: bool) -> Result<(), Error> {
-        let annotations = self.annotations()?;
-        self.table(folder, &annotations)?;
-        let labels = self.labels()?;
-        self.table(folder, &labels)?;
-        let rejects = self.rejects()?;
-        self.table(folder, &rejects)?;
-        let agreement = agreement_rows(&Figures::of(self.store)?);
-        self.table(folder, &agreement)?;
-        if events {
-            let mut rows = Vec::new();
-            let mut after = 0;
-            loop {
-                let some = self.store.log(after, BATCH)?;
-                let Some(last) = some.last() else { break };
-                after = last.seq;
-                rows.extend(some.into_iter().map(|entry| EventRow {
+    fn events(&mut self, put: Put<'_, EventRow>) -> Result<(), Error> {
+        let mut after = 0;
+        loop {
+            let some = self.store.log(after, BATCH)?;
+            let Some(last) = some.last() else {
+                return Ok(());
+            };
+            after = last.seq;
+            for entry in some {
+                put(EventRow {
                     seq: u64::try_from(entry.seq).unwrap_or(0),
                     at: u64::try_from(entry.at).unwrap_or(0),
                     actor: entry.actor.map(pseudonym),
                     kind: entry.kind,
                     task: entry.task.and_then(|task| u64::try_from(task).ok()),
                     body: entry.body.to_string(),
-                }));
+                })?;
             }
-            self.table(folder, &rows)?;
+        }
+    }
+
+    fn parquet(&mut self, folder: &Path, events: bool) -> Result<(), Error> {
+        self.table(folder, Self::annotations)?;
+        self.table(folder, Self::labels)?;
+        self.table(folder, Self::rejects)?;
+        let agreement = agreement_rows(&Figures::of(self.store)?);
+        self.table(folder, |_, put| agreement.into_iter().try_for_each(put))?;
+        if events {
+            self.table(folder, Self::events)?;
         }
         Ok(())
     }
 
-    fn json_file(
-        &mut self,
-        folder: &Path,
-        name: &str,
-        value: &serde_json::Value,
-    ) -> Result<(), Error> {
-        write_file(folder, name, |file, path| {
-            let mut text = serde_json::to_vec_pretty(value)
-                .map_err(|error| Error::io("write", path)(error.into()))?;
-            text.push(b'\n');
-            file.write_all(&text).map_err(Error::io("write", path))
+    /// Writes the three files side by side: masks of a motion in one, their texts in another, pairs
+    /// in the third.
+    fn stance(&mut self, folder: &Path) -> Result<(), Error> {
+        let names = ["mask_all.json", "part_annotations.json", "pairs.json"];
+        let [masks, texts, pairs] = names;
+        write_json(folder, masks, |masks| {
+            let mut masks = masks.serialize_map(None)?;
+            write_json(folder, texts, |texts| {
+                let mut texts = texts.serialize_map(None)?;
+                write_json(folder, pairs, |pairs| {
+                    let mut pairs = pairs.serialize_seq(None)?;
+                    self.released(&mut masks, &mut texts, &mut pairs)?;
+                    Ok(SerializeSeq::end(pairs)?)
+                })?;
+                Ok(SerializeMap::end(texts)?)
+            })?;
+            Ok(SerializeMap::end(masks)?)
         })?;
-        self.done.files.push(name.to_owned());
+        self.done.files.extend(names.map(str::to_owned));
         Ok(())
     }
 
-    fn stance(&mut self, folder: &Path) -> Result<(), Error> {
-        let mut said: BTreeMap<String, Said> = BTreeMap::new();
-        let mut pairs = Vec::new();
+    fn released(
+        &mut self,
+        masks_file: &mut impl SerializeMap<Error = serde_json::Error>,
+        texts_file: &mut impl SerializeMap<Error = serde_json::Error>,
+        pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
+    ) -> Result<(), JsonError> {
         let mut hard_only = 0;
-        for accepted in self.accepted()? {
-            let (motion, target) = self.ids(&accepted.task)?;
+        for what in ["motions", "pairs"] {
+            self.done.count(what, 0);
+        }
+        self.each_accepted::<JsonError>(|exporter, accepted| {
+            let (motion, target) = exporter.ids(&accepted.task)?;
+            let split = &accepted.task.split;
             let extra = accepted.task.extra.clone();
-            match accepted.answer {
+            let pair = match accepted.answer {
                 Answer::MaskText { masks, .. } => {
                     hard_only += masks.iter().filter(|mask| !mask.soft).count();
-                    said.insert(motion, Said { masks, extra });
+                    let (masks, texts) = release::entries(&Said { masks, extra });
+                    masks_file.serialize_entry(&motion, &masks)?;
+                    texts_file.serialize_entry(&motion, &texts)?;
+                    exporter.done.count("motions", 1);
+                    return Ok(());
                 }
                 Answer::Pair {
                     verdict: Verdict::Keep,
                     parts,
                     text,
                     ..
-                } => pairs.push(json!({
+                } => json!({
                     "kind": "fine-grained", "src": motion, "tgt": target,
-                    "body_part": parts.join("+"), "text": text, "split": accepted.task.split,
-                })),
+                    "body_part": parts.join("+"), "text": text, "split": split,
+                }),
                 Answer::Style {
                     verdict: Verdict::Keep,
                     parts,
@@ -433,35 +547,41 @@ impl Exporter<'_> {
                     ..
                 } => {
                     let style = style.unwrap_or_default();
-                    pairs.push(json!({
+                    json!({
                         "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
-                        "style": style, "body_part": parts.join("+"), "text": text, "split": accepted.task.split,
-                    }));
+                        "style": style, "body_part": parts.join("+"), "text": text, "split": split,
+                    })
                 }
-                Answer::Pair { .. } | Answer::Style { .. } => self.done.count("rejected_pairs", 1),
-            }
-        }
+                Answer::Pair { .. } | Answer::Style { .. } => {
+                    exporter.done.count("rejected_pairs", 1);
+                    return Ok(());
+                }
+            };
+            pairs_file.serialize_element(&pair)?;
+            exporter.done.count("pairs", 1);
+            Ok(())
+        })?;
         if hard_only > 0 {
             self.done.count("masks_without_ring", hard_only);
             self.done.messages.push(format!(
                 "{hard_only} masks have their soft ring switched off, which this layout cannot say"
             ));
         }
-        self.done.count("motions", said.len());
-        self.done.count("pairs", pairs.len());
-        let (masks, texts) = release::write(&said);
-        self.json_file(folder, "mask_all.json", &masks)?;
-        self.json_file(folder, "part_annotations.json", &texts)?;
-        self.json_file(folder, "pairs.json", &json!(pairs))
+        Ok(())
     }
 
     fn csv(&mut self, folder: &Path) -> Result<(), Error> {
-        let rows = self.labels()?;
-        self.done.count("labels", rows.len());
-        self.done.files.push("labels.csv".to_owned());
+        let mut count = 0;
         write_file(folder, "labels.csv", |file, path| {
-            let mut text = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,answer\r\n".to_owned();
-            for row in rows {
+            let mut file = BufWriter::new(file);
+            let mut put = |line: String| {
+                let written = file.write_all(line.as_bytes());
+                written.map_err(Error::io("write", path))
+            };
+            put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,answer\r\n".to_owned())?;
+            self.labels(&mut |row| {
+                count += 1;
+                let distance = row.draft_distance.map(|distance| distance.to_string());
                 let cells = [
                     row.task,
                     row.kind,
@@ -471,17 +591,17 @@ impl Exporter<'_> {
                     row.author,
                     row.state,
                     row.secs.to_string(),
-                    row.draft_distance
-                        .map_or(String::new(), |distance| distance.to_string()),
+                    distance.unwrap_or_default(),
                     row.at.to_string(),
                     row.answer,
                 ];
-                text += &cells.map(|cell| csv_cell(&cell)).join(",");
-                text += "\r\n";
-            }
-            file.write_all(text.as_bytes())
-                .map_err(Error::io("write", path))
-        })
+                put(cells.map(|cell| csv_cell(&cell)).join(",") + "\r\n")
+            })?;
+            file.flush().map_err(Error::io("write", path))
+        })?;
+        self.done.count("labels", count);
+        self.done.files.push("labels.csv".to_owned());
+        Ok(())
     }
 
     /// Writes the tables `masks` and `pairs` of the dataset: motions with an accepted answer get its
@@ -492,28 +612,24 @@ impl Exporter<'_> {
         let mut pairs: Vec<PairRow> = Vec::new();
         let mut answered: BTreeSet<String> = BTreeSet::new();
         let mut judged: BTreeSet<String> = BTreeSet::new();
-        for accepted in self.accepted()? {
-            let (motion, target) = self.ids(&accepted.task)?;
-            let key = accepted.task.key.clone();
+        self.each_accepted::<Error>(|exporter, accepted| {
+            let (motion, target) = exporter.ids(&accepted.task)?;
+            let key = &accepted.task.key;
             let split: Split = accepted.task.split.parse()?;
             let author = pseudonym(accepted.author);
+            let (answer, done) = (&accepted.answer, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
                 answered.insert(motion.clone());
-                masks.extend(mask_rows(
-                    &motion,
-                    split,
-                    &author,
-                    &accepted.answer,
-                    &mut self.done,
-                )?);
-                continue;
+                masks.extend(mask_rows(&motion, split, &author, answer, done)?);
+                return Ok(());
             }
-            self.done.count("pairs_judged", 1);
+            done.count("pairs_judged", 1);
             if let Some(id) = key.strip_prefix("pair:") {
                 judged.insert(id.to_owned());
             }
-            pairs.extend(pair_row(&key, &motion, target, split, &accepted.answer)?);
-        }
+            pairs.extend(pair_row(key, &motion, target, split, answer)?);
+            Ok(())
+        })?;
         let mut imported = masks;
         imported.extend(
             dataset

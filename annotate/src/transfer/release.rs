@@ -224,21 +224,16 @@ fn put_problem(unknown: &mut Map<String, Value>) {
     unknown.insert("kept_aside".to_owned(), json!(true));
 }
 
-/// The two files of what was accepted, keys sorted.
-pub(super) fn write(all: &BTreeMap<String, Said>) -> (Value, Value) {
-    let (mut masks, mut said) = (Map::new(), Map::new());
-    for (id, one) in all {
-        let names: Vec<String> = one.masks.iter().map(|mask| mask.parts.join("+")).collect();
-        let texts: Vec<&str> = one.masks.iter().map(|mask| mask.text.as_str()).collect();
-        masks.insert(id.clone(), json!(names));
-        // What could not be understood on the way in goes out as it was.
-        let kept = one
-            .extra
-            .as_ref()
-            .and_then(|extra| extra.get("part_annotations"));
-        said.insert(id.clone(), kept.cloned().unwrap_or_else(|| json!(texts)));
-    }
-    (Value::Object(masks), Value::Object(said))
+/// What the two files say of a motion.
+pub(super) fn entries(one: &Said) -> (Value, Value) {
+    let names: Vec<String> = one.masks.iter().map(|mask| mask.parts.join("+")).collect();
+    let texts: Vec<&str> = one.masks.iter().map(|mask| mask.text.as_str()).collect();
+    // What could not be understood on the way in goes out as it was.
+    let kept = one
+        .extra
+        .as_ref()
+        .and_then(|extra| extra.get("part_annotations"));
+    (json!(names), kept.cloned().unwrap_or_else(|| json!(texts)))
 }
 
 #[cfg(test)]
@@ -309,8 +304,7 @@ mod tests {
                 .iter()
                 .any(|message| message.contains("1 ids have masks and no texts"))
         );
-        let (_, texts) = write(&release.motions);
-        assert_eq!(texts["c"], json!([1, 2, 3]));
+        assert_eq!(entries(&release.motions["c"]).1, json!([1, 2, 3]));
         assert!(parse(&json!([])).is_err());
         assert!(parse(&json!({"other": 1})).is_err());
         assert!(parse(&json!({"mask_all": 7})).is_err());
@@ -323,7 +317,14 @@ mod tests {
             "part_annotations": {"a": ["waving", "nodding"], "b": []},
         });
         let once = parse(&document).expect("an object").motions;
-        let (masks, texts) = write(&once);
+        let (masks, texts): (Map<_, _>, Map<_, _>) = once
+            .iter()
+            .map(|(id, said)| {
+                let (masks, texts) = entries(said);
+                ((id.clone(), masks), (id.clone(), texts))
+            })
+            .unzip();
+        let (masks, texts) = (Value::Object(masks), Value::Object(texts));
         assert_eq!(
             (&masks, &texts),
             (&document["mask_all"], &document["part_annotations"])

@@ -12,7 +12,7 @@ use datasets_spec::Seed;
 use rand::RngExt;
 
 use crate::support::{
-    MINUTE, START, bare_motion, bare_task, event, key, masks, pair, plain_settings,
+    MINUTE, START, all_keys, bare_motion, bare_task, event, key, masks, pair, plain_settings,
 };
 
 /// Runs a test on a fresh store of each database.
@@ -467,13 +467,18 @@ fn reviewers_do_not_judge_their_own_work_and_decisions_can_be_undone() {
             other.decide(task, lease, Decision::Accept, START),
             Err(Code::WrongState)
         );
-        let accepted = site.store.accepted(0, 10).expect("answers");
+        let accepted = site.store.accepted(&all_keys()).expect("answers");
         assert!(accepted[0].merged && accepted[0].answer == masks("merged"));
         assert_eq!(
             other.decide(task, 0, Decision::Reopen, START),
             Ok(TaskState::Submitted)
         );
-        assert!(site.store.accepted(0, 10).expect("answers").is_empty());
+        assert!(
+            site.store
+                .accepted(&all_keys())
+                .expect("answers")
+                .is_empty()
+        );
         let (_, lease) = other.review(START);
         assert_eq!(
             other.decide(task, lease, Decision::Drop, START),
@@ -553,7 +558,7 @@ fn skipped_tasks_stay_away_and_postponed_ones_come_last() {
             Some(first),
             "others may still want it"
         );
-        assert_eq!(site.store.rejects().expect("rejects").len(), 1);
+        assert_eq!(site.store.rejects(&all_keys()).expect("rejects").len(), 1);
         site.whole();
     });
 }
@@ -943,5 +948,28 @@ fn many_at_once_lose_nothing() {
         let labels = site.store.labels(0, 1000).expect("labels");
         assert_eq!(labels.len(), 60, "each task was answered once");
         site.whole();
+    });
+}
+
+/// By their bytes on every database, so that files come out in one order.
+#[test]
+fn keys_are_paged_in_the_order_of_their_bytes() {
+    on_each("keys_are_paged", |store| {
+        store.put_motions(vec![bare_motion()]).expect("motions");
+        let mut keys = ["B", "a", "a b", "a-b", "A", "\u{e9}", "z", "_", "~"].map(str::to_owned);
+        let tasks = keys.iter().enumerate().map(|(number, key)| NewTask {
+            key: format!("~{key}"),
+            ..bare_task(number, TaskKind::MaskText)
+        });
+        store.import(None, tasks.collect(), START).expect("tasks");
+        keys.sort();
+        let mut after = "~".to_owned();
+        for pair in keys.chunks(2) {
+            let range = store.next_keys(&after, 2).expect("keys").expect("more");
+            assert_eq!(range.after, after);
+            assert_eq!(range.up_to, format!("~{}", pair[pair.len() - 1]));
+            after = range.up_to;
+        }
+        assert!(store.next_keys(&after, 2).expect("keys").is_none());
     });
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use annotate::http::{PATIENCE, Server, ServerConfig};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::store::{MotionRecord, NewTask, Store, TokenUse, open_sqlite};
+use annotate::store::{KeyRange, MotionRecord, NewTask, Store, TokenUse, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
     Answer, EditType, EventKind, MaskAnswer, NewEvent, Next, Problem, Role, Settings, TaskKind,
@@ -476,6 +476,14 @@ pub(crate) fn style() -> Answer {
         text: "more proudly".to_owned(),
         suggestion: None,
         note: String::new(),
+    }
+}
+
+/// The range that holds every task.
+pub(crate) fn all_keys() -> KeyRange {
+    KeyRange {
+        after: String::new(),
+        up_to: char::MAX.to_string(),
     }
 }
 

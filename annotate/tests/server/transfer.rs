@@ -17,7 +17,9 @@ use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::read_rows;
 use serde_json::json;
 
-use crate::support::{Client, MINUTE, START, Site, key, masks, pair, style};
+use crate::support::{
+    Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, key, masks, pair, style,
+};
 
 /// A job once it has ended.
 pub(crate) fn finished(admin: &Client, id: i64) -> Job {
@@ -115,7 +117,7 @@ fn empty_store(site: &Site, name: &str) -> (Arc<dyn Store>, BTreeMap<String, Mot
 }
 
 fn answers(store: &dyn Store) -> BTreeMap<String, Answer> {
-    let all: Vec<AcceptedAnswer> = store.accepted(0, 1000).expect("answers");
+    let all: Vec<AcceptedAnswer> = store.accepted(&all_keys()).expect("answers");
     all.into_iter()
         .map(|one| (one.task.key, one.answer))
         .collect()
@@ -326,4 +328,87 @@ fn splits_are_kept_apart() {
         "test",
     );
     assert!(leak.expect_err("a leak").to_string().contains("split"));
+}
+
+/// Peak memory of this process in MB since the last call.
+fn peak_memory_mb() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
+    let kb: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    std::fs::write("/proc/self/clear_refs", "5").ok()?;
+    Some(kb / 1024)
+}
+
+/// Many tasks in every layout. The short form runs with the others; how long a long one takes, and how little
+/// memory, says
+///
+/// ```sh
+/// ANNOTATE_EXPORT=50000 cargo test --release --workspace --test server many_tasks -- --nocapture
+/// ```
+#[test]
+fn many_tasks_are_written_as_they_are_read() {
+    use std::io::Write;
+    let count =
+        std::env::var("ANNOTATE_EXPORT").map_or(5000, |count| count.parse().expect("a number"));
+    let site = Site::new();
+    for count in [count / 10, count] {
+        let store = open_sqlite(&site.folder.path().join(format!("{count}.db"))).expect("a store");
+        let hash = |number: usize| format!("hash{number:06}");
+        let motions = (0..count).map(|number| MotionRecord {
+            hash: hash(number),
+            id: format!("motion{number:06}"),
+            ..bare_motion()
+        });
+        store.put_motions(motions.collect()).expect("motions");
+        let tasks = (0..count).map(|number| {
+            let mut task = bare_task(number, TaskKind::MaskText);
+            task.source = hash(number);
+            task.accepted = Some(masks(&format!("waving {number}")));
+            task
+        });
+        store.import(None, tasks.collect(), START).expect("tasks");
+        for format in [
+            ExportFormat::Parquet,
+            ExportFormat::Stance,
+            ExportFormat::Csv,
+        ] {
+            let before = peak_memory_mb().and(peak_memory_mb());
+            let begun = std::time::Instant::now();
+            let folder = site.folder.path().join(format!("{count}{format:?}"));
+            let done = export(
+                store.as_ref(),
+                &site.dataset,
+                &folder,
+                &selection(format),
+                "test",
+            );
+            let secs = begun.elapsed().as_secs_f64();
+            let peak = peak_memory_mb();
+            let found = done.expect("exports").counts;
+            let per_task = |what: &str, each: usize| {
+                assert_eq!(found.get(what), Some(&((each * count) as i64)), "{what}");
+            };
+            match format {
+                ExportFormat::Parquet => {
+                    per_task("annotations", 2);
+                    let rows: Vec<AnnotationRow> =
+                        read_rows(&folder.join("annotations.parquet")).expect("rows");
+                    assert!(rows.is_sorted_by_key(|row| (row.task.clone(), row.number)));
+                    assert_eq!(rows.len(), 2 * count);
+                }
+                ExportFormat::Stance => {
+                    per_task("motions", 1);
+                    let text = std::fs::read(folder.join("mask_all.json")).expect("a file");
+                    let said: BTreeMap<String, Vec<String>> =
+                        serde_json::from_slice(&text).expect("JSON");
+                    assert_eq!(said.len(), count);
+                }
+                ExportFormat::Csv | ExportFormat::Dataset => per_task("labels", 0),
+            }
+            let line =
+                format!("{count} tasks as {format:?}: {secs:.2} s, {before:?} MB before, peak");
+            let mut out = std::io::stdout().lock();
+            writeln!(out, "{line} {peak:?} MB").expect("stdout");
+        }
+    }
 }

@@ -17,7 +17,7 @@ use crate::Error;
 pub use cell::Cell;
 pub use pages::{ClipReader, FramePages};
 pub use shard::{
-    ColumnDescription, ShardDescription, ShardReader, describe, read_column, read_rows,
+    ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
     read_rows_at, write_rows,
 };
 

@@ -127,6 +127,68 @@ pub fn write_rows<R: Row, W: Write + Send>(
     writer.into_inner().map_err(wrap())
 }
 
+/// Writes rows that come a few at a time as the file that [`write_rows`] would write of all, holding
+/// no more than a row group. It is for tables without frames.
+pub struct RowWriter<R, W: Write + Send> {
+    writer: ArrowWriter<W>,
+    path: PathBuf,
+    waiting: Vec<R>,
+}
+
+impl<R: Row, W: Write + Send> RowWriter<R, W> {
+    /// Begins a file. `path` is only named in errors.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    ///
+    /// # Panics
+    /// If the table holds frames, which are laid out a whole group at a time.
+    pub fn new(sink: W, path: &Path, facts: &[(&str, String)]) -> Result<Self, Error> {
+        assert_eq!(R::PAGE_ROWS, 1, "{} holds frames", R::TABLE);
+        let schema = R::schema();
+        let wrap = || Error::parquet("write", path);
+        let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
+        Ok(Self {
+            writer: ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?,
+            path: path.to_owned(),
+            waiting: Vec::new(),
+        })
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// The rows cannot be encoded or the file cannot be written.
+    pub fn push(&mut self, row: R) -> Result<(), Error> {
+        self.waiting.push(row);
+        if self.waiting.len() == ROW_GROUP_PAGES {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<(), Error> {
+        let batch = R::encode(&self.waiting)?;
+        self.waiting.clear();
+        self.writer
+            .write(&batch)
+            .map_err(Error::parquet("write", &self.path))
+    }
+
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// As [`RowWriter::push`].
+    pub fn finish(mut self) -> Result<W, Error> {
+        if !self.waiting.is_empty() {
+            self.flush()?;
+        }
+        self.writer
+            .into_inner()
+            .map_err(Error::parquet("write", &self.path))
+    }
+}
+
 /// Writes a row group whose frames are compressed for reading by the thousand.
 fn write_group<W: Write + Send>(
     file: &mut SerializedFileWriter<W>,
@@ -372,4 +434,38 @@ pub fn describe(path: &Path) -> Result<ShardDescription, Error> {
         facts,
         created_by: file.created_by().map(str::to_owned),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::PairRow;
+    use crate::{MotionId, Split};
+
+    #[test]
+    fn rows_one_by_one_make_the_same_file() {
+        let id = |name: String| MotionId::parse(&name).expect("an id");
+        for count in [0, 1, ROW_GROUP_PAGES, 2 * ROW_GROUP_PAGES + 3] {
+            let rows: Vec<PairRow> = (0..count)
+                .map(|number| PairRow {
+                    id: format!("pair{number}"),
+                    split: Split::Train,
+                    source: "test".to_owned(),
+                    kind: "style".to_owned(),
+                    source_id: id(format!("a{number}")),
+                    target_id: id(format!("b{number}")),
+                    style: (number % 2 == 0).then(|| "proud".to_owned()),
+                    parts: vec!["LEFT_ARM".to_owned(); number % 3],
+                    instruction: format!("be proud {number}"),
+                })
+                .collect();
+            let (path, facts) = (Path::new("pairs.parquet"), [("fact", "value".to_owned())]);
+            let whole = write_rows(Vec::new(), path, &rows, &facts).expect("writes");
+            let mut writer = RowWriter::new(Vec::new(), path, &facts).expect("begins");
+            for row in rows {
+                writer.push(row).expect("writes");
+            }
+            assert!(writer.finish().expect("ends") == whole, "{count}");
+        }
+    }
 }
