@@ -91,6 +91,9 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
             "--window-size=1280,900",
+            // What the heap holds can be asked for, and what nobody holds is thrown away first.
+            "--js-flags=--expose-gc",
+            "--enable-precise-memory-info",
         ];
         match graphics {
             Graphics::Software => {
@@ -170,6 +173,14 @@ impl Browser {
             result["error"]
         );
         result["value"].clone()
+    }
+
+    /// Bytes that the page's heap holds once nothing is left to be collected.
+    pub async fn heap_bytes(&self) -> u64 {
+        let bytes = self
+            .js("gc(); gc(); return performance.memory.usedJSHeapSize;")
+            .await;
+        bytes.as_u64().expect("a number of bytes")
     }
 
     /// Waits until the expression is true.

@@ -1,5 +1,7 @@
 //! The stage, its clock and its renderers.
 
+use std::time::{Duration, Instant};
+
 use annotate_browser::{Graphics, keys};
 use serde_json::json;
 
@@ -186,5 +188,59 @@ async fn two_stages_never_differ_in_frame() {
         )
         .await;
     assert_eq!(watched, json!({ "apart": 0, "moved": true }));
+    desk.browser.quit().await;
+}
+
+/// Frames that are played between two looks at the heap.
+const SOAK_FRAMES: usize = 300;
+
+/// What the heap may gain over a whole soak: what the browser compiles and caches on its way. A leak of 64
+/// bytes a frame would be twice as much within an hour.
+const SOAK_SLACK_BYTES: u64 = 4 << 20;
+
+/// Two bodies at double speed. The short form runs with the others; half an hour, in which an hour of motion is
+/// played, is
+///
+/// ```sh
+/// ANNOTATE_SOAK=1800 bash annotate/browser/run playback
+/// ```
+#[tokio::test(flavor = "multi_thread")]
+async fn playback_does_not_grow_the_heap() {
+    let secs = std::env::var("ANNOTATE_SOAK").map_or(0, |secs| secs.parse().expect("seconds"));
+    let desk = Desk::open("app/pair").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    browser.press(&["=", "=", "=", "=", "=", "=", "="]).await;
+    browser
+        .until(
+            "double speed",
+            "document.querySelector('.viewer').dataset.speed === '2'",
+        )
+        .await;
+    let play = format!(
+        "{{ const stage = document.querySelector('.stage'); const seen = new Set(); \
+           for (let i = 0; i < {SOAK_FRAMES}; i += 1) {{ \
+             await new Promise(requestAnimationFrame); seen.add(stage.dataset.frame); }} \
+           return seen.size; }}"
+    );
+    let mut heaps: Vec<u64> = Vec::new();
+    let begun = Instant::now();
+    // The first look is at what a page takes up that has played for a while.
+    while heaps.len() < 3 || begun.elapsed() < Duration::from_secs(secs) {
+        let moved = browser.js_async(&play).await;
+        assert!(moved.as_u64() > Some(3), "it plays: {moved}");
+        heaps.push(browser.heap_bytes().await);
+        if secs > 0 && heaps.len() % 20 == 1 {
+            let (frames, now) = (heaps.len() * SOAK_FRAMES, begun.elapsed().as_secs());
+            println!("{now} s, {frames} frames: {} bytes", heaps[heaps.len() - 1]);
+        }
+    }
+    let (first, last) = (heaps[0], heaps[heaps.len() - 1]);
+    println!(
+        "{} frames in {} s: heap of {first} bytes, then {last}",
+        heaps.len() * SOAK_FRAMES,
+        begun.elapsed().as_secs()
+    );
+    assert!(last < first + SOAK_SLACK_BYTES, "{heaps:?}");
     desk.browser.quit().await;
 }
