@@ -23,6 +23,9 @@ const PANEL: usize = 16;
 /// cache. Writing tiles costs more than reading panels from the cache below it.
 const DEPTH: usize = 576;
 
+/// The same where caches are larger, as they are with AVX-512.
+const DEEP: usize = 1152;
+
 /// Most rows of the left factor that a task packs at a time: together they stay in the second-level
 /// cache.
 const BLOCK_ROWS: usize = 96;
@@ -184,19 +187,29 @@ impl WithSimd for Block<'_> {
         // Twelve sums of a vector each hide the latency of the multiply-add. AVX-512 has registers for
         // twice as many, without which reading the factors would take longer than multiplying them.
         match S::F32_LANES {
-            16 => self.run::<S, 12, 4, 2>(simd),
-            8 => self.run::<S, 6, 4, 1>(simd),
-            4 => self.run::<S, 3, 3, 1>(simd),
-            _ => self.run::<S, 1, 1, 1>(simd),
+            16 => self.run::<S, 12, 10, 2, DEEP>(simd),
+            8 => self.run::<S, 6, 4, 1, DEPTH>(simd),
+            4 => self.run::<S, 3, 3, 1, DEPTH>(simd),
+            _ => self.run::<S, 1, 1, 1, DEPTH>(simd),
         }
     }
 }
 
 impl Block<'_> {
-    /// `FEW` is the height of a cheaper tile for the last rows, of which there are 4 in the two
-    /// windows of a guided step; `PANELS` are multiplied together.
+    /// `FEW` is the height of a cheaper tile for the last rows, which is that of the last of the two
+    /// windows of a guided step; `PANELS` are multiplied together, and `DEPTH` terms summed before a
+    /// tile is written.
     #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const FEW: usize, const PANELS: usize>(mut self, simd: S) {
+    fn run<
+        S: Simd,
+        const ROWS: usize,
+        const FEW: usize,
+        const PANELS: usize,
+        const DEPTH: usize,
+    >(
+        mut self,
+        simd: S,
+    ) {
         let num_rows = self.out.len() / self.b.columns;
         // Equal parts: a short last one would write every tile again for little.
         let depth = self.b.rows;

@@ -89,28 +89,67 @@ impl Small {
     /// Becomes the product of the first columns of `a`, `depth` of them, and as many rows of `b`.
     #[inline(always)]
     fn multiply(&mut self, a: &Self, b: &Self, depth: usize) {
-        let blocks = self.values.chunks_exact_mut(ROWS * self.stride);
+        let stride = self.stride;
+        let blocks = self.values.chunks_exact_mut(ROWS * stride);
         for (out, a) in blocks.zip(a.values.chunks_exact(ROWS * a.stride)) {
-            for column in (0..self.stride).step_by(LANES) {
-                let mut sums = [[0.0f32; LANES]; ROWS];
-                for at in 0..depth {
-                    let line: &[f32; LANES] = b.values[at * b.stride + column..]
-                        .first_chunk()
-                        .expect("rows are whole blocks");
-                    for (row, sums) in sums.iter_mut().enumerate() {
-                        let factor = a[row * (a.len() / ROWS) + at];
-                        for lane in 0..LANES {
-                            sums[lane] += factor * line[lane];
-                        }
-                    }
-                }
-                for (row, sums) in sums.iter().enumerate() {
-                    let first = row * (out.len() / ROWS) + column;
-                    out[first..first + LANES].copy_from_slice(sums);
-                }
+            let a: [&[f32]; ROWS] =
+                std::array::from_fn(|row| &a[row * (a.len() / ROWS)..][..depth]);
+            let mut column = 0;
+            // Two blocks of columns at a time, so that no sum waits for the one before.
+            while column + 2 * LANES <= stride {
+                sum_block::<{ 2 * LANES }>(a, b, column, out, stride);
+                column += 2 * LANES;
+            }
+            if column < stride {
+                sum_block::<LANES>(a, b, column, out, stride);
             }
         }
     }
+}
+
+/// Some columns of the product of four rows and a matrix, of whose rows there are as many as numbers
+/// in these.
+#[inline(always)]
+fn sum_block<const COLUMNS: usize>(
+    a: [&[f32]; ROWS],
+    b: &Small,
+    column: usize,
+    out: &mut [f32],
+    stride: usize,
+) {
+    let mut sums = [[0.0f32; COLUMNS]; ROWS];
+    let [a0, a1, a2, a3] = a;
+    let lines = b.values.chunks_exact(b.stride);
+    for ((((a0, a1), a2), a3), line) in a0.iter().zip(a1).zip(a2).zip(a3).zip(lines) {
+        let line: &[f32; COLUMNS] = line[column..].first_chunk().expect("rows are whole blocks");
+        for (sums, factor) in sums.iter_mut().zip([a0, a1, a2, a3]) {
+            for (sum, number) in sums.iter_mut().zip(line) {
+                *sum += factor * number;
+            }
+        }
+    }
+    for (row, sums) in sums.iter().enumerate() {
+        out[row * stride + column..][..COLUMNS].copy_from_slice(sums);
+    }
+}
+
+/// What whole blocks of numbers come to, taken two by two and a block at a time.
+#[inline(always)]
+fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut lanes = [start; LANES];
+    for block in values.as_chunks::<LANES>().0 {
+        for (lane, &value) in lanes.iter_mut().zip(block) {
+            *lane = join(*lane, value);
+        }
+    }
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] = join(lanes[lane], lanes[lane + half]);
+        }
+        half /= 2;
+    }
+    lanes[0]
 }
 
 /// Attends: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
@@ -158,25 +197,27 @@ pub(crate) fn forward(
                 values.copy(part(2));
                 scores.multiply(&queries, &keys, head);
                 for query in 0..length {
-                    let scores = &mut scores.row_mut(query)[..length];
-                    let mut largest = f32::NEG_INFINITY;
-                    for (key, score) in scores.iter_mut().enumerate() {
+                    // What is beyond the keys is padding too, so that all blocks are whole.
+                    let scores = scores.row_mut(query);
+                    scores[length..].fill(f32::NEG_INFINITY);
+                    for (key, score) in scores[..length].iter_mut().enumerate() {
                         *score *= scale;
                         if padding.is_some_and(|padding| padding[key]) {
                             *score = f32::NEG_INFINITY;
                         }
-                        largest = largest.max(*score);
                     }
+                    let largest = by_halves(scores, f32::NEG_INFINITY, f32::max);
                     for score in scores.iter_mut() {
                         // A key that is padding has no weight at all.
                         let is_padding = *score == f32::NEG_INFINITY;
                         let weight = exp(*score - largest);
                         *score = if is_padding { 0.0 } else { weight };
                     }
-                    let scale = scores.iter().sum::<f32>().recip();
+                    let scale = by_halves(scores, 0.0, |a, b| a + b).recip();
                     for score in scores.iter_mut() {
                         *score *= scale;
                     }
+                    let scores = &mut scores[..length];
                     let row = (at * length + query) * length;
                     self.weights[row..row + length].copy_from_slice(scores);
                     if self.mask.is_active() {

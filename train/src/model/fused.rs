@@ -5,7 +5,7 @@
 //! and written once, and the backward pass is written out. The layer is the same function, which
 //! the tests hold against the composed one.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::NoCheckpointing;
@@ -218,13 +218,18 @@ fn fit(values: &mut Vec<f32>, count: usize) {
 #[derive(Debug)]
 pub(crate) struct PreparedEncoder {
     layers: Vec<PreparedLayer>,
+    /// What a pass needs on its way, kept for the next.
+    room: Mutex<Saved>,
 }
 
 impl PreparedEncoder {
     /// Gathers layers; none where one could not be prepared.
     pub(crate) fn new(layers: impl IntoIterator<Item = Option<PreparedLayer>>) -> Option<Self> {
         let layers = layers.into_iter().collect::<Option<_>>()?;
-        Some(Self { layers })
+        Some(Self {
+            layers,
+            room: Mutex::default(),
+        })
     }
 
     /// Applies all layers; none where `x` lies elsewhere.
@@ -235,13 +240,16 @@ impl PreparedEncoder {
         let [_, length, _] = x.dims();
         let x = plain(x)?.to_contiguous();
         let (mut from, mut to) = (numbers(&x).to_vec(), vec![0.0; numbers(&x).len()]);
-        let mut room = Saved::default();
+        // Another pass meanwhile finds none and makes its own.
+        let lock = || self.room.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut room = std::mem::take(&mut *lock());
         on_workers(|| {
             for layer in &self.layers {
                 layer.infer(&from, layer.heads(length, None), &mut room, &mut to);
                 std::mem::swap(&mut from, &mut to);
             }
         });
+        *lock() = room;
         Some(Tensor::from_primitive::<Flex>(shaped_like(from, &x)))
     }
 }
