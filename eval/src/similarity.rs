@@ -10,7 +10,7 @@
 
 use std::borrow::Cow;
 
-use datasets_spec::lanes::fetch;
+use datasets_spec::lanes::{Aligned, fetch};
 use pulp::bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
@@ -22,6 +22,9 @@ const METRIC: &str = "retrieval";
 
 /// Numbers of a line of rounded vectors: a vector of AVX-512, two of AVX2.
 const LINE: usize = 32;
+
+/// A line, in a cache line.
+type Line = Aligned<[i16; LINE]>;
 
 /// Gallery vectors of a panel: a line holds two numbers of each.
 const PANEL: usize = LINE / 2;
@@ -49,7 +52,7 @@ pub struct Rows {
     values: Vec<f32>,
     width: usize,
     /// The rounded numbers of each vector in whole lines, the last filled with zeros.
-    rounded: Vec<[i16; LINE]>,
+    rounded: Vec<Line>,
     lines: usize,
     /// What numbers are multiplied with before they are rounded.
     scale: f64,
@@ -84,7 +87,7 @@ impl Rows {
             .fold(0.0, f64::max);
         let lines = width.div_ceil(LINE);
         let mut rows = Self {
-            rounded: vec![[0; LINE]; lines * vectors.num_rows()],
+            rounded: vec![Aligned([0; LINE]); lines * vectors.num_rows()],
             scale: if longest > 0.0 { LENGTH / longest } else { 0.0 },
             longest: 0.0,
             error: 0.0,
@@ -94,7 +97,10 @@ impl Rows {
         };
         for (row, rounded) in exact_rows().zip(rows.rounded.chunks_exact_mut(lines.max(1))) {
             let (mut squares, mut errors) = (0.0, 0.0);
-            for (&value, rounded) in row.iter().zip(rounded.as_flattened_mut()) {
+            for (&value, rounded) in row
+                .iter()
+                .zip(rounded.iter_mut().flat_map(|line| &mut line.0))
+            {
                 let scaled = f64::from(value) * rows.scale;
                 let whole = scaled.round();
                 // No number is longer than the vector it is of.
@@ -141,7 +147,7 @@ impl Rows {
         &self.values[index * self.width..][..self.width]
     }
 
-    fn rounded(&self, index: usize) -> &[[i16; LINE]] {
+    fn rounded(&self, index: usize) -> &[Line] {
         &self.rounded[index * self.lines..][..self.lines]
     }
 }
@@ -394,21 +400,25 @@ impl Dot<'_> {
     }
 }
 
+/// Numbers of lines, two by two.
+fn pairs_of(lines: &[Line]) -> impl Iterator<Item = &[i16; 2]> {
+    lines.iter().flat_map(|line| line.0.as_chunks().0)
+}
+
 /// Panel after panel of a gallery: for each pair of neighbouring numbers, those of 16 vectors.
 /// Vectors that are missing in the last panel are zero.
-fn pack_panels(gallery: &Rows) -> Vec<[i16; LINE]> {
+fn pack_panels(gallery: &Rows) -> Vec<Line> {
     let pairs = gallery.lines * LINE / 2;
     let num_rows = gallery.num_rows();
-    let mut packed = vec![[0; LINE]; pairs * num_rows.div_ceil(PANEL)];
+    let mut packed = vec![Aligned([0; LINE]); pairs * num_rows.div_ceil(PANEL)];
     packed
         .par_chunks_exact_mut(pairs.max(1))
         .enumerate()
         .for_each(|(panel, packed)| {
             for column in 0..PANEL.min(num_rows - panel * PANEL) {
-                let row = gallery.rounded(panel * PANEL + column).as_flattened();
-                for (line, pair) in packed.iter_mut().zip(row.as_chunks::<2>().0) {
-                    line[2 * column] = pair[0];
-                    line[2 * column + 1] = pair[1];
+                let row = pairs_of(gallery.rounded(panel * PANEL + column));
+                for (line, pair) in packed.iter_mut().zip(row) {
+                    line.0[2 * column..][..2].copy_from_slice(pair);
                 }
             }
         });
@@ -576,7 +586,7 @@ fn on_machine<J: Job>(job: J) -> J::Output {
 /// A block of queries against the whole gallery.
 struct Sweep<'a> {
     pairing: &'a Pairing<'a>,
-    packed: &'a [[i16; LINE]],
+    packed: &'a [Line],
     first: usize,
     places: &'a mut [Place],
     /// The vectors and queries whose similarity is to be looked at again.
@@ -605,8 +615,8 @@ impl Job for Sweep<'_> {
             .map(|start| {
                 let mut strip = vec![[[0; 2]; STRIP]; pairs];
                 for row in 0..STRIP.min(places.len() - start) {
-                    let numbers = queries.rounded(first + start + row).as_flattened();
-                    for (line, pair) in strip.iter_mut().zip(numbers.as_chunks().0) {
+                    let numbers = pairs_of(queries.rounded(first + start + row));
+                    for (line, pair) in strip.iter_mut().zip(numbers) {
                         line[row] = *pair;
                     }
                 }
@@ -658,9 +668,9 @@ impl Job for Sweep<'_> {
 struct Tile<'a, M, const VECTORS: usize, const STRIP: usize> {
     machine: M,
     a: &'a [[[i16; 2]; STRIP]],
-    b: &'a [[i16; LINE]],
+    b: &'a [Line],
     /// Lines of the next panel, to be fetched meanwhile.
-    next: &'a [[i16; LINE]],
+    next: &'a [Line],
     ranges: [Range; STRIP],
 }
 
@@ -705,9 +715,9 @@ impl<M: Machine<VECTORS>, const VECTORS: usize, const STRIP: usize> NullaryFnOnc
 
 /// A line in registers.
 #[inline(always)]
-fn vectors<M: Machine<VECTORS>, const VECTORS: usize>(line: &[i16; LINE]) -> [M::Numbers; VECTORS] {
+fn vectors<M: Machine<VECTORS>, const VECTORS: usize>(line: &Line) -> [M::Numbers; VECTORS] {
     let mut vectors = [M::Numbers::zeroed(); VECTORS];
-    cast_slice_mut(&mut vectors).copy_from_slice(line);
+    cast_slice_mut(&mut vectors).copy_from_slice(&line.0);
     vectors
 }
 
@@ -764,8 +774,8 @@ impl Job for Dots<'_> {
 /// at most.
 struct Square<'a, M, const VECTORS: usize, const SIDE: usize> {
     machine: M,
-    a: [&'a [[i16; LINE]]; SIDE],
-    b: [&'a [[i16; LINE]]; SIDE],
+    a: [&'a [Line]; SIDE],
+    b: [&'a [Line]; SIDE],
 }
 
 impl<M: Machine<VECTORS>, const VECTORS: usize, const SIDE: usize> NullaryFnOnce

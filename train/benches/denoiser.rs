@@ -116,8 +116,10 @@ fn sample(bencher: Bencher, batch: usize) {
         text: normal([batch, 512], &device),
         progress: vec![0.5; batch],
     };
+    let weights = network.pack();
     let sampler = Sampler {
         denoiser: &network,
+        weights: &weights,
         schedule: &schedule,
         prediction: Prediction::Noise,
         clip: true,

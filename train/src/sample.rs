@@ -24,7 +24,7 @@ use crate::diffusion::{Prediction, Schedule, guide, put_fixed};
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::coordinator::Coordinator;
-use crate::model::denoiser::Denoiser;
+use crate::model::denoiser::{Denoiser, PackedWeights};
 use crate::model::motionrefit::MotionRefit;
 use crate::{Error, Session};
 
@@ -258,6 +258,8 @@ impl std::ops::AddAssign for EditTimes {
 #[derive(Debug)]
 pub struct Editor {
     model: MotionRefit,
+    /// Those of the model's denoiser.
+    weights: PackedWeights,
     schedule: Schedule,
     record: RunRecord<EditorRecord>,
     hash: String,
@@ -290,6 +292,7 @@ impl Editor {
         );
         load_weights(&mut model, &mut files, run_dir)?;
         Ok(Self {
+            weights: model.denoiser.pack(),
             model,
             schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,
             hash,
@@ -540,6 +543,7 @@ impl Editor {
         });
         let sampler = Sampler {
             denoiser: &self.model.denoiser,
+            weights: &self.weights,
             schedule: &self.schedule,
             prediction: diffusion.prediction,
             clip: diffusion.clip,
@@ -656,6 +660,8 @@ impl Guide<'_> {
 pub struct Sampler<'a> {
     /// The network.
     pub denoiser: &'a Denoiser,
+    /// Its weights.
+    pub weights: &'a PackedWeights,
     /// The schedule it was trained with.
     pub schedule: &'a Schedule,
     /// What it predicts.
@@ -700,9 +706,9 @@ impl Sampler<'_> {
                 condition.progress.clone(),
             )
         };
-        let denoiser = self
-            .denoiser
-            .prepare(self.schedule.len(), text, &progress, original);
+        let denoiser =
+            self.denoiser
+                .prepare(self.weights, self.schedule.len(), text, &progress, original);
         let mut x = put_fixed(noise(None), condition.fixed.clone());
         for timestep in (0..self.schedule.len()).rev() {
             let input = if is_guided { twice(&x) } else { x.clone() };

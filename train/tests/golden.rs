@@ -541,8 +541,10 @@ fn check_sampling(case: &str) {
     };
     let mut worst = 0.0f32;
     let numbers = window * width;
+    let network = denoiser();
     Sampler {
-        denoiser: &denoiser(),
+        denoiser: &network,
+        weights: &network.pack(),
         schedule: &schedule,
         prediction: Prediction::Noise,
         clip: true,
@@ -649,6 +651,7 @@ fn golden_autoregressive() {
     };
     let expected_fixed = golden.f32s("out.fixed");
     let expected = golden.f32s("out.windows");
+    let weights = network.pack();
     for index in 0..num_windows {
         let original = &original[index * numbers..(index + 1) * numbers];
         let fixed: Vec<f32> = match stitcher.next_fixed() {
@@ -682,6 +685,7 @@ fn golden_autoregressive() {
         };
         let x = Sampler {
             denoiser: &network,
+            weights: &weights,
             schedule: &schedule,
             prediction: Prediction::Noise,
             clip: true,

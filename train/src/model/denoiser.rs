@@ -174,19 +174,25 @@ impl Denoiser {
         Tensor::cat(vec![previous, self.embedding_input.forward(rest)], 1)
     }
 
+    /// Lays out the weights as they are multiplied while sampling.
+    pub fn pack(&self) -> PackedWeights {
+        PackedWeights(self.transformer.prepare())
+    }
+
     /// Computes once what does not change from step to step of sampling: the embeddings of all
-    /// diffusion steps, of the original windows, of progress and positions, and the layout in which
-    /// the weights are multiplied.
+    /// diffusion steps, of the original windows, of progress and positions. The weights are this
+    /// denoiser's, as [`Denoiser::pack`] gives them.
     ///
     /// # Shapes
     /// As [`Denoiser::forward`].
-    pub fn prepare(
-        &self,
+    pub fn prepare<'a>(
+        &'a self,
+        weights: &'a PackedWeights,
         num_steps: usize,
         text: Tensor<2>,
         progress: &[f32],
         original: Tensor<3>,
-    ) -> PreparedDenoiser<'_> {
+    ) -> PreparedDenoiser<'a> {
         let [_, window, _] = original.dims();
         let text = self.project(text);
         let [_, width] = text.dims();
@@ -194,7 +200,7 @@ impl Denoiser {
         let steps: Vec<usize> = (0..num_steps).collect();
         PreparedDenoiser {
             denoiser: self,
-            encoder: self.transformer.prepare(),
+            encoder: weights.0.as_ref(),
             steps: self.embed_timestep.forward(&steps),
             condition: text.div_scalar(TEXT_DIVISOR)
                 + self.embed_prog_ind.forward(&progress_indices(progress)),
@@ -204,12 +210,17 @@ impl Denoiser {
     }
 }
 
+/// The weights of a denoiser in the layout in which they are multiplied, where they lie on a processor.
+/// They are those it had when they were packed.
+#[derive(Debug)]
+pub struct PackedWeights(Option<PreparedEncoder>);
+
 /// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
 /// through it on a processor.
 #[derive(Debug)]
 pub struct PreparedDenoiser<'a> {
     denoiser: &'a Denoiser,
-    encoder: Option<PreparedEncoder>,
+    encoder: Option<&'a PreparedEncoder>,
     /// `[S, d]`
     steps: Tensor<2>,
     /// `[B, d]`
@@ -236,7 +247,6 @@ impl PreparedDenoiser<'_> {
         let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
         let encoded = self
             .encoder
-            .as_ref()
             .and_then(|encoder| encoder.forward(tokens.clone()))
             .unwrap_or_else(|| self.denoiser.transformer.forward(tokens, None));
         self.denoiser.out.forward(encoded.narrow(1, 1, window))
@@ -284,7 +294,9 @@ mod tests {
             let (x, original) = (normal([3, 16, FRAME_WIDTH]), normal([3, 16, FRAME_WIDTH]));
             let text = normal([3, 1, text_width]).squeeze_dim::<2>(1);
             let progress = [0.0, 0.4, 1.0];
-            let prepared = denoiser.prepare(10, text.clone(), &progress, original.clone());
+            let weights = denoiser.pack();
+            let prepared =
+                denoiser.prepare(&weights, 10, text.clone(), &progress, original.clone());
             for timestep in [0, 7] {
                 let found = prepared.forward(x.clone(), timestep);
                 let expected = denoiser.forward(
