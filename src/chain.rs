@@ -10,13 +10,15 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use datasets_spec::canonical::WINDOW_FRAMES;
-use datasets_spec::dataset::{commit_made, commit_rows};
+use datasets_spec::dataset::{Commit, commit_made, commit_rows};
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
-    EditRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
+    EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
 };
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, MotionId, Progress, Resample, Seed, Skeleton, Split};
+use datasets_spec::{
+    Dataset, Fps, Motion, MotionId, Progress, Resample, Seed, Skeleton, Split, Transaction,
+};
 use eval::EncoderError;
 use eval::compare::{Comparison, compare};
 use eval::linalg::Matrix;
@@ -26,7 +28,8 @@ use eval::protocol::Protocol;
 use eval::score::{Instruments, MotionEncoder, MotionJudge};
 use eval::times::WindowTimes;
 use pipeline::compose::{
-    ComposeConfig, Library, ReadOrder, Stream, WindowLoader, edit_items, other_take,
+    ComposeConfig, EditKind, ItemConfig, ItemCount, Library, ReadOrder, Stream, WindowLoader,
+    draw_items,
 };
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::masks::{MaskConfig, automatic_masks};
@@ -39,7 +42,7 @@ use train::Session;
 use train::checkpoint::Slot;
 use train::config::{GuidanceConfig, Preset, TextEncoder, TrainConfig};
 use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
-use train::edit::{self, TestItem};
+use train::edit::{self, SystemIdentity};
 use train::fit::{Corpus, TextRecord, TrainReport, train_motionrefit};
 use train::j2s::{self, J2sConfig, J2sReport, PoseNet};
 use train::sample::{EditSettings, EditTimes, Editor};
@@ -54,22 +57,38 @@ use crate::device::{device, devices};
 use crate::exit::Exit;
 use crate::report;
 
-/// Name of an editor in the `edits` table and the result table. One of the size of the `tiny` preset
-/// is called so, lest its row be taken for the method's, and one with a coordinator is told from one
-/// without.
-fn system_name(editor: &Editor) -> String {
+/// Name of an editor in the `edits` table and the result table, where the user gives none: what it is,
+/// and what of it differs from the preset.
+fn system_name(editor: &Editor, compose: &ComposeConfig) -> String {
     let model = editor.record().config.train.model;
-    let size = if model == TrainConfig::preset(Preset::Tiny).model {
-        " tiny"
-    } else {
-        ""
+    let mut name = "MotionReFit".to_owned();
+    if model == TrainConfig::preset(Preset::Tiny).model {
+        name += " tiny";
+    }
+    let percent = |share: f64| format!("{:.3}", 100.0 * share);
+    let percent = |share: f64| {
+        let text = percent(share);
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
     };
-    let guide = if editor.has_coordinator() {
-        " + coordinator"
-    } else {
-        ""
-    };
-    format!("MotionReFit{size}{guide}")
+    if compose.fixed_pairs {
+        name += ", w/o MCM";
+    } else if compose.mcm_ratio < 1.0 {
+        name += &format!(", {} % MCM", percent(compose.mcm_ratio));
+    }
+    if compose.annotated_ratio < 1.0 {
+        name += &format!(", {} % annotated", percent(compose.annotated_ratio));
+    }
+    if compose.kinds != EditKind::ALL {
+        let kinds: Vec<&str> = compose.kinds.iter().map(|kind| kind.as_str()).collect();
+        name += &format!(", {} only", kinds.join(" and "));
+    }
+    if editor.has_coordinator() {
+        name += " + coordinator";
+    }
+    if editor.has_poses() {
+        name += " + poses";
+    }
+    name
 }
 
 /// The skeleton a dataset's motions drive.
@@ -633,26 +652,6 @@ fn recorded_windows(
     Ok(WindowLoader::open(&recorded, Split::Train, order)?)
 }
 
-/// Says so if a model was trained in another range of model units than is stored with a dataset: on
-/// data from elsewhere that is as it should be, on its own data the model is an old one.
-fn check_range(dataset: &Dataset, editor: &Editor) -> anyhow::Result<()> {
-    let stored: Vec<NormalizerRow> = dataset.read(None)?;
-    let hash = editor.normalizer().hash();
-    if !stored.is_empty() && stored.iter().all(|row| row.id != hash) {
-        report::note(&format!(
-            "the model was trained in range {}, {} stores {}; the model's own is used",
-            &hash[..8],
-            dataset.root().display(),
-            stored
-                .iter()
-                .map(|row| &row.id[..8.min(row.id.len())])
-                .collect::<Vec<_>>()
-                .join(", ")
-        ));
-    }
-    Ok(())
-}
-
 /// Trains the network from keypoints to rotations on the motions of the training split, and measures
 /// it on those of the validation split.
 pub(crate) fn train_j2s(
@@ -764,12 +763,52 @@ pub(crate) fn train_encoder(
     Ok(report)
 }
 
-/// What a batch of edits is made of.
+/// Draws test questions from a split and commits them as a dataset of their own.
+pub(crate) fn items(
+    root: &Path,
+    out: &Path,
+    split: Split,
+    config: &ItemConfig,
+    seed: Seed,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open(root)?;
+    let content = dataset.content_hash(&[MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE]);
+    let plan_hash = plan("items", &(content, split, config, seed))?;
+    if let Ok(done) = Dataset::open_unverified(out)
+        && plan_of(&done, ItemRow::TABLE) == plan_hash
+    {
+        return Ok(Dataset::open(out)?);
+    }
+    let rows = draw_items(&library(&dataset, split)?, config, seed)?;
+    if let ItemCount::Exactly(count) = config.count
+        && rows.len() < count
+    {
+        report::note(&format!(
+            "split {split} of {} gives {} different items, {count} were asked for",
+            root.display(),
+            rows.len()
+        ));
+    }
+    let split_of = |row: &ItemRow| row.split;
+    Ok(commit_rows(
+        out,
+        &rows,
+        Some(split_of),
+        &dataset.skeleton()?,
+        &plan_hash,
+        &global.holder(),
+    )?)
+}
+
+/// How items are edited.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct EditConfig {
-    /// Items to edit; each mask of the split is edited at least once if there are enough.
-    pub(crate) count: usize,
+    /// Name of the system in tables; none is one that says what it is.
+    pub(crate) name: Option<String>,
+    /// Edits of every item, each with a sampling seed of its own.
+    pub(crate) takes: u64,
     /// Guidance weight; none is the one the editor was trained for.
     pub(crate) guidance: Option<f64>,
     /// Factor of the noise; none is the one the editor was trained for.
@@ -788,7 +827,8 @@ pub(crate) struct EditConfig {
 impl Default for EditConfig {
     fn default() -> Self {
         Self {
-            count: 128,
+            name: None,
+            takes: 1,
             guidance: None,
             temperature: None,
             max_batch: 64,
@@ -874,71 +914,148 @@ impl<'a> EditorSource<'a> {
     }
 }
 
-/// Edits a split's items and commits originals, targets and edits as a dataset of their own. The
-/// times are missing where the edits were there already.
+/// What an editor edits with, as rows of edits record it. What does not change a result, such as the
+/// size of a batch, is left out.
+fn settings_document(
+    editor: &Editor,
+    source: &EditorSource<'_>,
+    settings: &EditSettings,
+) -> serde_json::Value {
+    let coordinator = editor.has_coordinator().then_some(settings.coordinator);
+    serde_json::json!({
+        "checkpoint": source.slot.name(),
+        "guidance": settings.guidance,
+        "temperature": settings.temperature,
+        "prior": settings.prior,
+        "poses": editor.has_poses(),
+        "coordinator": coordinator,
+        "window": editor.record().config.train.window,
+    })
+}
+
+/// What an editor is called and what it edits with.
+pub(crate) fn identity(
+    editor: &Editor,
+    source: &EditorSource<'_>,
+    settings: &EditSettings,
+    name: Option<&str>,
+) -> anyhow::Result<SystemIdentity> {
+    let name = match name {
+        Some(name) => name.to_owned(),
+        None => {
+            let (compose, _): (ComposeConfig, Seed) =
+                serde_json::from_str(&editor.record().config.compose)
+                    .context("the composer's settings in the editor's record")?;
+            system_name(editor, &compose)
+        }
+    };
+    Ok(SystemIdentity {
+        name,
+        settings: settings_document(editor, source, settings).to_string(),
+    })
+}
+
+/// Answers items with an editor, and commits the items and the answers as a dataset of their own. The
+/// times are missing where the answers were there already.
 pub(crate) fn edits(
-    root: &Path,
+    items: &Path,
     source: &EditorSource<'_>,
     out: &Path,
-    split: Split,
     config: &EditConfig,
+    seed: Seed,
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<(Dataset, Option<EditTimes>)> {
-    let dataset = Dataset::open(root)?;
+    let asked = Dataset::open(items)?;
     let editor = source.load()?;
-    check_range(&dataset, &editor)?;
+    let settings = edit_settings(&editor, config, seed);
+    let system = identity(&editor, source, &settings, config.name.as_deref())?;
+    let rows: Vec<ItemRow> = item_rows(&asked)?;
+    let ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     let inputs = (
-        &dataset.manifest().root_hash,
+        ids,
         editor.hash(),
-        split,
-        config,
-        global.seed(),
+        &system.name,
+        &system.settings,
+        seed,
+        config.takes,
     );
     // The number counts changes of what the table holds.
-    let plan_hash = plan("edits-2", &inputs)?;
+    let plan_hash = plan("edits-3", &inputs)?;
     if let Ok(done) = Dataset::open_unverified(out)
         && plan_of(&done, EditRow::TABLE) == plan_hash
     {
         return Ok((Dataset::open(out)?, None));
     }
-    let skeleton = skeleton_of(&dataset)?;
-    let library = library(&dataset, split)?;
-    // Evaluation items are composed by the published rule whatever an ablation trains with.
-    let compose = ComposeConfig::default();
-    let items = edit_items(&library, &compose, global.seed(), config.count)?;
-    let others: Vec<Option<Motion>> = items
-        .iter()
-        .map(|item| other_take(&library, &compose, item))
-        .collect();
-    let texts: Vec<String> = items.iter().map(|item| item.instruction.clone()).collect();
+    let skeleton = skeleton_of(&asked)?;
+    let texts: Vec<String> = rows.iter().map(|row| row.instruction.clone()).collect();
     let editor = with_texts(editor, source, &texts, progress)?;
-    let settings = edit_settings(&editor, config, global.seed());
-    let system = system_name(&editor);
-    let items: Vec<TestItem<'_>> = items
-        .iter()
-        .zip(&others)
-        .map(|(triplet, other)| TestItem {
-            triplet,
-            other_take: other.as_ref(),
-        })
-        .collect();
-    let (rows, times) = with_session(progress, |session| {
-        edit::edit_items(&editor, &system, &items, &skeleton, &settings, session)
-    })?;
-    let split_of = |row: &EditRow| row.split;
-    let done = commit_rows(
-        out,
-        &rows,
-        Some(split_of),
-        &skeleton,
-        &plan_hash,
-        &global.holder(),
-    )?;
+    let mut times = EditTimes::default();
+    let mut answers = Vec::new();
+    for take in 0..config.takes.max(1) {
+        let settings = EditSettings {
+            seed: Seed(seed.0.wrapping_add(take)),
+            ..settings
+        };
+        let (made, spent) = with_session(progress, |session| {
+            edit::edit_items(&editor, &system, &rows, &skeleton, &settings, session)
+        })?;
+        answers.extend(made);
+        times += spent;
+    }
+    let done = commit_edits(out, &rows, &answers, &skeleton, &plan_hash, global)?;
     let path = out.join(TIMES);
     std::fs::write(&path, serde_json::to_vec_pretty(&per_window(&times))?)
         .with_context(|| format!("cannot write {}", path.display()))?;
     Ok((done, Some(times)))
+}
+
+/// Commits items and what was made of them together.
+pub(crate) fn commit_edits(
+    out: &Path,
+    items: &[ItemRow],
+    edits: &[EditRow],
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let transaction = Transaction::begin(out, &global.holder())?;
+    let item_split: fn(&ItemRow) -> Split = |row| row.split;
+    let edit_split: fn(&EditRow) -> Split = |row| row.split;
+    let tables = [
+        (
+            ItemRow::TABLE,
+            transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?,
+        ),
+        (
+            EditRow::TABLE,
+            transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?,
+        ),
+    ];
+    Ok(transaction.commit(Commit {
+        tables: tables
+            .map(|(table, files)| (table.to_owned(), files))
+            .into(),
+        plan_hash: plan_hash.to_owned(),
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    })?)
+}
+
+/// The items of a folder, each checked against its id.
+fn item_rows(folder: &Dataset) -> anyhow::Result<Vec<ItemRow>> {
+    let rows: Vec<ItemRow> = folder.read(None)?;
+    if rows.is_empty() {
+        bail!(
+            "{} holds no items; draw them: stance items DATASET --out ITEMS",
+            folder.root().display()
+        );
+    }
+    for row in &rows {
+        row.check()
+            .with_context(|| format!("in {}", folder.root().display()))?;
+    }
+    Ok(rows)
 }
 
 /// The trained encoder as evaluation asks for it.
@@ -981,9 +1098,10 @@ pub(crate) fn scores(
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> anyhow::Result<Scores> {
-    let (items, skeleton) = edit_rows(edits)?;
-    judges.with(&skeleton, |instruments| {
-        let rows = eval::score::score(&items, instruments, protocol, progress)?;
+    let answered = Answered::read_for_table(edits)?;
+    judges.with(&answered.skeleton, |instruments| {
+        let (items, edits) = (&answered.items, &answered.edits);
+        let rows = eval::score::score(items, edits, instruments, protocol, progress)?;
         let encoder = instruments.encoder;
         Ok(Scores {
             rows,
@@ -999,17 +1117,16 @@ pub(crate) fn comparison(
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> anyhow::Result<Vec<Comparison>> {
-    let mut items: Vec<EditRow> = Vec::new();
+    // Checks that both are of the same items.
+    let Answered {
+        items, skeleton, ..
+    } = Answered::read(&edits.map(Path::to_owned))?;
+    let mut rows: Vec<EditRow> = Vec::new();
     let mut names: Vec<String> = Vec::new();
-    let mut body = None;
     for (path, side) in edits.into_iter().zip(["A", "B"]) {
-        let (rows, skeleton) = edit_rows(&[path.to_owned()])?;
-        body = Some(skeleton);
-        let systems: BTreeSet<String> = rows
-            .iter()
-            .filter(|row| row.is_edit())
-            .map(|row| row.system.clone())
-            .collect();
+        let found: Vec<EditRow> = Dataset::open(path)?.read(None)?;
+        check_systems(&found).with_context(|| format!("in {}", path.display()))?;
+        let systems: BTreeSet<String> = found.iter().map(|row| row.system.clone()).collect();
         let [system] = Vec::from_iter(systems)
             .try_into()
             .map_err(|found: Vec<String>| {
@@ -1022,23 +1139,22 @@ pub(crate) fn comparison(
             })?;
         // Two runs of one method bear the same name.
         let name = format!("{system} ({side})");
-        for mut row in rows {
-            if !row.is_edit() {
-                let seen = |other: &EditRow| other.system == row.system && other.id == row.id;
-                if items.iter().any(seen) {
-                    continue;
-                }
-            } else {
-                row.system.clone_from(&name);
-            }
-            items.push(row);
-        }
+        rows.extend(found.into_iter().map(|row| EditRow {
+            system: name.clone(),
+            ..row
+        }));
         names.push(name);
     }
-    let skeleton = body.context("two tables were read")?;
     judges.with(&skeleton, |instruments| {
         let names = [names[0].as_str(), names[1].as_str()];
-        Ok(compare(&items, names, instruments, protocol, progress)?)
+        Ok(compare(
+            &items,
+            &rows,
+            names,
+            instruments,
+            protocol,
+            progress,
+        )?)
     })
 }
 
@@ -1088,28 +1204,101 @@ impl MotionJudge for Judge<'_> {
     }
 }
 
-/// The rows of tables of edits, and the body they are of.
-pub(crate) fn edit_rows(edits: &[PathBuf]) -> anyhow::Result<(Vec<EditRow>, Skeleton)> {
-    let mut items: Vec<EditRow> = Vec::new();
-    let mut skeleton = None;
-    for path in edits {
-        let table = Dataset::open(path)?;
-        skeleton = Some(skeleton_of(&table)?);
-        for row in table.read::<EditRow>(None)? {
-            // Originals and targets of the same items come with every table; one copy is enough.
-            if row.is_edit()
-                || !items
-                    .iter()
-                    .any(|seen| seen.system == row.system && seen.id == row.id)
-            {
-                items.push(row);
+/// Items and what systems made of them.
+#[derive(Debug)]
+pub(crate) struct Answered {
+    pub(crate) items: Vec<ItemRow>,
+    pub(crate) edits: Vec<EditRow>,
+    pub(crate) skeleton: Skeleton,
+}
+
+impl Answered {
+    /// Reads tables of edits of the same items. A folder of items alone has no edits.
+    pub(crate) fn read(folders: &[PathBuf]) -> anyhow::Result<Self> {
+        let mut all: Option<(&Path, Self)> = None;
+        for path in folders {
+            let folder = Dataset::open(path)?;
+            let items = item_rows(&folder)?;
+            let edits: Vec<EditRow> = folder.read(None)?;
+            let skeleton = skeleton_of(&folder)?;
+            let Some((first, all)) = &mut all else {
+                all = Some((
+                    path,
+                    Self {
+                        items,
+                        edits,
+                        skeleton,
+                    },
+                ));
+                continue;
+            };
+            if skeleton != all.skeleton {
+                bail!(
+                    "{} is posed on skeleton {}, {} on {}; tables of edits are compared on one body",
+                    first.display(),
+                    all.skeleton.name(),
+                    path.display(),
+                    skeleton.name()
+                );
             }
+            let ids = |items: &[ItemRow]| -> BTreeSet<String> {
+                items.iter().map(|item| item.id.clone()).collect()
+            };
+            let (ours, theirs) = (ids(&all.items), ids(&items));
+            if ours != theirs {
+                bail!(
+                    "{} and {} answer different items: {} of {} are in {} alone, {} of {} in {} alone; \
+                     edit the same items: stance edit RUN --items ITEMS",
+                    first.display(),
+                    path.display(),
+                    ours.difference(&theirs).count(),
+                    ours.len(),
+                    first.display(),
+                    theirs.difference(&ours).count(),
+                    theirs.len(),
+                    path.display()
+                );
+            }
+            all.edits.extend(edits);
+        }
+        let Some((_, all)) = all else {
+            bail!("no table of edits was given");
+        };
+        Ok(all)
+    }
+
+    /// Reads tables of edits whose systems are rows of one table.
+    pub(crate) fn read_for_table(folders: &[PathBuf]) -> anyhow::Result<Self> {
+        let all = Self::read(folders)?;
+        check_systems(&all.edits)?;
+        Ok(all)
+    }
+}
+
+/// Refuses two checkpoints, or two settings, under one name: they would become one row of a table.
+fn check_systems(edits: &[EditRow]) -> anyhow::Result<()> {
+    let mut known: BTreeMap<&str, &EditRow> = BTreeMap::new();
+    for row in edits {
+        let first = *known.entry(&row.system).or_insert(row);
+        let differs = |what: &str, a: &str, b: &str| {
+            anyhow::anyhow!(
+                "system {:?} stands for two {what}: {a} and {b}; edit again with --name to tell them apart",
+                row.system
+            )
+        };
+        if first.checkpoint_hash != row.checkpoint_hash {
+            let (a, b) = (&first.checkpoint_hash, &row.checkpoint_hash);
+            return Err(differs(
+                "checkpoints",
+                &format!("{a:.12}"),
+                &format!("{b:.12}"),
+            ));
+        }
+        if first.settings_hash != row.settings_hash {
+            return Err(differs("settings", &first.settings, &row.settings));
         }
     }
-    let Some(skeleton) = skeleton else {
-        bail!("no table of edits was given");
-    };
-    Ok((items, skeleton))
+    Ok(())
 }
 
 /// Beside a table of edits: where the time of making it went, which its hash does not cover.

@@ -93,6 +93,7 @@ pub(crate) enum Command {
     Masks(cmd::masks::Args),
     Pairs(cmd::pairs::Args),
     Triplets(cmd::triplets::Args),
+    Items(cmd::items::Args),
     Train(cmd::train::Args),
     Model(cmd::model::Args),
     Edit(cmd::edit::Args),

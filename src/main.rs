@@ -44,6 +44,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Masks(args) => cmd::masks::run(args, global),
         Command::Pairs(args) => cmd::pairs::run(args, global),
         Command::Triplets(args) => cmd::triplets::run(args, global),
+        Command::Items(args) => cmd::items::run(args, global),
         Command::Train(args) => cmd::train::run(args, global),
         Command::Model(args) => cmd::model::run(args, global),
         Command::Edit(args) => cmd::edit::run(args, global),

@@ -86,6 +86,14 @@ impl Dataset {
         &self.manifest
     }
 
+    /// A hash of the files of some tables: what is made of these tables alone keeps its identity
+    /// when another table of the dataset changes.
+    pub fn content_hash(&self, tables: &[&str]) -> String {
+        let chosen = self.manifest.tables.iter();
+        let chosen = chosen.filter(|(table, _)| tables.contains(&table.as_str()));
+        Manifest::compute_root_hash(&chosen.map(|(t, f)| (t.clone(), f.clone())).collect())
+    }
+
     /// The skeleton its motions are posed on.
     ///
     /// # Errors
@@ -272,34 +280,7 @@ pub fn commit_rows<R: Row>(
         drop(transaction);
         return Dataset::open(root);
     }
-    let groups: Vec<(Option<Split>, Vec<R>)> = match split_of {
-        None => vec![(None, rows.to_vec())],
-        Some(split_of) => Split::ALL
-            .into_iter()
-            .map(|split| {
-                let rows = rows.iter().filter(|row| split_of(row) == split);
-                (Some(split), rows.cloned().collect())
-            })
-            .collect(),
-    };
-    let facts = [
-        ("skeleton", skeleton.name().to_owned()),
-        ("plan_hash", plan_hash.to_owned()),
-    ];
-    let mut entries = Vec::new();
-    for (split, rows) in groups {
-        let of = rows.len().div_ceil(SHARD_ROWS).max(1);
-        for index in 0..of {
-            let name = ShardName {
-                table: R::TABLE,
-                split,
-                index,
-                of,
-            };
-            let end = rows.len().min((index + 1) * SHARD_ROWS);
-            entries.push(transaction.write_shard(&name, &rows[index * SHARD_ROWS..end], &facts)?);
-        }
-    }
+    let entries = transaction.write_rows(rows, split_of, skeleton, plan_hash)?;
     transaction.commit(Commit {
         tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
         plan_hash: plan_hash.to_owned(),
@@ -508,6 +489,49 @@ impl Transaction {
             blake3: blake3::hash(&written).to_hex().to_string(),
             sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
         })
+    }
+
+    /// Writes all rows of a table, shard by shard. They belong to the dataset once they are
+    /// committed. `split_of` is none for tables without splits.
+    ///
+    /// # Errors
+    /// The rows cannot be encoded or a file cannot be written.
+    pub fn write_rows<R: Row>(
+        &self,
+        rows: &[R],
+        split_of: Option<fn(&R) -> Split>,
+        skeleton: &Skeleton,
+        plan_hash: &str,
+    ) -> Result<Vec<FileEntry>, Error> {
+        let groups: Vec<(Option<Split>, Vec<R>)> = match split_of {
+            None => vec![(None, rows.to_vec())],
+            Some(split_of) => Split::ALL
+                .into_iter()
+                .map(|split| {
+                    let rows = rows.iter().filter(|row| split_of(row) == split);
+                    (Some(split), rows.cloned().collect())
+                })
+                .collect(),
+        };
+        let facts = [
+            ("skeleton", skeleton.name().to_owned()),
+            ("plan_hash", plan_hash.to_owned()),
+        ];
+        let mut entries = Vec::new();
+        for (split, rows) in groups {
+            let of = rows.len().div_ceil(SHARD_ROWS).max(1);
+            for index in 0..of {
+                let name = ShardName {
+                    table: R::TABLE,
+                    split,
+                    index,
+                    of,
+                };
+                let end = rows.len().min((index + 1) * SHARD_ROWS);
+                entries.push(self.write_shard(&name, &rows[index * SHARD_ROWS..end], &facts)?);
+            }
+        }
+        Ok(entries)
     }
 
     fn staged_path(&self, plan_hash: &str, name: &ShardName) -> PathBuf {

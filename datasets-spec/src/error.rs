@@ -129,6 +129,14 @@ pub enum Error {
         /// The hash of the numbers.
         found: String,
     },
+    /// A test item was changed after it was named.
+    #[error("item {stated} holds the content of {found}; draw the items again: stance items")]
+    ItemId {
+        /// The id stated.
+        stated: String,
+        /// The id of the content.
+        found: String,
+    },
     /// A file cannot be read page by page.
     #[error("{} cannot be read page by page ({problem}); record it again", path.display())]
     Pages {

@@ -302,25 +302,89 @@ table! {
 }
 
 table! {
-    /// A motion edited by some system, or a motion it is compared with.
+    /// A test question: a motion, what is asked of it, and the motion it should become.
+    pub struct ItemRow = "items" {
+        /// BLAKE3 of the question, 32 hexadecimal digits: equal questions have equal ids, whatever seed they were drawn with
+        pub id: String [""],
+        /// semantic, style, fine-grained or motionfix; free where there is no target
+        pub task: String [""],
+        /// Split of all motions of the question
+        pub split: Split [""],
+        /// What is asked for
+        pub instruction: String [""],
+        /// Motion the source was made of
+        pub source_id: MotionId [""],
+        /// Motion the target took from
+        pub target_id: MotionId [""],
+        /// Motions blended under both sides
+        pub donor_ids: Vec<String> [""],
+        /// Body parts that are edited; empty where that is not known
+        pub parts: Vec<String> [""],
+        /// Joints the target took whole; empty where nothing was blended
+        pub hard_joints: Vec<String> [""],
+        /// Joints interpolated; empty where nothing was blended
+        pub soft_joints: Vec<String> [""],
+        /// Weight of the target on the interpolated joints
+        pub alpha: f32 [""],
+        /// What the question was made of: mask or pair, and its id
+        pub origin: String [""],
+        /// Seed the question was drawn with
+        pub seed: u64 [""],
+        /// BLAKE3 of the composition rules, hexadecimal; empty where nothing was composed
+        pub recipe_hash: String [""],
+        /// Frame rate of all motions of the question
+        pub fps: f32 ["1/s"],
+        /// Frames of the source
+        pub source_frames: i32 ["frame"],
+        /// Translation of the source
+        pub source_transl: Frames<3> ["m"],
+        /// Root orientation of the source, axis-angle
+        pub source_global_orient: Frames<3> ["rad"],
+        /// Body rotations of the source, axis-angle
+        pub source_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+        /// Frames of the target; 0 where there is none
+        pub target_frames: i32 ["frame"],
+        /// Translation of the target
+        pub target_transl: Frames<3> ["m"],
+        /// Root orientation of the target, axis-angle
+        pub target_global_orient: Frames<3> ["rad"],
+        /// Body rotations of the target, axis-angle
+        pub target_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+        /// Frames of the target made of another capture; 0 where there is none
+        pub other_frames: i32 ["frame"],
+        /// Translation of the target made of another capture
+        pub other_transl: Frames<3> ["m"],
+        /// Root orientation of the target made of another capture, axis-angle
+        pub other_global_orient: Frames<3> ["rad"],
+        /// Body rotations of the target made of another capture, axis-angle
+        pub other_body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+    }
+}
+
+table! {
+    /// What a system made of a test question.
     pub struct EditRow = "edits" {
-        /// Id of the edited item, shared by all systems that edited it
+        /// Id of the item the motion answers
         pub id: String [""],
         /// Split of the item
         pub split: Split [""],
-        /// System that made the motion; `source` and `target` are the two sides of the item itself, `other take` the target made of another capture
+        /// Name of the system
         pub system: String [""],
         /// BLAKE3 of the checkpoint, hexadecimal; empty where no model took part
         pub checkpoint_hash: String [""],
+        /// BLAKE3 of the settings the system edited with, hexadecimal
+        pub settings_hash: String ["", newer],
+        /// The settings the system edited with, a JSON object
+        pub settings: String ["", newer],
         /// Motion the original was made of
         pub source_id: String [""],
         /// Motion the target took from
         pub target_id: String [""],
         /// What was asked for
         pub instruction: String [""],
-        /// Kind of edit: semantic, style or fine-grained
+        /// Task of the item, such as semantic
         pub kind: String [""],
-        /// Seed of the sampler
+        /// Seed of the sampler; takes of one item differ by it
         pub seed: u64 [""],
         /// Frame rate
         pub fps: f32 ["1/s"],
@@ -419,20 +483,194 @@ impl TripletRow {
     }
 }
 
-impl EditRow {
-    /// The name of the system whose motions are the originals of the items.
-    pub const SOURCE: &'static str = "source";
-    /// The name of the system whose motions are the ground-truth edits of the items.
-    pub const TARGET: &'static str = "target";
-    /// The name of the system whose motions are the targets made of another capture of the same action
-    /// in the same style, for the items that have one.
-    pub const OTHER_TAKE: &'static str = "other take";
+/// Digits of an item's id.
+const ITEM_ID_DIGITS: usize = 32;
 
-    /// Whether some system made the motion, which is no side of the item itself.
-    pub fn is_edit(&self) -> bool {
-        ![Self::SOURCE, Self::TARGET, Self::OTHER_TAKE].contains(&self.system.as_str())
+impl ItemRow {
+    /// A question that names one motion and asks for nothing yet; it has no motions and no id.
+    pub fn blank(motion: &MotionId, split: Split) -> Self {
+        Self {
+            id: String::new(),
+            task: String::new(),
+            split,
+            instruction: String::new(),
+            source_id: motion.clone(),
+            target_id: motion.clone(),
+            donor_ids: Vec::new(),
+            parts: Vec::new(),
+            hard_joints: Vec::new(),
+            soft_joints: Vec::new(),
+            alpha: 0.0,
+            origin: String::new(),
+            seed: 0,
+            recipe_hash: String::new(),
+            fps: Fps::STORE.get() as f32,
+            source_frames: 0,
+            source_transl: Vec::new(),
+            source_global_orient: Vec::new(),
+            source_body_pose: Vec::new(),
+            target_frames: 0,
+            target_transl: Vec::new(),
+            target_global_orient: Vec::new(),
+            target_body_pose: Vec::new(),
+            other_frames: 0,
+            other_transl: Vec::new(),
+            other_global_orient: Vec::new(),
+            other_body_pose: Vec::new(),
+        }
     }
 
+    /// The motion that is to be edited.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn source(&self) -> Result<Motion, Error> {
+        motion_of(
+            self.fps,
+            &self.source_transl,
+            &self.source_global_orient,
+            &self.source_body_pose,
+        )
+    }
+
+    /// The motion it should become.
+    ///
+    /// # Errors
+    /// The item has no target, or its columns do not make a motion.
+    pub fn target(&self) -> Result<Motion, Error> {
+        motion_of(
+            self.fps,
+            &self.target_transl,
+            &self.target_global_orient,
+            &self.target_body_pose,
+        )
+    }
+
+    /// The target made of another capture of the same action in the same style, if there is one.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn other_take(&self) -> Result<Option<Motion>, Error> {
+        if self.other_frames == 0 {
+            return Ok(None);
+        }
+        let motion = motion_of(
+            self.fps,
+            &self.other_transl,
+            &self.other_global_orient,
+            &self.other_body_pose,
+        );
+        motion.map(Some)
+    }
+
+    /// Puts the three motions of a question into its columns.
+    pub fn set_motions(
+        &mut self,
+        source: &Motion,
+        target: Option<&Motion>,
+        other: Option<&Motion>,
+    ) {
+        let frames = |motion: &Motion| i32::try_from(motion.len()).unwrap_or(i32::MAX);
+        self.fps = source.fps().get() as f32;
+        self.source_frames = frames(source);
+        self.source_transl = source.transl().to_vec();
+        self.source_global_orient = source.global_orient().to_vec();
+        self.source_body_pose = source.body_pose().to_vec();
+        if let Some(target) = target {
+            self.target_frames = frames(target);
+            self.target_transl = target.transl().to_vec();
+            self.target_global_orient = target.global_orient().to_vec();
+            self.target_body_pose = target.body_pose().to_vec();
+        }
+        if let Some(other) = other {
+            self.other_frames = frames(other);
+            self.other_transl = other.transl().to_vec();
+            self.other_global_orient = other.global_orient().to_vec();
+            self.other_body_pose = other.body_pose().to_vec();
+        }
+    }
+
+    /// The id that follows from the content: from everything but the id itself and from what only
+    /// says how the question was found (`origin`, `seed`, `recipe_hash`).
+    pub fn content_id(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        let mut part = |bytes: &[u8]| {
+            hasher.update(&(bytes.len() as u64).to_le_bytes());
+            hasher.update(bytes);
+        };
+        for text in [
+            self.task.as_str(),
+            self.split.as_str(),
+            &self.instruction,
+            self.source_id.as_str(),
+            self.target_id.as_str(),
+        ] {
+            part(text.as_bytes());
+        }
+        for list in [
+            &self.donor_ids,
+            &self.parts,
+            &self.hard_joints,
+            &self.soft_joints,
+        ] {
+            part(&(list.len() as u64).to_le_bytes());
+            for name in list {
+                part(name.as_bytes());
+            }
+        }
+        part(&self.alpha.to_le_bytes());
+        part(&self.fps.to_le_bytes());
+        fn bytes<const D: usize>(frames: &[[f32; D]]) -> Vec<u8> {
+            let numbers = frames.as_flattened().iter();
+            numbers.flat_map(|value| value.to_le_bytes()).collect()
+        }
+        for (transl, global_orient, body_pose) in [
+            (
+                &self.source_transl,
+                &self.source_global_orient,
+                &self.source_body_pose,
+            ),
+            (
+                &self.target_transl,
+                &self.target_global_orient,
+                &self.target_body_pose,
+            ),
+            (
+                &self.other_transl,
+                &self.other_global_orient,
+                &self.other_body_pose,
+            ),
+        ] {
+            part(&bytes(transl));
+            part(&bytes(global_orient));
+            part(&bytes(body_pose));
+        }
+        let mut digits = hasher.finalize().to_hex().to_string();
+        digits.truncate(ITEM_ID_DIGITS);
+        digits
+    }
+
+    /// Checks that the id is that of the content and that the motions can be used.
+    ///
+    /// # Errors
+    /// The row was changed after it was named, or a motion is broken.
+    pub fn check(&self) -> Result<(), Error> {
+        let found = self.content_id();
+        if found != self.id {
+            return Err(Error::ItemId {
+                stated: self.id.clone(),
+                found,
+            });
+        }
+        self.source()?;
+        if self.target_frames > 0 {
+            self.target()?;
+        }
+        self.other_take().map(|_| ())
+    }
+}
+
+impl EditRow {
     /// The motion of the row.
     ///
     /// # Errors
@@ -467,6 +705,7 @@ pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
         (TripletRow::TABLE, TripletRow::columns()),
         (WindowRow::TABLE, WindowRow::columns()),
         (NormalizerRow::TABLE, NormalizerRow::columns()),
+        (ItemRow::TABLE, ItemRow::columns()),
         (EditRow::TABLE, EditRow::columns()),
         (ScoreRow::TABLE, ScoreRow::columns()),
         (QuarantineRow::TABLE, QuarantineRow::columns()),

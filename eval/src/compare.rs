@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::Progress;
-use datasets_spec::record::EditRow;
+use datasets_spec::record::{EditRow, ItemRow};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -72,14 +72,15 @@ pub struct Comparison {
 /// # Errors
 /// As [`crate::score::score`]; or one of the systems is not among the rows.
 pub fn compare(
-    items: &[EditRow],
+    items: &[ItemRow],
+    edits: &[EditRow],
     names: [&str; 2],
     instruments: Instruments<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<Comparison>, Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items)?;
+    let test_set = TestSet::new(items, edits)?;
     if let Some(missing) = names
         .into_iter()
         .find(|name| !test_set.systems.contains_key(name))

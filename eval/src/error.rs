@@ -7,13 +7,22 @@ pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The table of edits has no row of a side every score needs.
-    #[error(
-        "the edits hold no motion of system {system:?}; score a table written by `stance edit`"
-    )]
-    NoItems {
-        /// The missing system.
-        system: &'static str,
+    /// There is nothing to be scored on.
+    #[error("the table holds no items; draw them with `stance items`")]
+    NoItems,
+    /// An item cannot be used.
+    #[error("item {id:?} cannot be used")]
+    Item {
+        /// The item.
+        id: String,
+        /// The cause, boxed because it is larger than any other variant.
+        source: Box<datasets_spec::Error>,
+    },
+    /// An item has nothing to be compared with.
+    #[error("item {id:?} has no target to compare with; score items drawn by `stance items`")]
+    NoTarget {
+        /// The item.
+        id: String,
     },
     /// A system edited only some of the items.
     #[error(

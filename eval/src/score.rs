@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::record::{EditRow, ScoreRow};
+use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
 use datasets_spec::skeleton::NUM_KEYPOINTS;
 use datasets_spec::{Motion, Progress, Skeleton};
 use glam::{DVec3, Vec3};
@@ -76,34 +76,35 @@ pub struct Instruments<'a> {
     pub skeleton: &'a Skeleton,
 }
 
-/// Measures every system of a table of edits.
+/// Measures every system that answered a test set.
 ///
-/// The rows must hold the systems [`EditRow::SOURCE`] and [`EditRow::TARGET`] and may hold any
-/// number of others, each with a motion for every item. A system may hold several takes of every
-/// item, such as samples from different seeds; repeat r then scores take r modulo their number.
+/// The edits may hold any number of systems, each with a motion for every item. A system may hold
+/// several takes of every item, such as samples from different seeds; repeat r then scores take r
+/// modulo their number.
 ///
 /// The result has one row for each task, system and metric: first [`REAL_DATA`] and [`IDENTITY`],
-/// then the systems by name. A task is a kind of edit; with more than one kind there is also
-/// [`ALL_TASKS`], which comes first. Where items have an [`EditRow::OTHER_TAKE`] they also make the task
-/// [`RECAPTURED`], in which [`NOISE_FLOOR`] follows the identity editor. A metric that needs more items
-/// than a task has is left out.
+/// then the systems by name. With items of more than one task there is also [`ALL_TASKS`], which
+/// comes first. Where items have a target of another capture they also make the task
+/// [`RECAPTURED`], in which [`NOISE_FLOOR`] follows the identity editor. A metric that needs more
+/// items than a task has is left out.
 ///
 /// # Errors
-/// A side is missing or a system lacks items, has unknown ones or uneven takes, bears a reserved
-/// name, or holds a motion that cannot be measured; the protocol measures nothing; the encoder
-/// fails or returns latents that are no points.
+/// There is no item, or one without a target; a system lacks items, has unknown ones or uneven
+/// takes, bears a reserved name, or holds a motion that cannot be measured; the protocol measures
+/// nothing; the encoder fails or returns latents that are no points.
 ///
 /// # Source
 /// Table 1 of the paper for the metrics. FID is on latents of unit length and Diversity on raw
 /// ones, the pair that explains the published magnitudes.
 pub fn score(
-    items: &[EditRow],
+    items: &[ItemRow],
+    edits: &[EditRow],
     instruments: Instruments<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<ScoreRow>, Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items)?;
+    let test_set = TestSet::new(items, edits)?;
     let Measured {
         sources,
         systems,
@@ -189,67 +190,87 @@ pub(crate) fn measured<'a>(
         progress,
     };
     progress.begin("encode", Some(test_set.num_motions() as u64));
-    let sources = measuring.take(&test_set.sources, &test_set.targets, Cut::Never)?;
-    let mut systems = vec![
-        System {
-            name: REAL_DATA,
-            takes: vec![measuring.take(&test_set.targets, &test_set.targets, Cut::Never)?],
-        },
-        System {
-            name: IDENTITY,
-            takes: vec![if protocol.truncate_to_target {
-                measuring.take(&test_set.sources, &test_set.targets, Cut::ToTarget)?
-            } else {
-                sources.clone()
-            }],
-        },
-    ];
+    let targets: Vec<Side<'_>> = test_set.sides(Side::Target);
+    let sources: Vec<Side<'_>> = test_set.sides(Side::Source);
     let cut = if protocol.truncate_to_target {
         Cut::ToTarget
     } else {
         Cut::Never
     };
+    let measured_sources = measuring.take(&sources, &targets, Cut::Never)?;
+    let mut systems = vec![
+        System {
+            name: REAL_DATA,
+            takes: vec![measuring.take(&targets, &targets, Cut::Never)?],
+        },
+        System {
+            name: IDENTITY,
+            takes: vec![if protocol.truncate_to_target {
+                measuring.take(&sources, &targets, cut)?
+            } else {
+                measured_sources.clone()
+            }],
+        },
+    ];
     for (&name, takes) in &test_set.systems {
         let takes = takes
             .iter()
-            .map(|rows| measuring.take(rows, &test_set.targets, cut))
+            .map(|rows| {
+                let rows: Vec<Side<'_>> = rows.iter().map(|row| Side::Edit(row)).collect();
+                measuring.take(&rows, &targets, cut)
+            })
             .collect::<Result<Vec<_>, Error>>()?;
         systems.push(System { name, takes });
     }
     let floor = match test_set.recaptured() {
         indices if indices.is_empty() => None,
         indices => {
-            let targets: Vec<&EditRow> = indices.iter().map(|&i| test_set.targets[i]).collect();
-            let others: Vec<&EditRow> = test_set.others.iter().flatten().copied().collect();
-            Some(measuring.take(&others, &targets, cut)?)
+            let side = |side: fn(_) -> Side<'a>| -> Vec<Side<'a>> {
+                indices.iter().map(|&i| side(test_set.items[i])).collect()
+            };
+            Some(measuring.take(&side(Side::OtherTake), &side(Side::Target), cut)?)
         }
     };
     progress.finish(&format!(
         "{} items, {} rows",
-        test_set.targets.len(),
+        test_set.items.len(),
         systems.len()
     ));
     Ok(Measured {
-        sources,
+        sources: measured_sources,
         systems,
         floor,
     })
 }
 
-/// The rows of a table of edits, by role and in the order of the item ids.
+/// The items and what systems made of them, in the order of the item ids.
 pub(crate) struct TestSet<'a> {
-    sources: Vec<&'a EditRow>,
-    pub(crate) targets: Vec<&'a EditRow>,
-    /// The target of each item made of another capture, where there is one.
-    others: Vec<Option<&'a EditRow>>,
+    pub(crate) items: Vec<&'a ItemRow>,
     /// Takes of each system, each with one row for every item.
     pub(crate) systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
 }
 
 impl<'a> TestSet<'a> {
-    pub(crate) fn new(items: &'a [EditRow]) -> Result<Self, Error> {
+    pub(crate) fn new(items: &'a [ItemRow], edits: &'a [EditRow]) -> Result<Self, Error> {
+        let mut by_id: BTreeMap<&str, &ItemRow> = BTreeMap::new();
+        for item in items {
+            item.check().map_err(|source| Error::Item {
+                id: item.id.clone(),
+                source: Box::new(source),
+            })?;
+            if item.target_frames == 0 {
+                return Err(Error::NoTarget {
+                    id: item.id.clone(),
+                });
+            }
+            by_id.insert(&item.id, item);
+        }
+        if by_id.is_empty() {
+            return Err(Error::NoItems);
+        }
+        let ids: Vec<&str> = by_id.keys().copied().collect();
         let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
-        for row in items {
+        for row in edits {
             if [REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&row.system.as_str()) {
                 return Err(Error::ReservedSystem {
                     system: row.system.clone(),
@@ -262,67 +283,102 @@ impl<'a> TestSet<'a> {
                 .or_default()
                 .push(row);
         }
-        let targets = by_system.remove(EditRow::TARGET).ok_or(Error::NoItems {
-            system: EditRow::TARGET,
-        })?;
-        let sources = by_system.remove(EditRow::SOURCE).ok_or(Error::NoItems {
-            system: EditRow::SOURCE,
-        })?;
-        let ids: Vec<&str> = targets.keys().copied().collect();
-        let others = by_system.remove(EditRow::OTHER_TAKE).unwrap_or_default();
         Ok(Self {
-            others: other_takes(others, &ids)?,
-            sources: single_take(EditRow::SOURCE, sources, &ids)?,
-            targets: single_take(EditRow::TARGET, targets, &ids)?,
             systems: by_system
                 .into_iter()
                 .map(|(system, rows)| Ok((system, takes(system, rows, &ids)?)))
                 .collect::<Result<_, Error>>()?,
+            items: by_id.into_values().collect(),
         })
+    }
+
+    /// One side of every item.
+    fn sides(&self, side: fn(&'a ItemRow) -> Side<'a>) -> Vec<Side<'a>> {
+        self.items.iter().map(|item| side(item)).collect()
     }
 
     /// Motions that will be encoded.
     fn num_motions(&self) -> usize {
         let num_takes: usize = self.systems.values().map(Vec::len).sum();
-        (2 + num_takes) * self.targets.len() + self.others.iter().flatten().count()
+        (2 + num_takes) * self.items.len() + self.recaptured().len()
     }
 
     /// Positions of the items whose target was captured more than once.
     fn recaptured(&self) -> Vec<usize> {
-        (0..self.others.len())
-            .filter(|&index| self.others[index].is_some())
+        (0..self.items.len())
+            .filter(|&index| self.items[index].other_frames > 0)
             .collect()
     }
 
     /// Positions of the items of each task.
     pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-        for (index, row) in self.targets.iter().enumerate() {
-            kinds.entry(&row.kind).or_default().push(index);
+        for (index, item) in self.items.iter().enumerate() {
+            kinds.entry(&item.task).or_default().push(index);
         }
-        let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.targets.len()).collect()));
+        let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.items.len()).collect()));
         let recaptured =
             Some((RECAPTURED, self.recaptured())).filter(|(_, items)| !items.is_empty());
         all.into_iter().chain(kinds).chain(recaptured).collect()
     }
 }
 
-/// The one other take of each item that has one.
-fn other_takes<'a>(
-    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
-    ids: &[&'a str],
-) -> Result<Vec<Option<&'a EditRow>>, Error> {
-    let with_one: Vec<&str> = ids
-        .iter()
-        .copied()
-        .filter(|id| rows.contains_key(id))
-        .collect();
-    let found = single_take(EditRow::OTHER_TAKE, rows, &with_one)?;
-    let mut found = found.into_iter().peekable();
-    Ok(ids
-        .iter()
-        .map(|id| found.next_if(|row| row.id == *id))
-        .collect())
+/// A motion that is measured: a side of an item, or what a system made of it.
+#[derive(Clone, Copy)]
+enum Side<'a> {
+    Source(&'a ItemRow),
+    Target(&'a ItemRow),
+    OtherTake(&'a ItemRow),
+    Edit(&'a EditRow),
+}
+
+impl<'a> Side<'a> {
+    /// What it is called in errors.
+    fn system(self) -> &'a str {
+        match self {
+            Self::Source(_) => "source",
+            Self::Target(_) => "target",
+            Self::OtherTake(_) => "other take",
+            Self::Edit(row) => &row.system,
+        }
+    }
+
+    fn id(self) -> &'a str {
+        match self {
+            Self::Source(item) | Self::Target(item) | Self::OtherTake(item) => &item.id,
+            Self::Edit(row) => &row.id,
+        }
+    }
+
+    fn motion(self) -> Result<Motion, Error> {
+        let motion = match self {
+            Self::Source(item) => item.source(),
+            Self::Target(item) => item.target(),
+            Self::OtherTake(item) => match item.other_take() {
+                Ok(Some(motion)) => Ok(motion),
+                Ok(None) => item.target(),
+                Err(error) => Err(error),
+            },
+            Self::Edit(row) => row.motion(),
+        };
+        motion.map_err(|source| self.not_a_motion(source))
+    }
+
+    fn not_a_motion(self, source: datasets_spec::Error) -> Error {
+        Error::Motion {
+            system: self.system().to_owned(),
+            id: self.id().to_owned(),
+            source: Box::new(source),
+        }
+    }
+
+    /// A number recorded beside the motion of a system.
+    fn recorded(self, of: fn(&EditRow) -> Option<f32>) -> Option<f32> {
+        match self {
+            Self::Edit(row) => of(row),
+            Self::Source(_) | Self::Target(_) | Self::OtherTake(_) => None,
+        }
+    }
 }
 
 /// Orders the rows of a system by item and take. Takes are told apart by their seed.
@@ -373,23 +429,6 @@ fn takes<'a>(
         }
     }
     Ok(takes)
-}
-
-/// As [`takes`], for a side that has one motion for every item.
-fn single_take<'a>(
-    system: &str,
-    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
-    ids: &[&'a str],
-) -> Result<Vec<&'a EditRow>, Error> {
-    if let Some((id, rows)) = rows.iter().find(|(_, rows)| rows.len() != 1) {
-        return Err(Error::UnevenTakes {
-            system: system.to_owned(),
-            id: (*id).to_owned(),
-            found: rows.len(),
-            expected: 1,
-        });
-    }
-    Ok(takes(system, rows, ids)?.concat())
 }
 
 fn listed(ids: &[&str]) -> String {
@@ -460,7 +499,7 @@ struct Measuring<'a> {
 impl Measuring<'_> {
     /// Measures one motion for each item. Motions are decoded a batch at a time, so that memory
     /// does not grow with the number of systems.
-    fn take(&self, rows: &[&EditRow], targets: &[&EditRow], cut: Cut) -> Result<Take, Error> {
+    fn take(&self, rows: &[Side<'_>], targets: &[Side<'_>], cut: Cut) -> Result<Take, Error> {
         let mut latents = Vec::with_capacity(rows.len());
         let mut foot_scores = Vec::with_capacity(rows.len());
         let mut position_errors = Vec::with_capacity(rows.len());
@@ -474,7 +513,7 @@ impl Measuring<'_> {
             let measured = rows
                 .par_iter()
                 .zip(targets)
-                .map(|(row, target)| measure(row, target, cut, skeleton, protocol))
+                .map(|(row, target)| measure(*row, *target, cut, skeleton, protocol))
                 .collect::<Result<Vec<_>, Error>>()?;
             for measured in &measured {
                 foot_scores.push(measured.foot_score);
@@ -484,7 +523,7 @@ impl Measuring<'_> {
             latents.extend(self.encode(rows, &motions, latents.first().map(Vec::len))?);
             if let Some(judge) = self.instruments.judge {
                 let judged = judge.composed(&motions).map_err(|source| Error::Encoder {
-                    system: rows[0].system.clone(),
+                    system: rows[0].system().to_owned(),
                     source,
                 })?;
                 composed.extend(judged.into_iter().map(|share| 100.0 * share));
@@ -500,7 +539,7 @@ impl Measuring<'_> {
         }
         let recorded = |of: fn(&EditRow) -> Option<f32>| -> Option<Vec<f64>> {
             rows.iter()
-                .map(|row| of(row).map(|metres| CM_PER_M * f64::from(metres)))
+                .map(|row| Some(CM_PER_M * f64::from(row.recorded(of)?)))
                 .collect()
         };
         let fit_errors = recorded(|row| row.fit_error_m);
@@ -521,11 +560,11 @@ impl Measuring<'_> {
     /// Encodes motions and checks that the latents are points with a direction.
     fn encode(
         &self,
-        rows: &[&EditRow],
+        rows: &[Side<'_>],
         motions: &[&Motion],
         width: Option<usize>,
     ) -> Result<Vec<Vec<f64>>, Error> {
-        let system = || rows[0].system.clone();
+        let system = || rows[0].system().to_owned();
         let latents =
             self.instruments
                 .encoder
@@ -553,8 +592,8 @@ impl Measuring<'_> {
                 continue;
             };
             return Err(Error::Latent {
-                system: row.system.clone(),
-                id: row.id.clone(),
+                system: row.system().to_owned(),
+                id: row.id().to_owned(),
                 problem,
             });
         }
@@ -570,18 +609,18 @@ struct MeasuredMotion {
 
 /// Measures everything about a motion that needs no encoder.
 fn measure(
-    row: &EditRow,
-    target: &EditRow,
+    row: Side<'_>,
+    target: Side<'_>,
     cut: Cut,
     skeleton: &Skeleton,
     protocol: &Protocol,
 ) -> Result<MeasuredMotion, Error> {
-    let mut motion = decode(row)?;
-    let target_motion = decode(target)?;
+    let mut motion = row.motion()?;
+    let target_motion = target.motion()?;
     if motion.fps() != target_motion.fps() {
         return Err(Error::FrameRate {
-            system: row.system.clone(),
-            id: row.id.clone(),
+            system: row.system().to_owned(),
+            id: row.id().to_owned(),
             found: motion.fps().get(),
             expected: target_motion.fps().get(),
         });
@@ -590,7 +629,7 @@ fn measure(
         Cut::ToTarget if motion.len() > target_motion.len() => {
             motion = motion
                 .crop(0..target_motion.len())
-                .map_err(|source| not_a_motion(row, source))?;
+                .map_err(|source| row.not_a_motion(source))?;
         }
         Cut::ToTarget | Cut::Never => {}
     }
@@ -599,8 +638,8 @@ fn measure(
     let foot_score =
         foot_score(&feet(&keypoints), motion.fps(), protocol.floor).ok_or_else(|| {
             Error::TooShort {
-                system: row.system.clone(),
-                id: row.id.clone(),
+                system: row.system().to_owned(),
+                id: row.id().to_owned(),
                 frames: motion.len(),
                 needed: MIN_FRAMES,
             }
@@ -610,18 +649,6 @@ fn measure(
         position_error_m: mean_position_error(&keypoints, &expected),
         motion,
     })
-}
-
-fn decode(row: &EditRow) -> Result<Motion, Error> {
-    row.motion().map_err(|source| not_a_motion(row, source))
-}
-
-fn not_a_motion(row: &EditRow, source: datasets_spec::Error) -> Error {
-    Error::Motion {
-        system: row.system.clone(),
-        id: row.id.clone(),
-        source: Box::new(source),
-    }
 }
 
 /// The positions the foot score looks at. The first 22 keypoints are the body joints.
@@ -742,7 +769,7 @@ fn mean(values: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, NoProgress, Pose, Seed, Split};
+    use datasets_spec::{Fps, MotionId, NoProgress, Pose, Seed, Split};
     use glam::DQuat;
     use rand::RngExt;
 
@@ -775,26 +802,46 @@ mod tests {
         }
     }
 
-    fn row(system: &str, index: usize, kind: &str, name: &str) -> EditRow {
+    /// A posture that follows from the name and the number.
+    fn motion(index: usize, name: &str) -> Motion {
         let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
         let mut pose = Pose::REST;
         for rotation in &mut pose.rotations[1..] {
             *rotation = DQuat::from_rotation_x(rng.random_range(-1.0..1.0))
                 * DQuat::from_rotation_z(rng.random_range(-1.0..1.0));
         }
-        let fps = Fps::STORE;
-        let motion = Motion::from_poses(fps, &[pose; 4]).expect("valid");
+        Motion::from_poses(Fps::STORE, &[pose; 4]).expect("valid")
+    }
+
+    fn item(index: usize, task: &str) -> ItemRow {
+        let name = |side: &str| MotionId::parse(&format!("{side}{index:03}")).expect("valid");
+        let mut row = ItemRow {
+            task: task.to_owned(),
+            instruction: "wave".to_owned(),
+            source_id: name("source"),
+            ..ItemRow::blank(&name("target"), Split::Test)
+        };
+        let (source, target) = (motion(index, "source"), motion(index, "target"));
+        row.set_motions(&source, Some(&target), None);
+        row.id = row.content_id();
+        row
+    }
+
+    /// What a system made of an item.
+    fn answer(system: &str, item: &ItemRow, motion: &Motion) -> EditRow {
         EditRow {
-            id: format!("item{index:03}"),
-            split: Split::Test,
+            id: item.id.clone(),
+            split: item.split,
             system: system.to_owned(),
             checkpoint_hash: String::new(),
+            settings_hash: String::new(),
+            settings: String::new(),
             source_id: String::new(),
             target_id: String::new(),
-            instruction: "wave".to_owned(),
-            kind: kind.to_owned(),
+            instruction: item.instruction.clone(),
+            kind: item.task.clone(),
             seed: 0,
-            fps: fps.get() as f32,
+            fps: motion.fps().get() as f32,
             n_frames: 4,
             transl: motion.transl().to_vec(),
             global_orient: motion.global_orient().to_vec(),
@@ -804,44 +851,36 @@ mod tests {
         }
     }
 
-    /// Originals and targets of `num_items` items, alternating between two kinds.
-    fn sides(num_items: usize) -> Vec<EditRow> {
-        let kind = |index: usize| {
-            if index.is_multiple_of(2) {
-                "semantic"
-            } else {
-                "style"
-            }
-        };
+    /// `num_items` items, alternating between two kinds.
+    fn questions(num_items: usize) -> Vec<ItemRow> {
         (0..num_items)
-            .flat_map(|index| {
-                [
-                    row(EditRow::SOURCE, index, kind(index), "source"),
-                    row(EditRow::TARGET, index, kind(index), "target"),
-                ]
-            })
+            .map(|index| item(index, ["semantic", "style"][index % 2]))
             .collect()
     }
 
-    fn with_system(rows: &mut Vec<EditRow>, system: &str, like: &str) {
-        let copies: Vec<EditRow> = rows
-            .iter()
-            .filter(|row| row.system == like)
-            .map(|row| EditRow {
-                system: system.to_owned(),
-                ..row.clone()
-            })
-            .collect();
-        rows.extend(copies);
+    /// A system that returns the targets.
+    fn perfect(system: &str, items: &[ItemRow]) -> Vec<EditRow> {
+        let of = |item| answer(system, item, &ItemRow::target(item).expect("valid"));
+        items.iter().map(of).collect()
     }
 
-    fn scored(rows: &[EditRow], protocol: &Protocol) -> Result<Vec<ScoreRow>, Error> {
+    /// A system that returns the sources.
+    fn lazy(system: &str, items: &[ItemRow]) -> Vec<EditRow> {
+        let of = |item| answer(system, item, &ItemRow::source(item).expect("valid"));
+        items.iter().map(of).collect()
+    }
+
+    fn scored(
+        items: &[ItemRow],
+        edits: &[EditRow],
+        protocol: &Protocol,
+    ) -> Result<Vec<ScoreRow>, Error> {
         let instruments = Instruments {
             encoder: &FirstFrame,
             judge: None,
             skeleton: &Skeleton::smplx_neutral(),
         };
-        score(rows, instruments, protocol, &NoProgress)
+        score(items, edits, instruments, protocol, &NoProgress)
     }
 
     fn value(scores: &[ScoreRow], task: &str, system: &str, metric: Metric) -> f64 {
@@ -854,14 +893,15 @@ mod tests {
 
     #[test]
     fn other_takes_make_a_task_with_a_noise_floor() {
-        let mut rows = sides(40);
-        with_system(&mut rows, "perfect", EditRow::TARGET);
-        let others: Vec<EditRow> = (0..40)
-            .step_by(4)
-            .map(|index| row(EditRow::OTHER_TAKE, index, "semantic", "other"))
-            .collect();
-        rows.extend(others);
-        let scores = scored(&rows, &Protocol::default()).expect("scores");
+        let mut items = questions(40);
+        for index in (0..40).step_by(4) {
+            let (source, target) = (motion(index, "source"), motion(index, "target"));
+            let row = &mut items[index];
+            row.set_motions(&source, Some(&target), Some(&motion(index, "other")));
+            row.id = row.content_id();
+        }
+        let edits = perfect("perfect", &items);
+        let scores = scored(&items, &edits, &Protocol::default()).expect("scores");
         let of = |task: &str, system: &str| value(&scores, task, system, Metric::PositionError);
         assert_eq!(of(RECAPTURED, "perfect"), 0.0);
         assert!(of(RECAPTURED, NOISE_FLOOR) > 0.0);
@@ -878,20 +918,13 @@ mod tests {
         assert_eq!(systems(ALL_TASKS), [REAL_DATA, IDENTITY, "perfect"]);
         let n = scores.iter().find(|row| row.task == RECAPTURED);
         assert_eq!(n.map(|row| row.n), Some(10));
-
-        rows.push(row(EditRow::OTHER_TAKE, 0, "semantic", "third"));
-        assert!(matches!(
-            scored(&rows, &Protocol::default()),
-            Err(Error::UnevenTakes { .. })
-        ));
     }
 
     #[test]
     fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
-        let mut rows = sides(80);
-        with_system(&mut rows, "perfect", EditRow::TARGET);
-        with_system(&mut rows, "lazy", EditRow::SOURCE);
-        let scores = scored(&rows, &Protocol::default()).expect("valid");
+        let items = questions(80);
+        let edits = [perfect("perfect", &items), lazy("lazy", &items)].concat();
+        let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
         let tasks = ["all", "semantic", "style"];
         // Neither generated keypoints, nor a judge, nor several takes.
         let absent = [
@@ -941,22 +974,25 @@ mod tests {
 
     #[test]
     fn order_of_rows_and_threads_do_not_change_a_bit() {
-        let mut rows = sides(40);
-        with_system(&mut rows, "copy", EditRow::TARGET);
+        let mut items = questions(40);
+        let mut edits = perfect("copy", &items);
         let protocol = Protocol::default();
-        let scores = scored(&rows, &protocol).expect("valid");
-        rows.reverse();
+        let scores = scored(&items, &edits, &protocol).expect("valid");
+        items.reverse();
+        edits.reverse();
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(1)
             .build()
             .expect("a pool");
-        let again = pool.install(|| scored(&rows, &protocol)).expect("valid");
+        let again = pool
+            .install(|| scored(&items, &edits, &protocol))
+            .expect("valid");
         assert_eq!(scores, again);
         let other = Protocol {
             seed: Seed(1),
             ..protocol
         };
-        assert_ne!(scored(&rows, &other).expect("valid"), scores);
+        assert_ne!(scored(&items, &edits, &other).expect("valid"), scores);
     }
 
     #[test]
@@ -966,7 +1002,7 @@ mod tests {
             gallery: Gallery::Full,
             ..Protocol::default()
         };
-        let scores = scored(&sides(30), &protocol).expect("valid");
+        let scores = scored(&questions(30), &[], &protocol).expect("valid");
         // Rounding of a trace of order one.
         assert!(value(&scores, "all", REAL_DATA, Metric::FidRaw) < 1e-11);
         assert_eq!(
@@ -977,7 +1013,7 @@ mod tests {
 
     #[test]
     fn asking_the_other_way_round_transposes_the_ranks() {
-        let rows = sides(48);
+        let items = questions(48);
         let real = Protocol {
             gallery: Gallery::Full,
             ..Protocol::default()
@@ -986,8 +1022,8 @@ mod tests {
             queries: Queries::Edited,
             ..real
         };
-        let by_real = scored(&rows, &real).expect("valid");
-        let by_edited = scored(&rows, &edited).expect("valid");
+        let by_real = scored(&items, &[], &real).expect("valid");
+        let by_edited = scored(&items, &[], &edited).expect("valid");
         // The originals asking the targets is the targets, taken as edits, asked by the originals.
         assert_eq!(
             value(&by_real, "all", REAL_DATA, Metric::SourceAverageRank),
@@ -997,37 +1033,28 @@ mod tests {
 
     #[test]
     fn takes_are_scored_in_turn() {
-        let mut rows = sides(20);
-        with_system(&mut rows, "sampler", EditRow::TARGET);
-        let lazy: Vec<EditRow> = rows
-            .iter()
-            .filter(|row| row.system == EditRow::SOURCE)
-            .map(|row| EditRow {
-                system: "sampler".to_owned(),
-                seed: 1,
-                ..row.clone()
-            })
-            .collect();
-        rows.extend(lazy);
-        let scores = scored(&rows, &Protocol::default()).expect("valid");
+        let items = questions(20);
+        let mut edits = perfect("sampler", &items);
+        edits.extend(
+            lazy("sampler", &items)
+                .into_iter()
+                .map(|row| EditRow { seed: 1, ..row }),
+        );
+        let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
         let error = value(&scores, "all", "sampler", Metric::PositionError);
         let lazy = value(&scores, "all", IDENTITY, Metric::PositionError);
         // Half of the ten repeats score the perfect take.
         assert!((error - lazy / 2.0).abs() < 1e-12, "{error} {lazy}");
-        rows.pop();
+        edits.pop();
         assert!(matches!(
-            scored(&rows, &Protocol::default()),
-            Err(Error::UnevenTakes {
-                found: 1,
-                expected: 2,
-                ..
-            })
+            scored(&items, &edits, &Protocol::default()),
+            Err(Error::UnevenTakes { .. })
         ));
     }
 
     #[test]
     fn a_task_of_one_item_keeps_the_metrics_that_mean_something() {
-        let scores = scored(&sides(1), &Protocol::default()).expect("valid");
+        let scores = scored(&questions(1), &[], &Protocol::default()).expect("valid");
         let metrics: Vec<&str> = scores
             .iter()
             .filter(|row| row.system == REAL_DATA)
@@ -1040,9 +1067,9 @@ mod tests {
 
     #[test]
     fn long_edits_are_cut_to_their_target_on_request() {
-        let mut rows = sides(8);
-        with_system(&mut rows, "slow", EditRow::TARGET);
-        for row in rows.iter_mut().filter(|row| row.system == "slow") {
+        let items = questions(8);
+        let mut edits = perfect("slow", &items);
+        for row in &mut edits {
             // Surplus frames that hover would cost foot score if they were looked at.
             for _ in 0..4 {
                 row.transl.push([0.0, 5.0, 0.0]);
@@ -1050,13 +1077,13 @@ mod tests {
                 row.body_pose.push([0.0; 63]);
             }
         }
-        let whole = scored(&rows, &Protocol::default()).expect("valid");
+        let whole = scored(&items, &edits, &Protocol::default()).expect("valid");
         assert!(value(&whole, "all", "slow", Metric::FootScore) < 1.0);
         let protocol = Protocol {
             truncate_to_target: true,
             ..Protocol::default()
         };
-        let cut = scored(&rows, &protocol).expect("valid");
+        let cut = scored(&items, &edits, &protocol).expect("valid");
         assert_eq!(value(&cut, "all", "slow", Metric::FootScore), 1.0);
         assert_eq!(value(&cut, "all", "slow", Metric::PositionError), 0.0);
     }
@@ -1064,44 +1091,49 @@ mod tests {
     #[test]
     fn broken_tables_are_refused_with_the_items_named() {
         let default = Protocol::default();
-        assert!(matches!(
-            scored(&[], &default),
-            Err(Error::NoItems { system: "target" })
-        ));
+        assert!(matches!(scored(&[], &[], &default), Err(Error::NoItems)));
 
-        let mut rows = sides(8);
-        with_system(&mut rows, "partial", EditRow::TARGET);
-        rows.retain(|row| row.system != "partial" || !row.id.ends_with('3'));
-        let error = scored(&rows, &default).expect_err("an item is missing");
+        let items = questions(8);
+        let mut edits = perfect("partial", &items);
+        let lost = edits.remove(3).id;
+        let error = scored(&items, &edits, &default).expect_err("an item is missing");
         assert_eq!(
             error.to_string(),
-            "system \"partial\" lacks 1 of 8 items: item003; edit them or leave the system out"
+            format!(
+                "system \"partial\" lacks 1 of 8 items: {lost}; edit them or leave the system out"
+            )
         );
 
-        let mut rows = sides(8);
-        rows.push(row("stray", 99, "style", "x"));
-        rows.extend((0..8).map(|index| row("stray", index, "style", "x")));
-        let error = scored(&rows, &default).expect_err("an item is unknown");
-        assert!(error.to_string().contains("item099"), "{error}");
+        let mut edits = perfect("stray", &items);
+        let foreign = item(99, "style");
+        edits.extend(perfect("stray", std::slice::from_ref(&foreign)));
+        let error = scored(&items, &edits, &default).expect_err("an item is unknown");
+        assert!(error.to_string().contains(&foreign.id), "{error}");
 
-        let mut rows = sides(8);
-        with_system(&mut rows, IDENTITY, EditRow::SOURCE);
         assert!(matches!(
-            scored(&rows, &default),
+            scored(&items, &lazy(IDENTITY, &items), &default),
             Err(Error::ReservedSystem { .. })
         ));
 
-        let mut rows = sides(8);
-        rows.push(rows[0].clone());
+        let mut changed = items.clone();
+        changed[2].instruction = "kick".to_owned();
         assert!(matches!(
-            scored(&rows, &default),
-            Err(Error::UnevenTakes { .. })
+            scored(&changed, &[], &default),
+            Err(Error::Item { .. })
         ));
 
-        let mut rows = sides(8);
-        rows[0].fps = 30.0;
+        let mut unaimed = items.clone();
+        unaimed[2].target_frames = 0;
+        unaimed[2].id = unaimed[2].content_id();
         assert!(matches!(
-            scored(&rows, &default),
+            scored(&unaimed, &[], &default),
+            Err(Error::NoTarget { .. })
+        ));
+
+        let mut edits = perfect("slow", &items);
+        edits[0].fps = 30.0;
+        assert!(matches!(
+            scored(&items, &edits, &default),
             Err(Error::FrameRate {
                 found: 30.0,
                 expected: 20.0,
@@ -1109,18 +1141,21 @@ mod tests {
             })
         ));
 
-        let mut rows = sides(8);
-        rows[3].transl[0][1] = f32::NAN;
-        assert!(matches!(scored(&rows, &default), Err(Error::Motion { .. })));
+        let mut edits = perfect("broken", &items);
+        edits[3].transl[0][1] = f32::NAN;
+        assert!(matches!(
+            scored(&items, &edits, &default),
+            Err(Error::Motion { .. })
+        ));
 
-        let mut rows = sides(8);
-        for row in &mut rows {
+        let mut edits = perfect("short", &items);
+        for row in &mut edits {
             row.transl.truncate(2);
             row.global_orient.truncate(2);
             row.body_pose.truncate(2);
         }
         assert!(matches!(
-            scored(&rows, &default),
+            scored(&items, &edits, &default),
             Err(Error::TooShort { frames: 2, .. })
         ));
     }
@@ -1147,7 +1182,7 @@ mod tests {
 
     #[test]
     fn broken_latents_are_refused() {
-        let rows = sides(2);
+        let items = questions(2);
         let skeleton = Skeleton::smplx_neutral();
         for (latents, expected) in [
             (vec![], "cannot encode the motions of system \"source\""),
@@ -1157,15 +1192,15 @@ mod tests {
             ),
             (
                 vec![vec![1.0, 2.0], vec![1.0]],
-                "system \"source\", item \"item001\": the latent has another width than the others",
+                "system \"source\", item \"ITEM1\": the latent has another width than the others",
             ),
             (
                 vec![vec![f64::NAN], vec![1.0]],
-                "system \"source\", item \"item000\": the latent is not finite",
+                "system \"source\", item \"ITEM0\": the latent is not finite",
             ),
             (
                 vec![vec![1.0], vec![0.0]],
-                "system \"source\", item \"item001\": the latent is zero, so it has no direction to compare",
+                "system \"source\", item \"ITEM1\": the latent is zero, so it has no direction to compare",
             ),
         ] {
             let instruments = Instruments {
@@ -1173,8 +1208,16 @@ mod tests {
                 judge: None,
                 skeleton: &skeleton,
             };
-            let error = score(&rows, instruments, &Protocol::default(), &NoProgress)
+            let error = score(&items, &[], instruments, &Protocol::default(), &NoProgress)
                 .expect_err("broken latents");
+            let sorted = {
+                let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
+                ids.sort_unstable();
+                ids
+            };
+            let expected = expected
+                .replace("ITEM0", sorted[0])
+                .replace("ITEM1", sorted[1]);
             assert_eq!(error.to_string(), expected);
         }
     }

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
-    EditRow, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow, QuarantineRow,
-    ScoreRow, TripletRow, WindowRow,
+    EditRow, HumanMl3dRow, ItemRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow,
+    QuarantineRow, ScoreRow, TripletRow, WindowRow,
 };
 use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Row, read_rows};
@@ -270,6 +270,7 @@ impl Read {
             TripletRow::TABLE => read.rows_of(&path, file, |_: &TripletRow| Vec::new()),
             NormalizerRow::TABLE => read.rows_of(&path, file, |_: &NormalizerRow| Vec::new()),
             WindowRow::TABLE => read.rows_of(&path, file, |_: &WindowRow| Vec::new()),
+            ItemRow::TABLE => read.items(&path, file),
             EditRow::TABLE => read.rows_of(&path, file, |_: &EditRow| Vec::new()),
             ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
             QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
@@ -316,6 +317,16 @@ impl Read {
         }
         self.rows += rows.len() as u64;
         Ok(rows)
+    }
+
+    /// Checks that every item is what its id says.
+    fn items(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<ItemRow>(path, file)? {
+            if let Err(error) = row.check() {
+                self.find(Check::Contents, &row.id, error.to_string());
+            }
+        }
+        Ok(())
     }
 
     fn motions(&mut self, path: &Path, file: &FileEntry, skeleton: &str) -> Result<(), String> {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use datasets_spec::Seed;
+use pipeline::compose::ItemCount;
 use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
 use train::config::{Preset, RunLength, TrainConfig};
 use train::tmr::TmrConfig;
@@ -44,7 +45,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
     let mut config = RunConfig::new(vec![folder], args.out.clone());
     if args.quick {
-        config.edit.count = QUICK_ITEMS;
+        config.items.count = ItemCount::Exactly(QUICK_ITEMS);
     }
     let mut plan = Plan::new(config, global)?;
     if args.quick {

@@ -4,16 +4,15 @@ use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::dataset::commit_rows;
-use datasets_spec::record::{EditRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, Resample, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
-use train::edit::{Edited, Misfit, edit_motion};
+use train::edit::{Edited, Misfit, SystemIdentity, edit_motion};
 use train::history::EditHistory;
 use train::sample::{EditSettings, EditTimes, Editor, TimedInstruction};
 
@@ -24,8 +23,8 @@ use crate::report;
 
 /// Edit motions by instruction with a trained editor.
 ///
-/// Either all items of a split, into a table that `stance eval` scores; or one motion, from a file
-/// or a dataset. Several --text are laid over each other, each on what the one before made. --during
+/// Either test items, into a table that `stance eval` scores; or one motion, from a file or a
+/// dataset. Several --text are laid over each other, each on what the one before made. --during
 /// asks for something of some frames alone. --history keeps the edits of one motion, to go on from
 /// and to take back.
 #[derive(clap::Args, Debug)]
@@ -62,15 +61,18 @@ pub(crate) struct Args {
     /// one the editor was trained for]
     #[arg(long)]
     temperature: Option<f64>,
-    /// Dataset folder, for a whole split or a stored clip
+    /// Test items to answer, as `stance items` draws them; --seed is that of the sampling alone
+    #[arg(long, conflicts_with_all = ["motion", "text", "during", "history", "dataset"])]
+    items: Option<PathBuf>,
+    /// Name of the system in tables [default: one that says what differs from the preset]
+    #[arg(long)]
+    name: Option<String>,
+    /// Edits of every item, with the sampling seeds --seed, --seed + 1 and so on
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "items", value_parser = clap::value_parser!(u64).range(1..))]
+    takes: u64,
+    /// Dataset folder of a stored clip
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Split to edit
-    #[arg(long, default_value = "test")]
-    split: Split,
-    /// Items of the split to edit
-    #[arg(long, default_value_t = EditConfig::default().count)]
-    count: usize,
     /// One motion: a file of any format that is ingested, or the id of a clip of --dataset
     #[arg(long)]
     motion: Option<String>,
@@ -94,7 +96,7 @@ pub(crate) struct Args {
     /// Print where the time went
     #[arg(long)]
     profile: bool,
-    /// Where to write: for a split a folder; for one motion .npz, .bvh, .glb, a strip as .svg or
+    /// Where to write: for items a folder; for one motion .npz, .bvh, .glb, a strip as .svg or
     /// .png, an animation as .gif, or a folder for a table
     #[arg(long)]
     out: Vec<PathBuf>,
@@ -114,7 +116,8 @@ impl Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = EditConfig {
-        count: args.count,
+        name: args.name.clone(),
+        takes: args.takes,
         guidance: args.guidance,
         temperature: args.temperature,
         prior: args.prior,
@@ -122,6 +125,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         coordinator_steps: args.coordinator_steps,
         ..EditConfig::default()
     };
+    if let Some(items) = &args.items {
+        return answer(args, items, &config, global);
+    }
     if let Some(history) = &args.history {
         return interactive(args, history, &config, global);
     }
@@ -130,20 +136,20 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(motion) if is_asked => one(args, motion, &config, global),
         Some(_) => bail!("say what is asked for: --text, or --during for some frames"),
         None if is_asked => bail!("name the motion to edit: --motion FILE, or an id of --dataset"),
-        None => split(args, &config, global),
+        None => {
+            bail!("pass --items to answer test items, or --motion and --text to edit one motion")
+        }
     }
 }
 
-fn split(args: &Args, config: &EditConfig, global: &Global) -> anyhow::Result<Exit> {
-    let Some(dataset) = &args.dataset else {
-        bail!("pass --dataset to edit a split, or --motion and --text to edit one motion");
-    };
+fn answer(args: &Args, items: &Path, config: &EditConfig, global: &Global) -> anyhow::Result<Exit> {
     let [out] = args.out.as_slice() else {
-        bail!("a split is edited into one folder; pass --out once");
+        bail!("items are answered in one folder; pass --out once");
     };
     let bars = global.bars();
     let source = args.source();
-    let (done, times) = chain::edits(dataset, &source, out, args.split, config, global, &bars)?;
+    let seed = global.seed();
+    let (done, times) = chain::edits(items, &source, out, config, seed, global, &bars)?;
     let rows = done.manifest().rows(EditRow::TABLE, None);
     if global.json {
         report::json(&serde_json::json!({
@@ -275,6 +281,12 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
         edited: &edited,
         text: &texts.join(" / "),
         editor: editor.hash(),
+        system: Some(&chain::identity(
+            &editor,
+            &source,
+            &settings,
+            args.name.as_deref(),
+        )?),
         seed,
     };
     for out in &args.out {
@@ -471,6 +483,7 @@ impl Interactive<'_> {
             edited: &edited,
             text: &texts.join(" / "),
             editor: last.map_or("", |edit| &edit.editor),
+            system: None,
             seed: Seed(last.map_or(0, |edit| edit.seed)),
         }
         .write(out, self.global)
@@ -639,6 +652,8 @@ struct Shown<'a> {
     edited: &'a Edited,
     text: &'a str,
     editor: &'a str,
+    /// None where edits of several editors may lie over each other.
+    system: Option<&'a SystemIdentity>,
     seed: Seed,
 }
 
@@ -669,47 +684,59 @@ impl Shown<'_> {
         replace_file(out, &bytes).with_context(|| format!("cannot write {}", out.display()))
     }
 
-    /// Writes original and edit as rows of the `edits` table, both at the store's rate and equally
-    /// long.
+    /// Writes the original as an item without a target, and the edit of it, both at the store's rate.
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
-        let row = |system: &str, hash: &str, motion: &Motion, misfit: Option<Misfit>| EditRow {
-            id: self.id.to_owned(),
-            split: Split::Test,
-            system: system.to_owned(),
-            checkpoint_hash: hash.to_owned(),
+        let original = Resample::Exact.apply(self.original, Fps::STORE)?;
+        let item = free_item(self.id, self.text, &original)?;
+        let motion = &self.edited.motion;
+        let edit = EditRow {
+            id: item.id.clone(),
+            split: item.split,
+            system: self
+                .system
+                .map_or("MotionReFit", |system| &system.name)
+                .to_owned(),
+            checkpoint_hash: self.editor.to_owned(),
+            settings_hash: self
+                .system
+                .map(SystemIdentity::settings_hash)
+                .unwrap_or_default(),
+            settings: self
+                .system
+                .map(|system| system.settings.clone())
+                .unwrap_or_default(),
             source_id: self.id.to_owned(),
             target_id: String::new(),
             instruction: self.text.to_owned(),
-            kind: "free".to_owned(),
+            kind: item.task.clone(),
             seed: self.seed.0,
             fps: motion.fps().get() as f32,
             n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
             transl: motion.transl().to_vec(),
             global_orient: motion.global_orient().to_vec(),
             body_pose: motion.body_pose().to_vec(),
-            fit_error_m: misfit.map(|misfit| misfit.fit_error_m),
-            bone_drift_m: misfit.map(|misfit| misfit.bone_drift_m),
+            fit_error_m: Some(self.edited.misfit.fit_error_m),
+            bone_drift_m: Some(self.edited.misfit.bone_drift_m),
         };
-        let original = Resample::Exact.apply(self.original, Fps::STORE)?;
-        let both = self.edited.motion.len().min(original.len());
-        let rows = [
-            row(EditRow::SOURCE, "", &original.crop(0..both)?, None),
-            row(
-                "MotionReFit",
-                self.editor,
-                &self.edited.motion,
-                Some(self.edited.misfit),
-            ),
-        ];
-        let plan = blake3::hash(format!("{} {} {:?}", self.id, self.text, rows[1]).as_bytes());
-        commit_rows(
-            out,
-            &rows,
-            Some(|row: &EditRow| row.split),
-            skeleton,
-            &plan.to_hex(),
-            &global.holder(),
-        )?;
+        let plan = blake3::hash(format!("{} {} {edit:?}", self.id, self.text).as_bytes());
+        chain::commit_edits(out, &[item], &[edit], skeleton, &plan.to_hex(), global)?;
         Ok(())
     }
+}
+
+/// An item that asks for something nobody knows the answer to.
+fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow> {
+    // A file's path is no id of a clip; its hash is.
+    let source_id = MotionId::parse(id)
+        .or_else(|_| MotionId::parse(&blake3::hash(id.as_bytes()).to_hex()))
+        .context("a hash is an id")?;
+    let mut item = ItemRow {
+        task: "free".to_owned(),
+        instruction: text.to_owned(),
+        origin: format!("motion {id}"),
+        ..ItemRow::blank(&source_id, Split::Test)
+    };
+    item.set_motions(original, None, None);
+    item.id = item.content_id();
+    Ok(item)
 }

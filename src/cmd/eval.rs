@@ -30,9 +30,13 @@ use crate::report;
 pub(crate) struct Args {
     #[command(subcommand)]
     action: Option<Action>,
-    /// Tables of edits, as `stance edit` writes them; takes of other seeds count as one system
-    #[arg(long, required = true, num_args = 1..)]
+    /// Tables of edits of the same items, as `stance edit` writes them; takes of other seeds count as
+    /// one system
+    #[arg(long, required_unless_present = "items", num_args = 1..)]
     edits: Vec<PathBuf>,
+    /// Items, to print what needs no system: the real data and the identity editor
+    #[arg(long)]
+    items: Option<PathBuf>,
     /// Which table of the paper
     #[arg(long, value_enum, default_value_t = TableArg::One)]
     table: TableArg,
@@ -204,7 +208,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let protocol = args.measure.protocol(Some(table), global);
     let bars = global.bars();
-    let scores = chain::scores(&args.edits, &args.measure.judges()?, &protocol, &bars)?;
+    let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
+    let scores = chain::scores(&tables, &args.measure.judges()?, &protocol, &bars)?;
     if let Some(out) = &args.out {
         chain::commit_scores(out, &scores, &Skeleton::smplx_neutral(), global)?;
     }

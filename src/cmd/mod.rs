@@ -10,6 +10,7 @@ pub(crate) mod eval;
 pub(crate) mod export;
 pub(crate) mod ingest;
 pub(crate) mod inspect;
+pub(crate) mod items;
 pub(crate) mod masks;
 pub(crate) mod model;
 pub(crate) mod page;

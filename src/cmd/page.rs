@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use datasets_spec::record::EditRow;
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{JointSet, Skeleton};
 use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
 use eval::metric::Metric;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Report, Strip};
 
-use crate::chain::{self, Judges};
+use crate::chain::{self, Answered, Judges};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
 use crate::exit::Exit;
@@ -44,12 +45,16 @@ pub(crate) struct Args {
 const BINS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let (rows, skeleton) = chain::edit_rows(&args.edits)?;
-    let mut items: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
-    for row in &rows {
-        items.entry(&row.id).or_default().push(row);
+    let Answered {
+        items,
+        edits,
+        skeleton,
+    } = Answered::read_for_table(&args.edits)?;
+    let mut answers: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
+    for row in &edits {
+        answers.entry(&row.id).or_default().push(row);
     }
-    if items.is_empty() {
+    if edits.is_empty() {
         bail!("the tables hold no edits");
     }
     let scores = match &args.encoder {
@@ -71,28 +76,17 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         None => None,
     };
-    let step = items.len().div_ceil(args.items.max(1));
+    let step = items.len().div_ceil(args.items.max(1)).max(1);
     let strips: Vec<Strip> = items
-        .values()
+        .iter()
         .step_by(step)
         .map(|item| {
-            let mut item = item.clone();
-            item.sort_by_key(|row| (order(&row.system), row.system.clone(), row.seed));
-            let first = item[0];
-            Ok(Strip {
-                caption: first.instruction.clone(),
-                note: format!(
-                    "{}, {}: {} edited towards {}",
-                    first.id, first.kind, first.source_id, first.target_id
-                ),
-                rows: item
-                    .iter()
-                    .map(|row| Ok(Row::new(&row.system, &row.motion()?, &skeleton)))
-                    .collect::<anyhow::Result<_>>()?,
-            })
+            let mut made = answers.get(item.id.as_str()).cloned().unwrap_or_default();
+            made.sort_by_key(|row| (row.system.clone(), row.seed));
+            strip_of(item, &made, &skeleton)
         })
         .collect::<anyhow::Result<_>>()?;
-    let edited = || rows.iter().filter(|row| order(&row.system) == 1);
+    let edited = || edits.iter();
     let mut systems: Vec<&str> = edited().map(|row| row.system.as_str()).collect();
     systems.sort_unstable();
     systems.dedup();
@@ -158,12 +152,32 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The original first, the targets last, what was made between them.
-fn order(system: &str) -> u8 {
-    match system {
-        EditRow::SOURCE => 0,
-        EditRow::TARGET => 2,
-        EditRow::OTHER_TAKE => 3,
-        _ => 1,
+/// An item as it is drawn: the source first, the targets last, what was made of it between them.
+pub(crate) fn strip_of(
+    item: &ItemRow,
+    made: &[&EditRow],
+    skeleton: &Skeleton,
+) -> anyhow::Result<Strip> {
+    let edited = JointSet::try_from(item.hard_joints.clone())?;
+    let mut rows = vec![Row::new("source", &item.source()?, skeleton)];
+    for row in made {
+        rows.push(Row::new(&row.system, &row.motion()?, skeleton));
     }
+    if item.target_frames > 0 {
+        rows.push(Row::new("target", &item.target()?, skeleton));
+    }
+    if let Some(other) = item.other_take()? {
+        rows.push(Row::new("other take", &other, skeleton));
+    }
+    for row in &mut rows {
+        row.highlighted = edited;
+    }
+    Ok(Strip {
+        caption: item.instruction.clone(),
+        note: format!(
+            "{:.8}, {}: {} edited towards {}",
+            item.id, item.task, item.source_id, item.target_id
+        ),
+        rows,
+    })
 }

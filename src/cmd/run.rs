@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::manifest::Accounting;
-use datasets_spec::record::{EditRow, MaskRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
-use datasets_spec::{BodyPart, Dataset, Seed, Split};
+use datasets_spec::{Dataset, Seed, Split};
 use eval::draw::plot::{Bars, Curve, Plot, Scale};
-use eval::draw::strip::Row;
 use eval::format;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Report, Strip};
-use pipeline::compose::ComposeConfig;
+use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;
 use pipeline::pairs::PairConfig;
@@ -26,6 +25,7 @@ use crate::chain::{
 };
 use crate::cli::Global;
 use crate::cmd::eval::tables;
+use crate::cmd::page::strip_of;
 use crate::exit::Exit;
 use crate::report;
 
@@ -71,6 +71,9 @@ pub(crate) struct RunConfig {
     /// Values in place of the preset's for the encoder.
     #[serde(default)]
     encoder: toml::Table,
+    /// Test questions.
+    #[serde(default)]
+    pub(crate) items: ItemConfig,
     #[serde(default)]
     pub(crate) edit: EditConfig,
     #[serde(default)]
@@ -100,6 +103,7 @@ impl RunConfig {
             compose: ComposeConfig::default(),
             train: toml::Table::new(),
             encoder: toml::Table::new(),
+            items: ItemConfig::default(),
             edit: EditConfig::default(),
             eval: Protocol::default(),
         }
@@ -167,6 +171,7 @@ struct Places {
     triplets: PathBuf,
     editor: PathBuf,
     encoder: PathBuf,
+    items: PathBuf,
     edits: PathBuf,
     scores: PathBuf,
     report: PathBuf,
@@ -179,6 +184,7 @@ impl Places {
             triplets: out.join("triplets"),
             editor: out.join("runs/motionrefit"),
             encoder: out.join("runs/tmr"),
+            items: out.join("items"),
             edits: out.join("edits"),
             scores: out.join("scores"),
             report: out.join("report.html"),
@@ -238,15 +244,24 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     if chain::is_stopped() {
         return Ok(stopped());
     }
-    let (edits, _) = chain::edits(
+    chain::items(
         &places.dataset,
+        &places.items,
+        Split::Test,
+        &config.items,
+        seed,
+        global,
+    )
+    .context("stage items")?;
+    let (edits, _) = chain::edits(
+        &places.items,
         &EditorSource {
             clip: config.clip.as_deref(),
             ..EditorSource::best(&places.editor)
         },
         &places.edits,
-        Split::Test,
         &config.edit,
+        seed,
         global,
         &bars,
     )
@@ -337,6 +352,7 @@ fn print(done: &Done, places: &Places, global: &Global) -> anyhow::Result<()> {
         ("triplets", &places.triplets),
         ("encoder", &places.encoder),
         ("editor", &places.editor),
+        ("items", &places.items),
         ("edits", &places.edits),
         ("scores", &places.scores),
         ("report", &places.report),
@@ -445,15 +461,20 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             serde_json::to_string(&done.plan.config.compose)?,
         ),
         (
+            "items".to_owned(),
+            serde_json::to_string(&done.plan.config.items)?,
+        ),
+        (
             "edits".to_owned(),
             serde_json::to_string(&done.plan.config.edit)?,
         ),
     ];
+    let rows_of_items = done.edits.manifest().rows(ItemRow::TABLE, None);
     Ok(Report {
         title: done.plan.title.clone(),
         subtitle: format!(
-            "{motions} clips, {} edited items, from source files to the table below",
-            done.plan.config.edit.count
+            "{motions} clips, {} items, from source files to the table below",
+            rows_of_items
         ),
         cards,
         tables: tables(done.scores),
@@ -498,50 +519,19 @@ fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
     })
 }
 
-/// The first items of different parts, each as original, edit and target.
+/// The first items of different parts, each as source, edit and target.
 fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
-    let rows: Vec<EditRow> = done.edits.read(None)?;
+    let items: Vec<ItemRow> = done.edits.read(None)?;
+    let edits: Vec<EditRow> = done.edits.read(None)?;
     let skeleton = chain::skeleton_of(done.edits)?;
-    let items: Vec<&[EditRow]> = rows.chunk_by(|a, b| a.id == b.id).collect();
     let step = (items.len() / STRIPS).max(1);
     items
-        .into_iter()
+        .iter()
         .step_by(step)
         .take(STRIPS)
         .map(|item| {
-            let order = [EditRow::SOURCE, "", EditRow::TARGET];
-            let mut drawn = Vec::new();
-            for wanted in order {
-                let is_wanted = |row: &&EditRow| match wanted {
-                    "" => row.is_edit(),
-                    side => row.system == side,
-                };
-                let row = item
-                    .iter()
-                    .find(is_wanted)
-                    .context("an item lacks a side")?;
-                let mut figures = Row::new(&row.system, &row.motion()?, &skeleton);
-                if let Some(part) = named_part(&row.instruction) {
-                    figures.highlighted = part.mask().hard();
-                }
-                drawn.push(figures);
-            }
-            Ok(Strip {
-                caption: item[0].instruction.clone(),
-                note: format!(
-                    "{}: {} edited towards {}",
-                    item[0].id, item[0].source_id, item[0].target_id
-                ),
-                rows: drawn,
-            })
+            let made: Vec<&EditRow> = edits.iter().filter(|row| row.id == item.id).collect();
+            strip_of(item, &made, &skeleton)
         })
         .collect()
-}
-
-/// The body part an instruction names, if it follows the release's phrasing.
-fn named_part(instruction: &str) -> Option<BodyPart> {
-    let text = instruction.to_lowercase();
-    BodyPart::ALL
-        .into_iter()
-        .find(|part| text.contains(&part.phrase()))
 }

@@ -10,7 +10,7 @@ use eval::draw::plot::{Curve, HeatMap, Plot, Scale, heat_map, plot};
 use eval::metric::Metric;
 use eval::protocol::Protocol;
 use eval::score::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
-use pipeline::compose::ComposeConfig;
+use pipeline::compose::{ComposeConfig, ItemConfig};
 use serde::{Deserialize, Serialize};
 use train::config::TrainConfig;
 use train::tmr::TmrConfig;
@@ -53,6 +53,12 @@ struct Plan {
     /// Metrics that are drawn.
     #[serde(default = "drawn")]
     metrics: Vec<String>,
+    /// Split the points are scored on: what a sweep chooses by is no test set.
+    #[serde(default = "validation")]
+    split: Split,
+    /// Test questions, the same at every point.
+    #[serde(default)]
+    items: ItemConfig,
     #[serde(default)]
     train: toml::Table,
     #[serde(default)]
@@ -67,6 +73,10 @@ struct Plan {
 
 fn tiny() -> String {
     "tiny".to_owned()
+}
+
+fn validation() -> Split {
+    Split::Val
 }
 
 fn drawn() -> Vec<String> {
@@ -263,6 +273,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             run
         }
     };
+    let items = plan.out.join("items");
+    let seed = global.seed();
+    chain::items(&plan.dataset, &items, plan.split, &plan.items, seed, global).context("items")?;
     let mut scored: Vec<Vec<ScoreRow>> = Vec::with_capacity(points.len());
     for (number, point) in points.iter().enumerate() {
         let name = point.name(&plan.axes);
@@ -271,7 +284,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             return Ok(Exit::Interrupted);
         }
         report::note(&format!("point {} of {}: {name}", number + 1, points.len()));
-        let Some(rows) = at_point(&plan, point, &encoder, global).context(name)? else {
+        let Some(rows) = at_point(&plan, point, &items, &encoder, global).context(name)? else {
             report::note("stopped and saved; the same command goes on from here");
             return Ok(Exit::Interrupted);
         };
@@ -337,6 +350,7 @@ fn short<T: Serialize>(settings: &T) -> anyhow::Result<String> {
 fn at_point(
     plan: &Plan,
     point: &Point,
+    items: &Path,
     encoder: &Path,
     global: &Global,
 ) -> anyhow::Result<Option<Vec<ScoreRow>>> {
@@ -347,7 +361,11 @@ fn at_point(
         edit,
     } = &point.settings;
     let training = short(&(train, compose))?;
-    let editing = short(&(&training, edit, &plan.coordinator))?;
+    let asked = Dataset::open_unverified(items)?
+        .manifest()
+        .root_hash
+        .clone();
+    let editing = short(&(&training, edit, &plan.coordinator, asked))?;
     let run = plan.out.join("runs").join(&training);
     let edits = plan.out.join("edits").join(&editing);
     let protocol = Protocol {
@@ -373,15 +391,8 @@ fn at_point(
         clip: plan.clip.as_deref(),
         ..EditorSource::best(&run)
     };
-    chain::edits(
-        &plan.dataset,
-        &source,
-        &edits,
-        Split::Test,
-        edit,
-        global,
-        &bars,
-    )?;
+    let seed = global.seed();
+    chain::edits(items, &source, &edits, edit, seed, global, &bars)?;
     let judges = Judges {
         encoder,
         coordinator: None,

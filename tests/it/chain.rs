@@ -57,7 +57,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             num_steps = 12
             val_every = 6
             log_every = 3
-            [edit]
+            [items]
             count = 12
         "#,
     )

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Dataset;
+use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::train::Workshop;
@@ -45,20 +47,34 @@ impl Bench {
             arg(&settings),
         ])
         .expect_code(0);
-        Self { workshop, encoder }
+        let bench = Self { workshop, encoder };
+        bench.items("items", &["--count", "8"]);
+        bench
     }
 
-    /// Edits eight items and returns the folder.
-    fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
+    /// Draws items of the test split.
+    fn items(&self, name: &str, more: &[&str]) -> PathBuf {
         let out = self.workshop.path(name);
-        let (editor, dataset) = (self.workshop.path("editor"), self.workshop.dataset());
+        let dataset = self.workshop.dataset();
+        let mut args = vec!["items", arg(&dataset), "--out", arg(&out)];
+        args.extend(more);
+        stance(&args).expect_code(0);
+        out
+    }
+
+    /// Answers the eight items with the editor and returns the folder.
+    fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
+        self.answers("editor", "items", name, more)
+    }
+
+    /// Answers items with a run.
+    fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
+        let [run, items, out] = [run, items, name].map(|name| self.workshop.path(name));
         let mut args = vec![
             "edit",
-            arg(&editor),
-            "--dataset",
-            arg(&dataset),
-            "--count",
-            "8",
+            arg(&run),
+            "--items",
+            arg(&items),
             "--out",
             arg(&out),
         ];
@@ -189,7 +205,7 @@ fn a_sweep_goes_on_where_it_stopped_and_is_drawn() {
             .replace("[model]", "[train.model]");
         let text = format!(
             "dataset = \"dataset\"\nout = \"sweep\"\nencoder = \"encoder\"\n\
-             metrics = [\"E2T AvgR\", \"FS\"]\n[eval]\nrepeats = 2\n[edit]\ncount = 6\n\
+             metrics = [\"E2T AvgR\", \"FS\"]\n[eval]\nrepeats = 2\n[items]\ncount = 6\n\
              [[axis]]\nname = \"MCM ratio\"\nkey = \"{key}\"\nvalues = [0.2, 1.0]\n\
              [[axis]]\nname = \"guidance\"\nkey = \"edit.guidance\"\nvalues = [1.0, 2.0]\n\
              second_key = \"edit.temperature\"\nsecond_values = [0.5]\n\
@@ -288,4 +304,177 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
     assert!(refused.stderr.contains("encoder"), "{}", refused.stderr);
+}
+
+/// The rows of one system, metric by metric.
+fn of_system(scores: &Value, system: &str) -> Vec<(String, f64)> {
+    let rows = scores.as_array().expect("rows").iter();
+    rows.filter(|row| row["system"] == system && row["task"] == "semantic")
+        .map(|row| {
+            let metric = row["metric"].as_str().expect("a name").to_owned();
+            (metric, row["mean"].as_f64().expect("a number"))
+        })
+        .collect()
+}
+
+#[test]
+fn items_do_not_change_with_the_seed_of_sampling() {
+    let bench = Bench::open();
+    let (zero, one) = (
+        bench.edits("zero", &["--seed", "0"]),
+        bench.edits("one", &["--seed", "1"]),
+    );
+    let files = |folder: &Path| {
+        let mut files: Vec<Vec<u8>> =
+            crate::util::files_with_extension(&folder.join("data/items"), "parquet")
+                .iter()
+                .map(|path| fs::read(path).expect("a shard"))
+                .collect();
+        files.sort();
+        files
+    };
+    let read = |folder: &Path| -> (Vec<ItemRow>, Vec<EditRow>) {
+        let folder = Dataset::open(folder).expect("a folder of edits");
+        (
+            folder.read(None).expect("items"),
+            folder.read(None).expect("edits"),
+        )
+    };
+    let ((items, first), (same, second)) = (read(&zero), read(&one));
+    assert_eq!(items, same);
+    assert_eq!(files(&zero).len(), files(&one).len());
+    for (a, b) in first.iter().zip(&second) {
+        assert_eq!(a.id, b.id);
+        assert_ne!(a.body_pose, b.body_pose, "another sample of {}", a.id);
+    }
+    // Two takes of one system: the value of each repeat is that of one of them.
+    let error = |edits: &[&Path]| {
+        let scores: Value = bench.eval(edits, &["--json"]).expect_code(0).json();
+        let rows = of_system(&scores, "MotionReFit");
+        let found = rows
+            .iter()
+            .find(|(metric, _)| metric == "Position error (cm)");
+        found.expect("measured").1
+    };
+    let (a, b, both) = (error(&[&zero]), error(&[&one]), error(&[&zero, &one]));
+    assert!((both - (a + b) / 2.0).abs() < 1e-9, "{a} {b} {both}");
+    // Items drawn with another seed are other items, and their edits are not united with these.
+    bench.items("others", &["--count", "8", "--seed", "5"]);
+    let others = bench.answers("editor", "others", "elsewhere", &[]);
+    let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
+    for text in ["different items", "zero", "elsewhere"] {
+        assert!(refused.stderr.contains(text), "{}", refused.stderr);
+    }
+    // Many takes can be made at once, and are the same takes.
+    let takes = bench.edits("takes", &["--takes", "2"]);
+    let (_, together) = read(&takes);
+    let mut apart = [first, second].concat();
+    apart.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
+    let mut together = together;
+    together.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
+    assert_eq!(together, apart);
+}
+
+#[test]
+fn every_system_has_a_row_and_two_under_one_name_are_refused() {
+    let bench = Bench::open();
+    let workshop = &bench.workshop;
+    workshop.train("coordinator", "guide", "4").expect_code(0);
+    let fixed = workshop.path("fixed.toml");
+    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    stance(&[
+        "train",
+        "motionrefit",
+        arg(&workshop.dataset()),
+        "--out",
+        arg(&workshop.path("fixed")),
+        "--config",
+        arg(&workshop.path("small.toml")),
+        "--compose",
+        arg(&fixed),
+        "--steps",
+        "4",
+    ])
+    .expect_code(0);
+    let guide = workshop.path("guide");
+    let base = bench.edits("base", &[]);
+    let full = bench.edits("full", &["--coordinator", arg(&guide)]);
+    let without = bench.answers("fixed", "items", "without", &[]);
+    let scores: Value = bench
+        .eval(&[&full, &base, &without], &["--json"])
+        .expect_code(0)
+        .json();
+    for system in [
+        "Real Data",
+        "Identity",
+        "MotionReFit",
+        "MotionReFit + coordinator",
+        "MotionReFit, w/o MCM",
+    ] {
+        assert!(!of_system(&scores, system).is_empty(), "{system}: {scores}");
+    }
+
+    let named = |run: &str, out: &str, more: &[&str]| {
+        let mut args = vec!["--name", "ours"];
+        args.extend(more);
+        bench.answers(run, "items", out, &args)
+    };
+    let ours = named("editor", "ours", &[]);
+    let refused = |other: &Path, what: &str| {
+        let ran = bench.eval(&[&ours, other], &[]).expect_code(1);
+        assert!(
+            ran.stderr.contains(what) && ran.stderr.contains("--name"),
+            "{}",
+            ran.stderr
+        );
+    };
+    refused(&named("fixed", "other-weights", &[]), "two checkpoints");
+    refused(
+        &named("editor", "other-settings", &["--guidance", "3"]),
+        "two settings",
+    );
+}
+
+#[test]
+fn an_item_that_was_changed_under_its_id_is_refused() {
+    let bench = Bench::open();
+    let items = bench.workshop.path("items");
+    let drawn = Dataset::open(&items).expect("items");
+    let mut rows: Vec<ItemRow> = drawn.read(None).expect("rows");
+    rows[3].instruction.push_str(" Twice.");
+    let forged = bench.workshop.path("forged");
+    datasets_spec::dataset::commit_rows(
+        &forged,
+        &rows,
+        Some(|row: &ItemRow| row.split),
+        &drawn.skeleton().expect("built in"),
+        "forged",
+        "test",
+    )
+    .expect("writes");
+    let ran = bench.eval(&[&forged], &[]).expect_code(1);
+    assert!(
+        ran.stderr.contains(&rows[3].id) && ran.stderr.contains("stance items"),
+        "{}",
+        ran.stderr
+    );
+    let verified = stance(&["verify", arg(&forged)]).expect_code(1);
+    assert!(
+        [verified.stdout, verified.stderr]
+            .concat()
+            .contains(&rows[3].id),
+        "the changed item is not named"
+    );
+    // What needs no system is scored on the items alone.
+    let scores: Value = stance(&[
+        "--json",
+        "eval",
+        "--items",
+        arg(&items),
+        "--encoder",
+        arg(&bench.encoder),
+    ])
+    .expect_code(0)
+    .json();
+    assert!(!of_system(&scores, "Identity").is_empty());
 }

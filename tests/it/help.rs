@@ -3,10 +3,10 @@
 use crate::util::stance;
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 21] = [
+const VERBS: [&str; 22] = [
     "demo", "run", "build", "corpus", "doctor", "ingest", "inspect", "verify", "stats", "export",
-    "annotate", "masks", "pairs", "triplets", "train", "model", "edit", "eval", "sweep", "report",
-    "render",
+    "annotate", "masks", "pairs", "triplets", "items", "train", "model", "edit", "eval", "sweep",
+    "report", "render",
 ];
 
 #[test]

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, MotionRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::util::{Ran, arg, command, corpus, stance};
@@ -197,9 +196,13 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     }
     let table = Dataset::open(&workshop.path("table")).expect("a table");
     let rows: Vec<EditRow> = table.read(None).expect("rows");
-    assert_eq!(rows.len(), 2);
-    assert_eq!(table.manifest().rows(EditRow::TABLE, None), 2);
-    assert!(rows.iter().any(|row| row.instruction.contains(" / ")));
+    let items: Vec<ItemRow> = table.read(None).expect("rows");
+    let ([item], [row]) = (&items[..], &rows[..]) else {
+        panic!("{} items, {} edits", items.len(), rows.len());
+    };
+    item.check().expect("named by its content");
+    assert_eq!((&row.id, item.target_frames), (&item.id, 0));
+    assert!(row.instruction.contains(" / ") && row.settings.contains("2.5"));
 
     let refused = |args: &[&str], reason: &str| {
         let ran = stance(args).expect_code(1);
@@ -280,23 +283,24 @@ fn some_frames_are_edited_and_the_others_stay() {
         arg(&out),
     ])
     .expect_code(0);
-    let rows: Vec<EditRow> = Dataset::open(&out)
-        .expect("a table")
-        .read(None)
-        .expect("rows");
-    let (source, edit) = match &rows[..] {
-        [a, b] if a.system == EditRow::SOURCE => (a, b),
-        [a, b] => (b, a),
-        _ => panic!("{} rows", rows.len()),
+    let table = Dataset::open(&out).expect("a table");
+    let items: Vec<ItemRow> = table.read(None).expect("rows");
+    let rows: Vec<EditRow> = table.read(None).expect("rows");
+    let ([source], [edit]) = (&items[..], &rows[..]) else {
+        panic!("{} items, {} edits", items.len(), rows.len());
     };
     // The first window is not asked for: it is what ten frames a second and the fit leave of it.
     for frame in 0..28 {
-        for (a, b) in source.transl[frame].iter().zip(&edit.transl[frame]) {
+        for (a, b) in source.source_transl[frame].iter().zip(&edit.transl[frame]) {
             assert!((a - b).abs() < 0.05, "frame {frame}: {a} {b}");
         }
     }
     let away = (32..56)
-        .flat_map(|frame| source.body_pose[frame].iter().zip(&edit.body_pose[frame]))
+        .flat_map(|frame| {
+            source.source_body_pose[frame]
+                .iter()
+                .zip(&edit.body_pose[frame])
+        })
         .map(|(a, b)| (a - b).abs())
         .fold(0.0, f32::max);
     assert!(away > 0.2, "{away}");

@@ -1,41 +1,45 @@
-//! Editing whole test items: from composed triplets to rows of the `edits` table.
+//! Editing test items: from rows of table `items` to rows of table `edits`.
 
 use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::fit::{FitOptions, fit_motion_from};
-use datasets_spec::record::EditRow;
+use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::resample::double_rate;
 use datasets_spec::skeleton::{KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_KEYPOINTS};
-use datasets_spec::{Fps, Motion, Resample, Skeleton};
-use pipeline::compose::Triplet;
+use datasets_spec::{Fps, Motion, Skeleton};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
 use crate::{Error, Session};
 
-/// An item with the target made of another capture, where there is one.
-#[derive(Clone, Copy, Debug)]
-pub struct TestItem<'a> {
-    /// The item.
-    pub triplet: &'a Triplet,
-    /// Its other target.
-    pub other_take: Option<&'a Motion>,
+/// Which system answers, and how: what tells its rows from those of others.
+#[derive(Clone, Debug)]
+pub struct SystemIdentity {
+    /// Name in tables.
+    pub name: String,
+    /// What the system edits with, as a JSON object; its hash stands beside it in every row.
+    pub settings: String,
 }
 
-/// Edits the original of every item and returns its rows: the original (`source`), the ground truth
-/// (`target`), the ground truth of another capture where there is one (`other take`), and what the
-/// editor made of the original (`system`). All are at 20 fps and as long as the edit, whole
-/// windows of the original, as far as they reach. Beside them comes where the time went.
+impl SystemIdentity {
+    /// What identifies the settings: BLAKE3, hexadecimal.
+    pub fn settings_hash(&self) -> String {
+        blake3::hash(self.settings.as_bytes()).to_hex().to_string()
+    }
+}
+
+/// Edits the source of every item. The rows are at 20 fps and as long as the edits.
+/// Beside them comes where the time went.
 ///
 /// # Errors
-/// An original is shorter than a window, or a generated motion is not finite.
+/// A source is shorter than a window, or a generated motion is not finite.
 ///
 /// # Source
 /// Paper App. B.2 (windows) and B.3 (fit).
 pub fn edit_items(
     editor: &Editor,
-    system: &str,
-    items: &[TestItem<'_>],
+    system: &SystemIdentity,
+    items: &[ItemRow],
     skeleton: &Skeleton,
     settings: &EditSettings,
     session: &Session<'_>,
@@ -43,35 +47,29 @@ pub fn edit_items(
     let record = &editor.record().config;
     let prepared: Vec<EditItem> = items
         .iter()
-        .map(|TestItem { triplet: item, .. }| {
-            EditItem::new(
-                &item.id,
-                &item.original,
-                &item.instruction,
-                skeleton,
-                record,
-            )
+        .map(|item| {
+            let source = item.source().map_err(motion_error(&item.id))?;
+            EditItem::new(&item.id, &source, &item.instruction, skeleton, record)
         })
         .collect::<Result<_, _>>()?;
     let mut times = EditTimes::default();
     let edited = editor.edit_batch(&prepared, skeleton, settings, session, &mut times)?;
     let begun = session.secs();
     session.progress.begin("fit", Some(items.len() as u64));
-    let rows: Vec<Vec<EditRow>> = items
+    let rows: Vec<EditRow> = items
         .par_iter()
         .zip(prepared.par_iter().zip(&edited))
         .map(|(item, (prepared, frames))| {
             let made = fit_edited(editor, prepared, frames, skeleton, settings.prior)?;
-            let rows = item_rows(editor, system, item, made, settings);
             session.progress.advance(1);
-            rows
+            Ok(edit_row(editor, system, item, &made, settings))
         })
-        .collect::<Result<_, _>>()?;
+        .collect::<Result<_, Error>>()?;
     times.fit_secs += session.secs() - begun;
     session
         .progress
         .finish(&format!("{} edited motions fitted", items.len()));
-    Ok((rows.into_iter().flatten().collect(), times))
+    Ok((rows, times))
 }
 
 /// How far generated points are from any body: they know no bones.
@@ -174,49 +172,31 @@ fn motion_error(id: &str) -> impl Fn(datasets_spec::Error) -> Error {
     }
 }
 
-fn item_rows(
+fn edit_row(
     editor: &Editor,
-    system: &str,
-    item: &TestItem<'_>,
-    (made, misfit): (Motion, Misfit),
+    system: &SystemIdentity,
+    item: &ItemRow,
+    (motion, misfit): &(Motion, Misfit),
     settings: &EditSettings,
-) -> Result<Vec<EditRow>, Error> {
-    let TestItem {
-        triplet: item,
-        other_take,
-    } = item;
-    let side = |motion: &Motion| {
-        Resample::Exact
-            .apply(motion, Fps::STORE)
-            .and_then(|motion| motion.crop(0..made.len().min(motion.len())))
-            .map_err(motion_error(&item.id))
-    };
-    let row =
-        |system: &str, checkpoint_hash: &str, motion: &Motion, misfit: Option<Misfit>| EditRow {
-            id: item.id.clone(),
-            split: item.split,
-            system: system.to_owned(),
-            checkpoint_hash: checkpoint_hash.to_owned(),
-            source_id: item.source_id.to_string(),
-            target_id: item.target_id.to_string(),
-            instruction: item.instruction.clone(),
-            kind: item.kind.to_owned(),
-            seed: settings.seed.0,
-            fps: motion.fps().get() as f32,
-            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-            transl: motion.transl().to_vec(),
-            global_orient: motion.global_orient().to_vec(),
-            body_pose: motion.body_pose().to_vec(),
-            fit_error_m: misfit.map(|misfit| misfit.fit_error_m),
-            bone_drift_m: misfit.map(|misfit| misfit.bone_drift_m),
-        };
-    let mut rows = vec![
-        row(EditRow::SOURCE, "", &side(&item.original)?, None),
-        row(EditRow::TARGET, "", &side(&item.edited)?, None),
-    ];
-    if let Some(other) = other_take {
-        rows.push(row(EditRow::OTHER_TAKE, "", &side(other)?, None));
+) -> EditRow {
+    EditRow {
+        id: item.id.clone(),
+        split: item.split,
+        system: system.name.clone(),
+        checkpoint_hash: editor.hash().to_owned(),
+        settings_hash: system.settings_hash(),
+        settings: system.settings.clone(),
+        source_id: item.source_id.to_string(),
+        target_id: item.target_id.to_string(),
+        instruction: item.instruction.clone(),
+        kind: item.task.clone(),
+        seed: settings.seed.0,
+        fps: motion.fps().get() as f32,
+        n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+        transl: motion.transl().to_vec(),
+        global_orient: motion.global_orient().to_vec(),
+        body_pose: motion.body_pose().to_vec(),
+        fit_error_m: Some(misfit.fit_error_m),
+        bone_drift_m: Some(misfit.bone_drift_m),
     }
-    rows.push(row(system, editor.hash(), &made, Some(misfit)));
-    Ok(rows)
 }

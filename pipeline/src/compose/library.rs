@@ -10,7 +10,7 @@ use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Pose, 
 use rayon::prelude::*;
 
 use super::config::{Alignment, EditKind, RangeRule};
-use super::{ComposeConfig, Error, align, style_instruction};
+use super::{ComposeConfig, Error, ItemTask, align, style_instruction};
 
 /// Most windows a normalisation range is fitted on. The quantiles of 13 million coordinates per
 /// axis are known to about 1e-4 of the distribution; more windows would only take memory.
@@ -36,6 +36,8 @@ pub(super) struct Annotation {
     /// Index of the clip.
     pub(super) clip: usize,
     pub(super) mask: BlendMask,
+    /// Names of the parts the mask is made of.
+    pub(super) parts: Vec<String>,
     pub(super) instruction: String,
 }
 
@@ -52,6 +54,10 @@ pub(super) struct Pair {
     pub(super) target: usize,
     /// Halves of the body that may be edited.
     pub(super) halves: Vec<BodyPart>,
+    /// Names of the parts it is said to change.
+    pub(super) parts: Vec<String>,
+    /// Whether it is a pair of MotionFix, which is evaluated as it is.
+    pub(super) is_motionfix: bool,
     pub(super) instruction: String,
 }
 
@@ -333,6 +339,8 @@ fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
         source,
         target,
         halves: halves_of(&parts),
+        parts: row.parts.clone(),
+        is_motionfix: row.source == ItemTask::MotionFix.as_str(),
         instruction,
     })
 }
@@ -385,6 +393,7 @@ fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
         id: row.id.clone(),
         clip,
         mask,
+        parts: row.parts.clone(),
         instruction: row.text.clone(),
     })
 }

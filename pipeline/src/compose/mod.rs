@@ -16,6 +16,7 @@ mod draw;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod instruction;
+mod items;
 mod library;
 mod loader;
 mod sinc;
@@ -30,11 +31,12 @@ pub use config::{
 };
 pub use coordinator::CoordinatorBatch;
 pub use instruction::{Phrases, action_phrase, instruction, style_instruction};
+pub use items::{ItemConfig, ItemCount, ItemTask, draw_items};
 pub use library::Library;
 pub use loader::{ReadOrder, WindowLoader};
 pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
-pub use triplet::{Triplet, edit_items, other_take};
+pub use triplet::Triplet;
 
 use datasets_spec::{MotionId, Split};
 

@@ -1,24 +1,16 @@
-//! Whole-clip triplets: recorded items of a stream, and the fixed items systems are evaluated on.
-
-use std::sync::Arc;
+//! Whole-clip triplets: recorded items of a stream.
 
 use datasets_spec::record::TripletRow;
 use datasets_spec::{BlendMask, Fps, JointSet, Motion, MotionId, Seed, Split};
-use rand::RngExt;
 
-use super::library::Clip;
 use super::stream::{Pairing, Subject};
 use super::{Alignment, ComposeConfig, Error, Library, Stream, blend_motion};
-
-/// Windows an evaluation item should cover: the paper edits clips of several segments, and the
-/// released demo uses at least three.
-const PREFERRED_WINDOWS: usize = 3;
 
 /// An original motion, an instruction, and the edited motion it leads to. Both motions have the
 /// same length and rate; outside the mask their local rotations are the same to the last bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Triplet {
-    /// Its place in the stream, or in the list of evaluation items.
+    /// Its place in the stream.
     pub id: String,
     /// The split of all motions in it.
     pub split: Split,
@@ -47,7 +39,7 @@ pub struct Triplet {
     pub alpha: f64,
     /// Seed of the stream.
     pub seed: Seed,
-    /// Epoch of the stream; 0 for evaluation items.
+    /// Epoch of the stream.
     pub epoch: u64,
     /// [`ComposeConfig::recipe_hash`] of the settings it was composed with.
     pub recipe_hash: String,
@@ -136,176 +128,22 @@ impl Stream {
     }
 }
 
-/// Composes a list of items to evaluate systems on, the same for the same arguments.
-///
-/// Every usable annotation and pair is a target before any is used again, in an order drawn from the
-/// seed. Partners are clips of other actions, where actions are known, and long enough for three
-/// windows, where such clips exist.
-///
-/// # Errors
-/// A setting is out of range, no annotated motion or pair is as long as a window, or one has no
-/// partner.
-pub fn edit_items(
-    library: &Arc<Library>,
-    config: &ComposeConfig,
-    seed: Seed,
-    count: usize,
-) -> Result<Vec<Triplet>, Error> {
-    config.check()?;
-    let library = Arc::clone(library).aligned(config.alignment);
-    let stride = config.stride(library.fps())?;
-    let span = config.span(stride);
-    let whole = ComposeConfig {
-        mcm_ratio: 1.0,
-        annotated_ratio: 1.0,
-        ..config.clone()
-    };
-    let base = library.base(&whole, seed, span);
-    let mut targets: Vec<(u64, Subject)> = library
-        .subjects(&whole, seed, span)
-        .into_iter()
-        .map(|subject| {
-            let id = library.subject_id(subject);
-            (seed.draw_u64(&["evaluation order", id]), subject)
-        })
-        .collect();
-    targets.sort_unstable_by_key(|target| target.0);
-    if targets.is_empty() {
-        return Err(Error::NoItem {
-            split: library.split(),
-            frames: span,
-        });
-    }
-    let recipe_hash = config.recipe_hash();
-    let preferred = span + (PREFERRED_WINDOWS - 1) * config.advance(stride);
-    (0..count)
-        .map(|item| {
-            let subject = targets[item % targets.len()].1;
-            let round = (item / targets.len()).to_string();
-            let id = library.subject_id(subject);
-            let mut rng = seed.rng(&["evaluation item", id, &round]);
-            let partners = library.partners(&base, subject, preferred)?;
-            let partner = partners[rng.random_range(0..partners.len())];
-            let pairing = library.paired(partner, subject, config, &mut rng);
-            let place = Place {
-                id: format!(
-                    "{}-{}-{item:05}",
-                    library.split(),
-                    library.kind_of(subject).as_str()
-                ),
-                seed,
-                epoch: 0,
-                recipe_hash: recipe_hash.clone(),
-                instruction: library.first_wording(&pairing, config),
-            };
-            Ok(library.compose(place, &pairing, config))
-        })
-        .collect()
-}
-
-/// The edited motion of an evaluation item with another capture of the same action in the same style in
-/// place of its target. No editor can be expected to come nearer to the target than that. None where
-/// there is no such capture, or none as long as a window.
-///
-/// # Panics
-/// If the item is of another library or of other settings.
-pub fn other_take(library: &Library, config: &ComposeConfig, item: &Triplet) -> Option<Motion> {
-    let captured = |id: &MotionId| {
-        let mut clips = library.clips.iter();
-        clips
-            .find(|clip| clip.in_base && clip.id == *id)
-            .expect("a motion of this library")
-    };
-    let target = captured(&item.target_id);
-    let same = |clip: &&Clip| {
-        clip.in_base
-            && clip.action.is_some()
-            && clip.action == target.action
-            && clip.style == target.style
-            && clip.origin != target.origin
-            && clip.id != item.source_id
-    };
-    let window = config.span(config.stride(library.fps()).ok()?);
-    let takes: Vec<&Clip> = library
-        .clips
-        .iter()
-        .filter(same)
-        .filter(|clip| clip.motion.len() >= window.min(item.original.len()))
-        .collect();
-    let longest = takes.iter().map(|clip| clip.motion.len()).max()?;
-    // As much of the edit as any take has; which of those that have it is drawn.
-    let frames = longest.min(item.original.len());
-    let takes: Vec<&Clip> = takes
-        .into_iter()
-        .filter(|clip| clip.motion.len() >= frames)
-        .collect();
-    let mut rng = item.seed.rng(&["other take", &item.id]);
-    let take = &takes[rng.random_range(0..takes.len())].motion;
-    let start = item.target_start.min(take.len() - frames);
-    let over = take.crop(start..start + frames).ok()?;
-    if item.mask == BlendMask::EMPTY {
-        return Some(over);
-    }
-    let under = match item.donor_ids.first() {
-        Some(donor) => captured(donor)
-            .motion
-            .crop(item.donor_start..item.donor_start + frames),
-        None => item.original.crop(0..frames),
-    };
-    blend_motion(&under.ok()?, &over, item.mask, item.alpha, config.slerp).ok()
-}
-
 /// What a triplet is called, what it says and where it comes from.
-struct Place {
-    id: String,
-    seed: Seed,
-    epoch: u64,
-    recipe_hash: String,
-    instruction: String,
+pub(super) struct Place {
+    pub(super) id: String,
+    pub(super) seed: Seed,
+    pub(super) epoch: u64,
+    pub(super) recipe_hash: String,
+    pub(super) instruction: String,
 }
 
 impl Library {
-    /// The clips of the base that suit a target best: of another action and as long as `preferred`
-    /// or the target, else of another action, else any other.
-    fn partners(
+    pub(super) fn compose(
         &self,
-        base: &[usize],
-        subject: Subject,
-        preferred: usize,
-    ) -> Result<Vec<usize>, Error> {
-        let target = &self.clips[self.target_of(subject)];
-        let other: Vec<usize> = base
-            .iter()
-            .copied()
-            .filter(|&clip| self.may_meet(clip, subject))
-            .collect();
-        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
-        let other_action: Vec<usize> = other
-            .iter()
-            .copied()
-            .filter(|&clip| !same_action(&self.clips[clip]))
-            .collect();
-        let needed = preferred.min(self.frames_of(subject));
-        let long: Vec<usize> = other_action
-            .iter()
-            .copied()
-            .filter(|&clip| self.clips[clip].motion.len() >= needed)
-            .collect();
-        [long, other_action, other]
-            .into_iter()
-            .find(|partners| !partners.is_empty())
-            .ok_or_else(|| Error::NoPartner {
-                motion: target.id.clone(),
-            })
-    }
-
-    /// The instruction as it is in the dataset, extended by the part by the first template.
-    fn first_wording(&self, pairing: &Pairing, config: &ComposeConfig) -> String {
-        let wordings = self.wordings(pairing.subject, pairing.half, config);
-        wordings.into_iter().next().unwrap_or_default()
-    }
-
-    fn compose(&self, place: Place, pairing: &Pairing, config: &ComposeConfig) -> Triplet {
+        place: Place,
+        pairing: &Pairing,
+        config: &ComposeConfig,
+    ) -> Triplet {
         let cut = |clip: usize, start: usize, len: usize| {
             let motion = &self.clips[clip].motion;
             motion
@@ -421,6 +259,8 @@ impl Triplet {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use datasets_spec::Skeleton;
     use proptest::prelude::*;
 
@@ -618,73 +458,6 @@ mod tests {
         assert_eq!(row.original().expect("valid"), triplet.original);
         assert_eq!(row.edited().expect("valid"), triplet.edited);
         assert_eq!(f64::from(row.alpha), triplet.alpha);
-    }
-
-    #[test]
-    fn evaluation_items_cover_the_annotations_before_repeating() {
-        let library = fixture::library(Split::Test, CLIPS);
-        let config = ComposeConfig::default();
-        let items =
-            edit_items(&Arc::new(library.clone()), &config, Seed(3), 13).expect("enough clips");
-        assert_eq!(
-            items,
-            edit_items(&Arc::new(library.clone()), &config, Seed(3), 13).expect("enough clips")
-        );
-        let num_masks = library.num_masks();
-        let mut targets: Vec<&MotionId> = items.iter().map(|item| &item.target_id).collect();
-        targets[..num_masks].sort_unstable();
-        targets[..num_masks]
-            .windows(2)
-            .for_each(|pair| assert_ne!(pair[0], pair[1]));
-        for item in &items {
-            assert_eq!(item.split, Split::Test);
-            assert_ne!(item.source_id, item.target_id);
-            // Annotated clips wave, the others kick.
-            let source = library.clips.iter().find(|clip| clip.id == item.source_id);
-            assert_eq!(
-                source.expect("of the library").action.as_deref(),
-                Some("kick")
-            );
-        }
-        let ids: std::collections::BTreeSet<&str> =
-            items.iter().map(|item| item.id.as_str()).collect();
-        assert_eq!(ids.len(), items.len());
-    }
-
-    #[test]
-    fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
-        let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
-        let skeleton = Skeleton::smplx_neutral();
-        // The waving clips are the annotated ones; the last of them is alone in its style.
-        for (number, row) in motions.iter_mut().enumerate() {
-            row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
-        }
-        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
-        let library = Arc::new(library.expect("valid rows"));
-        let config = ComposeConfig::default();
-        let items = edit_items(&library, &config, Seed(3), 10).expect("enough clips");
-        assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
-        for item in &items {
-            let other = other_take(&library, &config, item);
-            assert_eq!(other, other_take(&library, &config, item));
-            if item.target_id.as_str() == "clip8" {
-                assert_eq!(other, None);
-                continue;
-            }
-            let other = other.expect("three more clips wave in plain style");
-            assert!(other.len() <= item.original.len() && other.len() >= fixture::SPAN);
-            // Outside the mask it is the original, inside it is not the target.
-            for joint in 0..22 {
-                let outside =
-                    !item.mask.hard().contains(joint) && !item.mask.soft().contains(joint);
-                let equal = |motion: &Motion| {
-                    (0..other.len())
-                        .all(|at| other.axis_angle(at, joint) == motion.axis_angle(at, joint))
-                };
-                assert_eq!(equal(&item.original), outside, "joint {joint}");
-                assert_eq!(equal(&item.edited), outside, "joint {joint}");
-            }
-        }
     }
 
     #[test]

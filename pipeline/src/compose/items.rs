@@ -1,0 +1,656 @@
+//! Test questions: the fixed items that systems are evaluated on.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use datasets_spec::record::ItemRow;
+use datasets_spec::{BlendMask, Motion, MotionId, Seed};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::library::Clip;
+use super::stream::{Pairing, Subject};
+use super::triplet::{Place, Triplet};
+use super::{ComposeConfig, EditKind, Error, Library, blend_motion};
+
+/// Windows an item should cover: the paper edits clips of several segments, and the released demo
+/// uses at least three.
+const PREFERRED_WINDOWS: usize = 3;
+/// Draws that may repeat an item before its subject is passed over.
+const MAX_REPEATS: usize = 16;
+
+/// What a test question asks about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ItemTask {
+    /// A body part does something else.
+    Semantic,
+    /// A body part moves in another style.
+    Style,
+    /// A body part moves a little differently.
+    FineGrained,
+    /// A pair of MotionFix as it is: no donor, no blending, source and target of any length.
+    #[serde(rename = "motionfix")]
+    MotionFix,
+}
+
+impl ItemTask {
+    /// All tasks, in the order of the paper's tables.
+    pub const ALL: [Self; 4] = [
+        Self::Semantic,
+        Self::Style,
+        Self::FineGrained,
+        Self::MotionFix,
+    ];
+
+    /// The name in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Semantic => EditKind::Semantic.as_str(),
+            Self::Style => EditKind::Style.as_str(),
+            Self::FineGrained => EditKind::FineGrained.as_str(),
+            Self::MotionFix => "motionfix",
+        }
+    }
+}
+
+impl FromStr for ItemTask {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|task| task.as_str() == name)
+            .ok_or_else(|| {
+                let known = Self::ALL.map(Self::as_str).join(", ");
+                format!("{name:?} is no task; known are {known}")
+            })
+    }
+}
+
+impl fmt::Display for ItemTask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// How many items are drawn. In text: a number, or `all`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "CountText", into = "CountText")]
+pub enum ItemCount {
+    /// One of every mask and every pair.
+    All,
+    /// This many. Every mask and pair is used before any is used again.
+    Exactly(usize),
+}
+
+impl FromStr for ItemCount {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "all" => Ok(Self::All),
+            _ => text
+                .parse()
+                .ok()
+                .filter(|count| *count > 0)
+                .map(Self::Exactly)
+                .ok_or_else(|| format!("{text:?} is neither a positive number nor `all`")),
+        }
+    }
+}
+
+impl fmt::Display for ItemCount {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::All => f.write_str("all"),
+            Self::Exactly(count) => count.fmt(f),
+        }
+    }
+}
+
+/// A count as configuration files hold it.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum CountText {
+    Number(usize),
+    Word(String),
+}
+
+impl TryFrom<CountText> for ItemCount {
+    type Error = String;
+
+    fn try_from(text: CountText) -> Result<Self, String> {
+        match text {
+            CountText::Number(count) => count.to_string().parse(),
+            CountText::Word(word) => word.parse(),
+        }
+    }
+}
+
+impl From<ItemCount> for CountText {
+    fn from(count: ItemCount) -> Self {
+        match count {
+            ItemCount::All => Self::Word("all".to_owned()),
+            ItemCount::Exactly(count) => Self::Number(count),
+        }
+    }
+}
+
+/// Which items are drawn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ItemConfig {
+    /// How many.
+    pub count: ItemCount,
+    /// Of which tasks; all there is data for if empty.
+    pub tasks: Vec<ItemTask>,
+    /// How they are composed. What an ablation thins the training data by is ignored.
+    pub compose: ComposeConfig,
+}
+
+impl Default for ItemConfig {
+    fn default() -> Self {
+        Self {
+            count: ItemCount::Exactly(128),
+            tasks: Vec::new(),
+            compose: ComposeConfig::default(),
+        }
+    }
+}
+
+/// Draws the items that systems are evaluated on, the same for the same arguments.
+///
+/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
+/// Partners are clips of other actions, where actions are known, and long enough for three windows,
+/// where such clips exist. Pairs of MotionFix are taken as they are, each once. No two items have
+/// equal content: where nothing new can be drawn, fewer come back than were asked for.
+///
+/// # Errors
+/// A setting is out of range, no mask or pair of the tasks can be used, or one has no partner.
+pub fn draw_items(
+    library: &Arc<Library>,
+    config: &ItemConfig,
+    seed: Seed,
+) -> Result<Vec<ItemRow>, Error> {
+    let compose = ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        ..config.compose.clone()
+    };
+    compose.check()?;
+    let library = Arc::clone(library).aligned(compose.alignment);
+    let stride = compose.stride(library.fps())?;
+    let span = compose.span(stride);
+    let drawer = Drawer {
+        base: library.base(&compose, seed, span),
+        preferred: span + (PREFERRED_WINDOWS - 1) * compose.advance(stride),
+        recipe_hash: compose.recipe_hash(),
+        library: &library,
+        config: &compose,
+        span,
+        seed,
+    };
+    let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
+    let mut subjects: Vec<(u64, Subject)> = library
+        .all_subjects()
+        .filter(|subject| is_wanted(library.task_of(*subject)))
+        .filter(|subject| {
+            library.is_asked_as_is(*subject)
+                || (compose.kinds.contains(&library.kind_of(*subject))
+                    && library.frames_of(*subject) >= span)
+        })
+        .map(|subject| {
+            let id = library.subject_id(subject);
+            (seed.draw_u64(&["evaluation order", id]), subject)
+        })
+        .collect();
+    subjects.sort_unstable_by_key(|(order, _)| *order);
+    if subjects.is_empty() {
+        return Err(Error::NoItem {
+            split: library.split(),
+            frames: span,
+        });
+    }
+    let count = match config.count {
+        ItemCount::All => subjects.len(),
+        ItemCount::Exactly(count) => count,
+    };
+    let mut rows: Vec<ItemRow> = Vec::with_capacity(count);
+    let mut seen = BTreeSet::new();
+    for round in 0.. {
+        let before = rows.len();
+        for &(_, subject) in &subjects {
+            if rows.len() == count {
+                return Ok(rows);
+            }
+            for attempt in 0..MAX_REPEATS {
+                let Some(row) = drawer.item(subject, round, attempt)? else {
+                    break;
+                };
+                if seen.insert(row.id.clone()) {
+                    rows.push(row);
+                    break;
+                }
+            }
+        }
+        if rows.len() == before {
+            break;
+        }
+    }
+    Ok(rows)
+}
+
+struct Drawer<'a> {
+    library: &'a Library,
+    config: &'a ComposeConfig,
+    /// Indices of the clips partners are drawn from.
+    base: Vec<usize>,
+    /// Stored frames of a window.
+    span: usize,
+    /// Stored frames a partner should have.
+    preferred: usize,
+    recipe_hash: String,
+    seed: Seed,
+}
+
+impl Drawer<'_> {
+    /// An item about a subject; none where it has no further one.
+    fn item(
+        &self,
+        subject: Subject,
+        round: usize,
+        attempt: usize,
+    ) -> Result<Option<ItemRow>, Error> {
+        let library = self.library;
+        if library.is_asked_as_is(subject) {
+            let is_first = round == 0 && attempt == 0;
+            return Ok(is_first.then(|| self.as_is(subject)));
+        }
+        let id = library.subject_id(subject);
+        let mut place = vec![
+            "evaluation item".to_owned(),
+            id.to_owned(),
+            round.to_string(),
+        ];
+        if attempt > 0 {
+            place.push(attempt.to_string());
+        }
+        let place: Vec<&str> = place.iter().map(String::as_str).collect();
+        let mut rng = self.seed.rng(&place);
+        let partners = library.partners(&self.base, subject, self.preferred)?;
+        let partner = partners[rng.random_range(0..partners.len())];
+        let pairing = library.paired(partner, subject, self.config, &mut rng);
+        let triplet = library.compose(
+            Place {
+                id: place.join("/"),
+                seed: self.seed,
+                epoch: 0,
+                recipe_hash: self.recipe_hash.clone(),
+                instruction: library.first_wording(&pairing, self.config),
+            },
+            &pairing,
+            self.config,
+        );
+        let other = self.other_take(&triplet);
+        let parts = match pairing.half {
+            Some(half) => vec![half.name().to_owned()],
+            None => library.parts_of(subject).to_vec(),
+        };
+        let mut row = ItemRow {
+            parts,
+            ..self.blank(subject, &triplet.instruction)
+        };
+        row.source_id = triplet.source_id.clone();
+        row.target_id = triplet.target_id.clone();
+        row.donor_ids = triplet.donor_ids.iter().map(MotionId::to_string).collect();
+        row.hard_joints = triplet.mask.hard().names();
+        row.soft_joints = triplet.mask.soft().names();
+        row.alpha = triplet.alpha as f32;
+        row.recipe_hash.clone_from(&self.recipe_hash);
+        row.set_motions(&triplet.original, Some(&triplet.edited), other.as_ref());
+        row.id = row.content_id();
+        Ok(Some(row))
+    }
+
+    /// The item of a pair that is asked about without a donor.
+    fn as_is(&self, subject: Subject) -> ItemRow {
+        let library = self.library;
+        let [source, target] = library
+            .captured_of(subject)
+            .map(|clip| &library.clips[clip]);
+        let mut row = ItemRow {
+            parts: library.parts_of(subject).to_vec(),
+            ..self.blank(subject, library.text_of(subject))
+        };
+        row.source_id = source.id.clone();
+        row.target_id = target.id.clone();
+        row.set_motions(&source.motion, Some(&target.motion), None);
+        row.id = row.content_id();
+        row
+    }
+
+    fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
+        let library = self.library;
+        let target = &library.clips[library.target_of(subject)].id;
+        let made_of = match subject {
+            Subject::Annotation(_) => "mask",
+            Subject::Pair(_) => "pair",
+        };
+        ItemRow {
+            task: library.task_of(subject).as_str().to_owned(),
+            instruction: instruction.to_owned(),
+            origin: format!("{made_of} {}", library.subject_id(subject)),
+            seed: self.seed.0,
+            ..ItemRow::blank(target, library.split())
+        }
+    }
+
+    /// The edited motion of an item with another capture of the same action in the same style in
+    /// place of its target. No editor can be expected to come nearer to the target than that. None
+    /// where there is no such capture, or none as long as a window.
+    fn other_take(&self, item: &Triplet) -> Option<Motion> {
+        let library = self.library;
+        let captured = |id: &MotionId| {
+            let mut clips = library.clips.iter();
+            clips
+                .find(|clip| clip.in_base && clip.id == *id)
+                .expect("a motion of this library")
+        };
+        let target = captured(&item.target_id);
+        let same = |clip: &&Clip| {
+            clip.in_base
+                && clip.action.is_some()
+                && clip.action == target.action
+                && clip.style == target.style
+                && clip.origin != target.origin
+                && clip.id != item.source_id
+        };
+        let takes: Vec<&Clip> = library
+            .clips
+            .iter()
+            .filter(same)
+            .filter(|clip| clip.motion.len() >= self.span.min(item.original.len()))
+            .collect();
+        let longest = takes.iter().map(|clip| clip.motion.len()).max()?;
+        // As much of the edit as any take has; which of those that have it is drawn.
+        let frames = longest.min(item.original.len());
+        let takes: Vec<&Clip> = takes
+            .into_iter()
+            .filter(|clip| clip.motion.len() >= frames)
+            .collect();
+        let mut rng = self.seed.rng(&["other take", &item.id]);
+        let take = &takes[rng.random_range(0..takes.len())].motion;
+        let start = item.target_start.min(take.len() - frames);
+        let over = take.crop(start..start + frames).ok()?;
+        if item.mask == BlendMask::EMPTY {
+            return Some(over);
+        }
+        let under = match item.donor_ids.first() {
+            Some(donor) => captured(donor)
+                .motion
+                .crop(item.donor_start..item.donor_start + frames),
+            None => item.original.crop(0..frames),
+        };
+        blend_motion(
+            &under.ok()?,
+            &over,
+            item.mask,
+            item.alpha,
+            self.config.slerp,
+        )
+        .ok()
+    }
+}
+
+impl Library {
+    /// All annotations and pairs, usable or not.
+    fn all_subjects(&self) -> impl Iterator<Item = Subject> + use<> {
+        let annotations = (0..self.annotations.len()).map(Subject::Annotation);
+        annotations.chain((0..self.pairs.len()).map(Subject::Pair))
+    }
+
+    /// Whether a subject is a test question as it is, without being composed.
+    fn is_asked_as_is(&self, subject: Subject) -> bool {
+        self.task_of(subject) == ItemTask::MotionFix
+    }
+
+    fn task_of(&self, subject: Subject) -> ItemTask {
+        match subject {
+            Subject::Pair(pair) if self.pairs[pair].is_motionfix => ItemTask::MotionFix,
+            _ => match self.kind_of(subject) {
+                EditKind::Semantic => ItemTask::Semantic,
+                EditKind::Style => ItemTask::Style,
+                EditKind::FineGrained => ItemTask::FineGrained,
+            },
+        }
+    }
+
+    /// Names of the parts an annotation or pair is about.
+    fn parts_of(&self, subject: Subject) -> &[String] {
+        match subject {
+            Subject::Annotation(annotation) => &self.annotations[annotation].parts,
+            Subject::Pair(pair) => &self.pairs[pair].parts,
+        }
+    }
+
+    /// The instruction as the dataset has it.
+    fn text_of(&self, subject: Subject) -> &str {
+        match subject {
+            Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
+            Subject::Pair(pair) => &self.pairs[pair].instruction,
+        }
+    }
+
+    /// The clips before and after an edit as they are in the dataset.
+    fn captured_of(&self, subject: Subject) -> [usize; 2] {
+        match subject {
+            Subject::Annotation(annotation) => [self.annotations[annotation].clip; 2],
+            Subject::Pair(pair) => [self.pairs[pair].captured, self.pairs[pair].target],
+        }
+    }
+
+    /// The clips of the base that suit a target best: of another action and as long as `preferred`
+    /// or the target, else of another action, else any other.
+    fn partners(
+        &self,
+        base: &[usize],
+        subject: Subject,
+        preferred: usize,
+    ) -> Result<Vec<usize>, Error> {
+        let target = &self.clips[self.target_of(subject)];
+        let other: Vec<usize> = base
+            .iter()
+            .copied()
+            .filter(|&clip| self.may_meet(clip, subject))
+            .collect();
+        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
+        let other_action: Vec<usize> = other
+            .iter()
+            .copied()
+            .filter(|&clip| !same_action(&self.clips[clip]))
+            .collect();
+        let needed = preferred.min(self.frames_of(subject));
+        let long: Vec<usize> = other_action
+            .iter()
+            .copied()
+            .filter(|&clip| self.clips[clip].motion.len() >= needed)
+            .collect();
+        [long, other_action, other]
+            .into_iter()
+            .find(|partners| !partners.is_empty())
+            .ok_or_else(|| Error::NoPartner {
+                motion: target.id.clone(),
+            })
+    }
+
+    /// The instruction as it is in the dataset, extended by the part by the first template.
+    fn first_wording(&self, pairing: &Pairing, config: &ComposeConfig) -> String {
+        let wordings = self.wordings(pairing.subject, pairing.half, config);
+        wordings.into_iter().next().unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{JointSet, Skeleton, Split};
+
+    use super::*;
+    use crate::compose::fixture;
+
+    const CLIPS: usize = 9;
+
+    fn of_count(count: usize) -> ItemConfig {
+        ItemConfig {
+            count: ItemCount::Exactly(count),
+            ..ItemConfig::default()
+        }
+    }
+
+    #[test]
+    fn the_annotations_are_covered_before_any_is_used_again() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let items = draw_items(&library, &of_count(13), Seed(3)).expect("enough clips");
+        assert_eq!(
+            items,
+            draw_items(&library, &of_count(13), Seed(3)).expect("enough clips")
+        );
+        let num_masks = library.num_masks();
+        let mut targets: Vec<&MotionId> = items.iter().map(|item| &item.target_id).collect();
+        targets[..num_masks].sort_unstable();
+        targets[..num_masks]
+            .windows(2)
+            .for_each(|pair| assert_ne!(pair[0], pair[1]));
+        for item in &items {
+            assert_eq!(item.split, Split::Test);
+            assert_ne!(item.source_id, item.target_id);
+            // Annotated clips wave, the others kick.
+            let source = library.clips.iter().find(|clip| clip.id == item.source_id);
+            assert_eq!(
+                source.expect("of the library").action.as_deref(),
+                Some("kick")
+            );
+            item.check().expect("named by its content");
+        }
+        let ids: BTreeSet<&str> = items.iter().map(|item| item.id.as_str()).collect();
+        assert_eq!(ids.len(), items.len());
+        let all = ItemConfig {
+            count: ItemCount::All,
+            ..ItemConfig::default()
+        };
+        let all = draw_items(&library, &all, Seed(3)).expect("enough clips");
+        assert_eq!(all, items[..num_masks]);
+    }
+
+    #[test]
+    fn the_id_follows_from_the_content_alone() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let items = draw_items(&library, &of_count(2), Seed(3)).expect("enough clips");
+        let mut found_otherwise = items[0].clone();
+        found_otherwise.seed = 9;
+        found_otherwise.origin = "elsewhere".to_owned();
+        assert_eq!(found_otherwise.content_id(), items[0].id);
+        let changes: [fn(&mut ItemRow); 8] = [
+            |row| row.instruction.push('!'),
+            |row| row.task = "style".to_owned(),
+            |row| row.parts.push("HEAD".to_owned()),
+            |row| row.donor_ids.push("clip1".to_owned()),
+            |row| row.alpha += 0.5,
+            |row| row.source_transl[0][0] += 1.0,
+            |row| row.target_body_pose[3][2] += 1e-3,
+            |row| row.fps = 30.0,
+        ];
+        for change in changes {
+            let mut changed = items[0].clone();
+            change(&mut changed);
+            assert_ne!(changed.content_id(), items[0].id);
+            assert!(changed.check().is_err());
+        }
+    }
+
+    #[test]
+    fn pairs_of_motionfix_are_asked_about_as_they_are() {
+        let (motions, _) = fixture::rows(Split::Test, CLIPS);
+        let mut pair = fixture::pair_row("fine-grained", Split::Test, 0, 8);
+        pair.source = "motionfix".to_owned();
+        let skeleton = Skeleton::smplx_neutral();
+        let library = Library::new(Split::Test, &motions, &[], &[pair], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let items = draw_items(&library, &of_count(5), Seed(3)).expect("one pair");
+        let [item] = items.as_slice() else {
+            panic!("{} items of one pair", items.len())
+        };
+        assert_eq!(item.task, "motionfix");
+        assert!(item.donor_ids.is_empty() && item.hard_joints.is_empty());
+        assert_eq!(
+            item.source().expect("valid"),
+            motions[0].motion().expect("valid")
+        );
+        assert_eq!(
+            item.target().expect("valid"),
+            motions[8].motion().expect("valid")
+        );
+        assert_ne!(item.source_frames, item.target_frames);
+        let style = ItemConfig {
+            tasks: vec![ItemTask::Style],
+            ..ItemConfig::default()
+        };
+        assert!(matches!(
+            draw_items(&library, &style, Seed(3)),
+            Err(Error::NoItem { .. })
+        ));
+    }
+
+    #[test]
+    fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
+        let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
+        let skeleton = Skeleton::smplx_neutral();
+        // The waving clips are the annotated ones; the last of them is alone in its style.
+        for (number, row) in motions.iter_mut().enumerate() {
+            row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
+        }
+        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let items = draw_items(&library, &of_count(10), Seed(3)).expect("enough clips");
+        assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
+        for item in &items {
+            let other = item.other_take().expect("valid");
+            if item.target_id.as_str() == "clip8" {
+                assert_eq!(other, None);
+                continue;
+            }
+            let other = other.expect("three more clips wave in plain style");
+            let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
+            assert!(other.len() <= source.len() && other.len() >= fixture::SPAN);
+            // Outside the mask it is the original, inside it is not the target.
+            let masked = [item.hard_joints.as_slice(), item.soft_joints.as_slice()].concat();
+            let masked = JointSet::try_from(masked).expect("known joints");
+            for joint in 0..22 {
+                let outside = !masked.contains(joint);
+                let equal = |motion: &Motion| {
+                    (0..other.len())
+                        .all(|at| other.axis_angle(at, joint) == motion.axis_angle(at, joint))
+                };
+                assert_eq!(equal(&source), outside, "joint {joint}");
+                assert_eq!(equal(&target), outside, "joint {joint}");
+            }
+        }
+    }
+
+    #[test]
+    fn counts_read_back() {
+        for (text, count) in [("all", ItemCount::All), ("7", ItemCount::Exactly(7))] {
+            assert_eq!(text.parse(), Ok(count));
+            assert_eq!(count.to_string(), text);
+            let json = serde_json::to_string(&count).expect("serialises");
+            assert_eq!(
+                serde_json::from_str::<ItemCount>(&json).expect("its own text"),
+                count
+            );
+        }
+        assert!("0".parse::<ItemCount>().is_err());
+        assert!("some".parse::<ItemCount>().is_err());
+    }
+}
