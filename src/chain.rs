@@ -85,9 +85,6 @@ fn system_name(editor: &Editor, compose: &ComposeConfig) -> String {
     if editor.has_coordinator() {
         name += " + coordinator";
     }
-    if editor.has_poses() {
-        name += " + poses";
-    }
     name
 }
 
@@ -239,6 +236,9 @@ pub(crate) fn pairs(
     rows.retain(|row| row.source != pipeline::pairs::SOURCE);
     rows.extend(made.rows);
     progress.finish(&format!("{} pairs", rows.len()));
+    if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
+        return Ok((dataset, made.alone));
+    }
     let split_of = |row: &PairRow| row.split;
     let dataset = commit_rows(
         root,
@@ -650,6 +650,13 @@ fn recorded_windows(
     }
     let order = ReadOrder::Shuffled(seed);
     Ok(WindowLoader::open(&recorded, Split::Train, order)?)
+}
+
+/// Whether the training split can teach a coordinator: composing takes motions of two sources.
+pub(crate) fn can_coordinate(root: &Path) -> anyhow::Result<bool> {
+    let motions: Vec<MotionRow> = Dataset::open(root)?.read(Some(Split::Train))?;
+    let origins: BTreeSet<&str> = motions.iter().map(|row| row.id.source_clip()).collect();
+    Ok(origins.len() > 1)
 }
 
 /// Trains the network from keypoints to rotations on the motions of the training split, and measures

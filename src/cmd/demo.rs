@@ -6,7 +6,6 @@ use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
 use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
 use train::config::{Preset, RunLength, TrainConfig};
-use train::tmr::TmrConfig;
 
 use crate::cli::Global;
 use crate::cmd::run::{Plan, RunConfig, finish};
@@ -49,7 +48,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     let mut plan = Plan::new(config, global)?;
     if args.quick {
-        shorten(&mut plan.train, &mut plan.encoder);
+        shorten(&mut plan);
     }
     let mut command = "stance demo".to_owned();
     if args.quick {
@@ -63,12 +62,24 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     finish(plan, global)
 }
 
-fn shorten(train: &mut TrainConfig, encoder: &mut TmrConfig) {
+fn shorten(plan: &mut Plan) {
+    let Plan {
+        train,
+        coordinator,
+        poses,
+        encoder,
+        ..
+    } = plan;
     debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
     train.length = RunLength::of_steps(QUICK_STEPS);
     train.val_every = QUICK_STEPS / 2;
     train.val_windows = 64;
     train.log_every = QUICK_STEPS / 8;
+    coordinator.length = RunLength::of_steps(QUICK_STEPS);
+    coordinator.val_every = QUICK_STEPS / 2;
+    coordinator.val_windows = 64;
+    coordinator.log_every = QUICK_STEPS / 8;
+    poses.num_steps = QUICK_STEPS;
     encoder.num_steps = QUICK_STEPS;
     encoder.val_every = QUICK_STEPS / 2;
     encoder.log_every = QUICK_STEPS / 8;

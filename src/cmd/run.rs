@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::manifest::Accounting;
-use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow};
+use datasets_spec::record::{EditRow, MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
 use eval::draw::plot::{Bars, Curve, Plot, Scale};
@@ -16,12 +16,14 @@ use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;
 use pipeline::pairs::PairConfig;
 use serde::{Deserialize, Serialize};
-use train::config::TrainConfig;
+use train::config::{Preset, TrainConfig};
+use train::coordinator::CoordinatorConfig;
 use train::fit::TrainReport;
+use train::j2s::{J2sConfig, J2sPreset};
 use train::tmr::TmrConfig;
 
 use crate::chain::{
-    self, EditConfig, EditorSource, IngestConfig, Judged, Judges, Scores, TrainInputs,
+    self, Answered, EditConfig, EditorSource, IngestConfig, Judged, Judges, Scores, TrainInputs,
 };
 use crate::cli::Global;
 use crate::cmd::eval::tables;
@@ -61,13 +63,23 @@ pub(crate) struct RunConfig {
     ingest: IngestConfig,
     #[serde(default)]
     masks: MaskConfig,
-    /// Style pairs from labels; none without this section.
-    pairs: Option<PairConfig>,
+    /// What is made beside the editor.
+    #[serde(default)]
+    stages: Stages,
+    /// Style pairs from labels.
+    #[serde(default)]
+    pairs: PairConfig,
     #[serde(default)]
     compose: ComposeConfig,
     /// Values in place of the preset's for the editor.
     #[serde(default)]
     train: toml::Table,
+    /// Values in place of the preset's for the coordinator.
+    #[serde(default)]
+    coordinator: toml::Table,
+    /// Values in place of the preset's for the pose network.
+    #[serde(default)]
+    poses: toml::Table,
     /// Values in place of the preset's for the encoder.
     #[serde(default)]
     encoder: toml::Table,
@@ -78,6 +90,31 @@ pub(crate) struct RunConfig {
     pub(crate) edit: EditConfig,
     #[serde(default)]
     eval: Protocol,
+}
+
+/// What a run makes beside dataset, encoder and editor, where the data allow.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Stages {
+    /// Style pairs, where motions have style labels.
+    pairs: bool,
+    /// A coordinator, and a row of the table that it guides; where there are motions of two sources.
+    coordinator: bool,
+    /// A pose network, which every system edits with.
+    poses: bool,
+    /// An editor trained on fixed pairs, and its row of the table.
+    without_mcm: bool,
+}
+
+impl Default for Stages {
+    fn default() -> Self {
+        Self {
+            pairs: true,
+            coordinator: true,
+            poses: true,
+            without_mcm: false,
+        }
+    }
 }
 
 fn default_preset() -> String {
@@ -99,9 +136,12 @@ impl RunConfig {
             triplets: default_triplets(),
             ingest: IngestConfig::default(),
             masks: MaskConfig::default(),
-            pairs: None,
+            stages: Stages::default(),
+            pairs: PairConfig::default(),
             compose: ComposeConfig::default(),
             train: toml::Table::new(),
+            coordinator: toml::Table::new(),
+            poses: toml::Table::new(),
             encoder: toml::Table::new(),
             items: ItemConfig::default(),
             edit: EditConfig::default(),
@@ -114,6 +154,8 @@ impl RunConfig {
 pub(crate) struct Plan {
     config: RunConfig,
     pub(crate) train: TrainConfig,
+    pub(crate) coordinator: CoordinatorConfig,
+    pub(crate) poses: J2sConfig,
     pub(crate) encoder: TmrConfig,
     pub(crate) title: String,
     pub(crate) commands: Vec<String>,
@@ -127,11 +169,26 @@ impl Plan {
             .context("section [train]")?;
         let mut encoder = chain::overlay(&TmrConfig::preset(preset), Some(&config.encoder))
             .context("section [encoder]")?;
+        let mut coordinator = chain::overlay(
+            &CoordinatorConfig::preset(preset),
+            Some(&config.coordinator),
+        )
+        .context("section [coordinator]")?;
+        let network = match preset {
+            Preset::Official => J2sPreset::Official,
+            Preset::Paper | Preset::Tiny => J2sPreset::Paper,
+        };
+        let mut poses = chain::overlay(&J2sConfig::preset(network), Some(&config.poses))
+            .context("section [poses]")?;
         train.seed = global.seed().0;
+        coordinator.seed = global.seed().0;
+        poses.seed = global.seed().0;
         encoder.seed = global.seed().0;
         Ok(Self {
             config,
             train,
+            coordinator,
+            poses,
             encoder,
             title: "stance run".to_owned(),
             commands: Vec::new(),
@@ -170,6 +227,9 @@ struct Places {
     dataset: PathBuf,
     triplets: PathBuf,
     editor: PathBuf,
+    without_mcm: PathBuf,
+    coordinator: PathBuf,
+    poses: PathBuf,
     encoder: PathBuf,
     items: PathBuf,
     edits: PathBuf,
@@ -183,6 +243,9 @@ impl Places {
             dataset: out.join("dataset"),
             triplets: out.join("triplets"),
             editor: out.join("runs/motionrefit"),
+            without_mcm: out.join("runs/without-mcm"),
+            coordinator: out.join("runs/coordinator"),
+            poses: out.join("runs/j2s"),
             encoder: out.join("runs/tmr"),
             items: out.join("items"),
             edits: out.join("edits"),
@@ -209,8 +272,8 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     .context("stage ingest")?;
     chain::masks(&places.dataset, &config.masks, Judged::Keep, global, &bars)
         .context("stage masks")?;
-    if let Some(pairs) = &config.pairs {
-        chain::pairs(&places.dataset, pairs, global, &bars).context("stage pairs")?;
+    if config.stages.pairs {
+        chain::pairs(&places.dataset, &config.pairs, global, &bars).context("stage pairs")?;
     }
     chain::triplets(
         &places.dataset,
@@ -228,19 +291,45 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     if chain::is_stopped() {
         return Ok(stopped());
     }
-    let editor = chain::train_editor(
-        &places.dataset,
-        &places.editor,
-        &plan.train,
-        &TrainInputs {
-            compose: &config.compose,
+    let train_editor = |run: &Path, compose: &ComposeConfig| {
+        let inputs = TrainInputs {
+            compose,
             windows: None,
             clip: config.clip.as_deref(),
-        },
-        seed,
-        &bars,
-    )
-    .context("stage train motionrefit")?;
+        };
+        chain::train_editor(&places.dataset, run, &plan.train, &inputs, seed, &bars)
+            .context("stage train motionrefit")
+    };
+    let editor = train_editor(&places.editor, &config.compose)?;
+    if chain::is_stopped() {
+        return Ok(stopped());
+    }
+    let fixed_pairs = ComposeConfig {
+        fixed_pairs: true,
+        ..config.compose.clone()
+    };
+    if config.stages.without_mcm {
+        train_editor(&places.without_mcm, &fixed_pairs)?;
+    }
+    let guided = config.stages.coordinator && chain::can_coordinate(&places.dataset)?;
+    if config.stages.coordinator && !guided {
+        report::note("no coordinator: the training split holds motions of a single source");
+    }
+    if guided {
+        chain::train_coordinator(
+            &places.dataset,
+            &places.coordinator,
+            &plan.coordinator,
+            &config.compose,
+            seed,
+            &bars,
+        )
+        .context("stage train coordinator")?;
+    }
+    if config.stages.poses && !places.poses.join("checkpoint").exists() {
+        chain::train_j2s(&places.dataset, &places.poses, &plan.poses, &bars)
+            .context("stage train j2s")?;
+    }
     if chain::is_stopped() {
         return Ok(stopped());
     }
@@ -253,25 +342,41 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         global,
     )
     .context("stage items")?;
-    let (edits, _) = chain::edits(
-        &places.items,
-        &EditorSource {
+    let mut tables = Vec::new();
+    let mut edit = |run: &Path, coordinator: Option<&Path>, folder: &str| {
+        let source = EditorSource {
             clip: config.clip.as_deref(),
-            ..EditorSource::best(&places.editor)
-        },
-        &places.edits,
-        &config.edit,
-        seed,
-        global,
-        &bars,
-    )
-    .context("stage edit")?;
+            coordinator,
+            poses: config.stages.poses.then_some(places.poses.as_path()),
+            ..EditorSource::best(run)
+        };
+        let out = places.edits.join(folder);
+        chain::edits(
+            &places.items,
+            &source,
+            &out,
+            &config.edit,
+            seed,
+            global,
+            &bars,
+        )
+        .context("stage edit")?;
+        tables.push(out);
+        anyhow::Ok(())
+    };
+    if guided {
+        edit(&places.editor, Some(&places.coordinator), "full")?;
+    }
+    edit(&places.editor, None, "editor")?;
+    if config.stages.without_mcm {
+        edit(&places.without_mcm, None, "without-mcm")?;
+    }
     let protocol = Protocol {
         seed,
         ..config.eval
     };
     let scores = chain::scores(
-        std::slice::from_ref(&places.edits),
+        &tables,
         &Judges {
             encoder: &places.encoder,
             coordinator: None,
@@ -280,6 +385,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &bars,
     )
     .context("stage eval")?;
+    let edits = Answered::read_for_table(&tables)?;
     let skeleton = &dataset.skeleton()?;
     chain::commit_scores(&places.scores, &scores, skeleton, global).context("stage eval")?;
 
@@ -318,7 +424,7 @@ struct Done<'a> {
     dataset: &'a Dataset,
     encoder: &'a TrainReport,
     editor: &'a TrainReport,
-    edits: &'a Dataset,
+    edits: &'a Answered,
     scores: &'a Scores,
 }
 
@@ -457,6 +563,10 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             serde_json::to_string(&done.plan.encoder)?,
         ),
         (
+            "stages".to_owned(),
+            serde_json::to_string(&done.plan.config.stages)?,
+        ),
+        (
             "composition".to_owned(),
             serde_json::to_string(&done.plan.config.compose)?,
         ),
@@ -469,7 +579,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             serde_json::to_string(&done.plan.config.edit)?,
         ),
     ];
-    let rows_of_items = done.edits.manifest().rows(ItemRow::TABLE, None);
+    let rows_of_items = done.edits.items.len();
     Ok(Report {
         title: done.plan.title.clone(),
         subtitle: format!(
@@ -521,9 +631,11 @@ fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
 
 /// The first items of different parts, each as source, edit and target.
 fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
-    let items: Vec<ItemRow> = done.edits.read(None)?;
-    let edits: Vec<EditRow> = done.edits.read(None)?;
-    let skeleton = chain::skeleton_of(done.edits)?;
+    let Answered {
+        items,
+        edits,
+        skeleton,
+    } = done.edits;
     let step = (items.len() / STRIPS).max(1);
     items
         .iter()
@@ -531,7 +643,7 @@ fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
         .take(STRIPS)
         .map(|item| {
             let made: Vec<&EditRow> = edits.iter().filter(|row| row.id == item.id).collect();
-            strip_of(item, &made, &skeleton)
+            strip_of(item, &made, skeleton)
         })
         .collect()
 }

@@ -53,6 +53,14 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             val_every = 6
             val_windows = 16
             log_every = 3
+            [stages]
+            without_mcm = true
+            [coordinator]
+            length = { steps = 6 }
+            val_every = 3
+            val_windows = 16
+            [poses]
+            num_steps = 20
             [encoder]
             num_steps = 12
             val_every = 6
@@ -72,7 +80,13 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         .collect();
     assert_eq!(
         systems,
-        BTreeSet::from(["Identity", "MotionReFit tiny", "Real Data"])
+        BTreeSet::from([
+            "Identity",
+            "MotionReFit tiny",
+            "MotionReFit tiny + coordinator",
+            "MotionReFit tiny, w/o MCM",
+            "Real Data"
+        ])
     );
     assert!(
         first
@@ -124,7 +138,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     let table = stance(&[
         "eval",
         "--edits",
-        arg(&run.join("edits")),
+        arg(&run.join("edits/full")),
         "--encoder",
         arg(&run.join("runs/tmr")),
     ])
