@@ -707,7 +707,10 @@ pub(crate) fn cross_scores(
 ) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
     protocol.check()?;
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
-    let clips = captioned(&Dataset::open(root)?, split)?;
+    let mut clips = captioned(&Dataset::open(root)?, split)?;
+    let kept: BTreeSet<usize> = protocol.scored_items(clips.len())?.into_iter().collect();
+    let mut place = 0..clips.len();
+    clips.retain(|_| place.next().is_some_and(|place| kept.contains(&place)));
     if clips.is_empty() {
         bail!("no clip of split {split} has a caption; ask for another one with --split");
     }
@@ -1282,9 +1285,11 @@ impl Answered {
     }
 }
 
-/// Refuses two checkpoints, or two settings, under one name: they would become one row of a table.
+/// Refuses two checkpoints, or two settings, under one name: they would become one row of a table. So
+/// would a take that is there twice.
 fn check_systems(edits: &[EditRow]) -> anyhow::Result<()> {
     let mut known: BTreeMap<&str, &EditRow> = BTreeMap::new();
+    let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();
     for row in edits {
         let first = *known.entry(&row.system).or_insert(row);
         let differs = |what: &str, a: &str, b: &str| {
@@ -1303,6 +1308,15 @@ fn check_systems(edits: &[EditRow]) -> anyhow::Result<()> {
         }
         if first.settings_hash != row.settings_hash {
             return Err(differs("settings", &first.settings, &row.settings));
+        }
+        if !takes.insert((&row.system, &row.id, row.seed)) {
+            bail!(
+                "system {:?} has two motions of item {:?} sampled with seed {}; give each take once, or \
+                 edit again with another --seed",
+                row.system,
+                row.id,
+                row.seed
+            );
         }
     }
     Ok(())
@@ -1331,6 +1345,7 @@ pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
         diffusion_secs: times.diffusion_secs / windows,
         coordinator_secs: times.coordinator_secs / windows,
         fit_secs: times.fit_secs / windows,
+        batch: (times.num_batches > 0).then(|| windows / times.num_batches as f64),
     }
 }
 

@@ -422,8 +422,26 @@ table! {
         pub repeats: u32 [""],
         /// Mean over the repetitions
         pub mean: f64 [""],
-        /// Half width of the 95 % interval
-        pub ci95: f64 [""],
+        /// Half width of the 95 % interval; none where nothing varies
+        pub ci95: Option<f64> [""],
+        /// Motions the system made of each item, which repetitions score in turn
+        pub takes: u32 ["", newer],
+        /// Distinct motions that targets took from: intervals come from draws of these
+        pub targets: u32 ["", newer],
+        /// Distinct motions that sources were made of
+        pub sources: u32 ["", newer],
+        /// Distinct instructions
+        pub instructions: u32 ["", newer],
+        /// Items of a gallery
+        pub gallery: u32 ["", newer],
+        /// Items in the galleries of one repetition; the others are left over
+        pub ranked: u32 ["", newer],
+        /// Items on either side of a Fréchet distance
+        pub fid_items: u32 ["", newer],
+        /// Numbers of a latent
+        pub latent_width: u32 ["", newer],
+        /// BLAKE3 of the sorted item ids, 12 hexadecimal digits
+        pub items_digest: String ["", newer],
     }
 }
 

@@ -1,25 +1,19 @@
 //! Whether one system is better than another: paired differences with intervals.
 
-use std::collections::BTreeMap;
-
 use datasets_spec::Progress;
 use datasets_spec::record::{EditRow, ItemRow};
-use rand::RngExt;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::bootstrap::{Resamples, drawn};
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
-use crate::metric::fid::{Gaussian, MIN_ROWS, Reference};
-use crate::metric::retrieval::{self, RECALL_AT, gallery_ranks};
+use crate::metric::fid::{self, MIN_ROWS};
 use crate::metric::{Better, Metric};
-use crate::protocol::{Protocol, Queries};
-use crate::score::{Instruments, Measured, System, Take, TestSet, measured};
-use crate::similarity::Pairing;
-
-/// Resamples behind an interval of a mean.
-pub const RESAMPLES: usize = 1000;
+use crate::protocol::{FidSample, Protocol, Spread};
+use crate::score::{Asked, Instruments, Measured, System, Take, TestSet, item_values, measured};
+use crate::table::Items;
 
 /// Resamples behind an interval of a Fréchet distance, each of which decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
@@ -52,6 +46,10 @@ pub struct Comparison {
     pub task: String,
     /// Items.
     pub n: usize,
+    /// Distinct motions their targets took from, which intervals come from draws of.
+    pub targets: u32,
+    /// What tells one set of items from another.
+    pub items_digest: String,
     /// The two systems.
     pub systems: [String; 2],
     /// The protocol in words.
@@ -64,10 +62,11 @@ pub struct Comparison {
 
 /// Compares two systems item by item.
 ///
-/// Items are drawn with replacement, the same for both systems, and the interval is that of the
-/// 2.5 and 97.5 % quantiles of the difference (Efron 1979). Where the protocol repeats a gallery,
-/// an item's rank is its mean over the repeats that ranked it. The Fréchet distance is between all
-/// real motions and all of a system's.
+/// Targets are drawn with replacement, the same for both systems and with all items that share them,
+/// and the interval is that of the 2.5 and 97.5 % quantiles of the difference (Efron 1979). Where the
+/// protocol repeats a gallery, an item's rank is its mean over the repeats that ranked it. The
+/// Fréchet distance is between all real motions and all of a system's, whatever the protocol says,
+/// and is named so.
 ///
 /// # Errors
 /// As [`crate::score::score`]; or one of the systems is not among the rows.
@@ -80,7 +79,7 @@ pub fn compare(
     progress: &dyn Progress,
 ) -> Result<Vec<Comparison>, Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items, edits)?;
+    let test_set = TestSet::new(items, edits, protocol)?;
     if let Some(missing) = names
         .into_iter()
         .find(|name| !test_set.systems.contains_key(name))
@@ -111,13 +110,19 @@ pub fn compare(
                     .expect("its name was found above")
                     .select(&indices)
             });
-            let differences = differences(task, &sources, &targets, &sides, protocol)?;
+            let resamples = Resamples::new(test_set.targets(&indices), protocol);
+            let differences = differences(task, &sources, &targets, &sides, &resamples, protocol)?;
+            let Items {
+                targets, digest, ..
+            } = test_set.counts(&indices);
             progress.advance(1);
             Ok(Comparison {
                 task: task.to_owned(),
                 n: indices.len(),
+                targets,
+                items_digest: digest,
                 systems: names.map(str::to_owned),
-                protocol: protocol.name(indices.len()),
+                protocol: whole_sets(protocol).name(indices.len()),
                 encoder_hash: instruments.encoder.hash(),
                 differences,
             })
@@ -127,156 +132,100 @@ pub fn compare(
     Ok(comparisons)
 }
 
+/// The protocol as it is followed here: without halves, since a resample of a half is too small.
+fn whole_sets(protocol: &Protocol) -> Protocol {
+    Protocol {
+        fid_sample: FidSample::All,
+        interval: Spread::Targets,
+        ..*protocol
+    }
+}
+
 fn differences(
     task: &str,
     sources: &Take,
     targets: &Take,
     sides: &[System<'_>; 2],
+    resamples: &Resamples,
     protocol: &Protocol,
 ) -> Result<Vec<Difference>, Error> {
-    let [a, b] = [&sides[0], &sides[1]].map(|side| item_values(sources, targets, side, protocol));
-    let (a, b) = (a?, b?);
-    let num_items = targets.raw.num_rows();
+    let values = |side: &System<'_>| {
+        let asked = Asked::new(sources, targets, side, protocol.queries)?;
+        item_values(side, &asked, protocol)
+    };
+    let (a, b) = (values(&sides[0])?, values(&sides[1])?);
     let mut found = Vec::new();
-    if num_items >= MIN_ROWS {
+    if targets.raw.num_rows() >= MIN_ROWS {
         let takes = sides.each_ref().map(|side| &side.takes[0].unit);
-        found.push(fid_difference(task, &targets.unit, takes, protocol)?);
+        found.extend(fid_difference(task, &targets.unit, takes, resamples)?);
     }
     for metric in Metric::ALL {
         let (Some(a), Some(b)) = (a.get(&metric), b.get(&metric)) else {
             continue;
         };
         // An item that no gallery ranked says nothing.
-        let pairs: Vec<(f64, f64)> = a
-            .iter()
-            .zip(b)
-            .filter(|(a, b)| a.is_finite() && b.is_finite())
-            .map(|(a, b)| (*a, *b))
-            .collect();
-        if pairs.is_empty() {
+        let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
+        let mean = |values: &[f64]| {
+            let known = values.iter().zip(&differences);
+            let known = known.filter(|(_, difference)| difference.is_finite());
+            let (sum, count) = known.fold((0.0, 0.0), |(sum, count), (value, _)| {
+                (sum + value, count + 1.0)
+            });
+            sum / count
+        };
+        let values = [mean(a), mean(b)];
+        let mut resampled = resamples.means(&differences);
+        if resampled.is_empty() || values.iter().any(|value| !value.is_finite()) {
             continue;
         }
-        let share = 1.0 / pairs.len() as f64;
-        let values = [
-            pairs.iter().map(|(a, _)| a).sum::<f64>() * share,
-            pairs.iter().map(|(_, b)| b).sum::<f64>() * share,
-        ];
-        let mut resampled: Vec<f64> = (0..RESAMPLES)
-            .into_par_iter()
-            .map(|resample| {
-                let mut rng = protocol.bootstrap_rng(resample);
-                let sum: f64 = (0..pairs.len())
-                    .map(|_| {
-                        let (a, b) = pairs[rng.random_range(0..pairs.len())];
-                        b - a
-                    })
-                    .sum();
-                sum * share
-            })
-            .collect();
-        found.push(difference(metric, task, values, &mut resampled));
+        found.push(difference(
+            metric.name(),
+            metric,
+            task,
+            values,
+            &mut resampled,
+        ));
     }
     Ok(found)
 }
 
-/// Values of each item: means over its takes, and over the repeats that ranked it.
-fn item_values(
-    sources: &Take,
-    targets: &Take,
-    system: &System<'_>,
-    protocol: &Protocol,
-) -> Result<BTreeMap<Metric, Vec<f64>>, Error> {
-    let num_items = targets.raw.num_rows();
-    let num_takes = system.takes.len();
-    let mut values: BTreeMap<Metric, Vec<f64>> = BTreeMap::new();
-    for (metric, _) in &system.takes[0].of_items {
-        let of_takes = system
-            .takes
-            .iter()
-            .filter_map(|take| take.of_items.iter().find(|(other, _)| other == metric));
-        let mut sum = vec![0.0; num_items];
-        for (_, of_items) in of_takes {
-            for (sum, value) in sum.iter_mut().zip(of_items) {
-                *sum += value / num_takes as f64;
-            }
-        }
-        values.insert(*metric, sum);
-    }
-    for (real, average, recall) in [
-        (
-            sources,
-            Metric::SourceAverageRank,
-            Metric::SourceRecall as fn(u8) -> Metric,
-        ),
-        (targets, Metric::TargetAverageRank, Metric::TargetRecall),
-    ] {
-        let mut counts = vec![0.0; num_items];
-        let mut ranks = vec![0.0; num_items];
-        let mut hits = [(); RECALL_AT.len()].map(|()| vec![0.0; num_items]);
-        let asked: Vec<Pairing<'_>> = system
-            .takes
-            .iter()
-            .map(|take| match protocol.queries {
-                Queries::Real => retrieval::compare(&real.compared, &take.compared),
-                Queries::Edited => retrieval::compare(&take.compared, &real.compared),
-            })
-            .collect::<Result<_, _>>()?;
-        for repeat in 0..protocol.repeats {
-            let galleries = protocol.galleries(num_items, repeat);
-            let found = gallery_ranks(&asked[repeat % num_takes], &galleries)?;
-            for (indices, found) in galleries.iter().zip(found) {
-                for (&item, rank) in indices.iter().zip(found) {
-                    counts[item] += 1.0;
-                    ranks[item] += rank + 1.0;
-                    for (hits, k) in hits.iter_mut().zip(RECALL_AT) {
-                        hits[item] += if rank < k as f64 { 100.0 } else { 0.0 };
-                    }
-                }
-            }
-        }
-        // 0 / 0 marks items that were never ranked.
-        let per_repeat = |sums: Vec<f64>| -> Vec<f64> {
-            sums.iter().zip(&counts).map(|(sum, n)| sum / n).collect()
-        };
-        values.insert(average, per_repeat(ranks));
-        for (hits, k) in hits.into_iter().zip(RECALL_AT) {
-            values.insert(recall(k as u8), per_repeat(hits));
-        }
-    }
-    Ok(values)
-}
+/// What the Fréchet distance of this comparison is called: not that of the tables.
+const FID_NAME: &str = "FID of whole sets";
 
+/// None where every resample draws one row alone.
 fn fid_difference(
     task: &str,
     real: &Matrix,
     sides: [&Matrix; 2],
-    protocol: &Protocol,
-) -> Result<Difference, Error> {
-    let both = |indices: Option<&[usize]>| -> Result<[f64; 2], Error> {
-        let picked = |matrix: &Matrix| match indices {
-            Some(indices) => matrix.select_rows(indices),
-            None => matrix.clone(),
-        };
-        let reference = Reference::new(Gaussian::of_latents(&picked(real))?);
-        let distance = |side: &Matrix| reference.distance(&Gaussian::of_latents(&picked(side))?);
-        Ok([distance(sides[0])?, distance(sides[1])?])
+    resamples: &Resamples,
+) -> Result<Option<Difference>, Error> {
+    let both = |indices: &[usize]| -> Result<[f64; 2], Error> {
+        let sides = sides.into_iter().map(|side| side.select_rows(indices));
+        let found = fid::distances(&real.select_rows(indices), sides)?;
+        Ok([found[0], found[1]])
     };
-    let values = both(None)?;
-    let num_items = real.num_rows();
-    let mut resampled = (0..FID_RESAMPLES)
-        .into_par_iter()
-        .map(|resample| {
-            let mut rng = protocol.bootstrap_rng(resample);
-            let indices: Vec<usize> = (0..num_items)
-                .map(|_| rng.random_range(0..num_items))
-                .collect();
-            both(Some(&indices)).map(|[a, b]| b - a)
-        })
+    let all: Vec<usize> = (0..real.num_rows()).collect();
+    let values = both(&all)?;
+    let draws: Vec<Vec<usize>> = resamples
+        .weights(FID_RESAMPLES)
+        .map(|weights| drawn(&all, &weights))
+        .filter(|drawn| drawn.len() >= MIN_ROWS)
+        .collect();
+    let mut resampled = draws
+        .par_iter()
+        .map(|drawn| both(drawn).map(|[a, b]| b - a))
         .collect::<Result<Vec<f64>, Error>>()?;
-    Ok(difference(Metric::FidUnit, task, values, &mut resampled))
+    Ok((!resampled.is_empty())
+        .then(|| difference(FID_NAME, Metric::FidUnit, task, values, &mut resampled)))
 }
 
-fn difference(metric: Metric, task: &str, [a, b]: [f64; 2], resampled: &mut [f64]) -> Difference {
+fn difference(
+    name: &'static str,
+    metric: Metric,
+    task: &str,
+    [a, b]: [f64; 2],
+    resampled: &mut [f64],
+) -> Difference {
     resampled.sort_by(f64::total_cmp);
     let last = resampled.len() - 1;
     let at = |share: f64| resampled[(share * last as f64).round() as usize];
@@ -291,7 +240,7 @@ fn difference(metric: Metric, task: &str, [a, b]: [f64; 2], resampled: &mut [f64
         Better::Higher | Better::Lower | Better::NearReal => None,
     };
     Difference {
-        metric: metric.name(),
+        metric: name,
         a,
         b,
         difference: b - a,
@@ -306,9 +255,11 @@ impl Comparison {
         let [a, b] = &self.systems;
         Grid {
             title: format!(
-                "{}: A = {a}, B = {b}; {} items, 95 % bootstrap intervals of B - A; {}; encoder {}",
+                "{}: A = {a}, B = {b}, intervals of B - A; {} items of {} targets (ids {}); {}; encoder {}",
                 self.task,
                 self.n,
+                self.targets,
+                self.items_digest,
                 self.protocol,
                 crate::table::short_hash(&self.encoder_hash),
             ),

@@ -64,6 +64,18 @@ pub enum Error {
         /// Motions of the first item.
         expected: usize,
     },
+    /// A system has one take of an item twice.
+    #[error(
+        "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again with another --seed"
+    )]
+    SameTake {
+        /// The system.
+        system: String,
+        /// The item.
+        id: String,
+        /// The seed.
+        seed: u64,
+    },
     /// A system bears the name of a row this crate computes itself.
     #[error("a system cannot be named {system:?}, which is a row of every table; rename it")]
     ReservedSystem {
@@ -190,6 +202,16 @@ pub enum Error {
         /// Smallest sensible value.
         needed: usize,
         /// Value given.
+        found: usize,
+    },
+    /// More items are to be scored than there are.
+    #[error(
+        "{asked} items are to be scored, and there are {found}; ask for fewer or leave the limit out"
+    )]
+    Limit {
+        /// Items asked for.
+        asked: usize,
+        /// Items there are.
         found: usize,
     },
     /// A score table cannot be written as JSON.

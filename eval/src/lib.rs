@@ -8,6 +8,7 @@
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 
+mod bootstrap;
 pub mod compare;
 pub mod draw;
 mod error;

@@ -4,7 +4,9 @@ use datasets_spec::{Rng, Seed};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::bootstrap::{RESAMPLES, SET_RESAMPLES};
 use crate::metric::foot_score::Floor;
+use crate::metric::position_error::Keypoints;
 use crate::metric::{diversity, draw_without_replacement, fid, retrieval};
 
 /// Among how many motions a counterpart is looked for.
@@ -43,6 +45,28 @@ pub enum Queries {
     Edited,
 }
 
+/// What the interval beside a value says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Spread {
+    /// How the value varies over draws of the targets with replacement: what another test set would
+    /// have given. Items that share a target are drawn together.
+    Targets,
+    /// How the repeats scatter, as published: what other galleries, pairs and takes would have given
+    /// on these items. A value that is the same in all repeats has no interval.
+    Repeats,
+}
+
+/// A part of the test set, drawn at random.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limit {
+    /// Items that are kept.
+    pub items: usize,
+    /// Seed of the draw.
+    pub seed: Seed,
+}
+
 /// How scores are measured. Two runs with equal protocols and encoders are comparable.
 ///
 /// What varies between repeats: the cut of the items into galleries, the pairs of Diversity, the
@@ -70,6 +94,16 @@ pub struct Protocol {
     /// Whether edited motions are cut to the length of their target before they are encoded, as
     /// the MotionFix evaluation does.
     pub truncate_to_target: bool,
+    /// What the interval beside a value says.
+    pub interval: Spread,
+    /// Which points the position error is over.
+    pub keypoints: Keypoints,
+    /// The part of the items that is scored; none scores all.
+    ///
+    /// # Source
+    /// The code of SimMotionEdit, OmniME and CIME scores a random half of MotionFix' test set, 506 of
+    /// 1,013 pairs.
+    pub limit: Option<Limit>,
     /// Seed of all draws.
     pub seed: Seed,
 }
@@ -87,6 +121,9 @@ impl Default for Protocol {
             floor: Floor::Lowest,
             queries: Queries::Real,
             truncate_to_target: false,
+            interval: Spread::Targets,
+            keypoints: Keypoints::All,
+            limit: None,
             seed: Seed(0),
         }
     }
@@ -111,6 +148,9 @@ impl Protocol {
         };
         at_least("repeats", 1, self.repeats)?;
         at_least("diversity_pairs", 1, self.diversity_pairs)?;
+        if let Some(limit) = self.limit {
+            at_least("limit.items", 1, limit.items)?;
+        }
         match self.gallery {
             Gallery::Full => Ok(()),
             Gallery::Batches(size) => at_least("gallery", 2, size),
@@ -139,8 +179,25 @@ impl Protocol {
         } else {
             ""
         };
+        let keypoints = match self.keypoints {
+            Keypoints::All => "",
+            Keypoints::Body => ", position error of 22 joints",
+        };
+        let limit = self.limit.map_or_else(String::new, |limit| {
+            format!(
+                ", a random {} of the items (seed {})",
+                limit.items, limit.seed.0
+            )
+        });
+        let interval = match self.interval {
+            Spread::Targets => format!(
+                "95 % intervals from {RESAMPLES} draws of the targets ({SET_RESAMPLES} for FID and Diversity)"
+            ),
+            Spread::Repeats => "95 % intervals over the repeats".to_owned(),
+        };
         format!(
-            "{gallery}, {queries}, {pairs} diversity pairs, {fid}, {floor}{length}, seed {}",
+            "{gallery}, {queries}, {pairs} diversity pairs, {fid}, {floor}{length}{keypoints}{limit}, \
+             seed {}, {interval}",
             self.seed.0
         )
     }
@@ -152,8 +209,45 @@ impl Protocol {
             Gallery::Batches(size) if num_items < size => {
                 format!("one gallery of all {num_items} (fewer than {size})")
             }
-            Gallery::Batches(size) => format!("galleries of {size}"),
+            Gallery::Batches(size) => {
+                let (count, left) = (num_items / size, num_items % size);
+                let galleries = if count == 1 { "gallery" } else { "galleries" };
+                let rest = if left == 0 {
+                    String::new()
+                } else {
+                    format!(" ({left} of {num_items} items left over in each repeat)")
+                };
+                format!("{count} {galleries} of {size}{rest}")
+            }
         }
+    }
+
+    /// Items of a gallery, and items in all galleries of a repeat.
+    pub fn gallery_sizes(&self, num_items: usize) -> (usize, usize) {
+        match self.gallery {
+            Gallery::Batches(size) if num_items >= size => (size, num_items / size * size),
+            Gallery::Full | Gallery::Batches(_) => (num_items, num_items),
+        }
+    }
+
+    /// Positions of the items that are scored, of so many in the order of their ids.
+    ///
+    /// # Errors
+    /// There are fewer items than are to be kept.
+    pub fn scored_items(&self, num_items: usize) -> Result<Vec<usize>, Error> {
+        let Some(limit) = self.limit else {
+            return Ok((0..num_items).collect());
+        };
+        if num_items < limit.items {
+            return Err(Error::Limit {
+                asked: limit.items,
+                found: num_items,
+            });
+        }
+        let mut rng = limit.seed.rng(&["eval", "limit"]);
+        let mut kept = draw_without_replacement(num_items, limit.items, &mut rng);
+        kept.sort_unstable();
+        Ok(kept)
     }
 
     /// The galleries of a repeat, as positions of items.
@@ -217,8 +311,9 @@ mod tests {
         let protocol = Protocol::default();
         assert_eq!(
             protocol.name(1013),
-            "galleries of 32, real queries, 300 diversity pairs, FID between halves of 506, \
-             floor at the lowest foot, seed 0"
+            "31 galleries of 32 (21 of 1013 items left over in each repeat), real queries, 300 \
+             diversity pairs, FID between halves of 506, floor at the lowest foot, seed 0, 95 % \
+             intervals from 1000 draws of the targets (100 for FID and Diversity)"
         );
         assert!(
             protocol
@@ -232,13 +327,25 @@ mod tests {
             truncate_to_target: true,
             floor: Floor::At(0.0),
             queries: Queries::Edited,
+            interval: Spread::Repeats,
+            keypoints: Keypoints::Body,
+            limit: Some(Limit {
+                items: 5,
+                seed: Seed(42),
+            }),
             ..protocol
         };
         assert_eq!(
             full.name(5),
             "one gallery of all 5, edited queries, 5 diversity pairs, FID on all 5, \
-             floor at 0 m, cut to the target's length, seed 0"
+             floor at 0 m, cut to the target's length, position error of 22 joints, \
+             a random 5 of the items (seed 42), seed 0, 95 % intervals over the repeats"
         );
+        assert!(protocol.name(64).starts_with("2 galleries of 32, "));
+        assert!(protocol.name(32).starts_with("1 gallery of 32, "));
+        assert_eq!(protocol.gallery_sizes(1013), (32, 992));
+        assert_eq!(full.gallery_sizes(1013), (1013, 1013));
+        assert_eq!(protocol.gallery_sizes(20), (20, 20));
     }
 
     #[test]
@@ -256,6 +363,13 @@ mod tests {
             },
             Protocol {
                 gallery: Gallery::Batches(1),
+                ..default
+            },
+            Protocol {
+                limit: Some(Limit {
+                    items: 0,
+                    seed: Seed(0),
+                }),
                 ..default
             },
         ] {
@@ -276,6 +390,26 @@ mod tests {
             protocol
         );
         assert!(serde_json::from_str::<Protocol>(r#"{"repeat": 3}"#).is_err());
+    }
+
+    #[test]
+    fn a_random_half_is_the_same_for_everyone_who_names_its_seed() {
+        let half = |seed| Protocol {
+            limit: Some(Limit {
+                items: 506,
+                seed: Seed(seed),
+            }),
+            ..Protocol::default()
+        };
+        let kept = half(42).scored_items(1013).expect("enough");
+        assert_eq!(kept.len(), 506);
+        assert!(kept.is_sorted() && kept.last().is_some_and(|last| *last < 1013));
+        assert_eq!(half(42).scored_items(1013).expect("enough"), kept);
+        assert_ne!(half(43).scored_items(1013).expect("enough"), kept);
+        assert_eq!(half(42).gallery_sizes(506), (32, 480));
+        assert_eq!(Protocol::default().scored_items(3).expect("all"), [0, 1, 2]);
+        let error = half(42).scored_items(505).expect_err("too few").to_string();
+        assert!(error.contains("506") && error.contains("505"), "{error}");
     }
 
     #[test]

@@ -2,10 +2,12 @@
 
 use std::fmt::Write;
 
+use serde_json::Value;
+
 use crate::draw::escaped;
 use crate::draw::plot::{Bars, Plot, bar_chart, plot};
 use crate::draw::strip::{Row, Style, strip};
-use crate::format::{PUBLISHED_HEADING, RowGroup};
+use crate::format::{ABSENT, PUBLISHED_HEADING, RowGroup};
 use crate::metric::Metric;
 use crate::table::{Cell, Column, Table};
 use crate::viewer;
@@ -27,8 +29,10 @@ pub struct Report {
     pub strips: Vec<Strip>,
     /// Name and value of what is to be known of the dataset.
     pub facts: Vec<(String, String)>,
-    /// Name and value of settings and versions.
+    /// Name and value of versions and seeds.
     pub settings: Vec<(String, String)>,
+    /// Settings of the systems and stages.
+    pub details: Vec<Details>,
     /// Commands that make the same numbers again, in order.
     pub commands: Vec<String>,
 }
@@ -62,6 +66,83 @@ pub struct Strip {
     pub note: String,
     /// The motions, such as original, edited and target.
     pub rows: Vec<Row>,
+}
+
+/// Settings side by side: a line for each, a column for each system or stage.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Details {
+    /// What the settings are of.
+    pub title: String,
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Name of each setting, and its value in each column.
+    pub rows: Vec<(String, Vec<String>)>,
+}
+
+impl Details {
+    /// Lays out the settings of one or more JSON documents. Settings within settings are named by the
+    /// way to them, such as `diffusion.steps`; a column without a setting has a dash there.
+    pub fn of_json(title: &str, documents: &[(&str, &Value)]) -> Self {
+        let mut rows: Vec<(String, Vec<String>)> = Vec::new();
+        for (column, (_, document)) in documents.iter().enumerate() {
+            let mut found = Vec::new();
+            flatten("", document, &mut found);
+            for (name, value) in found {
+                let row = match rows.iter().position(|(known, _)| *known == name) {
+                    Some(row) => row,
+                    None => {
+                        rows.push((name, vec![ABSENT.to_owned(); documents.len()]));
+                        rows.len() - 1
+                    }
+                };
+                rows[row].1[column] = value;
+            }
+        }
+        Self {
+            title: title.to_owned(),
+            columns: documents
+                .iter()
+                .map(|(name, _)| (*name).to_owned())
+                .collect(),
+            rows,
+        }
+    }
+}
+
+/// Adds every value of a document with the way to it.
+fn flatten(way: &str, value: &Value, found: &mut Vec<(String, String)>) {
+    let plain = |value: &Value| match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "not set".to_owned(),
+        other => other.to_string(),
+    };
+    match value {
+        Value::Object(fields) if !fields.is_empty() => {
+            for (name, value) in fields {
+                let way = if way.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{way}.{name}")
+                };
+                flatten(&way, value, found);
+            }
+        }
+        Value::Array(values)
+            if values
+                .iter()
+                .any(|value| value.is_object() || value.is_array()) =>
+        {
+            for (place, value) in values.iter().enumerate() {
+                flatten(&format!("{way}[{place}]"), value, found);
+            }
+        }
+        Value::Array(values) => {
+            let values: Vec<String> = values.iter().map(plain).collect();
+            found.push((way.to_owned(), values.join(", ")));
+        }
+        Value::Object(_) => found.push((way.to_owned(), ABSENT.to_owned())),
+        value => found.push((way.to_owned(), plain(value))),
+    }
 }
 
 const STYLE: &str = include_str!("report.css");
@@ -120,7 +201,7 @@ impl Report {
             Section::new(
                 "settings",
                 "Settings and versions",
-                definitions(&self.settings),
+                definitions(&self.settings) + &details(&self.details),
             ),
             Section::new("reproduce", "How to reproduce", commands(&self.commands)),
         ]
@@ -222,11 +303,14 @@ fn tables(tables: &[Table]) -> String {
             html.push_str("</tr>\n");
         }
         html.push_str("</tbody>\n</table></div>\n");
+        for note in &table.notes {
+            let _ = writeln!(html, "<p class=\"head\">{}</p>", escaped(note));
+        }
     }
     if !html.is_empty() {
         html.push_str(
             "<p class=\"head legend\">Mean ± half width of the 95 % interval. Bold: best measured \
-             system of the column. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
+             system of the column, where the identity editor is not better. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
         );
     }
     html
@@ -338,6 +422,31 @@ fn definitions(entries: &[(String, String)]) -> String {
     html
 }
 
+fn details(details: &[Details]) -> String {
+    let mut html = String::new();
+    for part in details {
+        let _ = write!(
+            html,
+            "<h3>{}</h3>\n<div class=\"scroll narrow\"><table class=\"settings\">\n<thead><tr><th \
+             scope=\"col\">Setting</th>",
+            escaped(&part.title)
+        );
+        for column in &part.columns {
+            let _ = write!(html, "<th scope=\"col\">{}</th>", escaped(column));
+        }
+        html.push_str("</tr></thead>\n<tbody>\n");
+        for (name, values) in &part.rows {
+            let _ = write!(html, "<tr><th scope=\"row\">{}</th>", escaped(name));
+            for value in values {
+                let _ = write!(html, "<td>{}</td>", escaped(value));
+            }
+            html.push_str("</tr>\n");
+        }
+        html.push_str("</tbody>\n</table></div>\n");
+    }
+    html
+}
+
 fn commands(commands: &[String]) -> String {
     if commands.is_empty() {
         return String::new();
@@ -410,6 +519,11 @@ mod tests {
             }],
             facts: vec![(text(), text())],
             settings: vec![(text(), text())],
+            details: vec![Details {
+                title: text(),
+                columns: vec![text()],
+                rows: vec![(text(), vec![text()])],
+            }],
             commands: vec![text()],
         }
     }
@@ -475,6 +589,41 @@ mod tests {
                 "{anchor}"
             );
         }
+    }
+
+    #[test]
+    fn settings_stand_side_by_side_and_not_as_json() {
+        let one = serde_json::json!({
+            "guidance": 2.0, "poses": null,
+            "coordinator": {"strength": 1.0, "parts": ["left arm", "head"]},
+        });
+        let two = serde_json::json!({"guidance": 2.5, "axis": [{"key": "x"}], "none": {}});
+        let details = Details::of_json("Editors", &[("full", &one), ("bare", &two)]);
+        let rows: Vec<(&str, [&str; 2])> = details
+            .rows
+            .iter()
+            .map(|(name, values)| (name.as_str(), [values[0].as_str(), values[1].as_str()]))
+            .collect();
+        let expected = [
+            ("coordinator.parts", ["left arm, head", "–"]),
+            ("coordinator.strength", ["1.0", "–"]),
+            ("guidance", ["2.0", "2.5"]),
+            ("poses", ["not set", "–"]),
+            ("axis[0].key", ["–", "x"]),
+            ("none", ["–", "–"]),
+        ];
+        assert_eq!(rows.len(), expected.len());
+        for row in expected {
+            assert!(rows.contains(&row), "{row:?} in {rows:?}");
+        }
+        let html = Report {
+            details: vec![details],
+            ..Report::default()
+        }
+        .to_html();
+        check_nesting(&html);
+        assert!(html.contains("<th scope=\"row\">guidance</th><td>2.0</td><td>2.5</td>"));
+        assert!(!html.contains("{&quot;"));
     }
 
     #[test]

@@ -1,26 +1,29 @@
 //! From edited motions to rows of the table of scores.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
 use datasets_spec::skeleton::NUM_KEYPOINTS;
-use datasets_spec::{Motion, Progress, Skeleton};
+use datasets_spec::{Fps, Motion, Pose, Progress, Skeleton};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::bootstrap::{Resamples, SET_RESAMPLES, drawn};
 use crate::error::EncoderError;
 use crate::linalg::Matrix;
-use crate::metric::Metric;
 use crate::metric::diversity::{self, diversity};
-use crate::metric::fid::{Gaussian, Reference};
+use crate::metric::fid::{self, Gaussian, Reference};
 use crate::metric::foot_score::{FOOT_JOINTS, MIN_FRAMES, foot_score};
 use crate::metric::interval::Interval;
-use crate::metric::multimodality::{self, multimodality};
+use crate::metric::motion_quality;
+use crate::metric::multimodality::{self, multimodality_of_pairs};
 use crate::metric::position_error::mean_position_error;
-use crate::metric::retrieval::{compare, retrieval, unit_rows};
-use crate::protocol::{Protocol, Queries};
+use crate::metric::retrieval::{RECALL_AT, compare, gallery_ranks, retrieval, unit_rows};
+use crate::metric::{Metric, draw_without_replacement};
+use crate::protocol::{Protocol, Queries, Spread};
 use crate::similarity::{Pairing, Rows};
+use crate::table::Items;
 
 /// Row of the real data: the targets taken as if a system had made them.
 pub const REAL_DATA: &str = "Real Data";
@@ -36,6 +39,8 @@ pub const RECAPTURED: &str = "recaptured";
 
 /// Motions decoded and encoded together: enough for a full batch of the encoder, and little memory.
 const MOTIONS_PER_CALL: usize = 256;
+/// Digits of the hash that stands for a set of items.
+const DIGEST_DIGITS: usize = 12;
 /// Ids an error message lists.
 const MAX_IDS_SHOWN: usize = 5;
 /// Centimetres in a metre.
@@ -104,7 +109,7 @@ pub fn score(
     progress: &dyn Progress,
 ) -> Result<Vec<ScoreRow>, Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items, edits)?;
+    let test_set = TestSet::new(items, edits, protocol)?;
     let Measured {
         sources,
         systems,
@@ -140,6 +145,16 @@ pub fn score(
                 Ok(values)
             })
             .collect::<Result<Vec<_>, Error>>()?;
+        let spreads = match protocol.interval {
+            Spread::Repeats => None,
+            Spread::Targets => {
+                let resamples = Resamples::new(test_set.targets(&indices), protocol);
+                Some(spreads(&systems, &asked, &resamples, protocol)?)
+            }
+        };
+        let counts = test_set.counts(&indices);
+        let fid_items = protocol.fid_items(indices.len(), 0);
+        let (gallery, ranked) = protocol.gallery_sizes(indices.len());
         for (position, system) in systems.iter().enumerate() {
             for metric in Metric::ALL {
                 let values: Option<Vec<f64>> = repeats
@@ -149,7 +164,16 @@ pub fn score(
                 let Some(values) = values else {
                     continue;
                 };
-                let Interval { mean, ci95 } = Interval::of(&values);
+                let over_repeats = Interval::of(&values);
+                let Interval { mean, ci95 } = match &spreads {
+                    None => over_repeats,
+                    Some(spreads) => {
+                        let resampled = spreads[position].get(&metric);
+                        let resampled = resampled.map_or(&[][..], Vec::as_slice);
+                        let repeats = if of_sets(metric) { &values[..] } else { &[] };
+                        Interval::of_resamples(over_repeats.mean, resampled, repeats)
+                    }
+                };
                 scores.push(ScoreRow {
                     system: system.name.to_owned(),
                     task: task.to_owned(),
@@ -160,12 +184,198 @@ pub fn score(
                     repeats: protocol.repeats as u32,
                     mean,
                     ci95,
+                    takes: system.takes.len() as u32,
+                    targets: counts.targets,
+                    sources: counts.sources,
+                    instructions: counts.instructions,
+                    gallery: gallery as u32,
+                    ranked: ranked as u32,
+                    fid_items: fid_items.as_ref().map_or(0, |(real, _)| real.len() as u32),
+                    latent_width: sources.raw.num_cols() as u32,
+                    items_digest: counts.digest.clone(),
                 });
             }
         }
     }
     progress.finish(&format!("{} scores", scores.len()));
     Ok(scores)
+}
+
+/// Whether a metric is of a set as a whole, so that it is computed anew on each resample.
+fn of_sets(metric: Metric) -> bool {
+    matches!(metric, Metric::FidUnit | Metric::FidRaw | Metric::Diversity)
+}
+
+/// The values of each system on the resamples, metric by metric.
+fn spreads(
+    systems: &[System<'_>],
+    asked: &[Asked<'_>],
+    resamples: &Resamples,
+    protocol: &Protocol,
+) -> Result<Vec<BTreeMap<Metric, Vec<f64>>>, Error> {
+    let mut found = systems
+        .par_iter()
+        .zip(asked)
+        .map(|(system, asked)| {
+            let mut values: BTreeMap<Metric, Vec<f64>> = BTreeMap::new();
+            for (metric, of_items) in item_values(system, asked, protocol)? {
+                values.insert(metric, resamples.means(&of_items));
+                let median = match metric {
+                    Metric::SourceAverageRank => Metric::SourceMedianRank,
+                    Metric::TargetAverageRank => Metric::TargetMedianRank,
+                    _ => continue,
+                };
+                // Ranks of items count from one here, and those a median is taken of from zero.
+                let ranks: Vec<f64> = of_items.iter().map(|rank| rank - 1.0).collect();
+                values.insert(median, resamples.medians(&ranks));
+            }
+            Ok(values)
+        })
+        .collect::<Result<Vec<_>, Error>>()?;
+    let of_sets = resamples
+        .weights(SET_RESAMPLES)
+        .enumerate()
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|(resample, weights)| of_resample(systems, &weights, resample, protocol))
+        .collect::<Result<Vec<_>, Error>>()?;
+    for resample in of_sets {
+        for (system, values) in found.iter_mut().zip(resample) {
+            for (metric, value) in values {
+                system.entry(metric).or_default().push(value);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// What the metrics of whole sets come to on one resample, for each system. It is cut, paired and
+/// scored as the repeat of the same number.
+fn of_resample(
+    systems: &[System<'_>],
+    weights: &[u32],
+    resample: usize,
+    protocol: &Protocol,
+) -> Result<Vec<Vec<(Metric, f64)>>, Error> {
+    let repeat = resample % protocol.repeats;
+    let all: Vec<usize> = (0..weights.len()).collect();
+    let everything = drawn(&all, weights);
+    let halves = protocol
+        .fid_items(weights.len(), repeat)
+        .map(|(real, compared)| (drawn(&real, weights), drawn(&compared, weights)))
+        .filter(|(real, compared)| real.len().min(compared.len()) >= fid::MIN_ROWS);
+    let takes: Vec<&Take> = systems
+        .iter()
+        .map(|system| &system.takes[repeat % system.takes.len()])
+        .collect();
+    let mut values = vec![Vec::new(); systems.len()];
+    if let Some((real, compared)) = halves {
+        for (metric, latents) in [
+            (Metric::FidUnit, (|take| &take.unit) as fn(&Take) -> &Matrix),
+            (Metric::FidRaw, |take| &take.raw),
+        ] {
+            let real = latents(takes[0]).select_rows(&real);
+            let sides = takes
+                .iter()
+                .map(|take| latents(take).select_rows(&compared));
+            let distances = fid::distances(&real, sides)?;
+            for (values, distance) in values.iter_mut().zip(distances) {
+                values.push((metric, distance));
+            }
+        }
+    }
+    if everything.len() >= diversity::MIN_ROWS {
+        for (values, take) in values.iter_mut().zip(&takes) {
+            let mut rng = protocol.diversity_rng(resample);
+            let latents = take.raw.select_rows(&everything);
+            let value = diversity(&latents, protocol.diversity_pairs, &mut rng)?;
+            values.push((Metric::Diversity, value));
+        }
+    }
+    Ok(values)
+}
+
+/// Values of each item: the means over the repeats, of which each scores one take and ranks some of
+/// the items. An item that no repeat has a value of is NaN.
+pub(crate) fn item_values(
+    system: &System<'_>,
+    asked: &Asked<'_>,
+    protocol: &Protocol,
+) -> Result<BTreeMap<Metric, Vec<f64>>, Error> {
+    let num_items = system.takes[0].raw.num_rows();
+    let num_takes = system.takes.len();
+    let mut sums: BTreeMap<Metric, Vec<(f64, f64)>> = BTreeMap::new();
+    let mut add = |metric: Metric, item: usize, value: f64| {
+        let of_metric = sums
+            .entry(metric)
+            .or_insert_with(|| vec![(0.0, 0.0); num_items]);
+        of_metric[item].0 += value;
+        of_metric[item].1 += 1.0;
+    };
+    for repeat in 0..protocol.repeats {
+        let take = repeat % num_takes;
+        for (metric, of_items) in &system.takes[take].of_items {
+            for (item, value) in of_items.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
+                add(*metric, item, *value);
+            }
+        }
+        for (item, value) in multimodality_of(system, protocol, repeat)? {
+            add(Metric::Multimodality, item, value);
+        }
+        let galleries = protocol.galleries(num_items, repeat);
+        let [to_source, to_target] = &asked.takes[take];
+        for (pairing, average, recall) in [
+            (
+                to_source,
+                Metric::SourceAverageRank,
+                Metric::SourceRecall as fn(u8) -> Metric,
+            ),
+            (to_target, Metric::TargetAverageRank, Metric::TargetRecall),
+        ] {
+            let ranks = gallery_ranks(pairing, &galleries)?;
+            for (indices, ranks) in galleries.iter().zip(ranks) {
+                for (&item, rank) in indices.iter().zip(ranks) {
+                    add(average, item, rank + 1.0);
+                    for k in RECALL_AT {
+                        let hit = if rank < k as f64 { 100.0 } else { 0.0 };
+                        add(recall(k as u8), item, hit);
+                    }
+                }
+            }
+        }
+    }
+    let means = |(metric, sums): (Metric, Vec<(f64, f64)>)| {
+        // 0 / 0 marks items without a value.
+        let means = sums.into_iter().map(|(sum, count)| sum / count);
+        (metric, means.collect())
+    };
+    Ok(sums.into_iter().map(means).collect())
+}
+
+/// Multimodality of the items a repeat looks at: at most as many as the reference compares, drawn at
+/// random. None where a system made too few takes for the published number of pairs.
+fn multimodality_of(
+    system: &System<'_>,
+    protocol: &Protocol,
+    repeat: usize,
+) -> Result<Vec<(usize, f64)>, Error> {
+    let num_takes = system.takes.len();
+    if num_takes <= multimodality::T2M_PAIRS {
+        return Ok(Vec::new());
+    }
+    let mut rng = protocol.multimodality_rng(repeat);
+    let num_items = system.takes[0].raw.num_rows();
+    let count = num_items.min(multimodality::T2M_CONDITIONS);
+    let items = draw_without_replacement(num_items, count, &mut rng);
+    let [first, second] = multimodality::pairs(num_takes, multimodality::T2M_PAIRS, &mut rng)?;
+    items
+        .into_iter()
+        .map(|item| {
+            let rows: Vec<&[f64]> = system.takes.iter().map(|take| take.raw.row(item)).collect();
+            let latents = [Matrix::from_rows(&rows)];
+            Ok((item, multimodality_of_pairs(&latents, &first, &second)?))
+        })
+        .collect()
 }
 
 /// The sides of a test set as numbers.
@@ -188,6 +398,7 @@ pub(crate) fn measured<'a>(
         instruments,
         protocol,
         progress,
+        windows: test_set.windows(),
     };
     progress.begin("encode", Some(test_set.num_motions() as u64));
     let targets: Vec<Side<'_>> = test_set.sides(Side::Target);
@@ -251,7 +462,12 @@ pub(crate) struct TestSet<'a> {
 }
 
 impl<'a> TestSet<'a> {
-    pub(crate) fn new(items: &'a [ItemRow], edits: &'a [EditRow]) -> Result<Self, Error> {
+    /// Sorts rows and checks them; of the items, those that the protocol scores are kept.
+    pub(crate) fn new(
+        items: &'a [ItemRow],
+        edits: &'a [EditRow],
+        protocol: &Protocol,
+    ) -> Result<Self, Error> {
         let mut by_id: BTreeMap<&str, &ItemRow> = BTreeMap::new();
         for item in items {
             item.check().map_err(|source| Error::Item {
@@ -283,13 +499,58 @@ impl<'a> TestSet<'a> {
                 .or_default()
                 .push(row);
         }
+        let kept = protocol.scored_items(ids.len())?;
+        let systems = by_system
+            .into_iter()
+            .map(|(system, rows)| {
+                let takes = takes(system, rows, &ids)?
+                    .into_iter()
+                    .map(|rows| kept.iter().map(|&item| rows[item]).collect())
+                    .collect();
+                Ok((system, takes))
+            })
+            .collect::<Result<_, Error>>()?;
+        let items: Vec<&ItemRow> = by_id.into_values().collect();
         Ok(Self {
-            systems: by_system
-                .into_iter()
-                .map(|(system, rows)| Ok((system, takes(system, rows, &ids)?)))
-                .collect::<Result<_, Error>>()?,
-            items: by_id.into_values().collect(),
+            systems,
+            items: kept.iter().map(|&item| items[item]).collect(),
         })
+    }
+
+    /// The windows of the first system that says so.
+    fn windows(&self) -> Option<Windows> {
+        let first = |takes: &Vec<Vec<&EditRow>>| Windows::of(takes.first()?.first()?);
+        self.systems.values().find_map(first)
+    }
+
+    /// Names of the motions that the targets of items took from.
+    pub(crate) fn targets(&self, indices: &[usize]) -> impl Iterator<Item = &'a str> {
+        indices
+            .iter()
+            .map(|&item| self.items[item].target_id.as_str())
+    }
+
+    /// How many different things items are made of.
+    pub(crate) fn counts(&self, indices: &[usize]) -> Items {
+        let distinct = |of: fn(&'a ItemRow) -> &'a str| {
+            let names: BTreeSet<&str> = indices.iter().map(|&item| of(self.items[item])).collect();
+            names.len() as u32
+        };
+        let mut hasher = blake3::Hasher::new();
+        for &item in indices {
+            hasher.update(self.items[item].id.as_bytes());
+            hasher.update(b"\n");
+        }
+        let mut digest = hasher.finalize().to_hex().to_string();
+        digest.truncate(DIGEST_DIGITS);
+        Items {
+            count: indices.len() as u32,
+            targets: distinct(|item| item.target_id.as_str()),
+            sources: distinct(|item| item.source_id.as_str()),
+            instructions: distinct(|item| &item.instruction),
+            fid: 0,
+            digest,
+        }
     }
 
     /// One side of every item.
@@ -372,6 +633,14 @@ impl<'a> Side<'a> {
         }
     }
 
+    /// The windows the motion was generated by, where it was.
+    fn windows(self) -> Option<Windows> {
+        match self {
+            Self::Edit(row) => Windows::of(row),
+            Self::Source(_) | Self::Target(_) | Self::OtherTake(_) => None,
+        }
+    }
+
     /// A number recorded beside the motion of a system.
     fn recorded(self, of: fn(&EditRow) -> Option<f32>) -> Option<f32> {
         match self {
@@ -424,6 +693,13 @@ fn takes<'a>(
             });
         }
         rows.sort_by_key(|row| row.seed);
+        if let Some(twice) = rows.windows(2).find(|pair| pair[0].seed == pair[1].seed) {
+            return Err(Error::SameTake {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                seed: twice[0].seed,
+            });
+        }
         for (take, row) in takes.iter_mut().zip(rows) {
             take.push(row);
         }
@@ -468,7 +744,7 @@ pub(crate) struct Take {
     pub(crate) unit: Matrix,
     /// The rows of unit length as they are compared.
     pub(crate) compared: Rows,
-    /// Metrics whose value is the mean over the items.
+    /// Metrics whose value is the mean over the items, of those that have one: NaN stands for none.
     pub(crate) of_items: Vec<(Metric, Vec<f64>)>,
 }
 
@@ -494,6 +770,8 @@ struct Measuring<'a> {
     instruments: Instruments<'a>,
     protocol: &'a Protocol,
     progress: &'a dyn Progress,
+    /// Where motions are looked at that say nothing of windows: where the first system has its seams.
+    windows: Option<Windows>,
 }
 
 impl Measuring<'_> {
@@ -504,20 +782,28 @@ impl Measuring<'_> {
         let mut foot_scores = Vec::with_capacity(rows.len());
         let mut position_errors = Vec::with_capacity(rows.len());
         let mut composed = Vec::new();
+        let mut qualities: [Vec<f64>; Metric::QUALITY.len()] = Default::default();
         for (rows, targets) in rows
             .chunks(MOTIONS_PER_CALL)
             .zip(targets.chunks(MOTIONS_PER_CALL))
         {
             // The encoder stays on this thread: it need not be shareable.
             let (skeleton, protocol) = (self.instruments.skeleton, self.protocol);
+            let elsewhere = self.windows;
             let measured = rows
                 .par_iter()
                 .zip(targets)
-                .map(|(row, target)| measure(*row, *target, cut, skeleton, protocol))
+                .map(|(row, target)| {
+                    let windows = row.windows().or(elsewhere);
+                    measure(*row, *target, cut, windows, skeleton, protocol)
+                })
                 .collect::<Result<Vec<_>, Error>>()?;
             for measured in &measured {
                 foot_scores.push(measured.foot_score);
                 position_errors.push(CM_PER_M * measured.position_error_m);
+                for (values, value) in qualities.iter_mut().zip(measured.quality) {
+                    values.push(value.unwrap_or(f64::NAN));
+                }
             }
             let motions: Vec<&Motion> = measured.iter().map(|measured| &measured.motion).collect();
             latents.extend(self.encode(rows, &motions, latents.first().map(Vec::len))?);
@@ -546,6 +832,7 @@ impl Measuring<'_> {
         let drifts = recorded(|row| row.bone_drift_m);
         of_items.extend(fit_errors.map(|values| (Metric::FitError, values)));
         of_items.extend(drifts.map(|values| (Metric::BoneDrift, values)));
+        of_items.extend(Metric::QUALITY.iter().copied().zip(qualities));
         let raw = Matrix::from_rows(&latents);
         let unit = unit_rows(&raw)?;
         let compared = Rows::new(&unit)?;
@@ -605,6 +892,49 @@ struct MeasuredMotion {
     motion: Motion,
     foot_score: f64,
     position_error_m: f64,
+    /// In the order of [`Metric::QUALITY`]; none where the motion has no frames of the kind.
+    quality: [Option<f64>; Metric::QUALITY.len()],
+}
+
+/// Frames of the windows a motion was generated by, and their rate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Windows {
+    frames: usize,
+    fps: Fps,
+}
+
+impl Windows {
+    /// What the settings of a system say of its windows.
+    fn of(row: &EditRow) -> Option<Self> {
+        let settings: serde_json::Value = serde_json::from_str(&row.settings).ok()?;
+        let frames = usize::try_from(settings.get("window")?.as_u64()?).ok()?;
+        let fps = match settings.get("fps").and_then(serde_json::Value::as_f64) {
+            Some(fps) => Fps::new(fps).ok()?,
+            None => Fps::MODEL,
+        };
+        Some(Self { frames, fps })
+    }
+}
+
+/// How a motion moves, in the order of [`Metric::QUALITY`].
+fn quality(
+    motion: &Motion,
+    keypoints: &[[DVec3; NUM_KEYPOINTS]],
+    windows: Option<Windows>,
+) -> [Option<f64>; Metric::QUALITY.len()] {
+    let fps = motion.fps();
+    let seams = windows.map_or_else(Vec::new, |windows| {
+        motion_quality::seams(motion.len(), fps, windows.frames, windows.fps)
+    });
+    let acceleration = motion_quality::seam_acceleration(keypoints, fps, &seams);
+    let poses: Vec<Pose> = (0..motion.len()).map(|frame| motion.pose(frame)).collect();
+    [
+        acceleration.at_seams,
+        acceleration.inside,
+        motion_quality::jerk(keypoints, fps),
+        motion_quality::contact_slide(keypoints, fps),
+        Some(motion_quality::largest_rotation_step(&poses)),
+    ]
 }
 
 /// Measures everything about a motion that needs no encoder.
@@ -612,6 +942,7 @@ fn measure(
     row: Side<'_>,
     target: Side<'_>,
     cut: Cut,
+    windows: Option<Windows>,
     skeleton: &Skeleton,
     protocol: &Protocol,
 ) -> Result<MeasuredMotion, Error> {
@@ -646,7 +977,8 @@ fn measure(
         })?;
     Ok(MeasuredMotion {
         foot_score,
-        position_error_m: mean_position_error(&keypoints, &expected),
+        quality: quality(&motion, &keypoints, windows),
+        position_error_m: mean_position_error(&keypoints, &expected, protocol.keypoints.count()),
         motion,
     })
 }
@@ -660,12 +992,12 @@ fn feet(keypoints: &[[DVec3; NUM_KEYPOINTS]]) -> Vec<[Vec3; FOOT_JOINTS.len()]> 
 }
 
 /// The takes of a system against the originals and against the targets.
-struct Asked<'a> {
+pub(crate) struct Asked<'a> {
     takes: Vec<[Pairing<'a>; 2]>,
 }
 
 impl<'a> Asked<'a> {
-    fn new(
+    pub(crate) fn new(
         sources: &'a Take,
         targets: &'a Take,
         system: &'a System<'_>,
@@ -712,11 +1044,12 @@ fn evaluate(
         .zip(systems.iter().zip(asked))
         .map(|(take, (system, asked))| {
             let mut values = BTreeMap::new();
-            if system.takes.len() > multimodality::T2M_PAIRS {
-                let conditions = conditions(&system.takes);
-                let mut rng = protocol.multimodality_rng(repeat);
-                let value = multimodality(&conditions, multimodality::T2M_PAIRS, &mut rng)?;
-                values.insert(Metric::Multimodality, value);
+            let modes: Vec<f64> = multimodality_of(system, protocol, repeat)?
+                .into_iter()
+                .map(|(_, value)| value)
+                .collect();
+            if !modes.is_empty() {
+                values.insert(Metric::Multimodality, mean(&modes));
             }
             if let Some((unit, raw, compared)) = &references {
                 let unit =
@@ -731,7 +1064,10 @@ fn evaluate(
                 values.insert(Metric::Diversity, value);
             }
             for (metric, of_items) in &take.of_items {
-                values.insert(*metric, mean(of_items));
+                let known: Vec<f64> = of_items.iter().copied().filter(|v| !v.is_nan()).collect();
+                if !known.is_empty() {
+                    values.insert(*metric, mean(&known));
+                }
             }
             let [to_source, to_target] = &asked.takes[repeat % asked.takes.len()];
             let to_source = retrieval(to_source, &galleries)?;
@@ -752,24 +1088,13 @@ fn evaluate(
         .collect()
 }
 
-/// The latents of all takes of each item, for at most as many items as the reference compares.
-fn conditions(takes: &[Take]) -> Vec<Matrix> {
-    let num_items = takes.first().map_or(0, |take| take.raw.num_rows());
-    (0..num_items.min(multimodality::T2M_CONDITIONS))
-        .map(|item| {
-            let rows: Vec<&[f64]> = takes.iter().map(|take| take.raw.row(item)).collect();
-            Matrix::from_rows(&rows)
-        })
-        .collect()
-}
-
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, MotionId, NoProgress, Pose, Seed, Split};
+    use datasets_spec::{MotionId, NoProgress, Seed, Split};
     use glam::DQuat;
     use rand::RngExt;
 
@@ -932,6 +1257,8 @@ mod tests {
             Metric::BoneDrift,
             Metric::Composed,
             Metric::Multimodality,
+            // No system says where its seams are.
+            Metric::SeamAcceleration,
         ];
         let metrics = || {
             Metric::ALL
@@ -970,6 +1297,34 @@ mod tests {
         assert_eq!(scores[0].task, "all");
         assert_eq!((scores[0].n, scores[0].repeats), (80, 10));
         assert_eq!(scores[0].encoder_hash, "00ff");
+    }
+
+    #[test]
+    fn a_pop_at_a_seam_shows_there_and_real_data_are_looked_at_in_the_same_frames() {
+        let mut item = item(0, "style");
+        let long = |name: &str| {
+            let pose = motion(0, name).pose(0);
+            Motion::from_poses(Fps::STORE, &[pose; 59]).expect("valid")
+        };
+        item.set_motions(&long("source"), Some(&long("target")), None);
+        item.id = item.content_id();
+        let mut row = answer("pops", &item, &long("target"));
+        // Windows of 16 frames at 10 fps: the second begins with frame 32 at 20 fps.
+        row.settings = r#"{"window": 16}"#.to_owned();
+        for place in &mut row.transl[32..] {
+            place[0] += 0.1;
+        }
+        let items = [item];
+        let scores = scored(&items, &[row], &Protocol::default()).expect("valid");
+        let of = |system: &str, metric| value(&scores, "style", system, metric);
+        // 0.1 m * (20/s)^2 in two of the seam's three frames.
+        let expected = 2.0 / 3.0 * 40.0;
+        let found = of("pops", Metric::SeamAcceleration);
+        assert!((found - expected).abs() < 1e-3, "{found}");
+        assert!(of("pops", Metric::InsideAcceleration) < 1e-3);
+        assert!(of(REAL_DATA, Metric::SeamAcceleration) < 1e-3);
+        assert!(of(IDENTITY, Metric::SeamAcceleration) < 1e-3);
+        assert!(of("pops", Metric::Jerk) > 1.0 && of("pops", Metric::ContactSlide) > 0.01);
     }
 
     #[test]

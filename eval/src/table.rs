@@ -22,14 +22,35 @@ pub struct Table {
     pub encoder_hash: String,
     /// How the encoder came about.
     pub encoder_recipe: String,
-    /// Items measured.
-    pub num_items: u32,
+    /// What was measured.
+    pub items: Items,
     /// Evaluations.
     pub repeats: u32,
+    /// Numbers of a latent.
+    pub latent_width: u32,
     /// The columns.
     pub columns: Vec<Column>,
     /// The rows: real data, identity, noise floor where there is one, then the systems.
     pub rows: Vec<Row>,
+    /// What a reader has to know beside the numbers, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// The items behind a table.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Items {
+    /// Items measured.
+    pub count: u32,
+    /// Distinct motions that their targets took from; 0 where it is not known.
+    pub targets: u32,
+    /// Distinct motions that their sources were made of.
+    pub sources: u32,
+    /// Distinct instructions.
+    pub instructions: u32,
+    /// Those on either side of a Fréchet distance.
+    pub fid: u32,
+    /// What tells one set of items from another.
+    pub digest: String,
 }
 
 /// A column of a table.
@@ -57,6 +78,8 @@ pub struct Row {
     pub baseline: bool,
     /// Whether the values are taken from a publication and were not measured.
     pub published: bool,
+    /// Motions of each item.
+    pub takes: u32,
     /// One cell for each column; none where the metric was not measured.
     pub cells: Vec<Option<Cell>>,
 }
@@ -66,9 +89,9 @@ pub struct Row {
 pub struct Cell {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the 95 % interval; none where a publication prints none.
+    /// Half width of the 95 % interval; none where nothing varies or a publication prints none.
     pub ci95: Option<f64>,
-    /// Whether no measured system is better.
+    /// Whether no measured system is better, the identity editor included.
     pub best: bool,
 }
 
@@ -96,7 +119,7 @@ impl Table {
         recipes: &BTreeMap<String, String>,
         metrics: &[Metric],
     ) -> Vec<Self> {
-        let mut keys: Vec<(&str, &str, &str)> = Vec::new();
+        let mut keys: Vec<Key<'_>> = Vec::new();
         for row in scores {
             let key = key(row);
             if !keys.contains(&key) {
@@ -121,6 +144,7 @@ impl Table {
         let first = scores.first()?;
         let mut names: Vec<&str> = Vec::new();
         let mut values: BTreeMap<(&str, Metric), Interval> = BTreeMap::new();
+        let mut takes: BTreeMap<&str, u32> = BTreeMap::new();
         for row in scores {
             let Some(metric) = Metric::from_name(&row.metric) else {
                 continue;
@@ -128,6 +152,7 @@ impl Table {
             if !names.contains(&row.system.as_str()) {
                 names.push(&row.system);
             }
+            takes.insert(&row.system, row.takes);
             let interval = Interval {
                 mean: row.mean,
                 ci95: row.ci95,
@@ -157,12 +182,13 @@ impl Table {
                 system: name.to_owned(),
                 baseline: GIVEN.contains(&name),
                 published: false,
+                takes: takes.get(name).copied().unwrap_or(0),
                 cells: columns
                     .iter()
                     .map(|column| {
                         values.get(&(name, column.metric)).map(|interval| Cell {
                             mean: interval.mean,
-                            ci95: Some(interval.ci95),
+                            ci95: interval.ci95,
                             best: false,
                         })
                     })
@@ -177,12 +203,23 @@ impl Table {
                 .get(&first.encoder_hash)
                 .cloned()
                 .unwrap_or_default(),
-            num_items: first.n,
+            items: Items {
+                count: first.n,
+                targets: first.targets,
+                sources: first.sources,
+                instructions: first.instructions,
+                fid: first.fid_items,
+                digest: first.items_digest.clone(),
+            },
             repeats: first.repeats,
+            latent_width: first.latent_width,
             columns,
             rows,
+            notes: Vec::new(),
         };
-        table.mark_best();
+        let behind = table.mark_best();
+        table.notes.extend(behind);
+        table.notes.extend(table.note_of_small_samples());
         Some(table)
     }
 
@@ -193,10 +230,19 @@ impl Table {
 
     /// What the numbers depend on, in one line.
     pub fn conditions(&self) -> String {
-        let mut text = format!(
-            "{} items, {} repeats, 95 % intervals; {}",
-            self.num_items, self.repeats, self.protocol
-        );
+        let items = &self.items;
+        let mut text = counted(items.count, "item");
+        if items.targets > 0 {
+            text.push_str(&format!(
+                " ({}, {}, {}; ids {})",
+                counted(items.targets, "target"),
+                counted(items.sources, "source"),
+                counted(items.instructions, "instruction"),
+                items.digest
+            ));
+        }
+        text.push_str(&self.takes());
+        text.push_str(&format!(", {} repeats; {}", self.repeats, self.protocol));
         if !self.encoder_hash.is_empty() {
             text.push_str(&format!("; encoder {}", short_hash(&self.encoder_hash)));
         }
@@ -206,40 +252,164 @@ impl Table {
         text
     }
 
-    /// Marks the best measured systems of each column. Values that print alike are equally good.
-    fn mark_best(&mut self) {
-        for (index, column) in self.columns.iter().enumerate() {
-            let real = self
-                .rows
-                .iter()
-                .find(|row| row.system == REAL_DATA)
-                .and_then(|row| row.cells[index])
-                .map(|cell| cell.mean);
-            let unit = 10f64.powi(column.metric.decimals() as i32);
-            let printed = |mean: f64| (mean * unit).round();
-            let badness = |mean: f64| match column.better {
-                Better::Lower => Some(printed(mean)),
-                Better::Higher => Some(-printed(mean)),
-                Better::NearReal => real.map(|real| (printed(mean) - printed(real)).abs()),
-            };
-            let best = self
-                .rows
-                .iter()
-                .filter(|row| !row.baseline && !row.published)
-                .filter_map(|row| badness(row.cells[index]?.mean))
-                .min_by(f64::total_cmp);
-            for row in &mut self.rows {
-                let competes = !row.baseline && !row.published;
-                if let Some(cell) = &mut row.cells[index] {
-                    cell.best = competes && best.is_some() && badness(cell.mean) == best;
-                }
+    /// How many motions of each item the systems made.
+    fn takes(&self) -> String {
+        let systems = || self.rows.iter().filter(|row| competes(row));
+        let of = |row: &Row| counted(row.takes, "take");
+        match systems().next() {
+            None => String::new(),
+            Some(first) if first.takes == 0 => String::new(),
+            Some(first) if systems().all(|row| row.takes == first.takes) => {
+                format!(", {}", of(first))
+            }
+            Some(_) => {
+                let each: Vec<String> = systems()
+                    .map(|row| format!("{} of {}", of(row), row.system))
+                    .collect();
+                format!(", {}", each.join(", "))
             }
         }
     }
+
+    /// Marks the best measured systems of each column. Values that print alike are equally good.
+    /// Where the identity editor is better than all of them, none is. Returns in words which
+    /// systems fall behind it.
+    fn mark_best(&mut self) -> Option<String> {
+        let mut behind: BTreeMap<usize, Vec<&'static str>> = BTreeMap::new();
+        for (index, column) in self.columns.iter().enumerate() {
+            let given = |name: &str| {
+                let row = self.rows.iter().find(|row| row.system == name)?;
+                row.cells[index].map(|cell| cell.mean)
+            };
+            let (real, identity) = (given(REAL_DATA), given(IDENTITY));
+            let badness = |mean: f64| badness(*column, mean, real);
+            let limit = identity.and_then(badness).unwrap_or(f64::INFINITY);
+            let best = self
+                .rows
+                .iter()
+                .filter(|row| competes(row))
+                .filter_map(|row| badness(row.cells[index]?.mean))
+                .min_by(f64::total_cmp)
+                .filter(|best| *best <= limit);
+            for (place, row) in self.rows.iter_mut().enumerate() {
+                let is_competitor = competes(row);
+                if let Some(cell) = &mut row.cells[index] {
+                    let found = badness(cell.mean);
+                    cell.best = is_competitor && best.is_some() && found == best;
+                    if is_competitor && found.is_some_and(|found| found > limit) {
+                        behind.entry(place).or_default().push(column.metric.name());
+                    }
+                }
+            }
+        }
+        // Systems that fall behind in the same columns share a clause.
+        let mut clauses: Vec<(Vec<&'static str>, Vec<&str>)> = Vec::new();
+        for (place, metrics) in behind {
+            let system = self.rows[place].system.as_str();
+            match clauses.iter_mut().find(|(known, _)| *known == metrics) {
+                Some((_, systems)) => systems.push(system),
+                None => clauses.push((metrics, vec![system])),
+            }
+        }
+        let systems: Vec<String> = clauses
+            .into_iter()
+            .map(|(metrics, systems)| {
+                let systems = systems.join(", ");
+                if metrics.len() == self.columns.len() {
+                    format!("{systems} in every column")
+                } else {
+                    format!("{systems} in {}", metrics.join(", "))
+                }
+            })
+            .collect();
+        (!systems.is_empty()).then(|| {
+            format!(
+                "Behind the identity editor, which returns the original unchanged: {}.",
+                systems.join("; ")
+            )
+        })
+    }
+
+    /// Says so where covariances of fewer motions than dimensions make up a Fréchet distance.
+    fn note_of_small_samples(&self) -> Option<String> {
+        let is_fid = |column: &Column| [Metric::FidUnit, Metric::FidRaw].contains(&column.metric);
+        let (count, width) = (self.items.fid, self.latent_width);
+        (self.columns.iter().any(is_fid) && count > 0 && count <= width).then(|| {
+            format!(
+                "FID: {count} motions a side are too few for latents of {width} numbers, whose \
+                 covariance is singular below {}. Most of the value is what a small sample adds: \
+                 hold it against the row of the real data, not against published values.",
+                width + 1
+            )
+        })
+    }
 }
 
-fn key(row: &ScoreRow) -> (&str, &str, &str) {
-    (&row.task, &row.protocol, &row.encoder_hash)
+/// Whether a row can be the best of its column.
+fn competes(row: &Row) -> bool {
+    !row.baseline && !row.published
+}
+
+/// How far a value is from the best, as printed; none where closeness to real data decides and there
+/// are none.
+fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
+    let unit = 10f64.powi(column.metric.decimals() as i32);
+    let printed = |mean: f64| (mean * unit).round();
+    match column.better {
+        Better::Lower => Some(printed(mean)),
+        Better::Higher => Some(-printed(mean)),
+        Better::NearReal => real.map(|real| (printed(mean) - printed(real)).abs()),
+    }
+}
+
+/// Whether each score falls behind the identity editor's of the same task, items and protocol.
+pub(crate) fn behind_identity(scores: &[ScoreRow]) -> Vec<bool> {
+    let given: BTreeMap<(Key<'_>, &str, &str), f64> = scores
+        .iter()
+        .filter(|row| [REAL_DATA, IDENTITY].contains(&row.system.as_str()))
+        .map(|row| {
+            (
+                (key(row), row.metric.as_str(), row.system.as_str()),
+                row.mean,
+            )
+        })
+        .collect();
+    scores
+        .iter()
+        .map(|row| {
+            let of = |system| given.get(&(key(row), row.metric.as_str(), system)).copied();
+            let (Some(metric), Some(identity)) = (Metric::from_name(&row.metric), of(IDENTITY))
+            else {
+                return false;
+            };
+            let column = Column {
+                metric,
+                better: metric.better(&row.task),
+            };
+            let badness = |mean| badness(column, mean, of(REAL_DATA));
+            !GIVEN.contains(&row.system.as_str()) && badness(row.mean) > badness(identity)
+        })
+        .collect()
+}
+
+fn counted(count: u32, what: &str) -> String {
+    if count == 1 {
+        format!("1 {what}")
+    } else {
+        format!("{count} {what}s")
+    }
+}
+
+/// Task, protocol, encoder and items: scores that share them stand in one table.
+type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
+
+fn key(row: &ScoreRow) -> Key<'_> {
+    (
+        &row.task,
+        &row.protocol,
+        &row.encoder_hash,
+        &row.items_digest,
+    )
 }
 
 /// Digits of a hash that tables print: enough to tell the encoders of a project apart.
@@ -267,7 +437,16 @@ pub(crate) mod tests {
             n: 512,
             repeats: 10,
             mean,
-            ci95: mean / 100.0,
+            ci95: Some(mean / 100.0),
+            takes: 1,
+            targets: 29,
+            sources: 400,
+            instructions: 61,
+            gallery: 32,
+            ranked: 512,
+            fid_items: 256,
+            latent_width: 64,
+            items_digest: "a1b2c3d4e5f6".to_owned(),
         }
     }
 
@@ -316,8 +495,8 @@ pub(crate) mod tests {
         );
         assert_eq!(
             table.head(),
-            "semantic: 512 items, 10 repeats, 95 % intervals; galleries of 32, seed 0; \
-             encoder 0123456789ab (TMR tiny)"
+            "semantic: 512 items (29 targets, 400 sources, 61 instructions; ids a1b2c3d4e5f6), \
+             1 take, 10 repeats; galleries of 32, seed 0; encoder 0123456789ab (TMR tiny)"
         );
     }
 
@@ -346,6 +525,83 @@ pub(crate) mod tests {
                 column.metric
             );
         }
+    }
+
+    #[test]
+    fn no_system_is_best_where_returning_the_original_is_better() {
+        let (error, recall) = (Metric::PositionError, Metric::SourceRecall(1));
+        let rows = [
+            score_row("style", REAL_DATA, error, 0.0),
+            score_row("style", IDENTITY, error, 40.0),
+            score_row("style", "a", error, 43.0),
+            score_row("style", "b", error, 40.001),
+            // Near real data is good here: the identity editor is 48 away, the systems 41 and 49.
+            score_row("style", REAL_DATA, recall, 52.0),
+            score_row("style", IDENTITY, recall, 100.0),
+            score_row("style", "a", recall, 93.0),
+            score_row("style", "b", recall, 3.0),
+        ];
+        let table = &Table::from_scores(&rows, &BTreeMap::new(), &[error, recall])[0];
+        // 40.001 prints as the identity's 40.00 and is not behind it.
+        assert_eq!(best(table, error), ["b"]);
+        assert_eq!(best(table, recall), ["a"]);
+        let behind = "Behind the identity editor, which returns the original unchanged: \
+                      a in Position error (cm); b in E2S R@1.";
+        assert_eq!(table.notes, [behind]);
+        assert_eq!(
+            behind_identity(&rows),
+            [false, false, true, false, false, false, false, true]
+        );
+        let alone = &Table::from_scores(&rows[..3], &BTreeMap::new(), &[error])[0];
+        assert!(best(alone, error).is_empty());
+        assert!(alone.notes[0].contains(": a in every column."));
+    }
+
+    #[test]
+    fn a_small_sample_is_said_to_be_one() {
+        let mut scores = sample_scores("style");
+        let notes = |scores: &[ScoreRow]| {
+            let table = Table::from_scores(scores, &BTreeMap::new(), Metric::PAPER).remove(0);
+            table.notes.join(" ")
+        };
+        assert!(!notes(&scores).contains("FID:"));
+        for row in &mut scores {
+            row.fid_items = 64;
+        }
+        let note = notes(&scores);
+        assert!(
+            note.contains("64 motions a side are too few for latents of 64 numbers"),
+            "{note}"
+        );
+        assert!(note.contains("singular below 65"), "{note}");
+        let of_feet = [score_row("style", "a", Metric::FootScore, 0.9)];
+        assert_eq!(notes(&of_feet), "");
+    }
+
+    #[test]
+    fn takes_are_counted_and_item_sets_kept_apart() {
+        let mut rows = [
+            score_row("style", REAL_DATA, Metric::FootScore, 0.9),
+            score_row("style", "a", Metric::FootScore, 0.9),
+            score_row("style", "b", Metric::FootScore, 0.9),
+        ];
+        rows[1].takes = 3;
+        let head = |rows: &[ScoreRow]| {
+            let tables = Table::from_scores(rows, &BTreeMap::new(), &[Metric::FootScore]);
+            tables.iter().map(Table::head).collect::<Vec<_>>()
+        };
+        assert!(head(&rows)[0].contains("), 3 takes of a, 1 take of b, 10 repeats;"));
+        rows[2].takes = 3;
+        assert!(head(&rows)[0].contains("), 3 takes, 10 repeats;"));
+        rows[2].items_digest = "ffffffffffff".to_owned();
+        let heads = head(&rows);
+        assert_eq!(heads.len(), 2);
+        assert!(heads[1].contains("ids ffffffffffff"), "{heads:?}");
+        // Scores from before these were recorded.
+        for row in &mut rows {
+            (row.takes, row.targets, row.items_digest) = (0, 0, String::new());
+        }
+        assert!(head(&rows)[0].starts_with("style: 512 items, 10 repeats; "));
     }
 
     #[test]

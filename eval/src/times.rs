@@ -16,12 +16,21 @@ pub struct WindowTimes {
     pub coordinator_secs: f64,
     /// Finding SMPL-X parameters.
     pub fit_secs: f64,
+    /// Windows generated together, on average: 1 where the times are a latency, as published, more
+    /// where windows share the time of a batch. None where it was not recorded.
+    #[serde(default)]
+    pub batch: Option<f64>,
 }
 
 impl WindowTimes {
     /// All three together.
     pub fn total_secs(&self) -> f64 {
         self.diffusion_secs + self.coordinator_secs + self.fit_secs
+    }
+
+    /// Whether the times are those that a single window takes.
+    pub fn is_latency(&self) -> bool {
+        self.batch == Some(1.0)
     }
 
     /// Frames of a window to the second. All of them count, as in the paper, also the two that the
@@ -52,15 +61,18 @@ const fn published(
         diffusion_secs,
         coordinator_secs,
         fit_secs,
+        batch: Some(1.0),
     }
 }
 
-/// Lays rows out as Table A4, each with a name.
-pub fn table(rows: &[(String, WindowTimes)]) -> Grid {
-    Grid {
-        title: "Seconds for one window".to_owned(),
+/// Lays rows out as Table A4, each with a name: what a single window takes, and apart from it what
+/// is left of that where windows are generated together. Either part is left out if it has no rows.
+pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
+    let part = |title: &str, wanted: &dyn Fn(&WindowTimes) -> bool| Grid {
+        title: title.to_owned(),
         head: [
             "window",
+            "batch",
             "diffusion sampling",
             "body part coordinator",
             "SMPL-X optimization",
@@ -71,8 +83,14 @@ pub fn table(rows: &[(String, WindowTimes)]) -> Grid {
         .to_vec(),
         rows: rows
             .iter()
+            .filter(|(_, times)| wanted(times))
             .map(|(name, times)| {
-                let mut row = vec![format!("{}-frame, {name}", times.window)];
+                let batch = times.batch.map_or("–".to_owned(), |batch| {
+                    // Whole numbers but for the last batches of a table.
+                    let text = format!("{batch:.1}");
+                    text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
+                });
+                let mut row = vec![format!("{}-frame, {name}", times.window), batch];
                 let secs = [
                     times.diffusion_secs,
                     times.coordinator_secs,
@@ -84,7 +102,19 @@ pub fn table(rows: &[(String, WindowTimes)]) -> Grid {
                 row
             })
             .collect(),
-    }
+    };
+    let latency = part(
+        "Latency: seconds for one window at batch 1",
+        &WindowTimes::is_latency,
+    );
+    let throughput = part(
+        "Throughput: seconds of a batch for each of its windows, not comparable with published times",
+        &|times| !times.is_latency(),
+    );
+    [latency, throughput]
+        .into_iter()
+        .filter(|grid| !grid.rows.is_empty())
+        .collect()
 }
 
 #[cfg(test)]
@@ -99,8 +129,39 @@ mod tests {
             // The paper divides before it rounds.
             assert!((times.fps() - fps).abs() < 0.02, "{}", times.fps());
         }
-        let grid = table(&[("RTX 3090 (published)".to_owned(), PUBLISHED[2])]);
-        assert_eq!(grid.rows[0][4], "0.646");
-        assert_eq!(grid.rows[0].len(), grid.head.len());
+        let grids = tables(&[("RTX 3090 (published)".to_owned(), PUBLISHED[2])]);
+        assert_eq!(grids.len(), 1);
+        assert_eq!(grids[0].rows[0][5], "0.646");
+        assert_eq!(grids[0].rows[0].len(), grids[0].head.len());
+    }
+
+    #[test]
+    fn shared_times_of_a_batch_stand_apart_from_latencies() {
+        let batch = |batch| WindowTimes {
+            batch,
+            ..PUBLISHED[2]
+        };
+        let row = |name: &str, times| (name.to_owned(), times);
+        let grids = tables(&[
+            row("alone", batch(Some(1.0))),
+            row("together", batch(Some(42.5))),
+            row("before", batch(None)),
+        ]);
+        let names = |grid: &Grid| -> Vec<String> {
+            grid.rows
+                .iter()
+                .map(|row| format!("{} {}", row[0], row[1]))
+                .collect()
+        };
+        assert!(grids[0].title.starts_with("Latency") && grids[1].title.starts_with("Throughput"));
+        assert_eq!(names(&grids[0]), ["16-frame, alone 1"]);
+        assert_eq!(
+            names(&grids[1]),
+            ["16-frame, together 42.5", "16-frame, before –"]
+        );
+        let old =
+            r#"{"window": 16, "diffusion_secs": 1.0, "coordinator_secs": 0.0, "fit_secs": 0.5}"#;
+        let old: WindowTimes = serde_json::from_str(old).expect("readable");
+        assert!(!old.is_latency());
     }
 }

@@ -350,7 +350,8 @@
     item = data.items[at];
     motions = item.motions.map(prepared);
     last = Math.max(...motions.map((motion) => motion.frames)) - 1;
-    note.textContent = item.note;
+    // The list cuts what does not fit into its line.
+    note.textContent = `“${item.caption}” · ${item.note}`;
     scrub.max = String(last);
     labels.replaceChildren(...motions.map((motion) => element("span", {}, motion.label)));
     labels.style.gridTemplateColumns = `repeat(${motions.length}, 1fr)`;

@@ -9,6 +9,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
+use eval::format::grid::Grid;
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
@@ -70,6 +71,9 @@ pub(crate) struct Args {
     /// Edits of every item, with the sampling seeds --seed, --seed + 1 and so on
     #[arg(long, value_name = "N", default_value_t = 1, requires = "items", value_parser = clap::value_parser!(u64).range(1..))]
     takes: u64,
+    /// Windows generated at a time; with 1 the times are those of a single window, as Table A4 has them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    max_batch: Option<u64>,
     /// Dataset folder of a stored clip
     #[arg(long)]
     dataset: Option<PathBuf>,
@@ -115,7 +119,9 @@ impl Args {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let max_batch = args.max_batch.and_then(|count| usize::try_from(count).ok());
     let config = EditConfig {
+        max_batch: max_batch.unwrap_or(EditConfig::default().max_batch),
         name: args.name.clone(),
         takes: args.takes,
         guidance: args.guidance,
@@ -123,7 +129,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         prior: args.prior,
         coordinator_strength: args.coordinator_strength,
         coordinator_steps: args.coordinator_steps,
-        ..EditConfig::default()
     };
     if let Some(items) = &args.items {
         return answer(args, items, &config, global);
@@ -172,7 +177,8 @@ fn answer(args: &Args, items: &Path, config: &EditConfig, global: &Global) -> an
 /// Where the time went, in the columns of the paper's Table A4.
 fn profile(times: &EditTimes) -> String {
     let name = format!("mean of {}", times.num_windows);
-    eval::times::table(&[(name, chain::per_window(times))]).text()
+    let grids = eval::times::tables(&[(name, chain::per_window(times))]);
+    grids.iter().map(Grid::text).collect()
 }
 
 /// What is asked for, one edit after another.

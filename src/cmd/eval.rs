@@ -3,14 +3,15 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use datasets_spec::{Skeleton, Split};
+use datasets_spec::{Seed, Skeleton, Split};
 use eval::format;
 use eval::metric::Metric;
 use eval::metric::foot_score::Floor;
 use eval::metric::interval::Interval;
 use eval::metric::matching::CrossRetrieval;
+use eval::metric::position_error::Keypoints;
 use eval::metric::retrieval::Retrieval;
-use eval::protocol::{FidSample, Gallery, Protocol, Queries};
+use eval::protocol::{FidSample, Gallery, Limit, Protocol, Queries, Spread};
 use eval::published::PaperTable;
 use eval::score::{ALL_TASKS, RECAPTURED};
 use eval::table::Table;
@@ -40,7 +41,12 @@ pub(crate) struct Args {
     /// Which table of the paper
     #[arg(long, value_enum, default_value_t = TableArg::One)]
     table: TableArg,
-    /// Print the columns the paper lacks below: median ranks, raw FID, multimodality, errors
+    /// What the intervals say: how a value varies over draws of the targets, or over the repeats, as
+    /// published
+    #[arg(long, value_enum, default_value_t = IntervalArg::Targets)]
+    interval: IntervalArg,
+    /// Print the columns the paper lacks below: median ranks, raw FID, multimodality, errors, and how
+    /// motions move
     #[arg(long)]
     further: bool,
     /// Print the published rows of the paper as well, marked as published
@@ -115,6 +121,22 @@ struct Measure {
     /// Compare whole sets by FID in place of random halves
     #[arg(long)]
     fid_all: bool,
+    /// Score a random part of the items, as many as this: 506 of MotionFix' 1,013 are the half that
+    /// the code of its later systems scores
+    #[arg(long, value_name = "N")]
+    items_limit: Option<usize>,
+    /// Seed of the random part
+    #[arg(
+        long,
+        value_name = "SEED",
+        default_value_t = 42,
+        requires = "items_limit"
+    )]
+    items_seed: u64,
+    /// Points the position error is over: 28, or the 22 joints of the body, on which the paper compares
+    /// MotionFix
+    #[arg(long, default_value = "28", value_parser = parse_keypoints)]
+    keypoints: Keypoints,
     /// Height of the floor in metres [default: the lowest foot of each motion]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     floor: Option<f64>,
@@ -143,6 +165,11 @@ impl Measure {
                 FidSample::Halves
             },
             floor: self.floor.map_or(default.floor, Floor::At),
+            keypoints: self.keypoints,
+            limit: self.items_limit.map(|items| Limit {
+                items,
+                seed: Seed(self.items_seed),
+            }),
             seed: global.seed(),
             ..default
         }
@@ -166,6 +193,19 @@ enum FormatArg {
     Latex,
     Csv,
     Json,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum IntervalArg {
+    Targets,
+    Repeats,
+}
+
+fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
+    [Keypoints::All, Keypoints::Body]
+        .into_iter()
+        .find(|keypoints| text == keypoints.count().to_string())
+        .ok_or_else(|| "there are 28 and 22".to_owned())
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -206,7 +246,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let Some(table) = args.table.scored() else {
         return timed(args, global);
     };
-    let protocol = args.measure.protocol(Some(table), global);
+    let protocol = Protocol {
+        interval: match args.interval {
+            IntervalArg::Targets => Spread::Targets,
+            IntervalArg::Repeats => Spread::Repeats,
+        },
+        ..args.measure.protocol(Some(table), global)
+    };
     let bars = global.bars();
     let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
     let scores = chain::scores(&tables, &args.measure.judges()?, &protocol, &bars)?;
@@ -223,11 +269,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             }
         }
         if args.further {
-            tables.extend(Table::from_scores(
-                &scores.rows,
-                &scores.recipes,
-                Metric::FURTHER,
-            ));
+            tables.extend(further_tables(&scores));
         }
         match args.measure.format {
             FormatArg::Text => format::text::render(&tables),
@@ -284,6 +326,8 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 serde_json::json!({
                     "name": name,
                     "window": times.window,
+                    "batch": times.batch,
+                    "latency": times.is_latency(),
                     "diffusion_secs": times.diffusion_secs,
                     "coordinator_secs": times.coordinator_secs,
                     "fit_secs": times.fit_secs,
@@ -294,7 +338,15 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             .collect();
         report::json(&rows)?;
     } else {
-        report::text(&printed(&times::table(&rows), args.measure.format));
+        let grids = times::tables(&rows);
+        let grids: Vec<String> = grids
+            .iter()
+            .map(|grid| printed(grid, args.measure.format))
+            .collect();
+        report::text(&grids.join("\n"));
+        if rows.iter().any(|(_, times)| !times.is_latency()) {
+            report::note("a latency is timed by editing with --max-batch 1, into another folder");
+        }
     }
     Ok(Exit::Done)
 }
@@ -367,7 +419,8 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
             .map(|(name, side)| {
                 let cells = columns.iter().map(|(_, column)| {
                     let Interval { mean, ci95 } = values(*side, *column);
-                    format!("{mean:.2}±{ci95:.2}")
+                    let ci95 = ci95.map_or_else(String::new, |ci95| format!("±{ci95:.2}"));
+                    format!("{mean:.2}{ci95}")
                 });
                 std::iter::once((*name).to_owned()).chain(cells).collect()
             })
@@ -389,4 +442,10 @@ fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
 /// The scores in the shape of the paper's Table 1, for all tasks there are.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
     Table::from_scores(&scores.rows, &scores.recipes, Metric::PAPER)
+}
+
+/// The columns the paper does not print, and how motions move.
+pub(crate) fn further_tables(scores: &Scores) -> Vec<Table> {
+    let of = |metrics| Table::from_scores(&scores.rows, &scores.recipes, metrics);
+    [of(Metric::FURTHER), of(Metric::QUALITY)].concat()
 }

@@ -1,20 +1,19 @@
 //! `stance report`
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{JointSet, Skeleton};
+use datasets_spec::{BodyPart, JointSet, Skeleton};
 use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
-use eval::metric::Metric;
 use eval::protocol::Protocol;
-use eval::report::{Card, Chart, Report, Strip};
+use eval::report::{Card, Chart, Details, Report, Strip};
 
 use crate::chain::{self, Answered, Judges};
 use crate::cli::Global;
-use crate::cmd::eval::tables;
+use crate::cmd::eval::{further_tables, tables};
 use crate::exit::Exit;
 use crate::report;
 
@@ -104,27 +103,55 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             bars: histogram(values, BINS),
         })
     };
-    let card = |label: &str, value: String| Card {
+    let card = |label: &str, value: String, note: String| Card {
         label: label.to_owned(),
         value,
-        note: String::new(),
+        note,
     };
-    let (main, further) = match &scores {
-        Some(scores) => (
-            tables(scores),
-            eval::table::Table::from_scores(&scores.rows, &scores.recipes, Metric::FURTHER),
-        ),
-        None => (Vec::new(), Vec::new()),
+    let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
+    let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
+    for row in &edits {
+        // What another program wrote there need not be JSON, and is shown as it is.
+        settings.entry(&row.system).or_insert_with(|| {
+            let mut document = match serde_json::from_str(&row.settings) {
+                Ok(serde_json::Value::Object(fields)) => fields,
+                _ => serde_json::Map::from_iter([(
+                    "settings".to_owned(),
+                    row.settings.as_str().into(),
+                )]),
+            };
+            document.insert(
+                "weights".to_owned(),
+                format!("{:.12}", row.checkpoint_hash).into(),
+            );
+            document.into()
+        });
+    }
+    let settings: Vec<(&str, &serde_json::Value)> = settings
+        .iter()
+        .map(|(system, settings)| (*system, settings))
+        .collect();
+    let tables = match &scores {
+        Some(scores) => [tables(scores), further_tables(scores)].concat(),
+        None => Vec::new(),
     };
     let page = Report {
         title: args.title.clone(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
         cards: vec![
-            card("items", items.len().to_string()),
-            card("systems", systems.len().to_string()),
-            card("edited motions", edited().count().to_string()),
+            card(
+                "items",
+                items.len().to_string(),
+                format!("{} distinct targets", targets.len()),
+            ),
+            card("systems", systems.len().to_string(), String::new()),
+            card(
+                "edited motions",
+                edited().count().to_string(),
+                String::new(),
+            ),
         ],
-        tables: main.into_iter().chain(further).collect(),
+        tables,
         charts: vec![
             bars("Length of the edits", "seconds", &secs),
             bars("Bone drift of the generated points", "centimetres", &drifts),
@@ -135,6 +162,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("seed".to_owned(), global.seed().0.to_string()),
         ],
+        details: vec![Details::of_json("Systems", &settings)],
         commands: Vec::new(),
     };
     let html = page.to_html();
@@ -158,7 +186,7 @@ pub(crate) fn strip_of(
     made: &[&EditRow],
     skeleton: &Skeleton,
 ) -> anyhow::Result<Strip> {
-    let edited = JointSet::try_from(item.hard_joints.clone())?;
+    let edited = edited_joints(item)?;
     let mut rows = vec![Row::new("source", &item.source()?, skeleton)];
     for row in made {
         rows.push(Row::new(&row.system, &row.motion()?, skeleton));
@@ -180,4 +208,20 @@ pub(crate) fn strip_of(
         ),
         rows,
     })
+}
+
+/// The joints an item asks to change: those its target took, or those of its parts where nothing was
+/// blended; none where neither is known.
+fn edited_joints(item: &ItemRow) -> anyhow::Result<JointSet> {
+    if !item.hard_joints.is_empty() {
+        return Ok(JointSet::try_from(item.hard_joints.clone())?);
+    }
+    let mut joints = JointSet::EMPTY;
+    for part in &item.parts {
+        // Items made elsewhere may name parts that have no joints of their own here.
+        if let Ok(part) = part.parse::<BodyPart>() {
+            joints = joints.union(part.mask().hard());
+        }
+    }
+    Ok(joints)
 }

@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Seed, Split};
 use eval::draw::plot::{Bars, Curve, Plot, Scale};
 use eval::format;
 use eval::protocol::Protocol;
-use eval::report::{Card, Chart, Report, Strip};
+use eval::report::{Card, Chart, Details, Report, Strip};
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;
@@ -554,31 +554,18 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
     let settings = vec![
         ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("seed".to_owned(), done.seed.0.to_string()),
-        (
-            "editor".to_owned(),
-            serde_json::to_string(&done.plan.train)?,
-        ),
-        (
-            "encoder".to_owned(),
-            serde_json::to_string(&done.plan.encoder)?,
-        ),
-        (
-            "stages".to_owned(),
-            serde_json::to_string(&done.plan.config.stages)?,
-        ),
-        (
-            "composition".to_owned(),
-            serde_json::to_string(&done.plan.config.compose)?,
-        ),
-        (
-            "items".to_owned(),
-            serde_json::to_string(&done.plan.config.items)?,
-        ),
-        (
-            "edits".to_owned(),
-            serde_json::to_string(&done.plan.config.edit)?,
-        ),
     ];
+    let config = &done.plan.config;
+    let details = [
+        ("Editor", serde_json::to_value(&done.plan.train)?),
+        ("Encoder", serde_json::to_value(&done.plan.encoder)?),
+        ("Stages", serde_json::to_value(config.stages)?),
+        ("Composition", serde_json::to_value(&config.compose)?),
+        ("Items", serde_json::to_value(&config.items)?),
+        ("Edits", serde_json::to_value(&config.edit)?),
+        ("Evaluation", serde_json::to_value(config.eval)?),
+    ];
+    let details = details.map(|(title, value)| Details::of_json(title, &[("value", &value)]));
     let rows_of_items = done.edits.items.len();
     Ok(Report {
         title: done.plan.title.clone(),
@@ -592,6 +579,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         strips: strips(done)?,
         facts,
         settings,
+        details: details.into(),
         commands: done.plan.commands.clone(),
     }
     .to_html())

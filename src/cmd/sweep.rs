@@ -143,7 +143,7 @@ struct Collected<'a> {
     metric: &'a str,
     n: u32,
     mean: f64,
-    ci95: f64,
+    ci95: Option<f64>,
 }
 
 impl Plan {

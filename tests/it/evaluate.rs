@@ -25,13 +25,13 @@ const SMALL_ENCODER: &str = "
 ";
 
 /// A workshop with an editor and an encoder.
-struct Bench {
-    workshop: Workshop,
-    encoder: PathBuf,
+pub(crate) struct Bench {
+    pub(crate) workshop: Workshop,
+    pub(crate) encoder: PathBuf,
 }
 
 impl Bench {
-    fn open() -> Self {
+    pub(crate) fn open() -> Self {
         let workshop = Workshop::open();
         workshop.train("motionrefit", "editor", "4").expect_code(0);
         let encoder = workshop.path("encoder");
@@ -53,7 +53,7 @@ impl Bench {
     }
 
     /// Draws items of the test split.
-    fn items(&self, name: &str, more: &[&str]) -> PathBuf {
+    pub(crate) fn items(&self, name: &str, more: &[&str]) -> PathBuf {
         let out = self.workshop.path(name);
         let dataset = self.workshop.dataset();
         let mut args = vec!["items", arg(&dataset), "--out", arg(&out)];
@@ -63,12 +63,12 @@ impl Bench {
     }
 
     /// Answers the eight items with the editor and returns the folder.
-    fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
+    pub(crate) fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
         self.answers("editor", "items", name, more)
     }
 
     /// Answers items with a run.
-    fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
+    pub(crate) fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
         let [run, items, out] = [run, items, name].map(|name| self.workshop.path(name));
         let mut args = vec![
             "edit",
@@ -83,7 +83,7 @@ impl Bench {
         out
     }
 
-    fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
+    pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
         let mut args = vec!["eval", "--encoder", arg(&self.encoder), "--repeats", "2"];
         args.extend(more);
         args.push("--edits");

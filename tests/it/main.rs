@@ -9,5 +9,6 @@ mod export;
 mod golden;
 mod help;
 mod ingest;
+mod results;
 mod train;
 mod util;

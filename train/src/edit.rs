@@ -29,7 +29,8 @@ impl SystemIdentity {
 }
 
 /// Edits the source of every item. The rows are at 20 fps and as long as the edits.
-/// Beside them comes where the time went.
+/// Beside them comes where the time went. With one window at a time the fits take turns too, so that
+/// the times are those of a single window.
 ///
 /// # Errors
 /// A source is shorter than a window, or a generated motion is not finite.
@@ -56,8 +57,14 @@ pub fn edit_items(
     let edited = editor.edit_batch(&prepared, skeleton, settings, session, &mut times)?;
     let begun = session.secs();
     session.progress.begin("fit", Some(items.len() as u64));
+    let in_turn = if settings.max_batch == 1 {
+        items.len()
+    } else {
+        1
+    };
     let rows: Vec<EditRow> = items
         .par_iter()
+        .with_min_len(in_turn.max(1))
         .zip(prepared.par_iter().zip(&edited))
         .map(|(item, (prepared, frames))| {
             let made = fit_edited(editor, prepared, frames, skeleton, settings.prior)?;

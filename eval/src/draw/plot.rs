@@ -120,7 +120,7 @@ pub fn heat_map(map: &HeatMap) -> String {
         let at = DVec2::new(start.x + cell.x * (column as f64 + 0.5), end.y + 16.0);
         text(&mut svg, at, "middle", 11.0, FAINT, label);
     }
-    axis_label(&mut svg, &map.x.0);
+    axis_label(&mut svg, SIZE, &map.x.0);
     let middle = f64::midpoint(start.y, end.y);
     let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
     text(
@@ -189,57 +189,108 @@ pub fn plot(plot: &Plot) -> String {
     svg
 }
 
-/// Draws counts as bars from left to right, one SVG document. Negative heights are drawn as none.
+/// Draws counts as bars, one SVG document: from left to right where all labels have room side by side,
+/// else below each other. Negative heights are drawn as none.
 pub fn bar_chart(chart: &Bars) -> String {
-    let mut svg = String::new();
-    open(&mut svg, SIZE.x, SIZE.y, &chart.title);
-    heading(&mut svg, &chart.title);
     let bars = &chart.bars;
     let highest = bars
         .iter()
         .map(|(_, value)| *value)
         .filter(|value| value.is_finite())
         .fold(0.0, f64::max);
+    let mut svg = String::new();
     if highest == 0.0 {
+        open(&mut svg, SIZE.x, SIZE.y, &chart.title);
+        heading(&mut svg, &chart.title);
         text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
         svg.push_str("</svg>");
         return svg;
     }
+    let longest = bars.iter().map(|(label, _)| label.chars().count()).max();
+    let label_width = LEGEND_CHAR * longest.unwrap_or(0) as f64;
+    let slot = (SIZE.x - MARGIN_START.x - MARGIN_END.x) / bars.len() as f64;
+    if label_width + LEGEND_CHAR <= slot {
+        standing_bars(&mut svg, chart, highest, slot);
+    } else {
+        lying_bars(&mut svg, chart, highest, label_width);
+    }
+    svg.push_str("</svg>");
+    svg
+}
+
+/// The height of a bar; one that is not a number has none.
+fn bar_height(value: f64) -> f64 {
+    if value.is_finite() {
+        value.max(0.0)
+    } else {
+        0.0
+    }
+}
+
+fn standing_bars(svg: &mut String, chart: &Bars, highest: f64, slot: f64) {
+    open(svg, SIZE.x, SIZE.y, &chart.title);
+    heading(svg, &chart.title);
     let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
     let ticks = linear_ticks(0.0, highest);
     let top = ticks.last().copied().unwrap_or(highest).max(highest);
     let y_of = |value: f64| end.y - (end.y - start.y) * value / top;
     for tick in ticks {
-        grid_line(&mut svg, start.x, end.x, y_of(tick), tick);
+        grid_line(svg, start.x, end.x, y_of(tick), tick);
     }
-    let slot = (end.x - start.x) / bars.len() as f64;
-    // Labels that would touch each other are thinned out.
-    let longest = bars.iter().map(|(label, _)| label.chars().count()).max();
-    let label_width = LEGEND_CHAR * (longest.unwrap_or(0) + 1) as f64;
-    let every = ((label_width / slot).ceil() as usize).max(1);
-    for (index, (label, value)) in bars.iter().enumerate() {
+    for (index, (label, value)) in chart.bars.iter().enumerate() {
         let left = start.x + slot * index as f64;
-        let value = if value.is_finite() {
-            value.max(0.0)
-        } else {
-            0.0
-        };
+        let y = y_of(bar_height(*value));
         svg.push_str(&format!(
-            r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
+            r#"<rect x="{:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
             left + 0.1 * slot,
-            y_of(value),
             0.8 * slot,
-            end.y - y_of(value),
+            end.y - y,
             colour(0)
         ));
-        if index % every == 0 {
-            let at = DVec2::new(left + slot / 2.0, end.y + 16.0);
-            text(&mut svg, at, "middle", 11.0, FAINT, label);
-        }
+        let at = DVec2::new(left + slot / 2.0, end.y + 16.0);
+        text(svg, at, "middle", 11.0, FAINT, label);
     }
-    axis_label(&mut svg, &chart.x_label);
-    svg.push_str("</svg>");
-    svg
+    axis_label(svg, SIZE, &chart.x_label);
+}
+
+/// Pixels from one lying bar to the next.
+const BAR_ROW: f64 = 15.0;
+
+fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
+    let height = MARGIN_START.y + BAR_ROW * chart.bars.len() as f64 + MARGIN_END.y;
+    let size = DVec2::new(SIZE.x.max(2.0 * label_width), height);
+    open(svg, size.x, size.y, &chart.title);
+    heading(svg, &chart.title);
+    let start = DVec2::new(label_width + 24.0, MARGIN_START.y);
+    let end = size - MARGIN_END;
+    let ticks = linear_ticks(0.0, highest);
+    let far = ticks.last().copied().unwrap_or(highest).max(highest);
+    let x_of = |value: f64| start.x + (end.x - start.x) * value / far;
+    for tick in ticks {
+        let x = x_of(tick);
+        line(svg, DVec2::new(x, start.y), DVec2::new(x, end.y));
+        let at = DVec2::new(x, end.y + 16.0);
+        text(svg, at, "middle", 11.0, FAINT, &tick_text(tick, tick.abs()));
+    }
+    for (index, (label, value)) in chart.bars.iter().enumerate() {
+        let top = start.y + BAR_ROW * index as f64;
+        svg.push_str(&format!(
+            r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
+            start.x,
+            top + 0.1 * BAR_ROW,
+            x_of(bar_height(*value)) - start.x,
+            0.8 * BAR_ROW,
+            colour(0)
+        ));
+        let at = DVec2::new(start.x - 8.0, top + 0.75 * BAR_ROW);
+        text(svg, at, "end", 11.0, FAINT, label);
+    }
+    let turned = format!(
+        r#"{FAINT} transform="rotate(-90 12 {:.1})""#,
+        f64::midpoint(start.y, end.y)
+    );
+    let at = DVec2::new(12.0, f64::midpoint(start.y, end.y));
+    text(svg, at, "middle", 12.0, &turned, &chart.x_label);
 }
 
 /// The counts of values in intervals of equal, round width, labelled by where each begins; values
@@ -279,8 +330,8 @@ fn heading(svg: &mut String, title: &str) {
     }
 }
 
-fn axis_label(svg: &mut String, label: &str) {
-    let at = DVec2::new((MARGIN_START.x + SIZE.x - MARGIN_END.x) / 2.0, SIZE.y - 8.0);
+fn axis_label(svg: &mut String, size: DVec2, label: &str) {
+    let at = DVec2::new((MARGIN_START.x + size.x - MARGIN_END.x) / 2.0, size.y - 8.0);
     text(svg, at, "middle", 12.0, FAINT, label);
 }
 
@@ -376,7 +427,7 @@ impl Axes {
                 &tick_text(tick, self.x.1 - self.x.0),
             );
         }
-        axis_label(svg, &plot.x_label);
+        axis_label(svg, SIZE, &plot.x_label);
         let middle = f64::midpoint(start.y, end.y);
         let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
         text(
@@ -643,6 +694,21 @@ mod tests {
         assert!(thin.len() <= MAX_POINTS);
         assert!(thin.contains(&(54_321.0, 7.0)) && thin.contains(&(98_765.0, -3.0)));
         assert!(thin.is_sorted_by(|a, b| a.0 <= b.0));
+    }
+
+    #[test]
+    fn every_bar_has_its_label() {
+        for count in [3, 26, 200] {
+            let bars: Vec<(String, f64)> = (0..count)
+                .map(|bar| (format!("throw underarm {bar}"), f64::from(bar + 1)))
+                .collect();
+            let svg = bar_chart(&chart(bars));
+            check_nesting(&svg);
+            assert_eq!(svg.matches("<rect").count(), count as usize);
+            for bar in 0..count {
+                assert!(svg.contains(&format!(">throw underarm {bar}<")), "{bar}");
+            }
+        }
     }
 
     fn chart(bars: Vec<(String, f64)>) -> Bars {

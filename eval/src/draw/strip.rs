@@ -90,8 +90,12 @@ const TRUNK_OPACITY: f64 = 0.22;
 
 /// Space for the row labels in pixels.
 const LABEL_WIDTH: f64 = 126.0;
-/// Characters of a label that fit into that space.
-const LABEL_CHARS: usize = 17;
+/// Characters of a line of a label that fit into that space.
+const LABEL_CHARS: usize = 15;
+/// Pixels from one line of a label to the next.
+const LABEL_LINE: f64 = 15.0;
+/// Pixels that length and way take below a label.
+const FACTS_HEIGHT: f64 = 34.0;
 /// Space around the drawing in pixels.
 const MARGIN: f64 = 8.0;
 /// Space between the ground line and the next row in pixels; the times stand in it.
@@ -172,7 +176,7 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
         .collect();
     let heights: Vec<f64> = drawn
         .iter()
-        .map(|drawn| MARGIN + drawn.rise_m * scale + TIME_HEIGHT)
+        .map(|drawn| MARGIN + (drawn.rise_m * scale).max(drawn.label_height()) + TIME_HEIGHT)
         .collect();
 
     let mut svg = String::new();
@@ -186,7 +190,7 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
     let mut top = 0.0;
     for (drawn, height) in drawn.iter().zip(&heights) {
         let ground = top + height - TIME_HEIGHT;
-        drawn.label(&mut svg, ground - drawn.rise_m * scale / 2.0);
+        drawn.label(&mut svg, top + (MARGIN + ground - top) / 2.0);
         line(
             &mut svg,
             DVec2::new(LABEL_WIDTH + MARGIN, ground),
@@ -223,7 +227,20 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
 /// Drawings with titles, in columns of one width in pixels.
 pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String {
     const TITLE_HEIGHT: f64 = 30.0;
+    /// Pixels a character of a title takes at most.
+    const TITLE_CHAR: f64 = 7.5;
     let columns = columns.max(1);
+    let title_chars = ((width - 2.0 * MARGIN) / TITLE_CHAR) as usize;
+    let title_height =
+        |title: &str| TITLE_HEIGHT + LABEL_LINE * (lines(title, title_chars).len() - 1) as f64;
+    let title_heights: Vec<f64> = panels
+        .chunks(columns)
+        .map(|row| {
+            row.iter()
+                .map(|(title, _)| title_height(title))
+                .fold(0.0, f64::max)
+        })
+        .collect();
     let height_of = |svg: &str| -> f64 {
         let stated = svg.split_once("height=\"").map_or("", |(_, rest)| rest);
         let number = stated.split_once('"').map_or("", |(number, _)| number);
@@ -231,9 +248,10 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     };
     let rows: Vec<f64> = panels
         .chunks(columns)
-        .map(|row| {
+        .zip(&title_heights)
+        .map(|(row, title_height)| {
             let tallest = row.iter().map(|(_, svg)| height_of(svg));
-            TITLE_HEIGHT + tallest.fold(0.0, f64::max)
+            title_height + tallest.fold(0.0, f64::max)
         })
         .collect();
     let mut svg = String::new();
@@ -244,12 +262,15 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
         &format!("{} motion strips", panels.len()),
     );
     let mut top = 0.0;
-    for (row, height) in panels.chunks(columns).zip(&rows) {
+    for ((row, height), title_height) in panels.chunks(columns).zip(&rows).zip(&title_heights) {
         for (column, (title, panel)) in row.iter().enumerate() {
             let left = column as f64 * width;
-            let at = DVec2::new(left + MARGIN, top + TITLE_HEIGHT - 10.0);
-            text(&mut svg, at, "start", 13.0, "", title);
-            let place = format!("<svg x=\"{left}\" y=\"{}\" ", top + TITLE_HEIGHT);
+            for (line, title) in lines(title, title_chars).iter().enumerate() {
+                let below = TITLE_HEIGHT - 10.0 + LABEL_LINE * line as f64;
+                let at = DVec2::new(left + MARGIN, top + below);
+                text(&mut svg, at, "start", 13.0, "", title);
+            }
+            let place = format!("<svg x=\"{left}\" y=\"{}\" ", top + title_height);
             svg.push_str(&panel.replacen("<svg ", &place, 1));
         }
         top += height;
@@ -258,8 +279,10 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     svg
 }
 
-/// Size of one panel of [`moment`] in pixels.
+/// Size of one panel of [`moment`] in pixels, under a label of one line.
 const PANEL: DVec2 = DVec2::new(240.0, 250.0);
+/// Characters of a line of a panel's label.
+const PANEL_CHARS: usize = 34;
 /// Pixels to a metre in a panel: raised arms of a standing figure fit.
 const PANEL_PIXELS_PER_M: f64 = 92.0;
 
@@ -273,7 +296,13 @@ pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
     let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
     let width = PANEL.x * rows.len() as f64;
     let title = format!("{} at {secs:.2} s", labels.join(", "));
-    open(&mut svg, width, PANEL.y, &title);
+    let labels: Vec<Vec<String>> = rows
+        .iter()
+        .map(|row| lines(&format!("{} {secs:.1} s", row.label), PANEL_CHARS))
+        .collect();
+    let tallest = labels.iter().map(Vec::len).max().unwrap_or(1);
+    let height = PANEL.y + LABEL_LINE * (tallest.max(1) - 1) as f64;
+    open(&mut svg, width, height, &title);
     for (place, row) in rows.iter().enumerate() {
         let Some(last) = row.keypoints.points.len().checked_sub(1) else {
             continue;
@@ -303,16 +332,11 @@ pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
             },
             row.highlighted,
         );
-        let at = DVec2::new(left + PANEL.x / 2.0, ground + TIME_HEIGHT / 2.0 + 4.0);
-        let label: String = row.label.chars().take(2 * LABEL_CHARS).collect();
-        text(
-            &mut svg,
-            at,
-            "middle",
-            11.0,
-            FAINT,
-            &format!("{label}  {secs:.1} s"),
-        );
+        for (line, label) in labels[place].iter().enumerate() {
+            let below = TIME_HEIGHT / 2.0 + 4.0 + LABEL_LINE * line as f64;
+            let at = DVec2::new(left + PANEL.x / 2.0, ground + below);
+            text(&mut svg, at, "middle", 11.0, FAINT, label);
+        }
     }
     svg.push_str("</svg>");
     svg
@@ -417,7 +441,13 @@ impl<'a> Drawn<'a> {
         }
     }
 
-    /// Writes the name of the row, its length, and how far the body moves over the ground.
+    /// Pixels the label takes.
+    fn label_height(&self) -> f64 {
+        LABEL_LINE * lines(&self.row.label, LABEL_CHARS).len() as f64 + FACTS_HEIGHT
+    }
+
+    /// Writes the name of the row on as many lines as it takes, its length, and how far the body
+    /// moves over the ground.
     fn label(&self, svg: &mut String, middle: f64) {
         let frames = &self.row.keypoints.points;
         let path_m: f64 = frames
@@ -432,29 +462,46 @@ impl<'a> Drawn<'a> {
             .keypoints
             .fps
             .secs_at(frames.len().saturating_sub(1));
-        let name: String = if self.row.label.chars().count() > LABEL_CHARS {
-            self.row
-                .label
-                .chars()
-                .take(LABEL_CHARS - 1)
-                .chain(['…'])
-                .collect()
-        } else {
-            self.row.label.clone()
+        let mut base = middle - self.label_height() / 2.0 + LABEL_LINE - 3.0;
+        let mut write = |size: f64, attributes: &str, content: &str| {
+            let at = DVec2::new(MARGIN, base);
+            text(svg, at, "start", size, attributes, content);
+            base += LABEL_LINE;
         };
-        let at = |offset| DVec2::new(MARGIN, middle + offset);
-        text(svg, at(-6.0), "start", 13.0, r#"font-weight="600""#, &name);
+        for name in lines(&self.row.label, LABEL_CHARS) {
+            write(13.0, r#"font-weight="600""#, &name);
+        }
         let length = format!("{secs:.1} s at {} ", self.row.keypoints.fps);
-        text(svg, at(11.0), "start", 11.0, FAINT, length.trim_end());
-        text(
-            svg,
-            at(26.0),
-            "start",
-            11.0,
-            FAINT,
-            &format!("moves {path_m:.2} m"),
-        );
+        write(11.0, FAINT, length.trim_end());
+        write(11.0, FAINT, &format!("moves {path_m:.2} m"));
     }
+}
+
+/// A text on lines of at most so many characters, broken at spaces; only a word longer than a line is
+/// broken within.
+fn lines(text: &str, max_chars: usize) -> Vec<String> {
+    let mut lines: Vec<String> = vec![String::new()];
+    let mut room = max_chars;
+    for word in text.split_whitespace() {
+        let letters: Vec<char> = word.chars().collect();
+        for (part, letters) in letters.chunks(max_chars.max(1)).enumerate() {
+            let begins = room == max_chars;
+            let needed = letters.len() + usize::from(!begins);
+            if part > 0 || needed > room {
+                lines.push(String::new());
+                room = max_chars;
+            }
+            if let Some(line) = lines.last_mut() {
+                if !line.is_empty() {
+                    line.push(' ');
+                    room -= 1;
+                }
+                line.extend(letters);
+                room -= letters.len();
+            }
+        }
+    }
+    lines
 }
 
 /// How a figure is put on the page.
@@ -630,6 +677,47 @@ mod tests {
         assert!(svg.contains(">0.0 s<") && svg.contains(">3.0 s<") && svg.contains(">0.1 s<"));
         assert!(svg.contains("&lt;original&gt; &amp; &quot;more&quot;"));
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
+    }
+
+    /// A text of 90 characters, longer than a label has room for.
+    const LONG: &str = "<use the waving of the other clip with your left hand and keep \
+                        Donaudampfschifffahrt going>";
+
+    /// The words a drawing writes, in order.
+    fn words(svg: &str) -> String {
+        let written: Vec<&str> = svg
+            .split("<text ")
+            .skip(1)
+            .filter_map(|part| part.split_once('>')?.1.split_once("</text>"))
+            .map(|(content, _)| content)
+            .collect();
+        written.join(" ")
+    }
+
+    #[test]
+    fn a_label_is_never_cut() {
+        let wanted = crate::draw::escaped(LONG);
+        let rows = [row(LONG, 5, 0.0), row("target", 5, 0.0)];
+        let letters = |text: &str| text.replace(' ', "");
+        let svg = strip(&rows, &Style::default());
+        check_nesting(&svg);
+        assert!(letters(&words(&svg)).contains(&letters(&wanted)), "{svg}");
+        assert!(!svg.contains('…'));
+        let svg = moment(&rows, 0.1, &Style::default());
+        check_nesting(&svg);
+        assert!(letters(&words(&svg)).contains(&letters(&wanted)), "{svg}");
+        let panels = [(LONG.to_owned(), strip(&rows[1..], &Style::default()))];
+        let svg = sheet(&panels, 1, 300.0);
+        check_nesting(&svg);
+        assert!(letters(&words(&svg)).contains(&letters(&wanted)), "{svg}");
+    }
+
+    #[test]
+    fn lines_break_at_spaces_and_only_long_words_within() {
+        assert_eq!(lines("a bc def", 4), ["a bc", "def"]);
+        assert_eq!(lines("abcdefgh i", 4), ["abcd", "efgh", "i"]);
+        assert_eq!(lines("ab abcdef", 4), ["ab", "abcd", "ef"]);
+        assert_eq!(lines("", 4), [""]);
     }
 
     #[test]

@@ -2,11 +2,17 @@
 
 use datasets_spec::record::ScoreRow;
 
+use crate::table::behind_identity;
+
+const HEAD: &str = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95,\
+                    takes,targets,sources,instructions,gallery,ranked,fid_items,latent_width,\
+                    items_digest,behind_identity";
+
 /// Writes the rows of the table of scores with a head line, after RFC 4180 but for the line ends,
 /// which are those of Unix. Numbers keep all their digits.
 pub fn render(scores: &[ScoreRow]) -> String {
-    let mut text = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95\n".to_owned();
-    for row in scores {
+    let mut text = format!("{HEAD}\n");
+    for (row, behind) in scores.iter().zip(behind_identity(scores)) {
         let fields = [
             quoted(&row.system),
             quoted(&row.task),
@@ -16,7 +22,17 @@ pub fn render(scores: &[ScoreRow]) -> String {
             row.n.to_string(),
             row.repeats.to_string(),
             row.mean.to_string(),
-            row.ci95.to_string(),
+            row.ci95.map_or_else(String::new, |ci95| ci95.to_string()),
+            row.takes.to_string(),
+            row.targets.to_string(),
+            row.sources.to_string(),
+            row.instructions.to_string(),
+            row.gallery.to_string(),
+            row.ranked.to_string(),
+            row.fid_items.to_string(),
+            row.latent_width.to_string(),
+            quoted(&row.items_digest),
+            behind.to_string(),
         ];
         text.push_str(&fields.join(","));
         text.push('\n');
@@ -41,10 +57,15 @@ mod tests {
     #[test]
     fn fields_that_hold_separators_are_quoted() {
         let row = score_row("style", "a \"b\", c", Metric::FidUnit, 0.1);
+        let expected = format!(
+            "{HEAD}\n\"a \"\"b\"\", c\",style,FID,\"galleries of 32, seed 0\",0123456789abcdef,512,10,\
+             0.1,0.001,1,29,400,61,32,512,256,64,a1b2c3d4e5f6,false\n"
+        );
+        assert_eq!(render(std::slice::from_ref(&row)), expected);
+        let without = ScoreRow { ci95: None, ..row };
         assert_eq!(
-            render(&[row]),
-            "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95\n\
-             \"a \"\"b\"\", c\",style,FID,\"galleries of 32, seed 0\",0123456789abcdef,512,10,0.1,0.001\n"
+            render(&[without]),
+            expected.replace(",0.1,0.001,", ",0.1,,")
         );
     }
 }

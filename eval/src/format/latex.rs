@@ -53,6 +53,12 @@ pub fn render(tables: &[Table]) -> String {
             text.push_str(" \\\\\n");
         }
         text.push_str("\\bottomrule\n\\end{tabular}\n");
+        for note in &table.notes {
+            text.push_str(&format!(
+                "\\par\\smallskip{{\\footnotesize {}\\par}}\n",
+                escaped(note)
+            ));
+        }
     }
     text
 }
@@ -106,6 +112,10 @@ mod tests {
         );
         assert!(
             text.contains("\\textbf{2.222}{\\tiny$\\pm$0.022}"),
+            "{text}"
+        );
+        assert!(
+            text.contains("{\\footnotesize Behind the identity editor, which returns"),
             "{text}"
         );
         for line in text.lines().filter(|line| line.ends_with("\\\\")) {

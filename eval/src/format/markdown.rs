@@ -44,6 +44,9 @@ pub fn render(tables: &[Table]) -> String {
             }
             text.push('\n');
         }
+        for note in &table.notes {
+            text.push_str(&format!("\n{}\n", escaped(note)));
+        }
     }
     text
 }
@@ -89,5 +92,9 @@ mod tests {
         assert!(text.contains("| **2.222 ±0.022** |"), "{text}");
         assert!(text.contains("ours\\_100%\\|&lt;b&gt;"), "{text}");
         assert!(text.contains("| – |"), "{text}");
+        assert!(
+            text.contains("\n\nBehind the identity editor, which returns"),
+            "{text}"
+        );
     }
 }

@@ -10,7 +10,7 @@ pub mod text;
 use crate::table::Row;
 
 /// What stands where a value was not measured.
-const ABSENT: &str = "–";
+pub(crate) const ABSENT: &str = "–";
 /// What follows the name of a row that was not measured, where each row stands for itself.
 const PUBLISHED: &str = "(published)";
 /// What stands above rows that were not measured, where they can be set apart.

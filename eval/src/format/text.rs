@@ -27,7 +27,9 @@ pub fn render(tables: &[Table]) -> String {
         .flat_map(|table| &table.rows)
         .any(|row| row.cells.iter().flatten().any(|cell| cell.best))
     {
-        text.push_str(&format!("\n{BEST} best measured system of its column\n"));
+        text.push_str(&format!(
+            "\n{BEST} best measured system of its column, where the identity editor is not better\n"
+        ));
     }
     text
 }
@@ -84,6 +86,11 @@ fn table_text(table: &Table, text: &mut String) {
     }
     text.push_str(&rule);
     text.push('\n');
+    for note in &table.notes {
+        for line in wrapped(note) {
+            push_line(text, &line);
+        }
+    }
 }
 
 /// The family of a column and what is left of its label.
@@ -271,6 +278,8 @@ mod tests {
             ["*2.222±.022", "*32.45±.32", "*0.900±.009", "*90.00±.90"]
         );
         assert!(text.contains("─ E2S ─"), "{text}");
+        let behind = "unchanged: MotionReFit tiny in every column.\n";
+        assert!(text.contains(behind), "{text}");
         assert_eq!(render(&[]), "");
     }
 

@@ -163,6 +163,78 @@ pub fn fid(real: &Matrix, generated: &Matrix) -> Result<f64, Error> {
     Reference::new(Gaussian::of_latents(real)?).distance(&Gaussian::of_latents(generated)?)
 }
 
+/// The distances of several sets from one, as [`fid`] gives them but for the last digits: where a set
+/// has fewer rows than dimensions they are taken from products of the rows, which is quicker.
+///
+/// # Errors
+/// As [`fid`].
+///
+/// # Source
+/// With centred rows `A` and `B`, `tr (Σ_A Σ_B)^{1/2}` is the sum of the singular values of
+/// `A Bᵀ / √((N - 1) (M - 1))`.
+pub(crate) fn distances(
+    real: &Matrix,
+    others: impl Iterator<Item = Matrix>,
+) -> Result<Vec<f64>, Error> {
+    if real.num_rows() > real.num_cols() {
+        let real = Reference::new(Gaussian::of_latents(real)?);
+        return others
+            .map(|other| real.distance(&Gaussian::of_latents(&other)?))
+            .collect();
+    }
+    let real = Centred::of(real)?;
+    others
+        .map(|other| {
+            let other = Centred::of(&other)?;
+            let shift = real.mean.iter().zip(&other.mean);
+            let shift: f64 = shift.map(|(a, b)| (a - b) * (a - b)).sum();
+            let product = real.rows.times_transposed(&other.rows);
+            let overlap: f64 = symmetric_eigenvalues(&product.gram())
+                .into_iter()
+                .map(|value| value.max(0.0).sqrt())
+                .sum();
+            Ok((shift + real.spread + other.spread - 2.0 * overlap).max(0.0))
+        })
+        .collect()
+}
+
+/// Rows less their mean, divided so that their Gram matrix is the unbiased covariance.
+struct Centred {
+    mean: Vec<f64>,
+    rows: Matrix,
+    /// Trace of the covariance.
+    spread: f64,
+}
+
+impl Centred {
+    fn of(latents: &Matrix) -> Result<Self, Error> {
+        let count = latents.num_rows();
+        if count < MIN_ROWS {
+            return Err(Error::TooFewRows {
+                metric: METRIC,
+                needed: MIN_ROWS,
+                found: count,
+            });
+        }
+        let mut mean = vec![0.0; latents.num_cols()];
+        for row in latents.rows() {
+            for (mean, value) in mean.iter_mut().zip(row) {
+                *mean += value / count as f64;
+            }
+        }
+        let scale = 1.0 / ((count - 1) as f64).sqrt();
+        let mut rows = latents.clone();
+        let mut spread = 0.0;
+        for index in 0..count {
+            for (value, mean) in rows.row_mut(index).iter_mut().zip(&mean) {
+                *value = (*value - mean) * scale;
+                spread += *value * *value;
+            }
+        }
+        Ok(Self { mean, rows, spread })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use datasets_spec::Seed;
@@ -268,6 +340,24 @@ mod tests {
             // Rounding of the trace, about the dimension times the precision.
             assert!(fid(&latents, &latents).expect("valid") < 1e-11);
         }
+    }
+
+    #[test]
+    fn distances_of_few_rows_are_those_of_many() {
+        for (num_rows, num_cols) in [(30, 8), (20, 40), (2, 5)] {
+            let real = random(num_rows, num_cols, 4);
+            let mut others = [random(num_rows + 3, num_cols, 5), random(2, num_cols, 6)];
+            // One that the same row stands in twice, as in a resample.
+            others[1] = others[0].select_rows(&[0, 1, 1, 2, 0]);
+            let found = distances(&real, others.iter().cloned()).expect("valid");
+            for (found, other) in found.into_iter().zip(&others) {
+                let expected = fid(&real, other).expect("valid");
+                // Square roots of eigenvalues that are rounding noise.
+                assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+            }
+        }
+        let one = random(1, 4, 3);
+        assert!(distances(&one, std::iter::once(random(2, 4, 3))).is_err());
     }
 
     #[test]

@@ -10,12 +10,13 @@ const NORMAL_95: f64 = 1.96;
 pub struct Interval {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the interval.
-    pub ci95: f64,
+    /// Half width of the interval; none where nothing varies.
+    pub ci95: Option<f64>,
 }
 
 impl Interval {
-    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation.
+    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation. Repeats
+    /// that are all the same say nothing of how sure a value is.
     ///
     /// # Panics
     /// If there are no values.
@@ -24,25 +25,54 @@ impl Interval {
     /// T2M evaluation; the paper says only "95 % confidence interval" over ten evaluations.
     pub fn of(values: &[f64]) -> Self {
         assert!(!values.is_empty(), "an interval of no values");
-        let count = values.len() as f64;
-        // Equal values have no spread, whatever the rounding of their mean.
-        if values.iter().all(|value| *value == values[0]) {
-            return Self {
-                mean: values[0],
-                ci95: 0.0,
-            };
-        }
-        let mean = values.iter().sum::<f64>() / count;
-        let variance = values
-            .iter()
-            .map(|value| (value - mean) * (value - mean))
-            .sum::<f64>()
-            / count;
+        let (mean, variance) = moments(values);
         Self {
             mean,
-            ci95: NORMAL_95 * variance.sqrt() / count.sqrt(),
+            ci95: variance.map(|variance| NORMAL_95 * (variance / values.len() as f64).sqrt()),
         }
     }
+
+    /// A value with the spread of its bootstrap: the half width is 1.96 deviations of the resampled
+    /// values, whatever their mean, which drawing with replacement shifts.
+    ///
+    /// Where each resample stands for one repeat and the value is the mean of several, `repeats`
+    /// holds those: what they scatter by counts once in the resamples, and only the share of it that
+    /// their mean keeps belongs to the interval.
+    ///
+    /// # Source
+    /// Efron and Tibshirani 1993, Sec. 13.3, the interval by a normal distribution.
+    pub(crate) fn of_resamples(mean: f64, resampled: &[f64], repeats: &[f64]) -> Self {
+        let (Some(spread), scatter) = (variance(resampled), variance(repeats).unwrap_or(0.0))
+        else {
+            return Self { mean, ci95: None };
+        };
+        let count = repeats.len().max(1) as f64;
+        let kept = scatter / count;
+        let variance = (spread - (scatter - kept)).max(kept);
+        Self {
+            mean,
+            ci95: (variance > 0.0).then(|| NORMAL_95 * variance.sqrt()),
+        }
+    }
+}
+
+/// The population's variance; none of values that are all the same, whatever the rounding of their
+/// mean.
+fn variance(values: &[f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    moments(values).1
+}
+
+fn moments(values: &[f64]) -> (f64, Option<f64>) {
+    if values.iter().all(|value| *value == values[0]) {
+        return (values[0], None);
+    }
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares = values.iter().map(|value| (value - mean) * (value - mean));
+    (mean, Some(squares.sum::<f64>() / count))
 }
 
 #[cfg(test)]
@@ -60,21 +90,50 @@ mod tests {
         for (metric, values) in repeats.rows().enumerate() {
             let interval = Interval::of(values);
             golden.check_scalar("mean", interval.mean, means[metric], 0.0, 1e-9);
-            golden.check_scalar("half width", interval.ci95, half_widths[metric], 0.0, 1e-9);
+            golden.check_scalar(
+                "half width",
+                interval.ci95.unwrap_or(0.0),
+                half_widths[metric],
+                0.0,
+                1e-9,
+            );
         }
     }
 
     #[test]
-    fn a_single_value_has_no_spread_and_two_have_a_known_one() {
-        assert_eq!(
-            Interval::of(&[0.1; 10]),
-            Interval {
-                mean: 0.1,
-                ci95: 0.0
-            }
-        );
+    fn two_values_have_a_known_spread_and_equal_ones_none() {
+        for values in [&[0.1; 10][..], &[0.1]] {
+            assert_eq!(
+                Interval::of(values),
+                Interval {
+                    mean: 0.1,
+                    ci95: None
+                }
+            );
+        }
         let interval = Interval::of(&[1.0, 3.0]);
         assert_eq!(interval.mean, 2.0);
-        assert!((interval.ci95 - NORMAL_95 / 2f64.sqrt()).abs() < 1e-15);
+        let ci95 = interval.ci95.expect("varies");
+        assert!((ci95 - NORMAL_95 / 2f64.sqrt()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn resamples_spread_around_the_value_and_not_around_their_mean() {
+        let interval = Interval::of_resamples(10.0, &[1.0, 3.0], &[]);
+        assert_eq!((interval.mean, interval.ci95), (10.0, Some(NORMAL_95)));
+        assert_eq!(
+            Interval::of_resamples(1.0, &[2.0; 5], &[1.0, 3.0]).ci95,
+            None
+        );
+        assert_eq!(Interval::of_resamples(1.0, &[], &[]).ci95, None);
+        // A variance of 1 in the resamples, of which repeats of variance 1/4 explain three quarters
+        // of their own: two of four repeats' scatter stays.
+        let repeats = [0.5, -0.5, 0.5, -0.5];
+        let ci95 = Interval::of_resamples(0.0, &[1.0, -1.0], &repeats).ci95;
+        let expected = NORMAL_95 * (1.0 - 0.25 * 0.75f64).sqrt();
+        assert!((ci95.expect("varies") - expected).abs() < 1e-15);
+        // Never less than what the repeats alone show.
+        let ci95 = Interval::of_resamples(0.0, &[0.01, -0.01], &repeats).ci95;
+        assert!((ci95.expect("varies") - NORMAL_95 * 0.25).abs() < 1e-15);
     }
 }

@@ -5,6 +5,7 @@ pub mod fid;
 pub mod foot_score;
 pub mod interval;
 pub mod matching;
+pub mod motion_quality;
 pub mod multimodality;
 pub mod position_error;
 pub mod retrieval;
@@ -50,6 +51,17 @@ pub enum Metric {
     BoneDrift,
     /// Share of windows that a coordinator takes for composed of several motions, in percent.
     Composed,
+    /// Mean acceleration of the keypoints where one generated window ends and the next begins, in
+    /// m/s²; for motions that were not generated, at the same frames.
+    SeamAcceleration,
+    /// Mean acceleration of the keypoints at all other frames, in m/s².
+    InsideAcceleration,
+    /// Mean jerk of the keypoints, in m/s³.
+    Jerk,
+    /// Mean speed of feet that touch the floor, in m/s.
+    ContactSlide,
+    /// Largest turn of a joint from one frame to the next, in degrees.
+    RotationStep,
 }
 
 /// Which values of a metric are good.
@@ -76,7 +88,7 @@ impl Better {
 
 impl Metric {
     /// All metrics in the order of the paper's Table 1, those it lacks last.
-    pub const ALL: [Metric; 19] = [
+    pub const ALL: [Metric; 24] = [
         Metric::FidUnit,
         Metric::Diversity,
         Metric::FootScore,
@@ -96,13 +108,21 @@ impl Metric {
         Metric::FitError,
         Metric::BoneDrift,
         Metric::Composed,
+        Metric::SeamAcceleration,
+        Metric::InsideAcceleration,
+        Metric::Jerk,
+        Metric::ContactSlide,
+        Metric::RotationStep,
     ];
 
     /// The columns of the paper's Table 1.
     pub const PAPER: &'static [Metric] = Self::ALL.split_at(11).0;
 
     /// The columns the paper does not print.
-    pub const FURTHER: &'static [Metric] = Self::ALL.split_at(11).1;
+    pub const FURTHER: &'static [Metric] = Self::ALL.split_at(11).1.split_at(8).0;
+
+    /// How motions move, whatever they show: a table of its own.
+    pub const QUALITY: &'static [Metric] = Self::ALL.split_at(19).1;
 
     /// The name in the table of scores.
     pub fn name(self) -> &'static str {
@@ -126,6 +146,11 @@ impl Metric {
             Self::FitError => "Fit error (cm)",
             Self::BoneDrift => "Bone drift (cm)",
             Self::Composed => "Composed (%)",
+            Self::SeamAcceleration => "Acceleration at seams (m/s²)",
+            Self::InsideAcceleration => "inside (m/s²)",
+            Self::Jerk => "Jerk (m/s³)",
+            Self::ContactSlide => "Contact slide (m/s)",
+            Self::RotationStep => "Largest turn (°/frame)",
         }
     }
 
@@ -149,7 +174,13 @@ impl Metric {
             | Self::FitError
             | Self::BoneDrift => Better::Lower,
             Self::FootScore | Self::TargetRecall(_) | Self::Multimodality => Better::Higher,
-            Self::Diversity | Self::Composed => Better::NearReal,
+            Self::Diversity
+            | Self::Composed
+            | Self::SeamAcceleration
+            | Self::InsideAcceleration
+            | Self::Jerk
+            | Self::ContactSlide
+            | Self::RotationStep => Better::NearReal,
             Self::SourceRecall(_) if KEEPING.contains(&task) => Better::Higher,
             Self::SourceAverageRank | Self::SourceMedianRank if KEEPING.contains(&task) => {
                 Better::Lower
@@ -163,7 +194,8 @@ impl Metric {
     /// Digits after the point that tables print: enough to tell systems apart in the paper.
     pub fn decimals(self) -> usize {
         match self {
-            Self::FidUnit | Self::FootScore => 3,
+            Self::FidUnit | Self::FootScore | Self::ContactSlide => 3,
+            Self::Jerk | Self::RotationStep => 1,
             Self::FidRaw
             | Self::Diversity
             | Self::SourceRecall(_)
@@ -176,7 +208,9 @@ impl Metric {
             | Self::PositionError
             | Self::FitError
             | Self::BoneDrift
-            | Self::Composed => 2,
+            | Self::Composed
+            | Self::SeamAcceleration
+            | Self::InsideAcceleration => 2,
         }
     }
 }
@@ -258,8 +292,8 @@ mod tests {
         }
         assert_eq!(Metric::from_name("FVD"), None);
         assert_eq!(
-            Metric::PAPER.len() + Metric::FURTHER.len(),
-            Metric::ALL.len()
+            [Metric::PAPER, Metric::FURTHER, Metric::QUALITY].concat(),
+            Metric::ALL
         );
     }
 

@@ -16,6 +16,34 @@ pub const T2M_CONDITIONS: usize = 100;
 /// Pairs drawn for each condition in the T2M evaluation.
 pub const T2M_PAIRS: usize = 10;
 
+/// Pairs of different positions below `num_repeats`: two lists, each without repetition, that never
+/// hold the same position in the same place.
+///
+/// # Errors
+/// There are not more repeats than pairs.
+///
+/// # Source
+/// T2M evaluation: 30 repeats, 10 pairs, both lists drawn without replacement. There a motion may
+/// meet itself, which is at no distance and says nothing of how motions differ.
+pub fn pairs(
+    num_repeats: usize,
+    num_pairs: usize,
+    rng: &mut Rng,
+) -> Result<[Vec<usize>; 2], Error> {
+    if num_repeats <= num_pairs {
+        return Err(Error::TooFewRows {
+            metric: METRIC,
+            needed: num_pairs + 1,
+            found: num_repeats,
+        });
+    }
+    // Neighbours on a random round of all positions: each of them has every other beside it as
+    // often as any.
+    let round = draw_without_replacement(num_repeats, num_repeats, rng);
+    let second = (1..=num_pairs).map(|place| round[place % num_repeats]);
+    Ok([round[..num_pairs].to_vec(), second.collect()])
+}
+
 /// The mean distance between motions of the same condition, over all conditions and pairs. The
 /// same positions are drawn for every condition.
 ///
@@ -27,18 +55,10 @@ pub const T2M_PAIRS: usize = 10;
 /// a latent is not finite.
 ///
 /// # Source
-/// T2M evaluation: 30 repeats, 10 pairs. The paper names the metric and prints it in no table.
+/// T2M evaluation, but for [`pairs`]. The paper names the metric and prints it in no table.
 pub fn multimodality(conditions: &[Matrix], num_pairs: usize, rng: &mut Rng) -> Result<f64, Error> {
     let num_repeats = conditions.first().map_or(0, Matrix::num_rows);
-    if num_repeats <= num_pairs {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: num_pairs + 1,
-            found: num_repeats,
-        });
-    }
-    let first = draw_without_replacement(num_repeats, num_pairs, rng);
-    let second = draw_without_replacement(num_repeats, num_pairs, rng);
+    let [first, second] = pairs(num_repeats, num_pairs, rng)?;
     multimodality_of_pairs(conditions, &first, &second)
 }
 
@@ -114,6 +134,25 @@ mod tests {
             0.0,
             1e-9,
         );
+    }
+
+    #[test]
+    fn a_motion_is_never_compared_with_itself() {
+        for seed in 0..50 {
+            let [first, second] =
+                pairs(11, T2M_PAIRS, &mut Seed(seed).rng(&["pairs"])).expect("enough");
+            for list in [&first, &second] {
+                let mut seen = list.clone();
+                seen.sort_unstable();
+                seen.dedup();
+                assert_eq!(seen.len(), T2M_PAIRS);
+            }
+            assert!(first.iter().zip(&second).all(|(a, b)| a != b));
+        }
+        // Takes at distance 1 from each other: a pair of equals would lower the mean.
+        let takes = Matrix::identity(12);
+        let value = multimodality(&[takes], T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("valid");
+        assert!((value - 2f64.sqrt()).abs() < 1e-12, "{value}");
     }
 
     #[test]

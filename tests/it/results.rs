@@ -1,0 +1,484 @@
+//! What tables and pages say about their numbers.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::Dataset;
+use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
+use serde_json::Value;
+
+use crate::evaluate::Bench;
+use crate::util::{arg, stance};
+
+/// The items the bench answers.
+fn items_of(bench: &Bench) -> Vec<ItemRow> {
+    let folder = Dataset::open(&bench.workshop.path("items")).expect("items");
+    folder.read(None).expect("rows")
+}
+
+/// Items changed by hand and named anew, as another program would write them.
+fn changed(bench: &Bench, name: &str, change: impl Fn(&mut ItemRow)) -> PathBuf {
+    let mut rows = items_of(bench);
+    for row in &mut rows {
+        change(row);
+        row.id = row.content_id();
+    }
+    let out = bench.workshop.path(name);
+    let drawn = Dataset::open(&bench.workshop.path("items")).expect("items");
+    datasets_spec::dataset::commit_rows(
+        &out,
+        &rows,
+        Some(|row: &ItemRow| row.split),
+        &drawn.skeleton().expect("built in"),
+        name,
+        "test",
+    )
+    .expect("writes");
+    out
+}
+
+/// The one row of a system and a metric over all tasks there are.
+fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
+    let rows = scores.as_array().expect("rows");
+    rows.iter()
+        .find(|row| row["system"] == system && row["metric"] == metric)
+        .unwrap_or_else(|| panic!("{system} {metric}: {scores}"))
+}
+
+#[test]
+fn a_table_says_what_it_measured_and_how_sure_it_is() {
+    let bench = Bench::open();
+    let edits = bench.edits("first", &[]);
+    let items = items_of(&bench);
+    let count = |of: fn(&ItemRow) -> String| {
+        let names: BTreeSet<String> = items.iter().map(of).collect();
+        names.len()
+    };
+    let (targets, sources, instructions) = (
+        count(|item| item.target_id.to_string()),
+        count(|item| item.source_id.to_string()),
+        count(|item| item.instruction.clone()),
+    );
+    let committed = bench.workshop.path("scores");
+    let scores: Value = bench
+        .eval(&[&edits], &["--json", "--out", arg(&committed)])
+        .expect_code(0)
+        .json();
+    let row = score(&scores, "MotionReFit", "Position error (cm)");
+    let digest = row["items_digest"].as_str().expect("a digest").to_owned();
+    assert_eq!(digest.len(), 12);
+    for (field, expected) in [
+        ("n", 8),
+        ("takes", 1),
+        ("targets", targets),
+        ("sources", sources),
+        ("instructions", instructions),
+        ("gallery", 8),
+        ("ranked", 8),
+        ("fid_items", 4),
+        ("latent_width", 32),
+    ] {
+        assert_eq!(row[field], expected, "{field}");
+    }
+    let stored: Vec<ScoreRow> = Dataset::open(&committed)
+        .and_then(|folder| folder.read(None))
+        .expect("scores");
+    assert!(
+        stored
+            .iter()
+            .all(|row| row.items_digest == digest && row.targets > 0)
+    );
+
+    // Items vary, so a mean over them has an interval although every repeat gives the same mean.
+    let half_width =
+        |scores: &Value, system: &str, metric: &str| score(scores, system, metric)["ci95"].as_f64();
+    assert!(half_width(&scores, "MotionReFit", "Position error (cm)").expect("varies") > 0.0);
+    assert!(half_width(&scores, "MotionReFit", "FID").expect("varies") > 0.0);
+    assert_eq!(half_width(&scores, "Real Data", "E2T R@1"), None);
+    let over_repeats: Value = bench
+        .eval(&[&edits], &["--json", "--interval", "repeats"])
+        .expect_code(0)
+        .json();
+    assert_eq!(
+        half_width(&over_repeats, "MotionReFit", "Position error (cm)"),
+        None
+    );
+    assert!(half_width(&over_repeats, "MotionReFit", "FID").expect("halves vary") > 0.0);
+    let mean = |scores: &Value| score(scores, "MotionReFit", "FID")["mean"].clone();
+    assert_eq!(mean(&scores), mean(&over_repeats));
+
+    let text = bench.eval(&[&edits], &[]).expect_code(0).stdout;
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [
+        format!(
+            "8 items ({targets} target{}, {sources} source{}, {instructions} instruction{}; ids {digest}), \
+             1 take, 2 repeats; one gallery of all 8 (fewer than 32)",
+            if targets == 1 { "" } else { "s" },
+            if sources == 1 { "" } else { "s" },
+            if instructions == 1 { "" } else { "s" },
+        ),
+        "95 % intervals from 1000 draws of the targets".to_owned(),
+        "FID: 4 motions a side are too few for latents of 32 numbers".to_owned(),
+        "smpl135 at 10 fps".to_owned(),
+    ] {
+        assert!(text.contains(&part), "{part}: {text}");
+    }
+    // The rate in the README is the one that is printed here.
+    let readme = include_str!("../../eval/README.md");
+    let line = readme.lines().find(|line| line.starts_with("| `smpl135`"));
+    assert!(line.is_some_and(|line| line.contains("10 fps in preset `tiny`")));
+    assert!(
+        bench
+            .eval(&[&edits], &["--interval", "repeats"])
+            .expect_code(0)
+            .stdout
+            .contains("95 % intervals over the repeats")
+    );
+}
+
+#[test]
+fn a_system_behind_the_identity_editor_is_never_best() {
+    let bench = Bench::open();
+    // Originals five metres up in the air: further from every target than the originals are.
+    let edits = bench.edits("lifted", &["--name", "lifted"]);
+    let folder = Dataset::open(&edits).expect("edits");
+    let mut rows: Vec<EditRow> = folder.read(None).expect("rows");
+    let items = items_of(&bench);
+    for row in &mut rows {
+        let item = items.iter().find(|item| item.id == row.id);
+        let source = item.expect("its item").source().expect("valid");
+        row.transl = source.transl().to_vec();
+        row.global_orient = source.global_orient().to_vec();
+        row.body_pose = source.body_pose().to_vec();
+        row.n_frames = source.len() as i32;
+        for place in &mut row.transl {
+            place[1] += 5.0;
+        }
+    }
+    datasets_spec::dataset::commit_rows(
+        &edits,
+        &rows,
+        Some(|row: &EditRow| row.split),
+        &folder.skeleton().expect("built in"),
+        "lifted",
+        "test",
+    )
+    .expect("writes");
+    let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    let [own, identity] =
+        ["lifted", "Identity"].map(|name| score(&scores, name, "Position error (cm)"));
+    assert!(
+        own["mean"].as_f64() > identity["mean"].as_f64(),
+        "{own} {identity}"
+    );
+    assert_eq!(own["behind_identity"], true);
+    assert_eq!(identity["behind_identity"], false);
+    let value = format!("{:.2}", own["mean"].as_f64().expect("a number"));
+    for (format, marked) in [
+        ("text", format!("*{value}")),
+        ("markdown", format!("**{value}")),
+        ("latex", format!("\\textbf{{{value}")),
+    ] {
+        let table = bench
+            .eval(&[&edits], &["--further", "--format", format])
+            .expect_code(0)
+            .stdout;
+        let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
+        let behind = words
+            .split_once(
+                "Behind the identity editor, which returns the original unchanged: lifted in ",
+            )
+            .unwrap_or_else(|| panic!("{table}"))
+            .1;
+        assert!(behind.contains("Position error (cm)"), "{table}");
+        assert!(
+            table.contains(&value) && !table.contains(&marked),
+            "{table}"
+        );
+    }
+}
+
+#[test]
+fn a_random_part_of_the_items_can_be_scored() {
+    let bench = Bench::open();
+    let edits = bench.edits("first", &[]);
+    let part = |seed: &str| -> Value {
+        let limit = ["--json", "--items-limit", "5", "--items-seed", seed];
+        bench.eval(&[&edits], &limit).expect_code(0).json()
+    };
+    let digest = |scores: &Value| {
+        let row = score(scores, "MotionReFit", "FS");
+        assert_eq!(row["n"], 5);
+        let protocol = row["protocol"].as_str().expect("words");
+        assert!(
+            protocol.contains("a random 5 of the items (seed"),
+            "{protocol}"
+        );
+        row["items_digest"].clone()
+    };
+    assert_eq!(digest(&part("1")), digest(&part("1")));
+    let parts: BTreeSet<String> = ["1", "2", "3", "4"]
+        .iter()
+        .map(|seed| digest(&part(seed)).to_string())
+        .collect();
+    assert!(parts.len() > 1, "{parts:?}");
+    let refused = bench
+        .eval(&[&edits], &["--items-limit", "9"])
+        .expect_code(1);
+    assert!(refused.stderr.contains("9 items") && refused.stderr.contains("there are 8"));
+}
+
+#[test]
+fn what_cannot_stand_in_one_table_is_refused() {
+    let bench = Bench::open();
+    let first = bench.edits("first", &[]);
+    let page = bench.workshop.path("page.html");
+    let again = bench.workshop.path("again");
+    let copied = std::process::Command::new("cp")
+        .args(["-r", arg(&first), arg(&again)])
+        .status();
+    assert!(copied.expect("cp starts").success());
+    let report = |other: &Path| stance(&["report", arg(&first), arg(other), "--out", arg(&page)]);
+    for ran in [bench.eval(&[&first, &again], &[]), report(&again)] {
+        let ran = ran.expect_code(1);
+        for text in ["two motions of item", "sampled with seed 0", "--seed"] {
+            assert!(ran.stderr.contains(text), "{}", ran.stderr);
+        }
+    }
+    // Half of the items are the same, and still these are two test sets.
+    bench.items("few", &["--count", "4"]);
+    let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
+    let compared = stance(&[
+        "eval",
+        "compare",
+        arg(&first),
+        arg(&few),
+        "--encoder",
+        arg(&bench.encoder),
+    ]);
+    for ran in [bench.eval(&[&first, &few], &[]), report(&few), compared] {
+        let ran = ran.expect_code(1);
+        for text in [
+            "different items",
+            arg(&first),
+            arg(&few),
+            "4 of 8 are in ",
+            "0 of 4 in ",
+        ] {
+            assert!(ran.stderr.contains(text), "{text}: {}", ran.stderr);
+        }
+    }
+    assert!(!page.exists());
+}
+
+#[test]
+fn a_comparison_names_its_fid_and_draws_targets() {
+    let bench = Bench::open();
+    let first = bench.edits("first", &[]);
+    let second = bench.edits("second", &["--guidance", "1", "--name", "weak"]);
+    let compare = |more: &[&str]| {
+        let mut args = vec!["eval", "compare", arg(&first), arg(&second)];
+        args.extend(["--encoder", arg(&bench.encoder), "--repeats", "2"]);
+        args.extend(more);
+        stance(&args).expect_code(0)
+    };
+    let document: Value = compare(&["--json"]).json();
+    let task = &document[0];
+    let names: Vec<&str> = task["differences"]
+        .as_array()
+        .expect("metrics")
+        .iter()
+        .map(|row| row["metric"].as_str().expect("a name"))
+        .collect();
+    assert!(
+        names.contains(&"FID of whole sets") && !names.contains(&"FID"),
+        "{names:?}"
+    );
+    let protocol = task["protocol"].as_str().expect("words");
+    assert!(protocol.contains("FID on all 8") && protocol.contains("draws of the targets"));
+    assert!(
+        task["targets"]
+            .as_u64()
+            .is_some_and(|count| (1..=8).contains(&count))
+    );
+    assert_eq!(task["items_digest"].as_str().map(str::len), Some(12));
+    assert!(compare(&[]).stdout.contains("FID of whole sets"));
+}
+
+#[test]
+fn pairs_of_motionfix_fill_its_tables() {
+    let bench = Bench::open();
+    let items = changed(&bench, "motionfix", |row| {
+        row.task = "motionfix".to_owned();
+        row.donor_ids.clear();
+        row.hard_joints.clear();
+        row.soft_joints.clear();
+        let (source, target) = (row.source().expect("valid"), row.target().expect("valid"));
+        let shorter = target.crop(0..target.len() - 3).expect("long enough");
+        row.other_frames = 0;
+        row.other_transl.clear();
+        row.other_global_orient.clear();
+        row.other_body_pose.clear();
+        row.target_frames = 0;
+        row.set_motions(&source, Some(&shorter), None);
+    });
+    let edits = bench.answers("editor", "motionfix", "answers", &[]);
+    for (table, gallery, published) in [
+        ("2", "(fewer than 32)", "480 items (SimMotionEdit"),
+        ("a3", "one gallery of all 8", "1012 items (MotionReFit)"),
+    ] {
+        let ran = bench
+            .eval(
+                &[&edits],
+                &["--table", table, "--published", "--format", "markdown"],
+            )
+            .expect_code(0);
+        assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
+        assert!(ran.stdout.starts_with("### motionfix"), "{}", ran.stdout);
+        for text in [
+            "| Identity |",
+            "| MotionReFit |",
+            "| TMED (published) |",
+            gallery,
+            published,
+        ] {
+            assert!(ran.stdout.contains(text), "{text}: {}", ran.stdout);
+        }
+    }
+    let alone = stance(&[
+        "eval",
+        "--items",
+        arg(&items),
+        "--table",
+        "2",
+        "--encoder",
+        arg(&bench.encoder),
+    ])
+    .expect_code(0);
+    assert!(alone.stdout.contains("Identity"), "{}", alone.stdout);
+
+    let error = |keypoints: &str| {
+        let scores: Value = bench
+            .eval(&[&edits], &["--json", "--keypoints", keypoints])
+            .expect_code(0)
+            .json();
+        let row = score(&scores, "MotionReFit", "Position error (cm)").clone();
+        let protocol = row["protocol"].as_str().expect("words").to_owned();
+        assert_eq!(
+            protocol.contains("22 joints"),
+            keypoints == "22",
+            "{protocol}"
+        );
+        row["mean"].as_f64().expect("a number")
+    };
+    assert!(error("22") != error("28"));
+    assert!(
+        bench
+            .eval(&[&edits], &["--keypoints", "21"])
+            .expect_code(2)
+            .stderr
+            .contains("28 and 22")
+    );
+
+    // Nothing was blended, and the part is marked all the same.
+    let page = bench.workshop.path("page.html");
+    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
+    let html = fs::read_to_string(&page).expect("written");
+    assert!(html.contains("#1BAA78"), "no joint is marked");
+}
+
+#[test]
+fn many_takes_tell_how_motions_of_one_item_differ() {
+    let bench = Bench::open();
+    let edits = bench.edits("takes", &["--takes", "11"]);
+    let ran = bench.eval(&[&edits], &["--further"]).expect_code(0);
+    assert!(
+        ran.stdout.contains(", 11 takes, 2 repeats"),
+        "{}",
+        ran.stdout
+    );
+    let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    let row = score(&scores, "MotionReFit", "Multimodality");
+    assert!(row["mean"].as_f64().expect("a number") > 0.0);
+    assert_eq!(row["takes"], 11);
+    assert_eq!(score(&scores, "Identity", "FS")["takes"], 1);
+}
+
+#[test]
+fn latencies_stand_apart_from_times_that_windows_share() {
+    let bench = Bench::open();
+    let together = bench.edits("together", &[]);
+    let alone = bench.edits("alone", &["--max-batch", "1"]);
+    let rows = |folder: &Path| -> Vec<EditRow> {
+        let folder = Dataset::open(folder).expect("edits");
+        folder.read(None).expect("rows")
+    };
+    assert_eq!(rows(&together), rows(&alone), "the batch changes no number");
+    let ran = bench
+        .eval(&[&together, &alone], &["--table", "a4", "--published"])
+        .expect_code(0);
+    let (latency, throughput) = ran.stdout.split_once("Throughput: ").expect("two tables");
+    assert!(latency.starts_with("Latency: seconds for one window at batch 1"));
+    assert!(latency.contains("16-frame, alone") && latency.contains("0.474"));
+    assert!(!latency.contains("together") && throughput.contains("16-frame, together"));
+    assert!(!throughput.contains("RTX") && ran.stderr.contains("--max-batch 1"));
+    let times: Value = bench
+        .eval(&[&together, &alone], &["--table", "a4", "--json"])
+        .expect_code(0)
+        .json();
+    assert_eq!([&times[0]["latency"], &times[1]["latency"]], [false, true]);
+    assert_eq!(times[1]["batch"], 1.0);
+    assert!(times[0]["batch"].as_f64().expect("recorded") > 1.0);
+}
+
+#[test]
+fn a_page_shows_settings_as_a_table() {
+    let bench = Bench::open();
+    let first = bench.edits("first", &[]);
+    let second = bench.edits("second", &["--guidance", "1", "--name", "weak"]);
+    let page = bench.workshop.path("page.html");
+    stance(&["report", arg(&first), arg(&second), "--out", arg(&page)]).expect_code(0);
+    let html = fs::read_to_string(&page).expect("written");
+    let settings = html
+        .split_once("<table class=\"settings\">")
+        .and_then(|(_, rest)| rest.split_once("</table>"))
+        .expect("a table")
+        .0;
+    let guidance = settings
+        .split("<tr>")
+        .find(|row| row.contains(">guidance<"))
+        .expect("a row");
+    assert!(guidance.contains("<td>1.0</td>"), "{guidance}");
+    assert_eq!(guidance.matches("<td>").count(), 2);
+    assert!(
+        settings.contains(">weak<") && !html.contains("{&quot;"),
+        "{settings}"
+    );
+}
+
+#[test]
+fn how_motions_move_stands_beside_real_data() {
+    let bench = Bench::open();
+    let edits = bench.edits("first", &[]);
+    let text = bench.eval(&[&edits], &["--further"]).expect_code(0).stdout;
+    let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    for metric in [
+        "Acceleration at seams (m/s²)",
+        "inside (m/s²)",
+        "Jerk (m/s³)",
+        "Contact slide (m/s)",
+        "Largest turn (°/frame)",
+    ] {
+        for system in ["Real Data", "Identity", "MotionReFit"] {
+            let mean = score(&scores, system, metric)["mean"].as_f64();
+            assert!(mean.expect("a number") > 0.0, "{system} {metric}");
+        }
+        assert!(text.contains(metric), "{metric}: {text}");
+    }
+    let page = bench.workshop.path("page.html");
+    let out = ["--encoder", arg(&bench.encoder), "--out", arg(&page)];
+    stance(&[&["report", arg(&edits)], &out[..]].concat()).expect_code(0);
+    let html = fs::read_to_string(&page).expect("written");
+    assert!(html.contains("Contact slide (m/s)"));
+}
