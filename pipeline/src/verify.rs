@@ -1,6 +1,6 @@
 //! Whether a dataset is what it says: hashes, columns, contents, and splits that keep apart.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::manifest::FileEntry;
@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::compose::{check_mask, check_pair};
 
 /// What a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -129,12 +130,24 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     let mut by_content: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
     let mut duplicates = Vec::new();
     let mut by_source: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
+    let mut labels: BTreeMap<(&str, String), Split> = BTreeMap::new();
+    let mut rates: BTreeMap<Split, Rates> = BTreeMap::new();
     for read in read {
         findings.extend(read.findings);
         named.extend(read.named);
+        for (table, id, split) in read.labels {
+            if labels.insert((table, id.clone()), split).is_some() {
+                findings.push(Finding {
+                    check: Check::Contents,
+                    item: format!("{id} of {table}"),
+                    problem: "two rows have this id".to_owned(),
+                });
+            }
+        }
         for motion in read.motions {
             duplicates.extend(motion.duplicate_of(&mut by_content));
             findings.extend(motion.leak(&mut by_source));
+            rates.entry(motion.split).or_default().take(&motion);
             if motions.insert(motion.id.clone(), motion.split).is_some() {
                 findings.push(Finding {
                     check: Check::Contents,
@@ -147,6 +160,14 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     for name in named {
         findings.extend(name.check(&motions));
     }
+    // Motions of several rates can be stored, and cannot be composed.
+    let composed: BTreeSet<Split> = labels.into_values().collect();
+    for (_, rates) in rates
+        .into_iter()
+        .filter(|(split, _)| composed.contains(split))
+    {
+        findings.extend(rates.finding());
+    }
     findings.sort();
     progress.finish(&format!("{} files, {rows} rows", files.len()));
     Ok(Verification {
@@ -157,8 +178,38 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     })
 }
 
+/// The first motion of a split, and the first one of another rate.
+#[derive(Default)]
+struct Rates {
+    first: Option<(MotionId, f32)>,
+    other: Option<(MotionId, f32)>,
+}
+
+impl Rates {
+    fn take(&mut self, motion: &Met) {
+        let found = (motion.id.clone(), motion.fps);
+        let (_, first) = *self.first.get_or_insert_with(|| found.clone());
+        if first != motion.fps {
+            self.other.get_or_insert(found);
+        }
+    }
+
+    fn finding(self) -> Option<Finding> {
+        let ((first_id, first), (id, other)) = (self.first?, self.other?);
+        Some(Finding {
+            check: Check::Contents,
+            item: id.to_string(),
+            problem: format!(
+                "is stored at {other} fps and {first_id} at {first} fps: its split has masks or pairs, \
+                 and motions of two rates cannot be composed"
+            ),
+        })
+    }
+}
+
 /// What is kept of a motion to compare it with others.
 struct Met {
+    fps: f32,
     id: MotionId,
     split: Split,
     mirrored_of: Option<String>,
@@ -236,12 +287,23 @@ impl Named {
     }
 }
 
+/// What a mask or pair says of itself.
+struct Label<'a> {
+    id: &'a str,
+    split: Split,
+    motions: Vec<&'a MotionId>,
+    /// Whether it can be composed.
+    usable: Result<(), crate::compose::Error>,
+}
+
 /// What one file was found to hold.
 #[derive(Default)]
 struct Read {
     rows: u64,
     motions: Vec<Met>,
     named: Vec<Named>,
+    /// Table, id and split of masks and pairs.
+    labels: Vec<(&'static str, String, Split)>,
     findings: Vec<Finding>,
 }
 
@@ -255,13 +317,17 @@ impl Read {
         let path = root.join(&file.path);
         let reader = match table {
             MotionRow::TABLE => read.motions(&path, file, skeleton),
-            MaskRow::TABLE => read.rows_of(&path, file, |row: &MaskRow| {
-                vec![(row.id.clone(), row.motion_id.to_string(), row.split)]
+            MaskRow::TABLE => read.labels_of(&path, file, |row: &MaskRow| Label {
+                id: &row.id,
+                split: row.split,
+                motions: vec![&row.motion_id],
+                usable: check_mask(row),
             }),
-            PairRow::TABLE => read.rows_of(&path, file, |row: &PairRow| {
-                [&row.source_id, &row.target_id]
-                    .map(|id| (row.id.clone(), id.to_string(), row.split))
-                    .to_vec()
+            PairRow::TABLE => read.labels_of(&path, file, |row: &PairRow| Label {
+                id: &row.id,
+                split: row.split,
+                motions: vec![&row.source_id, &row.target_id],
+                usable: check_pair(row),
             }),
             HumanMl3dRow::TABLE => read.rows_of(&path, file, |row: &HumanMl3dRow| {
                 vec![(row.id.to_string(), row.id.to_string(), row.split)]
@@ -305,6 +371,41 @@ impl Read {
                 motion,
                 split,
             });
+        }
+        Ok(())
+    }
+
+    /// Decodes masks or pairs: whether they can be composed, and the motions they name.
+    fn labels_of<R: Row>(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        label: impl Fn(&R) -> Label<'_>,
+    ) -> Result<(), String> {
+        for row in &self.decoded::<R>(path, file)? {
+            let Label {
+                id,
+                split,
+                motions,
+                usable,
+            } = label(row);
+            let item = format!("{id} of {}", R::TABLE);
+            if let Err(error) = usable {
+                let cause = std::error::Error::source(&error);
+                let cause = cause.map_or(String::new(), |cause| format!(": {cause}"));
+                self.find(Check::Contents, &item, format!("{error}{cause}"));
+            }
+            if file.split != Some(split) {
+                let problem = format!("says {split} and lies in {}", file.path);
+                self.find(Check::Splits, &item, problem);
+            }
+            self.labels.push((R::TABLE, id.to_owned(), split));
+            self.named.extend(motions.into_iter().map(|motion| Named {
+                table: R::TABLE,
+                row: id.to_owned(),
+                motion: motion.to_string(),
+                split,
+            }));
         }
         Ok(())
     }
@@ -355,6 +456,7 @@ impl Read {
                 self.find(Check::Splits, id, problem);
             }
             self.motions.push(Met {
+                fps: row.fps,
                 split: row.split,
                 mirrored_of: row.mirrored_of,
                 content_hash: row.content_hash,

@@ -140,6 +140,14 @@ pub trait SegmentSource: Sync {
     /// Numbers of a window: its frames times 84.
     fn window_len(&self) -> usize;
 
+    /// Whether windows can be drawn.
+    ///
+    /// # Errors
+    /// There are not two motions to compose a window of.
+    fn check(&self) -> Result<(), Error> {
+        Ok(())
+    }
+
     /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
     fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch);
 }
@@ -151,6 +159,10 @@ impl SegmentSource for Stream {
 
     fn window_len(&self) -> usize {
         Stream::window_len(self)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        Ok(self.check_coordinator()?)
     }
 
     fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch) {
@@ -201,6 +213,7 @@ pub fn train_coordinator(
 ) -> Result<TrainReport, Error> {
     config.check()?;
     for source in [segments.train, segments.val] {
+        source.check()?;
         if source.window_len() != config.window * FRAME_WIDTH {
             return Err(Error::Config {
                 field: "window",

@@ -14,6 +14,9 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
+    /// The motions to train on do not give what the model learns from.
+    #[error(transparent)]
+    Compose(#[from] pipeline::compose::Error),
     /// Recorded windows cannot be read.
     #[error("recorded windows cannot be read")]
     Windows(#[from] pipeline::Error),

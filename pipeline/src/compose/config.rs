@@ -28,6 +28,9 @@ pub struct ComposeConfig {
     /// each item: training without MotionCutMix. Partners are then composed by the rule of SINC:
     /// whole parts, none of them soft, from the middle of the longer motion.
     pub fixed_pairs: bool,
+    /// Which motions partners are drawn from.
+    #[serde(skip_serializing_if = "BaseFilter::is_all")]
+    pub base: BaseFilter,
     /// Kinds of edits that are composed, of those there is data for.
     pub kinds: Vec<EditKind>,
     /// Probability that a pair is shown as it is, without a donor under both of its motions.
@@ -58,6 +61,7 @@ impl Default for ComposeConfig {
             mcm_ratio: 1.0,
             annotated_ratio: 1.0,
             fixed_pairs: false,
+            base: BaseFilter::default(),
             kinds: EditKind::ALL.to_vec(),
             plain_pairs: 0.0,
             alignment: Alignment::None,
@@ -72,6 +76,27 @@ impl Default for ComposeConfig {
             },
             anchor: Anchor::Pelvis,
         }
+    }
+}
+
+/// Which motions of a split are the motion base. The default takes all; it is left out of the
+/// recipe, whose hash is thus that of older versions.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BaseFilter {
+    /// Kinds of source, such as `humanml3d` (column `source` of motions); all if empty.
+    pub sources: Vec<String>,
+}
+
+impl BaseFilter {
+    /// Whether every motion is of the base.
+    pub fn is_all(&self) -> bool {
+        self.sources.is_empty()
+    }
+
+    /// Whether motions of this kind of source are of the base.
+    pub(super) fn takes(&self, source: &str) -> bool {
+        self.is_all() || self.sources.iter().any(|name| name == source)
     }
 }
 
@@ -332,15 +357,61 @@ mod tests {
 
     #[test]
     fn every_setting_changes_the_recipe() {
+        let changes: [fn(&mut ComposeConfig); 15] = [
+            |c| c.mcm_ratio = 0.5,
+            |c| c.annotated_ratio = 0.5,
+            |c| c.fixed_pairs = true,
+            |c| c.base.sources = vec!["humanml3d".to_owned()],
+            |c| c.kinds = vec![EditKind::Style],
+            |c| c.plain_pairs = 0.5,
+            |c| c.alignment = Alignment::TimeWarp,
+            |c| c.slerp = SlerpRule::Official,
+            |c| c.range = RangeRule::Scalar,
+            |c| c.phrases.of_parts.push("{part}: {instruction}".to_owned()),
+            |c| {
+                let said = ("a".to_owned(), vec!["b".to_owned()]);
+                c.phrases.paraphrases.extend([said]);
+            },
+            |c| c.window = 20,
+            |c| c.fps = Fps::STORE,
+            |c| {
+                c.alpha = AlphaDistribution::Uniform {
+                    low: 0.5,
+                    high: 1.0,
+                }
+            },
+            |c| c.anchor = Anchor::Translation,
+        ];
         let default = ComposeConfig::default();
-        let changed = ComposeConfig {
-            fixed_pairs: true,
-            ..default.clone()
-        };
-        assert_eq!(
-            default.recipe_hash(),
-            ComposeConfig::default().recipe_hash()
-        );
-        assert_ne!(default.recipe_hash(), changed.recipe_hash());
+        // Every setting is changed by one of these: a new one must be added.
+        let ComposeConfig {
+            mcm_ratio: _,
+            annotated_ratio: _,
+            fixed_pairs: _,
+            base: BaseFilter { sources: _ },
+            kinds: _,
+            plain_pairs: _,
+            alignment: _,
+            slerp: _,
+            range: _,
+            phrases:
+                Phrases {
+                    of_parts: _,
+                    paraphrases: _,
+                },
+            window: _,
+            fps: _,
+            alpha: _,
+            anchor: _,
+        } = &default;
+        let mut hashes = vec![default.recipe_hash()];
+        for change in changes {
+            let mut changed = default.clone();
+            change(&mut changed);
+            hashes.push(changed.recipe_hash());
+        }
+        hashes.sort_unstable();
+        hashes.dedup();
+        assert_eq!(hashes.len(), 1 + changes.len(), "two recipes share a hash");
     }
 }

@@ -5,9 +5,9 @@ use datasets_spec::BodyPart;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use super::Stream;
 use super::stream::item_rng;
 use super::window::BlendPlan;
+use super::{Error, Stream};
 
 /// Windows and whether they were composed. The buffers are reused from call to call.
 ///
@@ -22,12 +22,31 @@ pub struct CoordinatorBatch {
 }
 
 impl Stream {
+    /// Whether segments for the coordinator can be drawn.
+    ///
+    /// # Errors
+    /// The base is empty, or holds one motion alone and its copies, of which nothing can be composed.
+    pub fn check_coordinator(&self) -> Result<(), Error> {
+        let first = self.base.first();
+        let has_other = |first: &usize| {
+            let mut clips = self.base.iter();
+            clips.any(|&clip| self.library.may_pair(clip, *first))
+        };
+        if first.is_some_and(has_other) {
+            return Ok(());
+        }
+        Err(Error::SingleOrigin {
+            split: self.library.split(),
+            clip: first.map(|&clip| self.library.clips[clip].id.source_clip().to_owned()),
+        })
+    }
+
     /// Draws windows for the coordinator: every item of even number is a segment of the motion base
     /// as it is, every odd one puts a part of one segment on another, of which neither is a copy of
     /// the other. All draws derive from seed, epoch and item.
     ///
     /// # Panics
-    /// If the base holds one motion alone and its copies, of which nothing can be composed.
+    /// If [`Stream::check_coordinator`] fails.
     ///
     /// # Source
     /// Paper Sec. 4.4: half of the data are unmodified segments, half composed from different ones.
@@ -42,9 +61,7 @@ impl Stream {
         batch.windows.resize(num_items * window, 0.0);
         batch.composed.resize(num_items, 0.0);
         assert!(
-            self.base
-                .iter()
-                .any(|&clip| self.library.may_pair(clip, self.base[0])),
+            self.check_coordinator().is_ok(),
             "a segment can only be composed from two motions"
         );
         let seed = self.epoch_seed(epoch).derive(&["coordinator"]);

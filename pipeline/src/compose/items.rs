@@ -185,7 +185,7 @@ pub fn draw_items(
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
     let drawer = Drawer {
-        base: library.base(&compose, seed, span),
+        base: library.base(&compose, seed, span)?,
         preferred: span + (PREFERRED_WINDOWS - 1) * compose.advance(stride),
         recipe_hash: compose.recipe_hash(),
         library: &library,

@@ -22,6 +22,8 @@ pub(super) struct Clip {
     pub(super) id: MotionId,
     /// Number shared by all clips of one source: mirrored and cropped copies.
     pub(super) origin: usize,
+    /// Kind of source it came from.
+    pub(super) source: String,
     pub(super) action: Option<String>,
     pub(super) style: Option<String>,
     pub(super) motion: Motion,
@@ -127,6 +129,7 @@ impl Library {
             let clip = Clip {
                 id: row.id.clone(),
                 origin: 0,
+                source: row.source.clone(),
                 action: row.action.clone(),
                 style: row.style.clone(),
                 motion,
@@ -309,6 +312,38 @@ fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
             })
     };
     let (source, target) = (find(&row.source_id)?, find(&row.target_id)?);
+    let (kind, instruction, parts) = meaning_of_pair(row)?;
+    Ok(Pair {
+        id: row.id.clone(),
+        kind,
+        captured: source,
+        source,
+        target,
+        halves: halves_of(&parts),
+        parts: row.parts.clone(),
+        is_motionfix: row.source == ItemTask::MotionFix.as_str(),
+        instruction,
+    })
+}
+
+/// Checks what a row says of its pair, apart from the motions it names.
+///
+/// # Errors
+/// The kind is unknown, there are no words, or a part does not exist.
+pub(crate) fn check_pair(row: &PairRow) -> Result<(), Error> {
+    meaning_of_pair(row).map(|_| ())
+}
+
+/// Checks what a row says of its mask, apart from the motion it names.
+///
+/// # Errors
+/// A joint is unknown or twice in the mask, the mask is empty, or there are no words.
+pub(crate) fn check_mask(row: &MaskRow) -> Result<(), Error> {
+    blend_of_mask(row).map(|_| ())
+}
+
+/// The kind of a pair, its instruction and the parts it is said to change.
+fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
     let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
         pair: row.id.clone(),
         found: row.kind.clone(),
@@ -323,7 +358,7 @@ fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
         }
         (text, _) => text.to_owned(),
     };
-    let parts: Vec<BodyPart> = row
+    let parts = row
         .parts
         .iter()
         .map(|name| name.parse())
@@ -332,17 +367,7 @@ fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
             pair: row.id.clone(),
             source,
         })?;
-    Ok(Pair {
-        id: row.id.clone(),
-        kind,
-        captured: source,
-        source,
-        target,
-        halves: halves_of(&parts),
-        parts: row.parts.clone(),
-        is_motionfix: row.source == ItemTask::MotionFix.as_str(),
-        instruction,
-    })
+    Ok((kind, instruction, parts))
 }
 
 /// The halves of the body that a pair may be edited in: those its parts belong to, both if it names
@@ -364,10 +389,6 @@ fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
 }
 
 fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
-    let unusable = |source| Error::Mask {
-        mask: row.id.clone(),
-        source,
-    };
     let clip = clips
         .binary_search_by(|clip| clip.id.cmp(&row.motion_id))
         .map_err(|_| Error::UnknownMotion {
@@ -375,6 +396,21 @@ fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
             row: row.id.clone(),
             motion: row.motion_id.clone(),
         })?;
+    Ok(Annotation {
+        id: row.id.clone(),
+        clip,
+        mask: blend_of_mask(row)?,
+        parts: row.parts.clone(),
+        instruction: row.text.clone(),
+    })
+}
+
+/// The mask of a row that also has words.
+fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
+    let unusable = |source| Error::Mask {
+        mask: row.id.clone(),
+        source,
+    };
     let hard = JointSet::try_from(row.hard_joints.clone()).map_err(unusable)?;
     let soft = JointSet::try_from(row.soft_joints.clone()).map_err(unusable)?;
     let mask = BlendMask::new(hard, soft).map_err(unusable)?;
@@ -389,11 +425,5 @@ fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
             row: row.id.clone(),
         });
     }
-    Ok(Annotation {
-        id: row.id.clone(),
-        clip,
-        mask,
-        parts: row.parts.clone(),
-        instruction: row.text.clone(),
-    })
+    Ok(mask)
 }

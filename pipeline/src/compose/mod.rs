@@ -27,12 +27,14 @@ mod window;
 
 pub use blend::{blend_motion, blend_pose};
 pub use config::{
-    Alignment, AlphaDistribution, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule, SlerpRule,
+    Alignment, AlphaDistribution, BaseFilter, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule,
+    SlerpRule,
 };
 pub use coordinator::CoordinatorBatch;
 pub use instruction::{Phrases, action_phrase, instruction, style_instruction};
 pub use items::{ItemConfig, ItemCount, ItemTask, draw_items};
 pub use library::Library;
+pub(crate) use library::{check_mask, check_pair};
 pub use loader::{ReadOrder, WindowLoader};
 pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
@@ -193,11 +195,39 @@ pub enum Error {
     },
     /// A motion has nothing to be blended with.
     #[error(
-        "motion {motion} has no partner: no other clip drawn from its split is long enough; add motions or raise mcm_ratio"
+        "motion {motion} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
     )]
     NoPartner {
         /// The motion.
         motion: MotionId,
+    },
+    /// The motion base is empty, because no motion is of the sources it is limited to.
+    #[error(
+        "split {split} has no motion of the sources that base.sources names ({}); it has motions of {}: correct the setting or ingest such motions",
+        wanted.join(", "),
+        found.join(", ")
+    )]
+    BaseSources {
+        /// The split.
+        split: Split,
+        /// The kinds of source asked for.
+        wanted: Vec<String>,
+        /// The kinds of source there are.
+        found: Vec<String>,
+    },
+    /// The motion base has one origin, so that no two of its segments can be combined.
+    #[error(
+        "the coordinator learns from segments of two different clips, and the motion base of split {split} has {} long enough; add motions, raise mcm_ratio or widen base.sources",
+        match clip {
+            Some(clip) => format!("only {clip} and its copies"),
+            None => "no clip".to_owned(),
+        }
+    )]
+    SingleOrigin {
+        /// The split.
+        split: Split,
+        /// The clip all motions of the base are made of; none if the base is empty.
+        clip: Option<String>,
     },
     /// Statistics were asked of another split than train.
     #[error("statistics are fitted on split train alone, the library holds split {split}")]

@@ -1,5 +1,6 @@
 //! The stream of training windows.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
@@ -9,7 +10,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 
 use super::draw::{Crop, Shuffle, subset};
-use super::library::Pair;
+use super::library::{Clip, Pair};
 use super::sinc::whole_parts;
 use super::window::{BlendPlan, Composer, Frame, Thinned};
 use super::{ComposeConfig, EditKind, Error, Library};
@@ -144,7 +145,7 @@ impl Stream {
         let library = library.aligned(config.alignment);
         let stride = config.stride(library.fps())?;
         let (span, advance) = (config.span(stride), config.advance(stride));
-        let base = library.base(&config, seed, span);
+        let base = library.base(&config, seed, span)?;
 
         let mut targets = Vec::new();
         let mut first_items = Vec::new();
@@ -528,18 +529,34 @@ impl Target {
 
 impl Library {
     /// The clips partners are drawn from.
-    pub(super) fn base(&self, config: &ComposeConfig, seed: Seed, span: usize) -> Vec<usize> {
+    ///
+    /// # Errors
+    /// The base is limited to kinds of source that no motion is of.
+    pub(super) fn base(
+        &self,
+        config: &ComposeConfig,
+        seed: Seed,
+        span: usize,
+    ) -> Result<Vec<usize>, Error> {
+        let is_of_base = |clip: &Clip| clip.in_base && config.base.takes(&clip.source);
+        if !self.clips.is_empty() && !self.clips.iter().any(is_of_base) {
+            let found: BTreeSet<&String> = self.clips.iter().map(|clip| &clip.source).collect();
+            return Err(Error::BaseSources {
+                split: self.split(),
+                wanted: config.base.sources.clone(),
+                found: found.into_iter().cloned().collect(),
+            });
+        }
         let candidates: Vec<usize> = (0..self.clips.len())
-            .filter(|&clip| self.clips[clip].in_base && self.clips[clip].motion.len() >= span)
+            .filter(|&clip| is_of_base(&self.clips[clip]))
+            .filter(|&clip| self.clips[clip].motion.len() >= span)
             .collect();
         let ids: Vec<&str> = candidates
             .iter()
             .map(|&clip| self.clips[clip].id.as_str())
             .collect();
-        subset(config.mcm_ratio, seed, "motion base", &ids)
-            .into_iter()
-            .map(|place| candidates[place])
-            .collect()
+        let kept = subset(config.mcm_ratio, seed, "motion base", &ids);
+        Ok(kept.into_iter().map(|place| candidates[place]).collect())
     }
 
     /// The annotations and pairs in use, those that are as long as a window.
@@ -751,7 +768,7 @@ mod tests {
     use datasets_spec::{BodyPart, Split};
 
     use super::*;
-    use crate::compose::fixture;
+    use crate::compose::{BaseFilter, fixture};
 
     const CLIPS: usize = 9;
 
@@ -917,6 +934,43 @@ mod tests {
         partners.sort_unstable();
         partners.dedup();
         assert_eq!(partners.len(), 3, "0.3 of {CLIPS} clips, rounded up");
+    }
+
+    #[test]
+    fn the_base_can_be_limited_to_kinds_of_source() {
+        let (mut motions, masks) = fixture::rows(Split::Train, CLIPS);
+        for (number, row) in motions.iter_mut().enumerate() {
+            row.source = ["humanml3d", "bvh", "amass"][number % 3].to_owned();
+        }
+        let skeleton = datasets_spec::Skeleton::smplx_neutral();
+        let stream = |sources: &[&str], mcm_ratio| {
+            let library =
+                Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect("valid");
+            let config = ComposeConfig {
+                base: BaseFilter {
+                    sources: sources.iter().map(|&name| name.to_owned()).collect(),
+                },
+                mcm_ratio,
+                ..ComposeConfig::default()
+            };
+            stream_of(library, config, 5)
+        };
+        let limited = stream(&["humanml3d", "nothing"], 1.0).expect("three clips");
+        for epoch in 0..10 {
+            for item in 0..limited.epoch_len() {
+                let partner = limited.pairing(epoch, item).partner.expect("semantic");
+                assert_eq!(limited.library.clips[partner].source, "humanml3d");
+            }
+        }
+        assert_eq!(
+            limited.epoch_len(),
+            stream(&[], 1.0).expect("all clips").epoch_len(),
+            "targets are of any source"
+        );
+        assert!(matches!(
+            stream(&["nothing"], 1.0),
+            Err(Error::BaseSources { found, .. }) if found == ["amass", "bvh", "humanml3d"]
+        ));
     }
 
     fn pair_stream(config: ComposeConfig, same_motion: bool) -> Stream {
