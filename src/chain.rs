@@ -15,7 +15,7 @@ use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
     EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
 };
-use datasets_spec::table::Row;
+use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{
     Dataset, Fps, Motion, MotionId, Progress, Resample, Seed, Skeleton, Split, Transaction,
 };
@@ -27,13 +27,14 @@ use eval::metric::retrieval::unit_rows;
 use eval::protocol::Protocol;
 use eval::score::{Instruments, MotionEncoder, MotionJudge};
 use eval::times::WindowTimes;
+use pipeline::catalogue::other_than_motions;
 use pipeline::compose::{
     ComposeConfig, EditKind, ItemConfig, ItemCount, Library, ReadOrder, Stream, WindowLoader,
     draw_items,
 };
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use pipeline::masks::{MaskConfig, automatic_masks};
-use pipeline::pairs::{PairConfig, style_pairs};
+use pipeline::pairs::{PairConfig, PairList, RefusedLine, is_from_labels, style_pairs};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -128,7 +129,7 @@ pub(crate) fn masks(
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<Dataset> {
-    let dataset = Dataset::open(root)?;
+    let dataset = open_motions(root)?;
     let plan_hash = plan("masks", &(plan_of(&dataset, MotionRow::TABLE), config))?;
     if plan_of(&dataset, MaskRow::TABLE) == plan_hash {
         return Ok(dataset);
@@ -211,6 +212,10 @@ pub(crate) fn ingested(
     let done = ingest(sources, root, &options, &global.holder(), progress)?;
     if done.accounting.quarantined > 0 && !global.json {
         report::note(&ingest_cmd::summary(&done));
+    } else {
+        for remark in &done.remarks {
+            report::note(&format!("note: {remark}"));
+        }
     }
     Ok(done)
 }
@@ -223,9 +228,9 @@ pub(crate) fn pairs(
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<(Dataset, Vec<MotionId>)> {
-    let dataset = Dataset::open(root)?;
+    let dataset = open_motions(root)?;
     let inputs = (plan_of(&dataset, MotionRow::TABLE), config, global.seed());
-    let plan_hash = plan("pairs", &inputs)?;
+    let plan_hash = plan(pipeline::pairs::SOURCE, &inputs)?;
     let motions: Vec<MotionRow> = dataset.read(None)?;
     let made = style_pairs(&motions, config, global.seed());
     if plan_of(&dataset, PairRow::TABLE) == plan_hash {
@@ -233,7 +238,7 @@ pub(crate) fn pairs(
     }
     progress.begin("pairs", None);
     let mut rows: Vec<PairRow> = dataset.read(None)?;
-    rows.retain(|row| row.source != pipeline::pairs::SOURCE);
+    rows.retain(|row| !is_from_labels(row));
     rows.extend(made.rows);
     progress.finish(&format!("{} pairs", rows.len()));
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
@@ -251,13 +256,68 @@ pub(crate) fn pairs(
     Ok((dataset, made.alone))
 }
 
+/// Adds the style pairs of a list to those of a dataset, in place of earlier ones of a list with the
+/// same motions. Also gives the lines that no pair was made of.
+pub(crate) fn listed_pairs(
+    root: &Path,
+    file: &Path,
+    global: &Global,
+) -> anyhow::Result<(Dataset, Vec<RefusedLine>)> {
+    let list = PairList::read(file)?;
+    let dataset = open_motions(root)?;
+    let mut motions = BTreeMap::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let rows = read_rows::<MotionRow>(&path)?.into_iter();
+        motions.extend(rows.map(|row| (row.id, row.split)));
+    }
+    let mut before: Vec<PairRow> = dataset.read(None)?;
+    before.sort_by(|a, b| a.id.cmp(&b.id));
+    let (listed, known): (Vec<PairRow>, Vec<PairRow>) = before
+        .iter()
+        .cloned()
+        .partition(|row| row.source == pipeline::pairs::LISTED);
+    let made = list.pairs(&motions, &known);
+    let mut rows: BTreeMap<String, PairRow> = listed
+        .into_iter()
+        .chain(known)
+        .map(|row| (row.id.clone(), row))
+        .collect();
+    rows.extend(made.rows.into_iter().map(|row| (row.id.clone(), row)));
+    let rows: Vec<PairRow> = rows.into_values().collect();
+    if rows == before {
+        return Ok((dataset, made.refused));
+    }
+    let inputs = (plan_of(&dataset, PairRow::TABLE), &list.hash());
+    let dataset = commit_rows(
+        root,
+        &rows,
+        Some(|row: &PairRow| row.split),
+        &skeleton_of(&dataset)?,
+        &plan(pipeline::pairs::LISTED, &inputs)?,
+        &global.holder(),
+    )?;
+    Ok((dataset, made.refused))
+}
+
+/// Opens a dataset for a verb that works on motions. A folder of something else is refused with
+/// what it is and which verb takes it.
+pub(crate) fn open_motions(root: &Path) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open(root)?;
+    if let Some(other) = other_than_motions(&dataset) {
+        bail!("{} is {other}", root.display());
+    }
+    Ok(dataset)
+}
+
 /// The motions, masks and pairs of one split.
 pub(crate) fn library(dataset: &Dataset, split: Split) -> anyhow::Result<Arc<Library>> {
     let masks: Vec<MaskRow> = dataset.read(Some(split))?;
     let pairs: Vec<PairRow> = dataset.read(Some(split))?;
     if masks.is_empty() && pairs.is_empty() {
         bail!(
-            "{} has neither masks nor pairs in split {split}; run: stance masks {}",
+            "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \
+             `stance pairs {}` for styles",
+            dataset.root().display(),
             dataset.root().display(),
             dataset.root().display()
         );

@@ -3,7 +3,7 @@
 use std::fs::File;
 
 use datasets_spec::Dataset;
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow, TripletRow, WindowRow};
 use datasets_spec::table::Row;
 use polars::prelude::*;
 use serde::Serialize;
@@ -130,4 +130,38 @@ impl FillEmpty for Series {
             .collect();
         Ok(filled.into_series())
     }
+}
+/// What a folder holds in place of motions, and which verbs take it; none if it holds motions.
+pub fn other_than_motions(dataset: &Dataset) -> Option<&'static str> {
+    let has = |table: &str| dataset.manifest().rows(table, None) > 0;
+    if has(MotionRow::TABLE) {
+        return None;
+    }
+    // A folder of edits holds a copy of its items.
+    let kinds = [
+        (
+            EditRow::TABLE,
+            "a folder of edits, the answers of systems to items; `stance eval --edits` scores it and \
+             `stance report` shows it",
+        ),
+        (
+            ItemRow::TABLE,
+            "a folder of items, the test questions; `stance edit RUN --items` answers it and \
+             `stance eval --items` scores the real data on it",
+        ),
+        (
+            TripletRow::TABLE,
+            "a folder of recorded triplets; `stance inspect` tells what it holds",
+        ),
+        (
+            WindowRow::TABLE,
+            "a folder of recorded windows; `stance train motionrefit DATASET --windows` takes it",
+        ),
+        (
+            ScoreRow::TABLE,
+            "a folder of scores; `stance inspect` tells what it holds",
+        ),
+    ];
+    let found = kinds.into_iter().find(|(table, _)| has(table));
+    Some(found.map_or("a dataset without motions", |(_, what)| what))
 }

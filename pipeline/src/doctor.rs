@@ -6,19 +6,20 @@ use std::fmt;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Fps;
 use datasets_spec::motion::BODY_POSE_WIDTH;
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use datasets_spec::{Dataset, Fps};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::catalogue::other_than_motions;
 use crate::ingest::{list_files, read_head};
 use crate::source::amass::{self, Variant};
 use crate::source::amass_catalogue::{Recording, Subset};
 use crate::source::humanml3d::{self, IndexRow, Layout};
-use crate::source::{Files, Format, Recognised, humanml3d_amass, is_pointer, recognise};
+use crate::source::{Files, Format, Recognised, humanml3d_amass, is_pointer, motionfix, recognise};
 
 /// AMASS files of a subset that are looked into. A subset comes from one archive, so a few tell of
 /// all; they also tell how long its recordings are for their size.
@@ -71,6 +72,8 @@ pub struct Findings {
     pub stance: Vec<ReleaseFindings>,
     /// Folders of the MotionFix release.
     pub motionfix: Vec<ReleaseFindings>,
+    /// What the source is, if it is a dataset of this program.
+    pub dataset: Option<String>,
     /// What an ingest will come to.
     pub estimate: Estimate,
 }
@@ -327,6 +330,14 @@ fn find(source: &Path, files: &Files, looked: &[Looked]) -> Findings {
         amass,
         stance,
         motionfix,
+        dataset: Dataset::open_unverified(source).ok().map(|dataset| {
+            match other_than_motions(&dataset) {
+                Some(other) => other.to_owned(),
+                None => {
+                    "a dataset that `stance ingest` has made; `stance stats` counts it".to_owned()
+                }
+            }
+        }),
         estimate,
     }
 }
@@ -430,7 +441,7 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
     for file in rest.iter().filter(|file| !file.is_pointer) {
         let format = match file.kind {
             _ if is_stance(&file.relative) => Format::Stance,
-            _ if is_motionfix(&file.relative) => Format::MotionFix,
+            _ if motionfix::is_dump(&file.relative) => Format::MotionFix,
             Recognised::Motion(Format::Amass) | Recognised::NotMotion { .. } => continue,
             Recognised::Motion(format) => format,
         };
@@ -532,11 +543,6 @@ fn is_stance(relative: &str) -> bool {
             .any(|(folder, _)| root_before(relative, folder).is_some())
 }
 
-fn is_motionfix(relative: &str) -> bool {
-    let name = relative.rsplit('/').next().unwrap_or(relative);
-    MOTIONFIX_PARTS[..3].iter().any(|(part, _)| *part == name)
-}
-
 /// The path before a part, if the file is the part or lies in it.
 fn root_before<'a>(relative: &'a str, part: &str) -> Option<&'a str> {
     let starts = relative.match_indices(part).map(|(at, _)| at);
@@ -571,7 +577,7 @@ fn stance_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
 fn motionfix_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
     let roots: BTreeSet<&str> = rest
         .iter()
-        .filter(|file| is_motionfix(&file.relative))
+        .filter(|file| motionfix::is_dump(&file.relative))
         .map(|file| {
             let slash = file.relative.rfind('/');
             &file.relative[..slash.map_or(0, |slash| slash + 1)]
@@ -668,6 +674,25 @@ fn advise(findings: &[Findings], index: Option<&IndexFindings>, asked: bool) -> 
     let mut advice = Vec::new();
     for source in findings {
         let path = source.path.display();
+        if let Some(dataset) = &source.dataset {
+            advice.push(format!("{path} is {dataset}"));
+        }
+        for release in &source.motionfix {
+            let has_list = release
+                .parts
+                .iter()
+                .any(|part| part.name == motionfix::SPLITS && part.files > 0);
+            if !has_list {
+                advice.push(format!(
+                    "{path}/{}: the MotionFix dump comes without {}, so the name of the dump decides the \
+                     splits; repackagings have put test pairs into training: fetch {} of the release and \
+                     put it beside the dump",
+                    release.root,
+                    motionfix::SPLITS,
+                    motionfix::SPLITS
+                ));
+            }
+        }
         if source.lfs_pointers > 0 {
             advice.push(format!(
                 "{} files of {path} are Git LFS pointers: run `git lfs pull` there",
@@ -681,7 +706,7 @@ fn advise(findings: &[Findings], index: Option<&IndexFindings>, asked: bool) -> 
             let missing: Vec<&str> = release
                 .parts
                 .iter()
-                .filter(|part| part.files == 0)
+                .filter(|part| part.files == 0 && part.name != motionfix::SPLITS)
                 .map(|part| part.name.as_str())
                 .collect();
             if !missing.is_empty() {

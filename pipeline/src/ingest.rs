@@ -25,9 +25,10 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::check::{FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, Teleports, check_with};
 use crate::feature::{humanml3d, smpl_body};
+use crate::pairs::{ListedPairs, PairList, RefusedLine, names_of, originals, style_group};
 use crate::source::{
     EditOf, Entry, Files, Format, Markers, Outcome, ReadOptions, Recognised, Rejected, Release,
-    SourceClip, SourceMask, find_releases, keys_in, read_clip, recognise, refuse_pointer,
+    SourceClip, SourceMask, find_releases, keys_in, labels, read_clip, recognise, refuse_pointer,
 };
 
 /// Version of the rules by which files become rows. It is part of every plan, so a dataset made by
@@ -44,6 +45,13 @@ const FIT_ERROR_LIMIT_M: f32 = 0.05;
 /// Bytes looked at to recognise a file.
 const HEAD_BYTES: usize = 512;
 
+/// Fact of a manifest: the seed its splits were drawn with.
+const SEED_FACT: &str = "seed";
+/// Fact of a manifest: what a reader should know about its splits.
+pub const REMARKS_FACT: &str = "remarks";
+/// Fact of a manifest: lines of the list of pairs that gave none, as JSON.
+const REFUSED_PAIRS_FACT: &str = "refused_pairs";
+
 /// How files become rows.
 #[derive(Clone, Debug)]
 pub struct IngestOptions {
@@ -53,8 +61,11 @@ pub struct IngestOptions {
     pub resample: Resample,
     /// Accept this format only; files of other formats are skipped.
     pub format: Option<Format>,
-    /// Seed of the split.
+    /// Seed of the splits, where a dataset is made; one that is there keeps the seed it was made
+    /// with.
     pub seed: Seed,
+    /// A list of style pairs, by whose lines a styled clip gets the split of its original.
+    pub pairs: Option<PairList>,
     /// Licence tag for clips whose source declares none.
     pub license: Option<String>,
     /// How files are read: the skeleton the motions are posed on, and joint maps of the user.
@@ -76,6 +87,7 @@ impl Default for IngestOptions {
             resample: Resample::Exact,
             format: None,
             seed: Seed(0),
+            pairs: None,
             license: None,
             read: ReadOptions::default(),
             humanml3d_index: None,
@@ -97,6 +109,11 @@ pub struct IngestReport {
     pub files: u64,
     /// Pairs that were dropped because one of their motions is not in the dataset.
     pub dropped_pairs: u64,
+    /// Lines of the list of pairs that no pair was made of.
+    pub refused_pairs: Vec<RefusedLine>,
+    /// What is worth knowing about the splits; what concerns the dataset rather than this run is
+    /// recorded as [`REMARKS_FACT`].
+    pub remarks: Vec<String>,
     /// The rejected sources.
     pub quarantine: Vec<QuarantineRow>,
     /// Skipped sources by reason.
@@ -205,7 +222,9 @@ pub fn ingest_in(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
+    let (seed, kept_seed) = split_seed(&transaction, options.seed);
     let options = &IngestOptions {
+        seed,
         read: ReadOptions {
             // The published stride rule counts the file's own frames.
             rate: options.fps.filter(|_| options.resample == Resample::Exact),
@@ -222,7 +241,7 @@ pub fn ingest_in(
         Some(recorded) if recorded == plan_hash && !plan.may_read_more_now(&transaction) => {
             let out = transaction.root().to_owned();
             transaction.finish()?;
-            return already_complete(&out, &plan);
+            return already_complete(&out, &plan, kept_seed);
         }
         Some(recorded) if recorded != plan_hash && !options.new_version => {
             return Err(Error::Spec(datasets_spec::Error::OtherPlan {
@@ -266,7 +285,10 @@ pub fn ingest_in(
         "{} sources: {} ingested, {} quarantined, {} skipped",
         accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
     ));
-    let (pairs, dropped_pairs) = tally.pairs(&shards);
+    let (mut pairs, dropped_pairs) = tally.pairs(&shards);
+    let listed = tally.listed_pairs(&shards, options.pairs.as_ref(), &pairs);
+    pairs.extend(listed.rows);
+    pairs.sort_by(|a, b| a.id.cmp(&b.id));
     let masks = tally.masks(&shards);
     let quarantine = write_table(&transaction, None, &tally.quarantine, &facts)?;
     let mut tables = tally.tables;
@@ -289,18 +311,26 @@ pub fn ingest_in(
         )?;
         tables.insert(MaskRow::TABLE.to_owned(), files);
     }
+    let mut recorded = BTreeMap::from([
+        (SEED_FACT.to_owned(), options.seed.0.to_string()),
+        ("fps".to_owned(), rate_name(options)),
+        ("files".to_owned(), plan.files.len().to_string()),
+        ("dropped_pairs".to_owned(), dropped_pairs.to_string()),
+        ("skipped".to_owned(), describe(&tally.skipped)),
+    ]);
+    if !plan.remarks.is_empty() {
+        recorded.insert(REMARKS_FACT.to_owned(), plan.remarks.join("; "));
+    }
+    if !listed.refused.is_empty() {
+        let lines = serde_json::to_string(&listed.refused).expect("numbers and texts serialise");
+        recorded.insert(REFUSED_PAIRS_FACT.to_owned(), lines);
+    }
     let dataset = transaction.commit(Commit {
         tables,
         plan_hash,
         skeleton: options.read.skeleton.clone(),
         accounting: Some(accounting.clone()),
-        facts: BTreeMap::from([
-            ("seed".to_owned(), options.seed.0.to_string()),
-            ("fps".to_owned(), rate_name(options)),
-            ("files".to_owned(), plan.files.len().to_string()),
-            ("dropped_pairs".to_owned(), dropped_pairs.to_string()),
-            ("skipped".to_owned(), describe(&tally.skipped)),
-        ]),
+        facts: recorded,
         fresh: true,
     })?;
     Ok(IngestReport {
@@ -308,6 +338,8 @@ pub fn ingest_in(
         accounting,
         files: plan.files.len() as u64,
         dropped_pairs,
+        refused_pairs: listed.refused,
+        remarks: plan.remarks.into_iter().chain(kept_seed).collect(),
         quarantine: tally.quarantine,
         skipped: tally.skipped,
         resumed_shards: tally.resumed_shards,
@@ -315,10 +347,20 @@ pub fn ingest_in(
     })
 }
 
-fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, Error> {
+fn already_complete(
+    out: &Path,
+    plan: &Plan,
+    kept_seed: Option<String>,
+) -> Result<IngestReport, Error> {
     let dataset = Dataset::open(out)?;
-    let dropped = dataset.manifest().facts.get("dropped_pairs");
+    let facts = &dataset.manifest().facts;
+    let dropped = facts.get("dropped_pairs");
+    let refused = facts.get(REFUSED_PAIRS_FACT);
     Ok(IngestReport {
+        refused_pairs: refused
+            .and_then(|lines| serde_json::from_str(lines).ok())
+            .unwrap_or_default(),
+        remarks: plan.remarks.iter().cloned().chain(kept_seed).collect(),
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,
         dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
@@ -328,6 +370,27 @@ fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, Error> {
         already_complete: true,
         dataset,
     })
+}
+
+/// The seed of the splits, and a remark if it is not the one asked for: a dataset that is there
+/// keeps its own, so that no clip moves.
+fn split_seed(transaction: &Transaction, asked: Seed) -> (Seed, Option<String>) {
+    let recorded = transaction
+        .base()
+        .filter(|base| base.plans.contains_key(MotionRow::TABLE))
+        .and_then(|base| base.facts.get(SEED_FACT)?.parse().ok().map(Seed));
+    match recorded {
+        Some(seed) if seed != asked => {
+            let remark = format!(
+                "the splits were drawn with seed {} when the dataset was made and stay as they are; \
+                 ingest into a new folder to draw them with seed {}",
+                seed.0, asked.0
+            );
+            (seed, Some(remark))
+        }
+        Some(seed) => (seed, None),
+        None => (asked, None),
+    }
 }
 
 fn rate_name(options: &IngestOptions) -> String {
@@ -456,6 +519,24 @@ impl Tally {
         (rows, dropped)
     }
 
+    /// The pairs of a list whose motions are both in the dataset, beside those of the releases.
+    fn listed_pairs(
+        &self,
+        shards: &Shards,
+        list: Option<&PairList>,
+        known: &[PairRow],
+    ) -> ListedPairs {
+        let Some(list) = list else {
+            return ListedPairs::default();
+        };
+        let motions: BTreeMap<MotionId, Split> = splits_of(shards)
+            .into_iter()
+            .filter(|(id, _)| self.ingested.contains(*id))
+            .filter_map(|(id, split)| Some((MotionId::parse(id).ok()?, split)))
+            .collect();
+        list.pairs(&motions, known)
+    }
+
     fn masks(&self, shards: &Shards) -> Vec<MaskRow> {
         let splits = splits_of(shards);
         let mut rows: Vec<MaskRow> = Vec::new();
@@ -515,6 +596,8 @@ struct Plan {
     skipped: BTreeMap<String, u64>,
     /// Files that were found broken while planning.
     rejected: Vec<QuarantineRow>,
+    /// What a reader of the dataset should know about its splits.
+    remarks: Vec<String>,
 }
 
 /// A motion to be read.
@@ -525,6 +608,30 @@ struct Planned {
     release: Option<usize>,
     /// What stands before the ids of the release, so that they are not those of another.
     prefix: String,
+    /// What decides the split together with other clips; none for a clip that decides alone.
+    group: Option<String>,
+}
+
+impl Planned {
+    fn full_id(&self) -> String {
+        format!("{}{}", self.prefix, self.entry.id)
+    }
+
+    /// The source clip, under the id it has in the dataset.
+    fn clip(&self) -> String {
+        let id = self.full_id();
+        MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())
+    }
+
+    /// What decides the split where no list is published.
+    fn split_key(&self) -> String {
+        // Two releases of one clip fall into one split, whatever stands before their ids.
+        let clip = || {
+            let own_id = MotionId::parse(&self.entry.id);
+            own_id.map_or(self.entry.id.clone(), |id| id.source_clip().to_owned())
+        };
+        self.group.clone().unwrap_or_else(clip)
+    }
 }
 
 /// A motion on its way into a shard.
@@ -560,9 +667,14 @@ impl Plan {
             items: Vec::new(),
             skipped,
             rejected: Vec::new(),
+            remarks: Vec::new(),
         };
         let claimed = plan.take_releases(options);
         plan.take_single_files(&claimed, options);
+        plan.group_styles();
+        if let Some(list) = &options.pairs {
+            plan.follow_originals(list);
+        }
         Ok(plan)
     }
 
@@ -588,7 +700,9 @@ impl Plan {
                     format,
                     release: Some(index),
                     prefix: prefix.clone(),
+                    group: None,
                 }));
+                self.remarks.extend(release.remarks().iter().cloned());
             }
             for (file, reason) in release.passed_over() {
                 if !claimed.insert(file.clone()) {
@@ -651,6 +765,7 @@ impl Plan {
                     format,
                     release: None,
                     prefix: String::new(),
+                    group: None,
                 });
             }
         }
@@ -678,6 +793,52 @@ impl Plan {
                 "" => name.to_owned(),
                 key => format!("{name}#{key}"),
             };
+        }
+    }
+
+    /// Gives single files with labels of action and style the group of their original.
+    fn group_styles(&mut self) {
+        let Self { files, items, .. } = self;
+        let single = items.par_iter_mut().filter(|item| item.release.is_none());
+        single.for_each(|item| {
+            let file = &item.entry.file;
+            let folder = files.path(file).and_then(Path::parent);
+            let folder = folder.unwrap_or(Path::new("."));
+            let companions = |name: &str| files.read_beside(&folder.join(name)).ok().flatten();
+            let found = labels::action_and_style(Path::new(file), &companions);
+            item.group = found.map(|(action, style)| style_group(file, &action, &style));
+        });
+    }
+
+    /// Gives the styled clips of a list, with their copies and crops, the splits of their originals.
+    /// A published split stays as it is.
+    fn follow_originals(&mut self, list: &PairList) {
+        let clips: BTreeMap<String, String> = self
+            .items
+            .iter()
+            .map(|item| (item.full_id(), item.clip()))
+            .collect();
+        let clip_of = |name| names_of(name).find_map(|name| clips.get(name).map(String::as_str));
+        let pairs = list.clips().filter_map(|(styled, original)| {
+            let (styled, original) = (clip_of(styled)?, clip_of(original)?);
+            (styled != original).then_some((styled, original))
+        });
+        let originals = originals(pairs);
+        let wanted: BTreeSet<&str> = originals.values().copied().collect();
+        let mut deciding: BTreeMap<&str, (Option<Split>, String)> = BTreeMap::new();
+        for item in &self.items {
+            if let Some(&clip) = wanted.get(item.clip().as_str()) {
+                let key = || (None, item.split_key());
+                let (split, _) = deciding.entry(clip).or_insert_with(key);
+                *split = split.or(item.entry.split);
+            }
+        }
+        for item in &mut self.items {
+            let original = originals.get(item.clip().as_str());
+            if let Some((split, key)) = original.and_then(|original| deciding.get(original)) {
+                item.entry.split = item.entry.split.or(*split);
+                item.group = Some(key.clone());
+            }
         }
     }
 
@@ -721,6 +882,13 @@ impl Plan {
             take(&item.prefix);
             take(&item.entry.id);
             take(item.entry.split.map_or("", Split::as_str));
+            // Datasets without styles keep the plans they had before there were groups.
+            if let Some(group) = &item.group {
+                take(group);
+            }
+        }
+        if let Some(list) = &options.pairs {
+            take(list.hash());
         }
         hasher.finalize().to_hex().to_string()
     }
@@ -742,21 +910,16 @@ impl Plan {
         let mut seen = BTreeSet::new();
         for planned in &self.items {
             let entry = &planned.entry;
-            let full_id = format!("{}{}", planned.prefix, entry.id);
+            let full_id = planned.full_id();
             let id = MotionId::parse(&full_id)
                 .map_err(|error| error.to_string())
                 .and_then(|id| match seen.insert(full_id) {
                     true => Ok(id),
                     false => Err(format!("another motion has the id {id} already")),
                 });
-            // Two releases of one clip fall into one split, whatever stands before their ids.
-            let own_id = MotionId::parse(&entry.id);
-            let clip = own_id
-                .as_ref()
-                .map_or(entry.id.as_str(), MotionId::source_clip);
             let split = entry
                 .split
-                .unwrap_or_else(|| Split::assign(clip, options.seed));
+                .unwrap_or_else(|| Split::assign(&planned.split_key(), options.seed));
             by_split.entry(split).or_default().push(Item {
                 entry,
                 prefix: &planned.prefix,

@@ -1,4 +1,6 @@
-//! Pairs from labels: captures of one action in different styles.
+//! Pairs from labels, captures of one action in different styles, and pairs from a list.
+
+mod list;
 
 use std::collections::BTreeMap;
 
@@ -8,9 +10,48 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::compose::{EditKind, style_instruction};
+pub use list::{ListedPairs, PairList, RefusedLine};
+pub(crate) use list::{names_of, originals};
 
-/// Kind of source written with these pairs; the number counts versions of the rules.
-pub const SOURCE: &str = "style-labels-1";
+/// Kind of source written with pairs from labels; the number counts versions of the rules.
+pub const SOURCE: &str = "style-labels-2";
+/// What [`SOURCE`] begins with in every version of the rules.
+const SOURCE_OF_LABELS: &str = "style-labels-";
+/// Kind of source written with pairs from a [`PairList`].
+pub const LISTED: &str = "csv";
+
+/// Whether a pair was made from labels, by this or an older version of the rules.
+pub fn is_from_labels(row: &PairRow) -> bool {
+    row.source.starts_with(SOURCE_OF_LABELS)
+}
+
+/// The recording session of a capture: its folder, without folders that are named after its style.
+fn session<'a>(file: &'a str, style: &str) -> Vec<&'a str> {
+    let folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
+    let folders = folder.split('/');
+    folders
+        .filter(|name| !name.eq_ignore_ascii_case(style))
+        .collect()
+}
+
+/// The take of a capture: the last number in its file name, empty if there is none.
+fn take(file: &str) -> &str {
+    let name = file.rsplit('/').next().unwrap_or(file);
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let is_digit = |c: char| c.is_ascii_digit();
+    let upto = stem.trim_end_matches(|c| !is_digit(c));
+    &upto[upto.trim_end_matches(is_digit).len()..]
+}
+
+/// The split group of a capture with labels: captures of one session, action and take share it,
+/// whatever their style, so that a style in the test split never has its original in another.
+pub(crate) fn style_group(file: &str, action: &str, style: &str) -> String {
+    format!(
+        "captures of {action}/{} {}",
+        take(file),
+        session(file, style).join("/")
+    )
+}
 
 /// Which captures make a pair.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,51 +81,54 @@ pub struct StylePairs {
     pub alone: Vec<MotionId>,
 }
 
-/// Pairs every styled motion with neutral ones of the same action, kind of source, folder and split,
-/// drawn by the seed. Motions without a style or an action are passed over.
+/// Pairs every styled motion with neutral ones of the same action, session and split, drawn by the
+/// seed: those of the same take come first. A session is a folder, apart from folders named after
+/// the style. Motions without a style or an action are passed over.
 ///
 /// # Source
 /// Paper Sec. 3.2: a style pair is one action, performed as it is and in a style.
 pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> StylePairs {
     let is_neutral = |style: &str| config.neutral.iter().any(|n| n.eq_ignore_ascii_case(style));
-    // Captures of one folder are of one session: same body, same floor, same way to act.
-    let group = |row: &MotionRow| -> Option<(String, String, &'static str)> {
-        let folder = row
-            .source_path
-            .rsplit_once('/')
-            .map_or("", |(folder, _)| folder);
-        Some((folder.to_owned(), row.action.clone()?, row.split.as_str()))
+    // Captures of one session have the same body, the same floor, the same way to act.
+    let group = |row: &'_ MotionRow, style: &str| -> Option<(String, String, &'static str)> {
+        let session = session(&row.source_path, style).join("/");
+        Some((session, row.action.clone()?, row.split.as_str()))
     };
     let mut neutral: BTreeMap<_, Vec<&MotionRow>> = BTreeMap::new();
     for row in motions {
-        if let (Some(style), Some(group)) = (&row.style, group(row))
+        if let Some(style) = &row.style
             && is_neutral(style)
+            && let Some(group) = group(row, style)
         {
             neutral.entry(group).or_default().push(row);
         }
     }
     let mut pairs = StylePairs::default();
     for target in motions {
-        let (Some(style), Some(group)) = (&target.style, group(target)) else {
+        let Some(style) = target.style.as_ref().filter(|style| !is_neutral(style)) else {
             continue;
         };
-        if is_neutral(style) {
+        let Some(group) = group(target, style) else {
             continue;
-        }
-        let mut candidates: Vec<&MotionRow> = neutral
-            .get(&group)
-            .into_iter()
-            .flatten()
-            .copied()
-            .filter(|row| row.id.source_clip() != target.id.source_clip())
-            .collect();
-        if candidates.is_empty() {
+        };
+        let candidates = neutral.get(&group).into_iter().flatten().copied();
+        let candidates = candidates.filter(|row| row.id.source_clip() != target.id.source_clip());
+        let take_of_target = take(&target.source_path);
+        let (mut same_take, mut others): (Vec<&MotionRow>, Vec<&MotionRow>) =
+            candidates.partition(|row| take(&row.source_path) == take_of_target);
+        if same_take.is_empty() && others.is_empty() {
             pairs.alone.push(target.id.clone());
             continue;
         }
-        candidates.sort_by(|a, b| a.id.cmp(&b.id));
         let mut rng = seed.rng(&["style pair", target.id.as_str()]);
-        for number in 0..config.per_motion.min(candidates.len()) {
+        for candidates in [&mut same_take, &mut others] {
+            candidates.sort_by(|a, b| a.id.cmp(&b.id));
+        }
+        for number in 0..config.per_motion.min(same_take.len() + others.len()) {
+            let candidates = match same_take.is_empty() {
+                true => &mut others,
+                false => &mut same_take,
+            };
             let source = candidates.swap_remove(rng.random_range(0..candidates.len()));
             pairs.rows.push(PairRow {
                 id: format!("{}-{number}", target.id),
@@ -158,5 +202,62 @@ mod tests {
         motions[6].source_path = "elsewhere/walk-1.bvh".to_owned();
         motions[5].source_path = "elsewhere/walk-2.bvh".to_owned();
         assert_eq!(style_pairs(&motions, &plain, Seed(1)).rows.len(), 1);
+    }
+
+    #[test]
+    fn a_style_meets_its_own_take_whichever_folder_it_lies_in() {
+        let mut motions = Vec::new();
+        for take in 1..=4 {
+            for style in ["neutral", "Old"] {
+                let mut row = row(&format!("{take}{style}"), "walk", style, Split::Train);
+                row.source_path = format!("set/{style}/walk_{style}_{take:03}_poses.npz");
+                motions.push(row);
+            }
+        }
+        let found = style_pairs(&motions, &PairConfig::default(), Seed(1)).rows;
+        assert_eq!(found.len(), 4);
+        for pair in &found {
+            assert_eq!(
+                pair.source_id.as_str().replace("neutral", "Old"),
+                pair.target_id.as_str()
+            );
+        }
+        let many = PairConfig {
+            per_motion: 3,
+            ..PairConfig::default()
+        };
+        let found = style_pairs(&motions, &many, Seed(1)).rows;
+        assert_eq!(found.len(), 12);
+        assert_eq!(
+            found[0].source_id.as_str(),
+            "1neutral",
+            "its own take first"
+        );
+    }
+
+    #[test]
+    fn styles_of_a_take_share_a_group_and_takes_do_not() {
+        let group = |file: &str, style: &str| style_group(file, "walk", style);
+        let original = group("bn/dataset-1_walk_normal_001.bvh", "normal");
+        for (file, style, is_same) in [
+            (
+                "bn/dataset-1_walk_not-confident_001.bvh",
+                "not-confident",
+                true,
+            ),
+            ("bn/old/walk_old_001_poses.npz", "old", true),
+            ("bn/dataset-1_walk_normal_002.bvh", "normal", false),
+            ("other/dataset-1_walk_old_001.bvh", "old", false),
+        ] {
+            assert_eq!(group(file, style) == original, is_same, "{file}");
+        }
+        assert_ne!(
+            style_group("bn/a_001.bvh", "run", "old"),
+            style_group("bn/a_001.bvh", "walk", "old")
+        );
+        assert_eq!(
+            (take("a/b2/walk.bvh"), take("x_12_take03b.bvh")),
+            ("", "03")
+        );
     }
 }

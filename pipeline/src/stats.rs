@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::check::FLAG_NAMES;
+use crate::ingest::REMARKS_FACT;
 
 /// Upper ends of the classes of durations, in seconds; the last class has none.
 const DURATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 60.0];
@@ -95,6 +96,10 @@ pub struct Statistics {
     pub masks: BTreeMap<String, u64>,
     /// Pairs by kind.
     pub pairs: BTreeMap<String, u64>,
+    /// Pairs by split.
+    pub pair_splits: BTreeMap<String, u64>,
+    /// What ingestion found worth knowing about the splits.
+    pub remarks: Option<String>,
 }
 
 /// Counts a dataset, shard by shard.
@@ -102,7 +107,10 @@ pub struct Statistics {
 /// # Errors
 /// A table cannot be read.
 pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
-    let mut statistics = Statistics::default();
+    let mut statistics = Statistics {
+        remarks: dataset.manifest().facts.get(REMARKS_FACT).cloned(),
+        ..Statistics::default()
+    };
     let (mut speeds, mut skates) = (Vec::new(), Vec::new());
     let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     let mut durations = [0u64; DURATIONS.len() + 1];
@@ -141,6 +149,8 @@ pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
     for (path, _) in dataset.files(PairRow::TABLE, None) {
         for row in read_rows::<PairRow>(&path)? {
             *statistics.pairs.entry(row.kind).or_default() += 1;
+            let split = row.split.to_string();
+            *statistics.pair_splits.entry(split).or_default() += 1;
         }
     }
     Ok(statistics)
@@ -217,6 +227,9 @@ impl fmt::Display for Statistics {
             hours,
         } = self.total;
         writeln!(f, "{clips} clips, {frames} frames, {hours:.2} hours")?;
+        if let Some(remarks) = &self.remarks {
+            writeln!(f, "note: {remarks}")?;
+        }
         writeln!(
             f,
             "{} captions of {} words; {} clips without any; {} mirrored",
@@ -271,6 +284,7 @@ impl fmt::Display for Statistics {
         counts("finding", &listed(&self.flags), f)?;
         counts("mask", &listed(&self.masks), f)?;
         counts("pair", &listed(&self.pairs), f)?;
+        counts("pairs of split", &listed(&self.pair_splits), f)?;
         writeln!(
             f,
             "\n{:<24} {:>8} {:>8} {:>8} {:>8}",

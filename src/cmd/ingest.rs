@@ -8,6 +8,7 @@ use anyhow::Context;
 use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::check::Teleports;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
+use pipeline::pairs::{PairList, RefusedLine};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{Format, ReadOptions};
@@ -23,6 +24,9 @@ use crate::report;
 /// STANCE and MotionFix releases by their layout. A file that cannot be used is listed in the
 /// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
 /// continues; run again after success, it changes nothing.
+///
+/// Splits are published lists where there are any, else drawn from the source clip with `--seed`
+/// when the dataset is made. A dataset that is there keeps the seed of its splits.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to read
@@ -62,6 +66,10 @@ pub(crate) struct Args {
     /// Replace what the folder holds, as a new version of the dataset
     #[arg(long)]
     new_version: bool,
+    /// Style pairs to add: lines of styled clip, original clip, style and text. A styled clip gets the
+    /// split of its original, unless a published list says otherwise
+    #[arg(long, value_name = "CSV")]
+    pairs: Option<PathBuf>,
     /// Licence tag for clips whose source states none
     #[arg(long)]
     license: Option<String>,
@@ -171,6 +179,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         read: read_options(args)?,
         humanml3d_features: args.features.is_some(),
         seed: global.seed(),
+        pairs: args.pairs.as_deref().map(PairList::read).transpose()?,
         license: args.license.clone(),
     };
     let done = ingest(
@@ -229,7 +238,7 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
         Some(Allowance::Files(files)) => quarantined <= files,
         Some(Allowance::Percent(percent)) => quarantined as f64 <= percent / 100.0 * sources as f64,
     };
-    if allowed {
+    if allowed && done.refused_pairs.is_empty() {
         Exit::Done
     } else {
         Exit::Quarantined
@@ -251,6 +260,8 @@ struct Document<'a> {
     resumed_shards: usize,
     tables: BTreeMap<&'a str, u64>,
     dropped_pairs: u64,
+    refused_pairs: &'a [RefusedLine],
+    remarks: &'a [String],
     root_hash: &'a str,
 }
 
@@ -269,6 +280,8 @@ impl<'a> Document<'a> {
             resumed_shards: done.resumed_shards,
             tables: table_rows(done),
             dropped_pairs: done.dropped_pairs,
+            refused_pairs: &done.refused_pairs,
+            remarks: &done.remarks,
             root_hash: &done.dataset.manifest().root_hash,
         }
     }
@@ -324,6 +337,18 @@ pub(crate) fn summary(done: &IngestReport) -> String {
             "{} pairs were dropped, because one of their motions is not in the dataset\n",
             done.dropped_pairs
         );
+    }
+    if !done.refused_pairs.is_empty() {
+        text += &format!(
+            "{} lines of the pairs gave none\n",
+            done.refused_pairs.len()
+        );
+        for line in &done.refused_pairs {
+            text += &format!("  {line}\n");
+        }
+    }
+    for remark in &done.remarks {
+        text += &format!("note: {remark}\n");
     }
     text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
     text

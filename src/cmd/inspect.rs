@@ -10,6 +10,7 @@ use datasets_spec::table::{ShardDescription, describe};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
 use pipeline::check::FLAG_NAMES;
+use pipeline::ingest::REMARKS_FACT;
 use pipeline::source::{Outcome, ReadOptions, SourceClip};
 use serde::Serialize;
 
@@ -98,6 +99,9 @@ impl<'a> Document<'a> {
             "format {} manifest {} skeleton {}\nroot hash {} (every file verified)\n\n",
             self.schema_version, self.version, self.skeleton, self.root_hash
         );
+        if let Some(remarks) = self.facts.get(REMARKS_FACT) {
+            text += &format!("note: {remarks}\n\n");
+        }
         for (table, rows) in &self.tables {
             text += &format!("{table:<12} {rows:>8} rows\n");
         }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
-use pipeline::pairs::PairConfig;
+use pipeline::pairs::{PairConfig, RefusedLine};
 use serde::Serialize;
 
 use crate::chain;
@@ -14,10 +14,10 @@ use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
 
-/// Make style pairs from labels: one action, as it is and in a style.
+/// Make style pairs from labels: one action, as it is and in a style; or add pairs from a list.
 ///
-/// Every motion with a style meets one without, of the same action, folder and split. Pairs that a
-/// source came with stay beside them.
+/// Every motion with a style meets one without, of the same action, session and split, and of the
+/// same take where there is one. Pairs that a source came with stay beside them.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
@@ -25,6 +25,10 @@ pub(crate) struct Args {
     /// Style labels of motions as they are before an edit
     #[arg(long, value_name = "STYLE", num_args = 1.., default_values_t = PairConfig::default().neutral)]
     neutral: Vec<String>,
+    /// Add the pairs of this list in place of making them from labels: lines of styled clip, original
+    /// clip, style and text
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["neutral", "per_motion"])]
+    csv: Option<PathBuf>,
     /// Most pairs made of one styled motion
     #[arg(long, value_name = "N", default_value_t = PairConfig::default().per_motion)]
     per_motion: usize,
@@ -35,17 +39,30 @@ pub(crate) struct Args {
 struct Document {
     pairs: u64,
     alone: usize,
+    refused: Vec<RefusedLine>,
     splits: BTreeMap<&'static str, u64>,
     styles: BTreeMap<String, u64>,
     root_hash: String,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let config = PairConfig {
-        neutral: args.neutral.clone(),
-        per_motion: args.per_motion,
+    let (dataset, alone, refused) = match &args.csv {
+        Some(file) => {
+            let (dataset, refused) = chain::listed_pairs(&args.dataset, file, global)?;
+            (dataset, Vec::new(), refused)
+        }
+        None => {
+            let config = PairConfig {
+                neutral: args.neutral.clone(),
+                per_motion: args.per_motion,
+            };
+            let (dataset, alone) = chain::pairs(&args.dataset, &config, global, &global.bars())?;
+            (dataset, alone, Vec::new())
+        }
     };
-    let (dataset, alone) = chain::pairs(&args.dataset, &config, global, &global.bars())?;
+    for line in &refused {
+        report::note(&line.to_string());
+    }
     let manifest = dataset.manifest();
     let mut styles = BTreeMap::new();
     for pair in dataset.read::<PairRow>(None)? {
@@ -54,6 +71,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let document = Document {
         pairs: manifest.rows(PairRow::TABLE, None),
         alone: alone.len(),
+        refused,
         splits: Split::ALL
             .into_iter()
             .map(|split| (split.as_str(), manifest.rows(PairRow::TABLE, Some(split))))
@@ -64,15 +82,23 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if global.json {
         report::json(&document)?;
     } else {
-        let mut lines = vec![format!(
-            "{} pairs; {} styled motions have no counterpart in their split",
-            document.pairs, document.alone
-        )];
+        let left_out = match &args.csv {
+            Some(_) => format!("{} lines gave none", document.refused.len()),
+            None => format!(
+                "{} styled motions have no counterpart in their split",
+                document.alone
+            ),
+        };
+        let mut lines = vec![format!("{} pairs; {left_out}", document.pairs)];
         let splits = document.splits.iter();
         lines.extend(splits.map(|(split, count)| format!("  {split:<12} {count:>6}")));
         let styles = document.styles.iter();
         lines.extend(styles.map(|(style, count)| format!("  {style:<12} {count:>6}")));
         report::text(&lines.join("\n"));
     }
-    Ok(Exit::Done)
+    Ok(if document.refused.is_empty() {
+        Exit::Done
+    } else {
+        Exit::Quarantined
+    })
 }

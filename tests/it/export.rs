@@ -204,7 +204,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
 
 #[test]
 fn doctor_and_stats_count_the_corpus() {
-    let dir = corpus(6);
+    let dir = corpus(12);
     let source = dir.path().join("corpus");
     let ran = stance(&["doctor", arg(&source)]).expect_code(0);
     assert!(
@@ -215,7 +215,7 @@ fn doctor_and_stats_count_the_corpus() {
     ingested(dir.path(), "corpus", "dataset");
     let dataset = dir.path().join("dataset");
     let ran = stance(&["stats", arg(&dataset)]).expect_code(0);
-    assert!(ran.stdout.starts_with("6 clips"), "{}", ran.stdout);
+    assert!(ran.stdout.starts_with("12 clips"), "{}", ran.stdout);
     let features = dir.path().join("features");
     stance(&[
         "ingest",
@@ -230,5 +230,5 @@ fn doctor_and_stats_count_the_corpus() {
         .expect("a dataset")
         .manifest()
         .clone();
-    assert_eq!(manifest.rows("humanml3d", None), 6);
+    assert_eq!(manifest.rows("humanml3d", None), 12);
 }

@@ -29,6 +29,8 @@ struct Ingested {
     resumed_shards: usize,
     tables: BTreeMap<String, u64>,
     dropped_pairs: u64,
+    refused_pairs: Vec<serde_json::Value>,
+    remarks: Vec<String>,
     root_hash: String,
 }
 
@@ -58,6 +60,7 @@ fn the_corpus_is_ingested_whole_and_the_same_on_any_number_of_threads() {
         let done = ingest(&source, &out, &["--threads", threads], 0);
         assert_eq!((done.ingested, done.quarantined), (24, 0));
         assert!(done.balances() && !done.already_complete, "{done:?}");
+        assert!(done.refused_pairs.is_empty() && done.remarks.is_empty());
         hashes.push(done.root_hash);
     }
     assert_eq!(hashes[0], hashes[1]);

@@ -9,6 +9,7 @@ mod export;
 mod golden;
 mod help;
 mod ingest;
+mod pairs;
 mod results;
 mod train;
 mod util;

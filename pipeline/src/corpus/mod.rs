@@ -165,12 +165,12 @@ fn cast(index: usize) -> (Action, &'static style::Style, usize) {
     (action, &style::ALL[index % styles], index / CLIPS_PER_TAKE)
 }
 
-/// The format of an index. Both formats get half of every style and half of every action, and
-/// another take of an action swaps them.
+/// The format of an index. All styles of an action and take have one format, so that a style pair
+/// differs in style alone. Half of the actions of a take have each format, and the next take swaps
+/// them.
 fn format_of(index: usize) -> ClipFormat {
-    let styles = style::ALL.len();
-    let (style, action, take) = (index % styles, index / styles, index / CLIPS_PER_TAKE);
-    if (style + action + take).is_multiple_of(2) {
+    let (action, take) = (index / style::ALL.len(), index / CLIPS_PER_TAKE);
+    if (action + take).is_multiple_of(2) {
         ClipFormat::Amass
     } else {
         ClipFormat::Bvh
@@ -188,7 +188,7 @@ fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
     }
 }
 
-/// Writes a corpus below `out`: half of the clips as AMASS archives under `amass/`, half as BVH
+/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH
 /// under `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Files of the same names
 /// are replaced; each appears whole or not at all. The bytes depend on the options alone.
 ///
@@ -484,7 +484,7 @@ mod tests {
         };
         let (files, summary) = write(1);
         assert_eq!((&files, summary), (&write(5).0, summary));
-        assert_eq!((summary.clips, summary.amass, summary.bvh), (14, 7, 7));
+        assert_eq!((summary.clips, summary.amass, summary.bvh), (14, 8, 6));
         assert_eq!(files.len(), 28, "every clip has a sidecar");
         assert_eq!(
             summary.bytes,

@@ -53,6 +53,21 @@ pub fn attach(
     Ok(clip)
 }
 
+/// The action and the style a motion file is labelled with, by its name or its sidecar; none unless
+/// both are known. A sidecar that cannot be read says nothing here: [`attach`] reports it.
+pub(crate) fn action_and_style(
+    path: &Path,
+    companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+) -> Option<(String, String)> {
+    let stem = path.file_stem()?.to_string_lossy();
+    let named = BandaiNamcoLabel::named(&stem);
+    let sidecar: Sidecar = companions(&format!("{stem}{}", Sidecar::SUFFIX))
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .unwrap_or_default();
+    let (action, style) = named.map(|label| (label.action, label.style)).unzip();
+    Some((sidecar.action.or(action)?, sidecar.style.or(style)?))
+}
+
 /// Parses HumanML3D captions, `caption#lemma/POS lemma/POS#start#end` on each line with times in
 /// seconds, and counts the lines that are of another form. A time that is not a number is read as
 /// 0, which is how the published loader reads the `nan` that some of the files contain.
@@ -104,10 +119,10 @@ struct LabelIndices {
 }
 
 impl BandaiNamcoLabel {
-    fn of(stem: &str, companions: &dyn Fn(&str) -> Option<Vec<u8>>) -> Option<Self> {
+    /// The labels in a file name.
+    fn named(stem: &str) -> Option<Self> {
         let mut fields = stem.split('_');
-        let dataset = fields.next()?;
-        let number = dataset.strip_prefix("dataset-")?;
+        let number = fields.next()?.strip_prefix("dataset-")?;
         if number.is_empty() || !number.bytes().all(|byte| byte.is_ascii_digit()) {
             return None;
         }
@@ -117,9 +132,21 @@ impl BandaiNamcoLabel {
         if !whole || action.is_empty() || style.is_empty() || take.is_empty() {
             return None;
         }
+        Some(Self {
+            action: action.to_owned(),
+            style: style.to_owned(),
+            note: None,
+        })
+    }
+
+    /// The labels in a file name, with a note where the tables beside it say something else.
+    fn of(stem: &str, companions: &dyn Fn(&str) -> Option<Vec<u8>>) -> Option<Self> {
+        let label = Self::named(stem)?;
+        let (dataset, _) = stem.split_once('_')?;
         let note = labels_in_tables(stem, companions).and_then(|(content_line, style_line)| {
-            let named = (format!("{dataset}_{action}"), format!("{dataset}_{style}"));
-            let agree = content_line == named.0 && style_line == named.1;
+            let action = format!("{dataset}_{}", label.action);
+            let style = format!("{dataset}_{}", label.style);
+            let agree = content_line == action && style_line == style;
             (!agree).then(|| {
                 format!(
                     "{stem}.json says {content_line} and {style_line}; the labels of the file name \
@@ -127,11 +154,7 @@ impl BandaiNamcoLabel {
                 )
             })
         });
-        Some(Self {
-            action: action.to_owned(),
-            style: style.to_owned(),
-            note,
-        })
+        Some(Self { note, ..label })
     }
 
     /// One plain sentence, since a clip without text is of no use to text-guided work; that it was

@@ -420,6 +420,11 @@ pub trait Release: Send + Sync {
     /// Its files that were found broken before any motion was read.
     fn rejected(&self) -> &[(String, Rejected)];
 
+    /// What a reader of the dataset should know about the splits of its motions.
+    fn remarks(&self) -> &[String] {
+        &[]
+    }
+
     /// Reads one motion. Called from many threads at once.
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome;
 }

@@ -25,7 +25,7 @@ const ID_DIGITS: usize = 6;
 /// Numbers of a frame of `rots`: the root and 21 body joints.
 const ROTATIONS_WIDTH: usize = 66;
 
-const SPLITS: &str = "splits.json";
+pub(crate) const SPLITS: &str = "splits.json";
 /// What the names of the release's label and statistics files begin with, beside `splits.json`.
 const LABELS: [&str; 8] = [
     "amt_motionfix",
@@ -51,6 +51,8 @@ struct Pair {
     source: Result<Parameters, Rejected>,
     target: Result<Parameters, Rejected>,
     text: String,
+    /// What its split rests on, if on no list.
+    note: Option<String>,
 }
 
 /// A release, with its dumps decoded.
@@ -61,6 +63,33 @@ struct MotionFix {
     pairs: BTreeMap<String, Pair>,
     /// Body parts by instruction.
     parts: BTreeMap<String, Vec<BodyPart>>,
+    /// Pairs that no list gives a split, by what gave them one.
+    unlisted: BTreeMap<Unlisted, u64>,
+    remarks: Vec<String>,
+}
+
+/// What gives a pair its split where no list names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Unlisted {
+    /// The name of its dump.
+    FileName,
+    /// A draw by its id: there is no list at all.
+    Draw,
+    /// There is a list, so what it leaves out is for training.
+    Train,
+}
+
+impl Unlisted {
+    /// What the note of a clip says.
+    fn note(self, split: Split) -> String {
+        match self {
+            Self::FileName => {
+                format!("no splits.json names it: {split} by the name of its dump alone")
+            }
+            Self::Draw => format!("no splits.json: {split} was drawn, not published"),
+            Self::Train => "splits.json does not name it: taken for train".to_owned(),
+        }
+    }
 }
 
 /// The release among the files: at most one, since its ids are the same wherever it lies.
@@ -76,6 +105,8 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
         rejected: Vec::new(),
         pairs: BTreeMap::new(),
         parts: BTreeMap::new(),
+        unlisted: BTreeMap::new(),
+        remarks: Vec::new(),
     };
     if dumps.is_empty() {
         let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
@@ -92,6 +123,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     for file in dumps {
         release.take_dump(files, file, &splits);
     }
+    release.remark();
     vec![Box::new(release)]
 }
 
@@ -103,7 +135,8 @@ fn folder_of(file: &str) -> &str {
     file.strip_suffix(name_of(file)).unwrap_or_default()
 }
 
-fn is_dump(file: &str) -> bool {
+/// Whether a file is a dump of the release, by its name.
+pub(crate) fn is_dump(file: &str) -> bool {
     let name = name_of(file).to_lowercase();
     name.starts_with("motionfix") && name.ends_with(".pth.tar")
 }
@@ -200,14 +233,19 @@ impl MotionFix {
         }
         for id in added {
             // Both motions of a pair need one split even where no list gives it.
-            let split = splits
-                .get(&id)
-                .copied()
-                .or(split_of_dump(file))
-                .unwrap_or_else(|| match splits.is_empty() {
-                    true => Split::assign(&id, Seed(0)),
-                    false => Split::Train,
-                });
+            let listed = splits.get(&id).copied();
+            let (split, unlisted) = match (listed, split_of_dump(file)) {
+                (Some(split), _) => (split, None),
+                (None, Some(split)) => (split, Some(Unlisted::FileName)),
+                (None, None) if splits.is_empty() => {
+                    (Split::assign(&id, Seed(0)), Some(Unlisted::Draw))
+                }
+                (None, None) => (Split::Train, Some(Unlisted::Train)),
+            };
+            if let (Some(unlisted), Some(pair)) = (unlisted, self.pairs.get_mut(&id)) {
+                *self.unlisted.entry(unlisted).or_default() += 1;
+                pair.note = Some(unlisted.note(split));
+            }
             self.entries
                 .extend([SOURCE, TARGET].into_iter().map(|side| Entry {
                     file: file.to_owned(),
@@ -216,6 +254,25 @@ impl MotionFix {
                     split: Some(split),
                     mirrored_of: None,
                 }));
+        }
+    }
+
+    /// Says what the splits of pairs rest on that no list names.
+    fn remark(&mut self) {
+        for (unlisted, count) in &self.unlisted {
+            self.remarks.push(match unlisted {
+                Unlisted::FileName => format!(
+                    "MotionFix: {count} pairs are in no splits.json and have the split of their dump's \
+                     name, which repackagings are known to get wrong: test pairs may be in train"
+                ),
+                Unlisted::Draw => format!(
+                    "MotionFix: {count} pairs have no splits.json and were given drawn splits, which \
+                     are not the published ones"
+                ),
+                Unlisted::Train => {
+                    format!("MotionFix: {count} pairs are not in splits.json and were put into train")
+                }
+            });
         }
     }
 
@@ -242,6 +299,7 @@ impl MotionFix {
                 options.skeleton.name()
             ),
         ];
+        clip.notes.extend(pair.note.clone());
         if side == TARGET {
             clip.edit_of = Some(EditOf {
                 source_id: motion_id(id, SOURCE),
@@ -274,6 +332,10 @@ impl Release for MotionFix {
 
     fn rejected(&self) -> &[(String, Rejected)] {
         &self.rejected
+    }
+
+    fn remarks(&self) -> &[String] {
+        &self.remarks
     }
 
     fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome {
@@ -336,6 +398,7 @@ impl Pair {
             source: side("motion_source"),
             target: side("motion_target"),
             text: text.unwrap_or_default().trim().to_owned(),
+            note: None,
         }
     }
 }

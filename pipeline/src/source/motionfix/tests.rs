@@ -154,7 +154,16 @@ fn dumps_and_lists_become_pairs() {
         ];
         assert_eq!(passed, expected);
 
+        assert_eq!(
+            release.remarks().len(),
+            1,
+            "000007 has the split of its dump"
+        );
+        let unlisted = clip(&*release, &files, "motionfix/000007-target");
+        assert!(unlisted.notes.iter().any(|note| note.contains("its dump")));
+
         let source = clip(&*release, &files, "motionfix/000136-source");
+        assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
         assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
         assert_eq!(source.edit_of, None);
         let target = clip(&*release, &files, "motionfix/000136-target");
