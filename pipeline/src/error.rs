@@ -37,6 +37,27 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// A dataset without motions was to be exported.
+    #[error(
+        "{} holds neither motions nor edits; name a dataset, or a folder that `stance edit` wrote",
+        path.display()
+    )]
+    NoMotions {
+        /// The dataset.
+        path: PathBuf,
+    },
+    /// Edits were to be exported in a layout of whole datasets.
+    #[error("{layout} is a layout of whole datasets; edits are exported as bvh, amass or gltf")]
+    LayoutOfEdits {
+        /// The layout.
+        layout: &'static str,
+    },
+    /// Two items have one id.
+    #[error("item {id} is in the table twice; draw the items again with `stance items`")]
+    ItemTwice {
+        /// The id.
+        id: String,
+    },
     /// A file is no body model that can be used.
     #[error("{} cannot serve as body model ({code}): {reason}", path.display())]
     BodyModel {

@@ -7,6 +7,7 @@
 //! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
 //! and [`compose::Stream`] first.
 
+pub mod answers;
 pub mod catalogue;
 pub mod check;
 pub mod compose;

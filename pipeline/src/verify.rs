@@ -27,8 +27,10 @@ pub enum Check {
     Schema,
     /// Motions are what their hashes and counts say.
     Contents,
-    /// Rows that name a motion name one that is there.
+    /// Rows that name a motion or an item name one that is there, and say the same of it.
     References,
+    /// Edits have names of their own: system, item and seed.
+    Systems,
     /// Nothing of a source clip is in two splits.
     Splits,
     /// Sources equal ingested, quarantined and skipped.
@@ -37,11 +39,12 @@ pub enum Check {
 
 impl Check {
     /// Every check, in the order they are made.
-    pub const ALL: [Check; 6] = [
+    pub const ALL: [Check; 7] = [
         Self::Files,
         Self::Schema,
         Self::Contents,
         Self::References,
+        Self::Systems,
         Self::Splits,
         Self::Accounting,
     ];
@@ -53,6 +56,7 @@ impl Check {
             Self::Schema => "schema",
             Self::Contents => "contents",
             Self::References => "references",
+            Self::Systems => "systems",
             Self::Splits => "splits",
             Self::Accounting => "accounting",
         }
@@ -132,15 +136,27 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     let mut by_source: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
     let mut labels: BTreeMap<(&str, String), Split> = BTreeMap::new();
     let mut rates: BTreeMap<Split, Rates> = BTreeMap::new();
+    let mut items: BTreeMap<String, Asked> = BTreeMap::new();
+    let mut answers = Vec::new();
     for read in read {
         findings.extend(read.findings);
         named.extend(read.named);
+        answers.extend(read.answers);
         for (table, id, split) in read.labels {
             if labels.insert((table, id.clone()), split).is_some() {
                 findings.push(Finding {
                     check: Check::Contents,
                     item: format!("{id} of {table}"),
                     problem: "two rows have this id".to_owned(),
+                });
+            }
+        }
+        for (id, asked) in read.items {
+            if items.insert(id.clone(), asked).is_some() {
+                findings.push(Finding {
+                    check: Check::Contents,
+                    item: id,
+                    problem: "two items have this id".to_owned(),
                 });
             }
         }
@@ -168,6 +184,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     {
         findings.extend(rates.finding());
     }
+    findings.extend(check_answers(&answers, &items));
     findings.sort();
     progress.finish(&format!("{} files, {rows} rows", files.len()));
     Ok(Verification {
@@ -254,6 +271,71 @@ impl Met {
     }
 }
 
+/// What an item asks, which its answers repeat.
+#[derive(PartialEq)]
+struct Asked {
+    split: Split,
+    task: String,
+    instruction: String,
+}
+
+/// An edit: what it answers, and who made it.
+struct Answer {
+    id: String,
+    asked: Asked,
+    system: String,
+    checkpoint_hash: String,
+    settings_hash: String,
+    seed: u64,
+}
+
+impl Answer {
+    fn finding(&self, check: Check, problem: String) -> Finding {
+        Finding {
+            check,
+            item: format!("{} of {}", self.id, self.system),
+            problem,
+        }
+    }
+}
+
+/// Whether every edit answers an item that is there, once for each seed, and every system is one
+/// checkpoint with one set of settings.
+fn check_answers(answers: &[Answer], items: &BTreeMap<String, Asked>) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let mut taken = BTreeSet::new();
+    let mut systems: BTreeMap<&str, (&str, &str)> = BTreeMap::new();
+    for answer in answers {
+        match items.get(&answer.id) {
+            Some(asked) if *asked == answer.asked => {}
+            Some(_) => {
+                let problem = "differs from its item in split, task or instruction";
+                findings.push(answer.finding(Check::References, problem.to_owned()));
+            }
+            None => {
+                let problem = "names an item that is not in the table of items";
+                findings.push(answer.finding(Check::References, problem.to_owned()));
+            }
+        }
+        if !taken.insert((&answer.system, &answer.id, answer.seed)) {
+            let problem = format!("is there twice with seed {}", answer.seed);
+            findings.push(answer.finding(Check::Systems, problem));
+        }
+        let own = (
+            answer.checkpoint_hash.as_str(),
+            answer.settings_hash.as_str(),
+        );
+        let first = *systems.entry(&answer.system).or_insert(own);
+        for (what, first, own) in [("checkpoint", first.0, own.0), ("settings", first.1, own.1)] {
+            if first != own {
+                let problem = format!("has {what} {own:?}, other edits of that name {first:?}");
+                findings.push(answer.finding(Check::Systems, problem));
+            }
+        }
+    }
+    findings
+}
+
 /// A row that names a motion.
 struct Named {
     table: &'static str,
@@ -304,6 +386,8 @@ struct Read {
     named: Vec<Named>,
     /// Table, id and split of masks and pairs.
     labels: Vec<(&'static str, String, Split)>,
+    items: Vec<(String, Asked)>,
+    answers: Vec<Answer>,
     findings: Vec<Finding>,
 }
 
@@ -337,7 +421,7 @@ impl Read {
             NormalizerRow::TABLE => read.rows_of(&path, file, |_: &NormalizerRow| Vec::new()),
             WindowRow::TABLE => read.rows_of(&path, file, |_: &WindowRow| Vec::new()),
             ItemRow::TABLE => read.items(&path, file),
-            EditRow::TABLE => read.rows_of(&path, file, |_: &EditRow| Vec::new()),
+            EditRow::TABLE => read.edits(&path, file),
             ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
             QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
             other => Err(format!("no table is called {other}")),
@@ -426,6 +510,51 @@ impl Read {
             if let Err(error) = row.check() {
                 self.find(Check::Contents, &row.id, error.to_string());
             }
+            let asked = Asked {
+                split: row.split,
+                task: row.task,
+                instruction: row.instruction,
+            };
+            self.items.push((row.id, asked));
+        }
+        Ok(())
+    }
+
+    /// Checks that edits are motions, and that their settings are those of their hash.
+    fn edits(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<EditRow>(path, file)? {
+            let item = format!("{} of {}", row.id, row.system);
+            match row.motion() {
+                Err(error) => self.find(Check::Contents, &item, error.to_string()),
+                Ok(motion) if usize::try_from(row.n_frames) != Ok(motion.len()) => {
+                    let frames = motion.len();
+                    let problem = format!("has {frames} frames, recorded {}", row.n_frames);
+                    self.find(Check::Contents, &item, problem);
+                }
+                Ok(_) => {}
+            }
+            let hash = blake3::hash(row.settings.as_bytes()).to_hex().to_string();
+            // Tables made before settings were recorded have neither.
+            let is_old = row.settings.is_empty() && row.settings_hash.is_empty();
+            if !is_old && hash != row.settings_hash {
+                let problem = format!(
+                    "its settings have the hash {hash}, recorded {:?}",
+                    row.settings_hash
+                );
+                self.find(Check::Contents, &item, problem);
+            }
+            self.answers.push(Answer {
+                id: row.id,
+                asked: Asked {
+                    split: row.split,
+                    task: row.kind,
+                    instruction: row.instruction,
+                },
+                system: row.system,
+                checkpoint_hash: row.checkpoint_hash,
+                settings_hash: row.settings_hash,
+                seed: row.seed,
+            });
         }
         Ok(())
     }

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::rotation::to_axis_angle;
+use datasets_spec::skeleton::NUM_KEYPOINTS;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use glam::DQuat;
@@ -62,7 +63,7 @@ pub(super) fn write(
 
 /// A relative path for an id that stays inside the folder, and is not taken even where names that
 /// differ in case alone are one.
-fn file_name(id: &str, taken: &mut BTreeSet<String>) -> String {
+pub(super) fn file_name(id: &str, taken: &mut BTreeSet<String>) -> String {
     let parts: Vec<String> = id
         .split('/')
         .map(|part| match part {
@@ -91,7 +92,29 @@ fn file_name(id: &str, taken: &mut BTreeSet<String>) -> String {
 ///
 /// # Source
 /// The key list of the SMPL-X releases of AMASS.
-fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+pub(super) fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+    Ok(archive(motion, skeleton)?.finish()?.into_inner())
+}
+
+/// [`encode`], with the 28 keypoints in the same frame: `keypoints` `[L, 28, 3]` in metres, z up.
+///
+/// # Errors
+/// As [`encode`].
+pub(super) fn encode_with_keypoints(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+    let mut archive = archive(motion, skeleton)?;
+    let points = skeleton.motion_keypoints(motion).points;
+    // The turn from y up, written out: its numbers are exact.
+    let z_up: Vec<f64> = points
+        .iter()
+        .flatten()
+        .flat_map(|point| [point.x, -point.z, point.y])
+        .collect();
+    let shape = [points.len() as u64, NUM_KEYPOINTS as u64, 3];
+    array(&mut archive, "keypoints", &shape, &z_up)?;
+    Ok(archive.finish()?.into_inner())
+}
+
+fn archive(motion: &Motion, skeleton: &Skeleton) -> io::Result<ZipWriter<Cursor<Vec<u8>>>> {
     let file_from_motion = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
     let rest_pelvis = skeleton.rest(0);
     let num_frames = motion.len();
@@ -148,7 +171,7 @@ fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     ] {
         matrix(name, &vec![0.0; num_frames * width])?;
     }
-    Ok(archive.finish()?.into_inner())
+    Ok(archive)
 }
 
 #[cfg(test)]

@@ -69,7 +69,7 @@ fn each(
 
 /// A relative path of an id that every file system takes: characters with a meaning become `_`, and
 /// no part is empty or a dot path.
-fn safe_path(id: &str) -> String {
+pub(super) fn safe_path(id: &str) -> String {
     let parts: Vec<String> = id
         .split('/')
         .map(|part| {
@@ -90,7 +90,7 @@ fn safe_path(id: &str) -> String {
 }
 
 /// The path, with a number where a path that differs in case alone is taken.
-fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
+pub(super) fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
     let mut candidate = path.clone();
     let mut number = 1;
     while !taken.insert(candidate.to_lowercase()) {

@@ -5,7 +5,9 @@
 
 mod amass;
 mod clips;
+mod edits;
 mod humanml3d;
+mod items;
 mod lerobot;
 mod stance;
 mod webdataset;
@@ -14,9 +16,15 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Progress};
 
 use crate::Error;
+
+pub use edits::{Sides, export_edits};
+pub use items::export_items;
+pub(crate) use items::item_stem;
 
 /// A layout to export to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -66,14 +74,19 @@ impl Layout {
 /// Writes a dataset to a new folder in another layout, and returns how many clips are in it.
 ///
 /// # Errors
-/// The folder exists and is not empty, the dataset cannot be read, or writing fails; nothing is
-/// left behind then.
+/// The dataset holds no motions, the folder exists and is not empty, the dataset cannot be read, or
+/// writing fails; nothing is left behind then.
 pub fn export(
     dataset: &Dataset,
     layout: Layout,
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<u64, Error> {
+    if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
+        return Err(Error::NoMotions {
+            path: dataset.root().to_owned(),
+        });
+    }
     let folder = Staging::beside(out)?;
     let clips = match layout {
         Layout::Amass => amass::write(dataset, &folder.path, progress)?,

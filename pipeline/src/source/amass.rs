@@ -169,6 +169,14 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Content,
 /// # Errors
 /// As [`read`].
 pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
+    parse_at(bytes, None)
+}
+
+/// [`parse`], with a rate in 1/s in place of the one the archive states, if any.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected> {
     let mut archive = Archive::in_memory(bytes)?;
     let split_poses = archive.has("root_orient") && archive.has("pose_body");
     if !archive.has("trans") || !(archive.has("poses") || split_poses) {
@@ -215,7 +223,10 @@ pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
             "found 0 frames, expected at least 2",
         ));
     }
-    let stated_fps = read_fps(&mut archive)?;
+    let stated_fps = match rate {
+        Some(rate) => rate,
+        None => read_fps(&mut archive)?,
+    };
     let betas = read_betas(&mut archive);
     let parameters = Parameters {
         stated_fps,
@@ -288,8 +299,13 @@ impl Parameters<'_> {
         Ok(())
     }
 
+    /// The translation of a frame.
+    pub(crate) fn translation(&self, frame: usize) -> [f64; 3] {
+        self.trans.get(frame, 0)
+    }
+
     /// The rotation vectors of root and body in a frame.
-    fn vectors(&self, frame: usize) -> [f64; 3 + BODY_POSE_WIDTH] {
+    pub(crate) fn vectors(&self, frame: usize) -> [f64; 3 + BODY_POSE_WIDTH] {
         // In one array, the body follows the root.
         if self.body_at == 3 {
             return self.body.get(frame, 0);
@@ -519,7 +535,11 @@ fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String
     Ok(Some(gender.to_owned()))
 }
 
-fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
+/// The frame rate an archive states, in 1/s.
+///
+/// # Errors
+/// `E-AMASS-FPS`, or those of [`npy`].
+pub(crate) fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
     let key = FPS_KEYS
         .into_iter()
         .find(|key| archive.has(key))

@@ -19,7 +19,7 @@ pub mod motionfix;
 pub mod npy;
 pub(crate) mod npz;
 pub mod pickle;
-mod smpl;
+pub(crate) mod smpl;
 pub mod stance;
 
 use std::collections::BTreeMap;

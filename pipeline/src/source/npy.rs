@@ -82,6 +82,21 @@ impl Header {
 
     /// Parses the header alone, and returns the type as it is written too.
     fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Rejected> {
+        let (literal, data_start) = Self::parse_literal(name, bytes)?;
+        let (kind, big_endian, item_len) = parse_descr(name, &literal.descr)?;
+        let header = Self {
+            kind,
+            big_endian,
+            item_len,
+            fortran_order: literal.fortran_order,
+            shape: literal.shape,
+            data_start,
+        };
+        Ok((header, literal.descr))
+    }
+
+    /// Parses the dictionary of the header, and returns where the data starts too.
+    fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Rejected> {
         let bad = |reason: String, at: usize| {
             Rejected::read("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
         };
@@ -126,21 +141,25 @@ impl Header {
             .ok_or_else(|| bad("the header is cut off".to_owned(), bytes.len()))?;
         let literal = Literal::parse(text)
             .map_err(|(reason, at)| bad(reason.to_owned(), header_start + at))?;
-        let (kind, big_endian, item_len) = parse_descr(name, &literal.descr)?;
-        let header = Self {
-            kind,
-            big_endian,
-            item_len,
-            fortran_order: literal.fortran_order,
-            shape: literal.shape,
-            data_start,
-        };
-        Ok((header, literal.descr))
+        Ok((literal, data_start))
     }
 
     fn num_items(&self) -> usize {
         self.shape.iter().product()
     }
+}
+
+/// The pickle in an array of objects and where it starts; none for arrays of anything else.
+///
+/// # Errors
+/// `E-NPY-HEADER`.
+pub(crate) fn pickled<'a>(
+    name: &str,
+    bytes: &'a [u8],
+) -> Result<Option<(&'a [u8], usize)>, Rejected> {
+    let (literal, data_start) = Header::parse_literal(name, bytes)?;
+    let is_objects = literal.descr.trim_start_matches(['|', '<', '>', '=']) == "O";
+    Ok(is_objects.then(|| (&bytes[data_start..], data_start)))
 }
 
 /// Reads an array of numbers.

@@ -105,7 +105,7 @@ impl Parameters {
 }
 
 /// The frames of an array of `D` numbers a frame, in whatever dimensions they are laid out.
-pub(super) fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
+pub(crate) fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
     let found = value.get(key).unwrap_or(&Value::None);
     let array = found.as_array().filter(|array| {
         let frame = array.shape().get(1..).filter(|extents| !extents.is_empty());
@@ -128,7 +128,7 @@ pub(super) fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f3
 }
 
 /// The rotation of the world that carries z up to y up: `(x, y, z)` becomes `(x, z, -y)`.
-pub(super) fn y_up_from_z_up() -> DQuat {
+pub(crate) fn y_up_from_z_up() -> DQuat {
     DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
 }
 

@@ -1,0 +1,248 @@
+//! Files with one answer each.
+
+use std::path::Path;
+
+use datasets_spec::motion::BODY_POSE_WIDTH;
+use datasets_spec::rotation::{from_six_d_rows, to_axis_angle};
+use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use datasets_spec::{Fps, Skeleton};
+use glam::DQuat;
+
+use super::recorded::{Recorded, VECTORS_WIDTH};
+use super::{AnswerOptions, Place, Up};
+use crate::source::npz::Archive;
+use crate::source::pickle::{self, Value};
+use crate::source::smpl::column;
+use crate::source::{Rejected, amass, humanml3d, joblib, npy};
+
+/// What the name of a file says it holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// SMPL parameters of AMASS's layouts, z up, or of the store's, y up.
+    Npz,
+    /// A dictionary of MotionFix's evaluation, or an array of HumanML3D.
+    Npy,
+    /// A pickled dictionary.
+    Pickle,
+    /// A table of answers.
+    Parquet,
+}
+
+impl Kind {
+    /// The kind of a file; why it holds no answer if it has none.
+    pub(super) fn of(path: &Path) -> Result<Self, String> {
+        let extension = path
+            .extension()
+            .map(|extension| extension.to_string_lossy());
+        match extension.unwrap_or_default().to_lowercase().as_str() {
+            "npz" => Ok(Self::Npz),
+            "npy" => Ok(Self::Npy),
+            "pkl" | "pickle" => Ok(Self::Pickle),
+            "parquet" => Ok(Self::Parquet),
+            "" => Err("no known format of answers".to_owned()),
+            other => Err(format!("{other} is no known format of answers")),
+        }
+    }
+}
+
+/// Rate of MotionFix, in 1/s.
+const MOTIONFIX_FPS: f64 = 30.0;
+/// Rate of the STANCE release and of HumanML3D, in 1/s.
+const RELEASE_FPS: f64 = 20.0;
+/// Numbers of a frame of MotionFix's `pose`: translation, root and 21 body joints with 6 each.
+const POSE_WIDTH: usize = 3 + 6 * NUM_BODY_JOINTS;
+/// The keys of the store's layout, which SMPL-X users know.
+const STORE_KEYS: [&str; 3] = ["transl", "global_orient", "body_pose"];
+
+/// Reads a file with one answer.
+///
+/// # Errors
+/// Those of the readers in [`crate::source`]; `E-ANSWER-KEYS` where arrays of a motion are missing.
+pub(super) fn read(
+    kind: Kind,
+    bytes: &[u8],
+    skeleton: &Skeleton,
+    options: &AnswerOptions,
+) -> Result<Recorded, Rejected> {
+    crate::source::refuse_pointer(bytes)?;
+    match kind {
+        Kind::Npz => npz(bytes, options),
+        Kind::Npy => npy(bytes, skeleton),
+        Kind::Pickle => of_value(&joblib::read(bytes)?),
+        Kind::Parquet => unreachable!("tables are read by their own reader"),
+    }
+}
+
+fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
+    let mut archive = Archive::in_memory(bytes)?;
+    let of_store = STORE_KEYS.iter().all(|key| archive.has(key));
+    if !of_store {
+        return of_amass(bytes, options);
+    }
+    if archive.has("trans") {
+        return Err(Rejected::read(
+            "E-ANSWER-KEYS",
+            "found trans, which is z up, beside transl, global_orient and body_pose, which are y \
+             up; keep one of the two layouts",
+        ));
+    }
+    let fps = match archive.has("fps") {
+        true => archive.numbers("fps")?.values.first().copied(),
+        // A rate that is missing is reported with what can be done about it.
+        false => amass::read_fps(&mut archive).ok(),
+    };
+    let mut frames = |key: &str, width: usize| -> Result<Vec<f64>, Rejected> {
+        let array = archive.numbers(key)?;
+        let found = array.shape.get(1..).unwrap_or_default();
+        if found.is_empty() || found.iter().product::<usize>() != width {
+            return Err(Rejected::read(
+                "E-SMPL-SHAPE",
+                format!(
+                    "found {key} of shape {:?}, expected frames by {width} numbers",
+                    array.shape
+                ),
+            ));
+        }
+        Ok(array.values)
+    };
+    let (transl, root) = (frames(STORE_KEYS[0], 3)?, frames(STORE_KEYS[1], 3)?);
+    let body = frames(STORE_KEYS[2], BODY_POSE_WIDTH)?;
+    let recorded = Recorded::of_columns(
+        transl.as_chunks::<3>().0.to_vec(),
+        root.as_chunks::<3>().0,
+        body.as_chunks::<BODY_POSE_WIDTH>().0,
+    )?;
+    Ok(Recorded { fps, ..recorded })
+}
+
+fn of_amass(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
+    let parameters = match amass::parse_at(bytes, options.fps.map(Fps::get))? {
+        amass::Parsed::Parameters(parameters) => *parameters,
+        amass::Parsed::NoMotion { reason } => {
+            return Err(Rejected::read("E-ANSWER-KEYS", reason));
+        }
+    };
+    let frames = 0..parameters.num_frames();
+    Ok(Recorded {
+        fps: Some(parameters.stated_fps),
+        up: Up::Z,
+        place: Place::File,
+        transl: frames
+            .clone()
+            .map(|at| parameters.translation(at))
+            .collect(),
+        vectors: frames.map(|at| parameters.vectors(at)).collect(),
+        fit_error_m: None,
+    })
+}
+
+fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
+    if let Some((dump, start)) = npy::pickled("array", bytes)? {
+        let at = |rejected: Rejected| Rejected {
+            byte_offset: rejected.byte_offset.map(|at| at + start as u64),
+            ..rejected
+        };
+        let value = pickle::read(dump).map_err(at)?;
+        // NumPy pickles the array, whose one item is the dictionary.
+        return match value.as_sequence() {
+            Some([inner]) => of_value(inner),
+            _ => of_value(&value),
+        };
+    }
+    let clip = humanml3d::read_array(bytes, skeleton)?;
+    Ok(Recorded {
+        // The vector knows no origin and no heading.
+        place: Place::Source,
+        fit_error_m: clip.fit_error_m,
+        ..Recorded::of_motion(&clip.motion)
+    })
+}
+
+/// The motion of a dictionary: `pose`, or `rots` and `trans`, of MotionFix (SMPL-H, z up, 30 fps), or
+/// `body_pose`, `global_orient` and `transl` (SMPL-X, y up, 20 fps) as the STANCE release has them.
+/// A number `fps` beside them wins.
+///
+/// # Source
+/// Repository athn-nik/motionfix: what its evaluation writes for each item.
+fn of_value(value: &Value) -> Result<Recorded, Rejected> {
+    let fps = value.get("fps").and_then(number);
+    let has = |key: &str| value.get(key).is_some();
+    let recorded = if has("pose") {
+        let frames: Vec<[f32; POSE_WIDTH]> = column(value, "pose")?;
+        let transl = frames.iter().map(|frame| wide(&frame[..3]));
+        Recorded {
+            transl: transl.collect(),
+            vectors: frames.iter().map(|frame| from_rows(&frame[3..])).collect(),
+            ..Recorded::of_columns(Vec::new(), &[], &[])?
+        }
+    } else if has("rots") && has("trans") {
+        let rotations: Vec<[f32; VECTORS_WIDTH]> = column(value, "rots")?;
+        let transl: Vec<[f32; 3]> = column(value, "trans")?;
+        Recorded::of_columns(
+            transl.iter().map(|frame| wide(frame)).collect(),
+            &rotations
+                .iter()
+                .map(|frame| wide(&frame[..3]))
+                .collect::<Vec<_>>(),
+            &rotations
+                .iter()
+                .map(|frame| wide(&frame[3..]))
+                .collect::<Vec<_>>(),
+        )?
+    } else if STORE_KEYS.iter().all(|key| has(key)) {
+        let transl: Vec<[f32; 3]> = column(value, STORE_KEYS[0])?;
+        let root: Vec<[f32; 3]> = column(value, STORE_KEYS[1])?;
+        let body: Vec<[f32; BODY_POSE_WIDTH]> = column(value, STORE_KEYS[2])?;
+        let recorded = Recorded::of_columns(
+            transl.iter().map(|frame| wide(frame)).collect(),
+            &root.iter().map(|frame| wide(frame)).collect::<Vec<_>>(),
+            &body.iter().map(|frame| wide(frame)).collect::<Vec<_>>(),
+        )?;
+        return Ok(Recorded {
+            fps: fps.or(Some(RELEASE_FPS)),
+            ..recorded
+        });
+    } else {
+        return Err(Rejected::read(
+            "E-ANSWER-KEYS",
+            format!(
+                "found {}, expected one with pose, with rots and trans, or with transl, \
+                 global_orient and body_pose",
+                value.describe()
+            ),
+        ));
+    };
+    Ok(Recorded {
+        fps: fps.or(Some(MOTIONFIX_FPS)),
+        up: Up::Z,
+        // Its evaluation integrates from an origin and a heading of its own.
+        place: Place::Source,
+        ..recorded
+    })
+}
+
+fn number(value: &Value) -> Option<f64> {
+    let of_array = || value.as_array()?.to_f64()?.first().copied();
+    value.as_float().or_else(of_array)
+}
+
+/// # Panics
+/// If there are not `N` numbers.
+fn wide<const N: usize>(frame: &[f32]) -> [f64; N] {
+    std::array::from_fn(|column| f64::from(frame[column]))
+}
+
+/// Rotation vectors from the first two rows of each joint's matrix. Numbers that are not finite stay
+/// so, for the check behind.
+fn from_rows(frame: &[f32]) -> [f64; VECTORS_WIDTH] {
+    let mut vectors = [0.0; VECTORS_WIDTH];
+    for (rows, vector) in frame.chunks_exact(6).zip(vectors.chunks_exact_mut(3)) {
+        let rows: [f64; 6] = wide(rows);
+        let found = match rows.iter().all(|value| value.is_finite()) {
+            true => to_axis_angle(DQuat::from_mat3(&from_six_d_rows(rows))).to_array(),
+            false => [f64::NAN; 3],
+        };
+        vector.copy_from_slice(&found);
+    }
+    vectors
+}

@@ -1,0 +1,609 @@
+//! Answers of systems that live elsewhere: from files to rows of table `edits`.
+//!
+//! Every answer found is imported, refused with a code and a reason, or passed over because it is no
+//! motion; the three add up to what was found. Items without an answer are named.
+
+mod file;
+mod recorded;
+mod table;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use datasets_spec::dataset::Commit;
+use datasets_spec::manifest::Accounting;
+use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Fps, Motion, Progress, Seed, Skeleton, Transaction};
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::Error;
+use crate::export::item_stem;
+use crate::ingest::list_files;
+use crate::source::Rejected;
+use file::Kind;
+use recorded::Recorded;
+
+/// The vertical axis of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Up {
+    /// As in the store.
+    Y,
+    /// As in AMASS and MotionFix.
+    Z,
+}
+
+/// Where an answer stands on the ground.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Where its file says.
+    File,
+    /// On the floor, beginning where the item's source begins and facing as it does.
+    Source,
+}
+
+/// Whose answers are imported, and what their files do not say.
+#[derive(Clone, Debug)]
+pub struct AnswerOptions {
+    /// Name of the system in tables.
+    pub system: String,
+    /// The settings it answered with, a JSON object.
+    pub settings: String,
+    /// Seed of answers that state none; takes of one item differ by it.
+    pub seed: Seed,
+    /// Rate of all answers, in place of what files say.
+    pub fps: Option<Fps>,
+    /// Vertical axis of all answers, in place of what their formats have.
+    pub up: Option<Up>,
+    /// Place of all answers, in place of what their formats have.
+    pub place: Option<Place>,
+}
+
+/// The answers of one system.
+#[derive(Clone, Debug)]
+pub struct Answers {
+    /// The edits, in the order of the items, then of the seeds.
+    pub rows: Vec<EditRow>,
+    /// What became of every answer.
+    pub report: AnswerReport,
+    quarantine: Vec<QuarantineRow>,
+}
+
+/// What became of every answer: `found = imported + refused + passed_over`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AnswerReport {
+    /// Items asked.
+    pub items: usize,
+    /// Items with at least one answer.
+    pub answered: usize,
+    /// Answers found: files, and rows of tables.
+    pub found: usize,
+    /// Answers that became edits.
+    pub imported: usize,
+    /// Ids of the items without an answer.
+    pub missing: Vec<String>,
+    /// Answers that could not be used.
+    pub refused: Vec<Refusal>,
+    /// Files that hold no answer.
+    pub passed_over: Vec<PassedOver>,
+    /// What looks as if the files were read in another way than they were written.
+    pub warnings: Vec<String>,
+    /// BLAKE3 of the imported bytes: what the edits have in place of a checkpoint's hash.
+    pub checkpoint_hash: String,
+}
+
+/// An answer that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Refusal {
+    /// Path of the file, relative to what was given.
+    pub file: String,
+    /// What it is called: the stem of the file, or the id of the row.
+    pub name: String,
+    /// Code that scripts may rely on.
+    pub code: &'static str,
+    /// What is wrong, with the numbers found and expected.
+    pub reason: String,
+    /// Where in the file, if there is such a place.
+    pub byte_offset: Option<u64>,
+}
+
+/// A file that holds no answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PassedOver {
+    /// Path of the file, relative to what was given.
+    pub file: String,
+    /// Why.
+    pub reason: String,
+}
+
+impl AnswerReport {
+    /// Whether every answer found is accounted for.
+    pub fn balances(&self) -> bool {
+        self.found == self.imported + self.refused.len() + self.passed_over.len()
+    }
+
+    /// Refusals by code.
+    pub fn codes(&self) -> BTreeMap<&'static str, usize> {
+        let mut codes = BTreeMap::new();
+        for refusal in &self.refused {
+            *codes.entry(refusal.code).or_default() += 1;
+        }
+        codes
+    }
+}
+
+/// The names items go by.
+struct Names(BTreeMap<String, usize>);
+
+impl Names {
+    /// Ends that exporters put behind the name of a motion.
+    const ENDS: [&'static str; 2] = ["_stageii", "_poses"];
+
+    fn of(items: &[ItemRow]) -> Result<Self, Error> {
+        let mut names = BTreeMap::new();
+        for (index, item) in items.iter().enumerate() {
+            item.check()?;
+            if names.insert(item.id.clone(), index).is_some() {
+                return Err(Error::ItemTwice {
+                    id: item.id.clone(),
+                });
+            }
+        }
+        // Names that are not ids must not take the place of one, nor mean two items.
+        let mut others: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
+        for (index, item) in items.iter().enumerate() {
+            for name in [Some(item_stem(&item.id)), motionfix_number(item)]
+                .into_iter()
+                .flatten()
+            {
+                others.entry(name).or_default().insert(index);
+            }
+        }
+        for (name, indices) in others {
+            if let (Some(&index), 1) = (indices.first(), indices.len()) {
+                names.entry(name).or_insert(index);
+            }
+        }
+        Ok(Self(names))
+    }
+
+    /// The item of a name, and the seed behind it if there is one.
+    fn find(&self, name: &str) -> Option<(usize, Option<Seed>)> {
+        let plain = |name: &str| self.0.get(name).copied();
+        let bare = Self::ENDS
+            .into_iter()
+            .find_map(|end| name.strip_suffix(end))
+            .unwrap_or(name);
+        if let Some(index) = plain(name).or_else(|| plain(bare)) {
+            return Some((index, None));
+        }
+        let (stem, seed) = bare.rsplit_once('-')?;
+        Some((plain(stem)?, Some(Seed(seed.parse().ok()?))))
+    }
+}
+
+/// The number of a pair in MotionFix, by which its evaluation names files.
+fn motionfix_number(item: &ItemRow) -> Option<String> {
+    if item.task != crate::compose::ItemTask::MotionFix.as_str() {
+        return None;
+    }
+    let name = item.source_id.as_str().rsplit('/').next()?;
+    Some(name.strip_suffix("-source")?.to_owned())
+}
+
+/// An answer on its way to a row.
+struct Found {
+    file: String,
+    file_hash: String,
+    name: String,
+    /// Item and seed, once they are known.
+    place: Option<(usize, Seed)>,
+    read: Result<(Motion, Option<f32>), Rejected>,
+}
+
+/// Reads the answers in files, and in files under folders, to the items.
+///
+/// An answer belongs to the item whose id is the stem of its file, or stands in column `id` of its
+/// table. A number behind the stem, as in `ID-7`, is the seed of the sample. MotionFix's items also go
+/// by the number of their pair.
+///
+/// # Errors
+/// A path does not exist, there is no file, or the items are not what their ids say. What is wrong
+/// with an answer is in the report.
+pub fn read_answers(
+    files: &[PathBuf],
+    items: &[ItemRow],
+    skeleton: &Skeleton,
+    options: &AnswerOptions,
+    progress: &dyn Progress,
+) -> Result<Answers, Error> {
+    let names = Names::of(items)?;
+    let listing = list_files(files)?;
+    let mut passed_over: Vec<PassedOver> = Vec::new();
+    let mut sources: Vec<(String, PathBuf, Kind)> = Vec::new();
+    for (relative, path) in listing.files {
+        match Kind::of(&path) {
+            Ok(kind) => sources.push((relative, path, kind)),
+            Err(reason) => passed_over.push(PassedOver {
+                file: relative,
+                reason,
+            }),
+        }
+    }
+    progress.begin("import", Some(sources.len() as u64));
+    let found: Vec<Found> = sources
+        .par_iter()
+        .flat_map_iter(|(relative, path, kind)| {
+            let reader = Reader {
+                names: &names,
+                items,
+                skeleton,
+                options,
+            };
+            let found = reader.file(relative, path, *kind);
+            progress.advance(1);
+            found
+        })
+        .collect();
+    progress.finish(&format!("{} answers read", found.len()));
+    Ok(Answers::of(found, passed_over, items, options))
+}
+
+/// What reading an answer needs.
+struct Reader<'a> {
+    names: &'a Names,
+    items: &'a [ItemRow],
+    skeleton: &'a Skeleton,
+    options: &'a AnswerOptions,
+}
+
+impl Reader<'_> {
+    fn file(&self, relative: &str, path: &Path, kind: Kind) -> Vec<Found> {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let whole_file = |rejected: Rejected, file_hash: String| {
+            vec![Found {
+                file: relative.to_owned(),
+                file_hash,
+                name: stem.clone().into_owned(),
+                place: None,
+                read: Err(rejected),
+            }]
+        };
+        let bytes = match std::fs::read(path) {
+            Ok(bytes) => bytes,
+            Err(error) => {
+                let rejected = Rejected::read("E-IO", format!("cannot be read: {error}"));
+                return whole_file(rejected, String::new());
+            }
+        };
+        let file_hash = blake3::hash(&bytes).to_hex().to_string();
+        // The readers are written not to panic; a bug in one of them must not take the other answers
+        // with it.
+        let guarded = |work: &mut dyn FnMut() -> Result<Vec<Found>, Rejected>| {
+            std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|_| {
+                Err(Rejected::read(
+                    "E-INTERNAL",
+                    "the reader failed on this file; please report it",
+                ))
+            })
+        };
+        let one = |name: &str, seed: Option<Seed>, recorded: Result<Recorded, Rejected>| {
+            let found = self.names.find(name);
+            let read = match found {
+                None => Err(self.unknown(name)),
+                Some((index, _)) => recorded.and_then(|recorded| {
+                    let motion =
+                        recorded.motion(&self.items[index], self.skeleton, self.options)?;
+                    Ok((motion, recorded.fit_error_m))
+                }),
+            };
+            Found {
+                file: relative.to_owned(),
+                file_hash: file_hash.clone(),
+                name: name.to_owned(),
+                place: found
+                    .map(|(index, behind)| (index, seed.or(behind).unwrap_or(self.options.seed))),
+                read,
+            }
+        };
+        let mut bytes = Some(bytes);
+        let done = guarded(&mut || {
+            let bytes = bytes.take().unwrap_or_default();
+            if kind == Kind::Parquet {
+                let answers = table::read(bytes)?.into_iter();
+                let found =
+                    answers.map(|answer| one(&answer.id, answer.seed.map(Seed), answer.recorded));
+                return Ok(found.collect());
+            }
+            let recorded = file::read(kind, &bytes, self.skeleton, self.options);
+            Ok(vec![one(&stem, None, recorded)])
+        });
+        done.unwrap_or_else(|rejected| whole_file(rejected, file_hash.clone()))
+    }
+
+    fn unknown(&self, name: &str) -> Rejected {
+        let known = self.items.first().map_or("", |item| &item.id);
+        Rejected::check(
+            "E-ITEM-UNKNOWN",
+            format!("no item is called {name:?}; items go by their ids, such as {known}"),
+        )
+    }
+}
+
+impl Answers {
+    fn of(
+        mut found: Vec<Found>,
+        passed_over: Vec<PassedOver>,
+        items: &[ItemRow],
+        options: &AnswerOptions,
+    ) -> Self {
+        refuse_repeated(&mut found);
+        let num_found = found.len() + passed_over.len();
+        let (mut refused, mut quarantine, mut rows) = (Vec::new(), Vec::new(), Vec::new());
+        let mut imported = Vec::new();
+        for found in found {
+            match (found.read, found.place) {
+                (Ok((motion, fit_error_m)), Some((index, seed))) => {
+                    imported.push((items[index].id.clone(), found.file_hash));
+                    rows.push((index, seed, motion, fit_error_m));
+                }
+                (Err(rejected), _) => {
+                    quarantine.push(quarantined(&found.file, found.file_hash, &rejected));
+                    refused.push(Refusal {
+                        file: found.file,
+                        name: found.name,
+                        code: rejected.code,
+                        reason: rejected.reason,
+                        byte_offset: rejected.byte_offset,
+                    });
+                }
+                (Ok(_), None) => unreachable!("an answer without an item is refused"),
+            }
+        }
+        let checkpoint_hash = identity(imported, options);
+        rows.sort_by_key(|&(index, seed, ..)| (index, seed.0));
+        let answered: BTreeSet<usize> = rows.iter().map(|row| row.0).collect();
+        let warnings = warnings(&rows, items);
+        let settings_hash = blake3::hash(options.settings.as_bytes())
+            .to_hex()
+            .to_string();
+        let rows: Vec<EditRow> = rows
+            .into_iter()
+            .map(|(index, seed, motion, fit_error_m)| {
+                let item = &items[index];
+                EditRow {
+                    id: item.id.clone(),
+                    split: item.split,
+                    system: options.system.clone(),
+                    checkpoint_hash: checkpoint_hash.clone(),
+                    settings_hash: settings_hash.clone(),
+                    settings: options.settings.clone(),
+                    source_id: item.source_id.to_string(),
+                    target_id: item.target_id.to_string(),
+                    instruction: item.instruction.clone(),
+                    kind: item.task.clone(),
+                    seed: seed.0,
+                    fps: item.fps,
+                    n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+                    transl: motion.transl().to_vec(),
+                    global_orient: motion.global_orient().to_vec(),
+                    body_pose: motion.body_pose().to_vec(),
+                    fit_error_m,
+                    bone_drift_m: None,
+                }
+            })
+            .collect();
+        let missing = items.iter().enumerate();
+        let missing = missing.filter(|(index, _)| !answered.contains(index));
+        let report = AnswerReport {
+            items: items.len(),
+            answered: answered.len(),
+            found: num_found,
+            imported: rows.len(),
+            missing: missing.map(|(_, item)| item.id.clone()).collect(),
+            refused,
+            passed_over,
+            warnings,
+            checkpoint_hash,
+        };
+        debug_assert!(report.balances(), "{report:?}");
+        Self {
+            rows,
+            report,
+            quarantine,
+        }
+    }
+
+    /// Commits items and edits as a folder that `stance eval` scores: tables `items`, `edits` and,
+    /// where answers were refused, `quarantine`, all or none of them. What is there already by the
+    /// same answers is left as it is.
+    ///
+    /// # Errors
+    /// The folder is a dataset of something else, is locked, or cannot be written.
+    pub fn commit(
+        &self,
+        out: &Path,
+        items: &[ItemRow],
+        skeleton: &Skeleton,
+        holder: &str,
+    ) -> Result<Dataset, Error> {
+        let transaction = Transaction::begin(out, holder)?;
+        let plan_hash = self.plan_hash(items, skeleton);
+        if let Some(base) = transaction.base() {
+            let own = [
+                ItemRow::TABLE,
+                EditRow::TABLE,
+                QuarantineRow::TABLE,
+                ScoreRow::TABLE,
+            ];
+            if base
+                .tables
+                .keys()
+                .any(|table| !own.contains(&table.as_str()))
+            {
+                return Err(Error::Occupied {
+                    path: out.to_owned(),
+                });
+            }
+            if base.plans.get(EditRow::TABLE) == Some(&plan_hash) {
+                drop(transaction);
+                return Ok(Dataset::open(out)?);
+            }
+        }
+        let split_of_item: fn(&ItemRow) -> _ = |row| row.split;
+        let split_of_edit: fn(&EditRow) -> _ = |row| row.split;
+        let mut tables = BTreeMap::from([
+            (
+                ItemRow::TABLE.to_owned(),
+                transaction.write_rows(items, Some(split_of_item), skeleton, &plan_hash)?,
+            ),
+            (
+                EditRow::TABLE.to_owned(),
+                transaction.write_rows(&self.rows, Some(split_of_edit), skeleton, &plan_hash)?,
+            ),
+        ]);
+        if !self.quarantine.is_empty() {
+            let files = transaction.write_rows(&self.quarantine, None, skeleton, &plan_hash)?;
+            tables.insert(QuarantineRow::TABLE.to_owned(), files);
+        }
+        let codes = self.report.codes().into_iter();
+        let accounting = Accounting {
+            sources: self.report.found as u64,
+            ingested: self.report.imported as u64,
+            quarantined: self.report.refused.len() as u64,
+            skipped: self.report.passed_over.len() as u64,
+            codes: codes
+                .map(|(code, count)| (code.to_owned(), count as u64))
+                .collect(),
+        };
+        Ok(transaction.commit(Commit {
+            tables,
+            plan_hash,
+            skeleton: skeleton.clone(),
+            accounting: Some(accounting),
+            fresh: true,
+            ..Commit::default()
+        })?)
+    }
+
+    fn plan_hash(&self, items: &[ItemRow], skeleton: &Skeleton) -> String {
+        let mut hasher = blake3::Hasher::new();
+        let mut part = |text: &str| {
+            hasher.update(&(text.len() as u64).to_le_bytes());
+            hasher.update(text.as_bytes());
+        };
+        part("answers-1");
+        part(skeleton.name());
+        part(&self.report.checkpoint_hash);
+        items.iter().for_each(|item| part(&item.id));
+        for row in &self.rows {
+            part(&row.id);
+            part(&row.system);
+            part(&row.settings_hash);
+            part(&row.seed.to_string());
+        }
+        for row in &self.quarantine {
+            part(&row.path);
+            part(&row.source_hash);
+            part(&row.code);
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+}
+
+/// Several answers to one item with one seed: nothing says which is meant, so none is taken.
+fn refuse_repeated(found: &mut [Found]) {
+    let mut places: BTreeMap<(usize, u64), Vec<usize>> = BTreeMap::new();
+    for (at, found) in found.iter().enumerate() {
+        if let (Some((index, seed)), Ok(_)) = (found.place, &found.read) {
+            places.entry((index, seed.0)).or_default().push(at);
+        }
+    }
+    for ((_, seed), answers) in places {
+        if answers.len() == 1 {
+            continue;
+        }
+        let files: BTreeSet<&str> = answers.iter().map(|&at| found[at].file.as_str()).collect();
+        let reason = format!(
+            "{} answers to this item have seed {seed} (in {}); keep one, or tell takes apart by \
+             their seed",
+            answers.len(),
+            files.into_iter().collect::<Vec<_>>().join(", ")
+        );
+        for at in answers {
+            found[at].read = Err(Rejected::check("E-ITEM-DUPLICATE", reason.clone()));
+        }
+    }
+}
+
+fn quarantined(file: &str, source_hash: String, rejected: &Rejected) -> QuarantineRow {
+    QuarantineRow {
+        path: file.to_owned(),
+        source_hash,
+        code: rejected.code.to_owned(),
+        reason: rejected.reason.clone(),
+        byte_offset: rejected.byte_offset,
+        stage: rejected.stage.to_owned(),
+    }
+}
+
+/// BLAKE3 of the imported bytes: of the pairs (item, hash of the file its answer came from), sorted,
+/// and of how the files were read. It depends on no name or order of files beyond what they answer.
+fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> String {
+    imported.sort();
+    imported.dedup();
+    let mut hasher = blake3::Hasher::new();
+    for (item, file_hash) in imported {
+        hasher.update(item.as_bytes());
+        hasher.update(file_hash.as_bytes());
+    }
+    let read_as = format!("{:?} {:?} {:?}", options.fps, options.up, options.place);
+    hasher.update(read_as.as_bytes());
+    hasher.finalize().to_hex().to_string()
+}
+
+/// Cosine between the body's axis and the vertical above which it stands, and below which it lies.
+const STANDING: f64 = 0.7;
+const LYING: f64 = 0.3;
+/// Distance in metres over the ground between the first frames of an answer and of its source that
+/// no edit makes.
+const FAR_M: f64 = 2.0;
+
+/// What looks as if files were read in another way than they were written.
+fn warnings(rows: &[(usize, Seed, Motion, Option<f32>)], items: &[ItemRow]) -> Vec<String> {
+    let (mut lying, mut far) = (0, 0);
+    for (index, _, motion, _) in rows {
+        let Ok(source) = items[*index].source() else {
+            continue;
+        };
+        let (answer, source) = (motion.pose(0), source.pose(0));
+        let uprightness = |rotation: glam::DQuat| (rotation * DVec3::Y).y;
+        if uprightness(source.rotations[0]) > STANDING
+            && uprightness(answer.rotations[0]).abs() < LYING
+        {
+            lying += 1;
+        } else if (answer.transl - source.transl).with_y(0.0).length() > FAR_M {
+            far += 1;
+        }
+    }
+    let total = rows.len();
+    let mut warnings = Vec::new();
+    if lying > 0 {
+        warnings.push(format!(
+            "{lying} of {total} answers lie down where their sources stand: say which axis of the \
+             files is up with --up y or --up z"
+        ));
+    }
+    if far > 0 {
+        warnings.push(format!(
+            "{far} of {total} answers begin more than {FAR_M} m from their sources: if the system \
+             moves motions to an origin of its own, pass --place source"
+        ));
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests;

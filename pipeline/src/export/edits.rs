@@ -1,0 +1,202 @@
+//! Edits of systems, and the questions they answer, with one file each.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{Dataset, Motion, Progress, Skeleton};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::clips::{safe_path, unique};
+use super::{Layout, Staging, amass, item_stem};
+use crate::{Error, write};
+
+const LIST: &str = "edits.json";
+
+/// Which motions of the questions are exported beside the answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sides {
+    /// Those that were to be edited.
+    pub sources: bool,
+    /// Those they should have become.
+    pub targets: bool,
+}
+
+/// A motion to write.
+struct Clip<'a> {
+    stem: String,
+    motion: Motion,
+    said: Said<'a>,
+}
+
+/// A line of `edits.json`.
+#[derive(Clone, Serialize)]
+struct Said<'a> {
+    file: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    system: Option<&'a str>,
+    item: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seed: Option<u64>,
+    task: &'a str,
+    instruction: &'a str,
+    fps: f32,
+    frames: usize,
+}
+
+/// Writes the edits of a folder to a new one, each under `SYSTEM/ITEM`, with its seed behind where a
+/// system has several takes of an item, and `edits.json` with what was asked. Sources and targets of
+/// the items go to `sources/ITEM` and `targets/ITEM` on request. Returns the number of motions.
+///
+/// # Errors
+/// The layout is not one with a file for each motion, the folder exists and is not empty, the tables
+/// cannot be read, or writing fails; nothing is left behind then.
+pub fn export_edits(
+    dataset: &Dataset,
+    layout: Layout,
+    sides: Sides,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let extension = match layout {
+        Layout::Amass => "npz",
+        Layout::Bvh => "bvh",
+        Layout::Gltf => "glb",
+        other => {
+            return Err(Error::LayoutOfEdits {
+                layout: other.as_str(),
+            });
+        }
+    };
+    let skeleton = dataset.skeleton()?;
+    let encode = |motion: &Motion, skeleton: &Skeleton| match layout {
+        Layout::Amass => amass::encode(motion, skeleton),
+        Layout::Bvh => Ok(write::bvh::encode(motion, skeleton).into_bytes()),
+        _ => write::gltf::encode(motion, skeleton),
+    };
+    let edits = dataset.read::<EditRow>(None)?;
+    let items = dataset.read::<ItemRow>(None)?;
+    let folder = Staging::beside(out)?;
+    let mut taken = BTreeSet::new();
+    let clips = clips(&edits, &items, sides)?;
+    let named: Vec<(String, Clip<'_>)> = clips
+        .into_iter()
+        .map(|clip| {
+            // Files of AMASS end as those of its release do.
+            let name = match layout {
+                Layout::Amass => amass::file_name(&clip.stem, &mut taken),
+                _ => format!("{}.{extension}", unique(clip.stem.clone(), &mut taken)),
+            };
+            (name, clip)
+        })
+        .collect();
+    progress.begin("export", Some(named.len() as u64));
+    let said: Vec<Said<'_>> = named
+        .into_par_iter()
+        .map(|(file, clip)| {
+            let path = folder.path.join(&file);
+            if let Some(parent) = path.parent() {
+                fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+            }
+            let bytes = encode(&clip.motion, &skeleton).map_err(Error::io("encode", &path))?;
+            fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+            progress.advance(1);
+            Ok(Said { file, ..clip.said })
+        })
+        .collect::<Result<_, Error>>()?;
+    let path = folder.path.join(LIST);
+    let mut text = serde_json::to_vec_pretty(&said).map_err(|source| {
+        Error::from(datasets_spec::Error::Json {
+            path: path.clone(),
+            source,
+        })
+    })?;
+    text.push(b'\n');
+    fs::write(&path, text).map_err(Error::io("write", &path))?;
+    folder.publish(out)?;
+    progress.finish(&format!("{} motions", said.len()));
+    Ok(said.len() as u64)
+}
+
+fn clips<'a>(
+    edits: &'a [EditRow],
+    items: &'a [ItemRow],
+    sides: Sides,
+) -> Result<Vec<Clip<'a>>, Error> {
+    let mut takes: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+    for row in edits {
+        *takes.entry((&row.system, &row.id)).or_default() += 1;
+    }
+    let mut clips = Vec::new();
+    for row in edits {
+        let item = item_stem(&row.id);
+        let take = match takes[&(row.system.as_str(), row.id.as_str())] {
+            1 => String::new(),
+            _ => format!("-{}", row.seed),
+        };
+        let motion = row.motion()?;
+        clips.push(Clip {
+            stem: format!("{}/{item}{take}", folder_of(&row.system)),
+            said: Said {
+                file: String::new(),
+                system: Some(&row.system),
+                item: &row.id,
+                seed: Some(row.seed),
+                task: &row.kind,
+                instruction: &row.instruction,
+                fps: row.fps,
+                frames: motion.len(),
+            },
+            motion,
+        });
+    }
+    for item in items {
+        let mut add = |side: &str, motion: Motion| {
+            clips.push(Clip {
+                stem: format!("{side}/{}", item_stem(&item.id)),
+                said: Said {
+                    file: String::new(),
+                    system: None,
+                    item: &item.id,
+                    seed: None,
+                    task: &item.task,
+                    instruction: &item.instruction,
+                    fps: item.fps,
+                    frames: motion.len(),
+                },
+                motion,
+            });
+        };
+        if sides.sources {
+            add("sources", item.source()?);
+        }
+        if sides.targets && item.target_frames > 0 {
+            add("targets", item.target()?);
+        }
+    }
+    Ok(clips)
+}
+
+/// The folder of a system: its name, in one piece.
+fn folder_of(system: &str) -> String {
+    safe_path(&system.replace('/', "_"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_system_is_one_folder() {
+        for (system, folder) in [
+            ("TMED", "TMED"),
+            ("MotionReFit tiny, w/o MCM", "MotionReFit tiny, w_o MCM"),
+            ("..", "_"),
+            ("../x", ".._x"),
+        ] {
+            assert_eq!(folder_of(system), folder);
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Test items for systems that live elsewhere.
+
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::record::ItemRow;
+use datasets_spec::{Motion, Progress, Skeleton};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{Staging, amass};
+use crate::Error;
+
+const LIST: &str = "items.json";
+const SOURCES: &str = "sources";
+const TARGETS: &str = "targets";
+
+/// `items.json`.
+#[derive(Serialize)]
+struct List<'a> {
+    format: &'static str,
+    version: u32,
+    skeleton: &'a str,
+    up: &'static str,
+    items: Vec<Item<'a>>,
+}
+
+/// A test question, without what only the target knows.
+#[derive(Serialize)]
+struct Item<'a> {
+    id: &'a str,
+    task: &'a str,
+    split: &'a str,
+    instruction: &'a str,
+    parts: &'a [String],
+    fps: f32,
+    source: File,
+    /// Frames of the target: published protocols tell systems how long their answer is to be.
+    target_frames: i32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    target: Option<File>,
+}
+
+#[derive(Serialize)]
+struct File {
+    file: String,
+    frames: usize,
+}
+
+/// The stem of the files of an item.
+pub(crate) fn item_stem(id: &str) -> String {
+    super::clips::safe_path(&id.replace('/', "_"))
+}
+
+/// Writes items to a new folder: `sources/ID.npz` with SMPL-X parameters in AMASS's layout (z up) and
+/// `keypoints` `[T, 28, 3]` in the same frame, and `items.json` with what is asked. Targets go to
+/// `targets/ID.npz`, and only if they are asked for. Equal items give equal bytes. Returns the number of
+/// motions written.
+///
+/// # Errors
+/// The folder exists and is not empty, an item is not what its id says, or writing fails; nothing is
+/// left behind then.
+pub fn export_items(
+    items: &[ItemRow],
+    skeleton: &Skeleton,
+    out: &Path,
+    with_targets: bool,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    items.iter().try_for_each(ItemRow::check)?;
+    let folder = Staging::beside(out)?;
+    let sides: &[&str] = if with_targets {
+        &[SOURCES, TARGETS]
+    } else {
+        &[SOURCES]
+    };
+    for side in sides {
+        let path = folder.path.join(side);
+        fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+    }
+    progress.begin("export items", Some(items.len() as u64));
+    let written: Vec<Item<'_>> = items
+        .par_iter()
+        .map(|item| {
+            let put = |side: &str, motion: &Motion| -> Result<File, Error> {
+                let file = format!("{side}/{}.npz", item_stem(&item.id));
+                let path = folder.path.join(&file);
+                let bytes = amass::encode_with_keypoints(motion, skeleton)
+                    .map_err(Error::io("encode", &path))?;
+                fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+                let frames = motion.len();
+                Ok(File { file, frames })
+            };
+            let source = put(SOURCES, &item.source()?)?;
+            let target = match with_targets && item.target_frames > 0 {
+                true => Some(put(TARGETS, &item.target()?)?),
+                false => None,
+            };
+            progress.advance(1);
+            Ok(Item {
+                id: &item.id,
+                task: &item.task,
+                split: item.split.as_str(),
+                instruction: &item.instruction,
+                parts: &item.parts,
+                fps: item.fps,
+                source,
+                target_frames: item.target_frames,
+                target,
+            })
+        })
+        .collect::<Result<_, Error>>()?;
+    let motions = written
+        .iter()
+        .map(|item| 1 + u64::from(item.target.is_some()))
+        .sum();
+    let list = List {
+        format: "stance-items",
+        version: 1,
+        skeleton: skeleton.name(),
+        up: "z",
+        items: written,
+    };
+    let path = folder.path.join(LIST);
+    let mut text = serde_json::to_vec_pretty(&list).map_err(|source| {
+        Error::from(datasets_spec::Error::Json {
+            path: path.clone(),
+            source,
+        })
+    })?;
+    text.push(b'\n');
+    fs::write(&path, text).map_err(Error::io("write", &path))?;
+    folder.publish(out)?;
+    progress.finish(&format!("{} items", items.len()));
+    Ok(motions)
+}
