@@ -97,6 +97,7 @@ pub(crate) enum Command {
     Train(cmd::train::Args),
     Model(cmd::model::Args),
     Edit(cmd::edit::Args),
+    Edits(cmd::edits::Args),
     Eval(cmd::eval::Args),
     Sweep(cmd::sweep::Args),
     Report(cmd::page::Args),

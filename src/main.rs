@@ -48,6 +48,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Train(args) => cmd::train::run(args, global),
         Command::Model(args) => cmd::model::run(args, global),
         Command::Edit(args) => cmd::edit::run(args, global),
+        Command::Edits(args) => cmd::edits::run(args, global),
         Command::Eval(args) => cmd::eval::run(args, global),
         Command::Sweep(args) => cmd::sweep::run(args, global),
         Command::Report(args) => cmd::page::run(args, global),

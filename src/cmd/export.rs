@@ -2,23 +2,33 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
 use datasets_spec::Dataset;
-use pipeline::export::{Layout, export};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::table::Row;
+use pipeline::export::{Layout, Sides, export, export_edits};
 
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
 
-/// Write a dataset in a layout that other tools read.
+/// Write a dataset, or a folder of edits, in a layout that other tools read.
 ///
-/// The folder appears when everything is in it; a failing export leaves nothing behind.
+/// Edits become one file each, SYSTEM/ITEM with -SEED behind where there are several takes, and
+/// edits.json with what was asked. The folder appears when everything is in it; a failing export leaves nothing behind.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Dataset folder
+    /// Dataset folder, or folder of edits
     dataset: PathBuf,
-    /// Layout to write
+    /// Layout to write; edits go to amass, bvh or gltf
     #[arg(long, value_enum)]
     to: LayoutArg,
+    /// Write the motions that were to be edited too, to sources/ITEM
+    #[arg(long)]
+    sources: bool,
+    /// Write the motions they should have become too, to targets/ITEM
+    #[arg(long)]
+    targets: bool,
     /// New folder to write
     #[arg(long)]
     out: PathBuf,
@@ -59,7 +69,30 @@ impl From<LayoutArg> for Layout {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&args.dataset)?;
     let layout = Layout::from(args.to);
-    let clips = export(&dataset, layout, &args.out, &global.bars())?;
+    let sides = Sides {
+        sources: args.sources,
+        targets: args.targets,
+    };
+    let has = |table: &str| dataset.manifest().tables.contains_key(table);
+    let bars = global.bars();
+    let clips = if has(MotionRow::TABLE) {
+        if sides != Sides::default() {
+            bail!(
+                "{} holds motions; --sources and --targets are of items",
+                args.dataset.display()
+            );
+        }
+        export(&dataset, layout, &args.out, &bars)?
+    } else if has(EditRow::TABLE) || (has(ItemRow::TABLE) && sides != Sides::default()) {
+        export_edits(&dataset, layout, sides, &args.out, &bars)?
+    } else if has(ItemRow::TABLE) {
+        bail!(
+            "{} holds items; say which of their motions: --sources, --targets, or both",
+            args.dataset.display()
+        );
+    } else {
+        export(&dataset, layout, &args.out, &bars)?
+    };
     if global.json {
         report::json(&serde_json::json!({
             "out": args.out,

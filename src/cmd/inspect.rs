@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::manifest::{Accounting, Manifest};
-use datasets_spec::record::MotionRow;
-use datasets_spec::table::{ShardDescription, describe};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
 use pipeline::check::FLAG_NAMES;
@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use crate::cli::Global;
 use crate::cmd::edit::{read_foreign, stored_row};
+use crate::cmd::render::{holds_items, stored_item};
 use crate::exit::Exit;
 use crate::report;
 
@@ -26,7 +27,7 @@ use crate::report;
 pub(crate) struct Args {
     /// Dataset folder, Parquet shard, manifest, or motion file
     path: PathBuf,
-    /// Id of a clip of the dataset
+    /// Id of a clip of the dataset, or of an item
     #[arg(long)]
     clip: Option<String>,
 }
@@ -34,6 +35,12 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let path = &args.path;
     if let Some(id) = &args.clip {
+        let dataset = Dataset::open(path)?;
+        if holds_items(&dataset) {
+            let item = stored_item(&dataset, id)?;
+            let edits: Vec<EditRow> = dataset.read(None)?;
+            return show(&Question::of(&item, &edits), Question::text, global);
+        }
         return show(&Clip::of(&stored_row(path, id)?), Clip::text, global);
     }
     if path.is_dir() {
@@ -76,7 +83,27 @@ struct Document<'a> {
     tables: BTreeMap<&'a str, u64>,
     accounting: &'a Accounting,
     facts: &'a BTreeMap<String, String>,
+    /// Items by task.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    tasks: BTreeMap<String, u64>,
+    /// Edits by system.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    systems: BTreeMap<String, u64>,
     catalogue: Catalogue,
+}
+
+/// Rows of a table by a column of text.
+fn counted<R: Row>(
+    dataset: &Dataset,
+    column: &'static str,
+) -> anyhow::Result<BTreeMap<String, u64>> {
+    let mut counts = BTreeMap::new();
+    for (path, _) in dataset.files(R::TABLE, None) {
+        for value in read_column::<R, String>(&path, column)? {
+            *counts.entry(value).or_default() += 1;
+        }
+    }
+    Ok(counts)
 }
 
 impl<'a> Document<'a> {
@@ -90,6 +117,8 @@ impl<'a> Document<'a> {
             tables: table_rows(manifest),
             accounting: &manifest.accounting,
             facts: &manifest.facts,
+            tasks: counted::<ItemRow>(dataset, "task")?,
+            systems: counted::<EditRow>(dataset, "system")?,
             catalogue: catalogue(dataset)?,
         })
     }
@@ -104,6 +133,17 @@ impl<'a> Document<'a> {
         }
         for (table, rows) in &self.tables {
             text += &format!("{table:<12} {rows:>8} rows\n");
+        }
+        for (title, unit, counts) in [
+            ("task", "items", &self.tasks),
+            ("system", "edits", &self.systems),
+        ] {
+            if !counts.is_empty() {
+                text += &format!("\n{title:<24} {unit:>7}\n");
+            }
+            for (label, count) in counts {
+                text += &format!("{label:<24} {count:>7}\n");
+            }
         }
         let groups = [
             ("split", &self.catalogue.splits),
@@ -197,6 +237,56 @@ fn shard_text(shard: &ShardDescription) -> String {
         );
     }
     text
+}
+
+/// An item, and who answered it.
+#[derive(Serialize)]
+struct Question {
+    facts: BTreeMap<String, String>,
+    answers: Vec<String>,
+}
+
+impl Question {
+    fn of(item: &ItemRow, edits: &[EditRow]) -> Self {
+        let length = |frames: i32| format!("{frames} frames at {} fps", item.fps);
+        let facts = [
+            ("id", item.id.clone()),
+            ("task", item.task.clone()),
+            ("split", item.split.to_string()),
+            ("instruction", item.instruction.clone()),
+            ("parts", item.parts.join(", ")),
+            (
+                "source",
+                format!("{}, {}", item.source_id, length(item.source_frames)),
+            ),
+            (
+                "target",
+                format!("{}, {}", item.target_id, length(item.target_frames)),
+            ),
+            ("donors", item.donor_ids.join(", ")),
+            ("origin", item.origin.clone()),
+        ];
+        let edits = edits.iter().filter(|edit| edit.id == item.id);
+        Self {
+            facts: facts.map(|(key, value)| (key.to_owned(), value)).into(),
+            answers: edits
+                .map(|edit| {
+                    format!(
+                        "{}, seed {}, {} frames",
+                        edit.system, edit.seed, edit.n_frames
+                    )
+                })
+                .collect(),
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = listing(&self.facts);
+        if !self.answers.is_empty() {
+            text += &format!("answers\n  {}\n", self.answers.join("\n  "));
+        }
+        text
+    }
 }
 
 /// A clip of a dataset.

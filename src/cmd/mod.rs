@@ -6,6 +6,7 @@ pub(crate) mod corpus;
 pub(crate) mod demo;
 pub(crate) mod doctor;
 pub(crate) mod edit;
+pub(crate) mod edits;
 pub(crate) mod eval;
 pub(crate) mod export;
 pub(crate) mod ingest;

@@ -3,10 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::{JointSet, Skeleton};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::table::Row as _;
+use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, strip};
 
+use crate::chain;
 use crate::cli::Global;
 use crate::cmd::edit::{foreign_clip, stored_clip};
 use crate::exit::Exit;
@@ -14,11 +17,12 @@ use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
+/// Of an item there is a row for its source, its target and every answer of a folder of edits.
 /// The ending of --out says what is made: svg or png for strips below each other, gif for figures
 /// that move beside each other.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Motion files, or ids of clips of --dataset; one row each
+    /// Motion files, or ids of clips or items of --dataset
     #[arg(required = true)]
     clips: Vec<String>,
     /// Dataset the ids belong to
@@ -64,27 +68,64 @@ pub(crate) fn write_picture(path: &Path, svg: &str, zoom: f32) -> anyhow::Result
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// Whether a folder is one of items, or of edits, and not of motions.
+pub(crate) fn holds_items(dataset: &Dataset) -> bool {
+    let tables = &dataset.manifest().tables;
+    tables.contains_key(ItemRow::TABLE) && !tables.contains_key(MotionRow::TABLE)
+}
+
+/// The item of an id, or of the beginning of one.
+pub(crate) fn stored_item(dataset: &Dataset, id: &str) -> anyhow::Result<ItemRow> {
+    let rows: Vec<ItemRow> = dataset.read(None)?;
+    let mut found = rows.into_iter().filter(|row| row.id.starts_with(id));
+    match (found.next(), found.next()) {
+        (Some(item), None) => Ok(item),
+        (Some(_), Some(_)) => bail!("several items begin with {id:?}; write more of the id"),
+        (None, _) => bail!("no item {id:?} in {}", dataset.root().display()),
+    }
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let skeleton = Skeleton::smplx_neutral();
-    let rows: Vec<Row> = args
-        .clips
-        .iter()
-        .map(|clip| {
-            let (label, motion) = match &args.dataset {
-                Some(dataset) => (clip.clone(), stored_clip(dataset, clip)?),
-                None => {
-                    let path = Path::new(clip);
-                    let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                    (name.into_owned(), foreign_clip(path, &skeleton)?)
+    let dataset = args.dataset.as_deref().map(Dataset::open).transpose()?;
+    let skeleton = match &dataset {
+        Some(dataset) => chain::skeleton_of(dataset)?,
+        None => Skeleton::smplx_neutral(),
+    };
+    let row = |label: String, motion: &Motion, highlighted: JointSet| Row {
+        label,
+        keypoints: skeleton.motion_keypoints(motion),
+        highlighted,
+    };
+    let mut rows: Vec<Row> = Vec::new();
+    for clip in &args.clips {
+        match &dataset {
+            Some(dataset) if holds_items(dataset) => {
+                let item = stored_item(dataset, clip)?;
+                let edited = [item.hard_joints.as_slice(), &item.soft_joints].concat();
+                let edited = JointSet::try_from(edited)?;
+                rows.push(row("source".to_owned(), &item.source()?, JointSet::EMPTY));
+                if item.target_frames > 0 {
+                    rows.push(row("target".to_owned(), &item.target()?, edited));
                 }
-            };
-            Ok(Row {
-                label,
-                keypoints: skeleton.motion_keypoints(&motion),
-                highlighted: JointSet::EMPTY,
-            })
-        })
-        .collect::<anyhow::Result<_>>()?;
+                for edit in dataset.read::<EditRow>(None)? {
+                    if edit.id == item.id {
+                        let label = format!("{}, seed {}", edit.system, edit.seed);
+                        rows.push(row(label, &edit.motion()?, edited));
+                    }
+                }
+            }
+            Some(dataset) => {
+                let motion = stored_clip(dataset.root(), clip)?;
+                rows.push(row(clip.clone(), &motion, JointSet::EMPTY));
+            }
+            None => {
+                let path = Path::new(clip);
+                let name = path.file_stem().unwrap_or_default().to_string_lossy();
+                let motion = foreign_clip(path, &skeleton)?;
+                rows.push(row(name.into_owned(), &motion, JointSet::EMPTY));
+            }
+        }
+    }
     let style = Style {
         width: args.width,
         num_figures: args.figures,

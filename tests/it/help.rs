@@ -3,10 +3,10 @@
 use crate::util::stance;
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 22] = [
+const VERBS: [&str; 23] = [
     "demo", "run", "build", "corpus", "doctor", "ingest", "inspect", "verify", "stats", "export",
-    "annotate", "masks", "pairs", "triplets", "items", "train", "model", "edit", "eval", "sweep",
-    "report", "render",
+    "annotate", "masks", "pairs", "triplets", "items", "train", "model", "edit", "edits", "eval",
+    "sweep", "report", "render",
 ];
 
 #[test]

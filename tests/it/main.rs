@@ -2,6 +2,7 @@
 //! binary, a module per topic.
 
 mod annotate;
+mod answers;
 mod chain;
 mod compose;
 mod evaluate;

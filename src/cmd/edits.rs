@@ -1,0 +1,239 @@
+//! `stance edits`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use datasets_spec::record::ItemRow;
+use datasets_spec::{Dataset, Fps};
+use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
+use serde::Serialize;
+
+use crate::chain;
+use crate::cli::Global;
+use crate::exit::Exit;
+use crate::report;
+
+/// Bring in what systems that live elsewhere answered to items.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Import(ImportArgs),
+}
+
+/// Make a table of edits of answers made elsewhere, so that `stance eval` scores them.
+///
+/// A file is matched by its name, a row of a table by its column `id`: that of the item, with -SEED
+/// behind where there are several takes (MotionFix's items also go by the number of their pair). Read
+/// are npz (AMASS's layouts, z up; or transl, global_orient, body_pose and fps, y up), npy (dictionaries
+/// of MotionFix's evaluation; HumanML3D vectors [T, 263] and joints [T, 22, 3]), pkl of the STANCE
+/// release, and Parquet with id, transl, global_orient, body_pose and fps. Exits with 3 if answers were
+/// refused.
+#[derive(clap::Args, Debug)]
+struct ImportArgs {
+    /// Files with answers, or folders of them
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// The items that were asked
+    #[arg(long)]
+    items: PathBuf,
+    /// Name of the system in tables
+    #[arg(long, value_parser = parse_name)]
+    name: String,
+    /// Settings the system answered with: a JSON object, or a file with one
+    #[arg(long, value_name = "JSON|FILE")]
+    settings: Option<String>,
+    /// Rate of the answers in 1/s [default: what the files say]
+    #[arg(long, value_parser = parse_fps)]
+    fps: Option<Fps>,
+    /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]
+    #[arg(long, value_enum)]
+    up: Option<UpArg>,
+    /// Where the answers stand: where their files say, or on the floor where the item's source begins
+    /// [default: source for MotionFix and HumanML3D, whose files have an origin of their own]
+    #[arg(long, value_enum)]
+    place: Option<PlaceArg>,
+    /// Write the folder even if items have no answer; `stance eval` asks for all of them
+    #[arg(long)]
+    allow_missing: bool,
+    /// Folder to write
+    #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum UpArg {
+    Y,
+    Z,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum PlaceArg {
+    File,
+    Source,
+}
+
+fn parse_name(text: &str) -> Result<String, String> {
+    match text.trim() {
+        "" => Err("expected a name".to_owned()),
+        name => Ok(name.to_owned()),
+    }
+}
+
+fn parse_fps(text: &str) -> Result<Fps, String> {
+    let fps = text.parse().map_err(|_| "expected a number".to_owned())?;
+    Fps::new(fps).map_err(|error| error.to_string())
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    match &args.action {
+        Action::Import(args) => import(args, global),
+    }
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document<'a> {
+    system: &'a str,
+    /// None where nothing was written.
+    out: Option<&'a Path>,
+    root_hash: Option<&'a str>,
+    #[serde(flatten)]
+    report: &'a AnswerReport,
+}
+
+fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
+    let asked = Dataset::open(&args.items)?;
+    let items: Vec<ItemRow> = asked.read(None)?;
+    if items.is_empty() {
+        bail!(
+            "{} holds no items; draw them: stance items DATASET --out ITEMS",
+            args.items.display()
+        );
+    }
+    let skeleton = chain::skeleton_of(&asked)?;
+    let options = AnswerOptions {
+        system: args.name.clone(),
+        settings: settings(args.settings.as_deref())?,
+        seed: global.seed(),
+        fps: args.fps,
+        up: args.up.map(|up| match up {
+            UpArg::Y => Up::Y,
+            UpArg::Z => Up::Z,
+        }),
+        place: args.place.map(|place| match place {
+            PlaceArg::File => Place::File,
+            PlaceArg::Source => Place::Source,
+        }),
+    };
+    let answers = read_answers(&args.files, &items, &skeleton, &options, &global.bars())?;
+    let report = &answers.report;
+    let is_complete = report.missing.is_empty() || args.allow_missing;
+    let written = match is_complete && !answers.rows.is_empty() {
+        true => Some(answers.commit(&args.out, &items, &skeleton, &global.holder())?),
+        false => None,
+    };
+    if global.json {
+        report::json(&Document {
+            system: &args.name,
+            out: written.as_ref().map(|_| args.out.as_path()),
+            root_hash: written
+                .as_ref()
+                .map(|made| made.manifest().root_hash.as_str()),
+            report,
+        })?;
+    } else {
+        report::text(&text(args, report, written.is_some()));
+    }
+    for warning in &report.warnings {
+        report::note(&format!("warning: {warning}"));
+    }
+    if written.is_none() {
+        bail!(
+            "nothing was written: {} of {} items have no answer{}",
+            report.missing.len(),
+            report.items,
+            match report.imported {
+                0 => "",
+                _ => "; answer them too, or pass --allow-missing to write the others",
+            }
+        );
+    }
+    Ok(match report.refused.len() {
+        0 => Exit::Done,
+        _ => Exit::Quarantined,
+    })
+}
+
+/// The JSON object of `--settings`, in one form however it was written.
+fn settings(given: Option<&str>) -> anyhow::Result<String> {
+    let Some(given) = given else {
+        return Ok("{}".to_owned());
+    };
+    let text = match given.trim_start().starts_with('{') {
+        true => given.to_owned(),
+        false => std::fs::read_to_string(given)
+            .with_context(|| format!("--settings is neither a JSON object nor a file: {given}"))?,
+    };
+    let object: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text)
+        .with_context(|| format!("--settings must be a JSON object: {given}"))?;
+    Ok(serde_json::Value::Object(object).to_string())
+}
+
+fn text(args: &ImportArgs, report: &AnswerReport, is_written: bool) -> String {
+    /// Lines of a list that are printed; `--json` has all.
+    const SHOWN: usize = 10;
+    let mut text = format!(
+        "{} answers found: {} imported, {} refused, {} files passed over\n{} of {} items answered by \
+         {}\n",
+        report.found,
+        report.imported,
+        report.refused.len(),
+        report.passed_over.len(),
+        report.answered,
+        report.items,
+        args.name
+    );
+    let mut list = |title: &str, lines: Vec<String>| {
+        if lines.is_empty() {
+            return;
+        }
+        text += &format!("{title}\n");
+        for line in lines.iter().take(SHOWN) {
+            text += &format!("  {line}\n");
+        }
+        if lines.len() > SHOWN {
+            text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
+        }
+    };
+    let refused = report.refused.iter().map(|refusal| {
+        let place = refusal
+            .byte_offset
+            .map_or(String::new(), |at| format!(" (byte {at})"));
+        let name = match refusal.file.contains(&refusal.name) {
+            true => String::new(),
+            false => format!(" {}", refusal.name),
+        };
+        format!(
+            "{} {}{name}: {}{place}",
+            refusal.code, refusal.file, refusal.reason
+        )
+    });
+    list("refused", refused.collect());
+    let passed_over = report.passed_over.iter();
+    list(
+        "passed over",
+        passed_over
+            .map(|passed| format!("{}: {}", passed.file, passed.reason))
+            .collect(),
+    );
+    list("without an answer", report.missing.clone());
+    if is_written {
+        text += &format!("edits in {}\n", args.out.display());
+    }
+    text
+}
