@@ -30,9 +30,9 @@ pub(crate) struct Global {
     /// Cards to train on together
     #[arg(long, global = true, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     devices: u16,
-    /// Seed of every draw
-    #[arg(long, global = true, default_value_t = 0)]
-    seed: u64,
+    /// Seed of every draw, in place of those in files of settings [default: 0]
+    #[arg(long, global = true)]
+    seed: Option<u64>,
     /// Print results as one JSON document
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -57,7 +57,18 @@ impl Global {
     }
 
     pub(crate) fn seed(&self) -> Seed {
-        Seed(self.seed)
+        self.seed_or(None)
+    }
+
+    /// The option of a command line that gives the same seed; empty where none was given.
+    pub(crate) fn seed_option(&self) -> String {
+        self.seed
+            .map_or(String::new(), |seed| format!(" --seed {seed}"))
+    }
+
+    /// `--seed` if it is given, else a seed of the settings' own.
+    pub(crate) fn seed_or(&self, own: Option<u64>) -> Seed {
+        Seed(self.seed.or(own).unwrap_or(0))
     }
 
     pub(crate) fn bars(&self) -> Bars {

@@ -7,6 +7,7 @@ mod device;
 mod exit;
 mod progress;
 mod report;
+mod seeds;
 
 use std::process::ExitCode;
 

@@ -86,12 +86,9 @@ impl Dataset {
         &self.manifest
     }
 
-    /// A hash of the files of some tables: what is made of these tables alone keeps its identity
-    /// when another table of the dataset changes.
+    /// What identifies the rows of some tables, as [`Manifest::content_hash`] has it.
     pub fn content_hash(&self, tables: &[&str]) -> String {
-        let chosen = self.manifest.tables.iter();
-        let chosen = chosen.filter(|(table, _)| tables.contains(&table.as_str()));
-        Manifest::compute_root_hash(&chosen.map(|(t, f)| (t.clone(), f.clone())).collect())
+        self.manifest.content_hash(tables)
     }
 
     /// The skeleton its motions are posed on.

@@ -300,6 +300,15 @@ impl Skeleton {
         &self.name
     }
 
+    /// BLAKE3 of the rest positions, in hexadecimal: what tells bodies apart whatever they are called.
+    pub fn hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        for value in self.rest_joints.iter().flat_map(|joint| joint.to_array()) {
+            hasher.update(&value.to_le_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
     /// Rest position of a SMPL-X joint in metres.
     ///
     /// # Panics

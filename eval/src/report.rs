@@ -499,12 +499,15 @@ mod tests {
                         Curve {
                             name: text(),
                             points: vec![(0.0, 1.0), (1.0, 0.1)],
+                            ..Curve::default()
                         },
                         Curve {
                             name: text(),
                             points: Vec::new(),
+                            ..Curve::default()
                         },
                     ],
+                    ..Plot::default()
                 }),
                 Chart::Bars(Bars {
                     title: text(),

@@ -78,8 +78,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = read(args)?;
     let bars = global.bars();
     let root = config.out.join("dataset");
-    let ingested = chain::ingested(&config.sources, &root, &config.ingest, global, &bars)
-        .context("stage ingest")?;
+    let ingested = chain::ingested(
+        &config.sources,
+        &root,
+        &config.ingest,
+        global.seed(),
+        global,
+        &bars,
+    )
+    .context("stage ingest")?;
     chain::masks(&root, &config.masks, Judged::Keep, global, &bars).context("stage masks")?;
     let alone = match &config.pairs {
         Some(pairs) => {
@@ -95,6 +102,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         &triplets,
         config.triplets,
         &config.compose,
+        global.seed(),
         global,
         &bars,
     )

@@ -221,10 +221,10 @@ fn layered(
     id: &str,
     motion: &Motion,
     layers: &[Vec<TimedInstruction>],
+    skeleton: &Skeleton,
     settings: &EditSettings,
     global: &Global,
 ) -> anyhow::Result<Edited> {
-    let skeleton = Skeleton::smplx_neutral();
     let bars = global.bars();
     let mut times = EditTimes::default();
     let mut edited: Option<Edited> = None;
@@ -244,7 +244,7 @@ fn layered(
             _ => format!("{id} layer {number}"),
         };
         let made = chain::with_session(&bars, |session| {
-            edit_motion(editor, &id, source, &layer, &skeleton, settings, session)
+            edit_motion(editor, &id, source, &layer, skeleton, settings, session)
         })?;
         times += made.times;
         edited = Some(made);
@@ -253,10 +253,18 @@ fn layered(
     Ok(Edited { times, ..edited })
 }
 
-fn opened(args: &Args, motion: &str) -> anyhow::Result<Motion> {
+fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Motion> {
     match &args.dataset {
-        Some(dataset) => stored_clip(dataset, motion),
-        None => foreign_clip(Path::new(motion), &Skeleton::smplx_neutral()),
+        Some(dataset) if !Path::new(motion).is_file() => stored_clip(dataset, motion),
+        _ => foreign_clip(Path::new(motion), skeleton),
+    }
+}
+
+/// The skeleton motions are on: that of --dataset.
+fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
+    match &args.dataset {
+        Some(dataset) => chain::skeleton_of(&Dataset::open_unverified(dataset)?),
+        None => Ok(Skeleton::smplx_neutral()),
     }
 }
 
@@ -264,7 +272,8 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
     if args.out.is_empty() {
         bail!("say where to write: --out FILE");
     }
-    let original = opened(args, id)?;
+    let skeleton = skeleton(args)?;
+    let original = opened(args, id, &skeleton)?;
     let layers = asked(args, &original)?;
     let source = args.source();
     let texts: Vec<String> = layers
@@ -272,10 +281,12 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
         .flatten()
         .map(|asked| asked.text.clone())
         .collect();
-    let editor = chain::with_texts(source.load()?, &source, &texts, &global.bars())?;
+    let editor = chain::with_texts(source.load(&skeleton)?, &source, &texts, &global.bars())?;
     let seed = global.seed();
     let settings = chain::edit_settings(&editor, config, seed);
-    let edited = layered(&editor, id, &original, &layers, &settings, global)?;
+    let edited = layered(
+        &editor, id, &original, &layers, &skeleton, &settings, global,
+    )?;
     let texts: Vec<&str> = layers
         .iter()
         .flatten()
@@ -283,6 +294,7 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
         .collect();
     let shown = Shown {
         id,
+        skeleton: &skeleton,
         original: &original,
         edited: &edited,
         text: &texts.join(" / "),
@@ -372,12 +384,15 @@ fn interactive(
     config: &EditConfig,
     global: &Global,
 ) -> anyhow::Result<Exit> {
+    let skeleton = skeleton(args)?;
     let mut history = match (&args.motion, path.exists()) {
         (Some(_), true) => bail!(
             "{} exists already; leave --motion out to go on with it, or name another file",
             path.display()
         ),
-        (Some(motion), false) => EditHistory::open(motion.as_str(), &opened(args, motion)?),
+        (Some(motion), false) => {
+            EditHistory::open(motion.as_str(), &opened(args, motion, &skeleton)?)
+        }
         (None, true) => {
             let text = std::fs::read_to_string(path)
                 .with_context(|| format!("cannot read {}", path.display()))?;
@@ -390,6 +405,7 @@ fn interactive(
         path,
         config,
         global,
+        skeleton,
         editor: None,
         times: EditTimes::default(),
     };
@@ -424,6 +440,7 @@ struct Interactive<'a> {
     path: &'a Path,
     config: &'a EditConfig,
     global: &'a Global,
+    skeleton: Skeleton,
     /// Loaded when the first edit asks for it.
     editor: Option<Editor>,
     times: EditTimes,
@@ -437,7 +454,7 @@ impl Interactive<'_> {
     ) -> anyhow::Result<()> {
         let editor = match self.editor.take() {
             Some(editor) => editor,
-            None => self.args.source().load()?,
+            None => self.args.source().load(&self.skeleton)?,
         };
         let texts: Vec<String> = instructions
             .iter()
@@ -452,7 +469,15 @@ impl Interactive<'_> {
         let settings = chain::edit_settings(editor, self.config, seed);
         let (id, current) = (history.id(), history.current()?);
         let layer = [instructions];
-        let edited = layered(editor, id, &current, &layer, &settings, self.global)?;
+        let edited = layered(
+            editor,
+            id,
+            &current,
+            &layer,
+            &self.skeleton,
+            &settings,
+            self.global,
+        )?;
         self.times += edited.times;
         let [instructions] = layer;
         history.push(
@@ -485,6 +510,7 @@ impl Interactive<'_> {
         };
         Shown {
             id: history.id(),
+            skeleton: &self.skeleton,
             original: &history.original()?,
             edited: &edited,
             text: &texts.join(" / "),
@@ -654,6 +680,7 @@ pub(crate) fn read_foreign(
 /// An edit as it is written.
 struct Shown<'a> {
     id: &'a str,
+    skeleton: &'a Skeleton,
     original: &'a Motion,
     edited: &'a Edited,
     text: &'a str,
@@ -665,7 +692,7 @@ struct Shown<'a> {
 
 impl Shown<'_> {
     fn write(&self, out: &Path, global: &Global) -> anyhow::Result<()> {
-        let skeleton = &Skeleton::smplx_neutral();
+        let skeleton = self.skeleton;
         let edited = &self.edited.motion;
         let rows = || {
             [

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
-use datasets_spec::{Seed, Skeleton, Split};
+use anyhow::{Context, bail};
+use datasets_spec::{Dataset, Seed, Split};
 use eval::format;
 use eval::metric::Metric;
 use eval::metric::foot_score::Floor;
@@ -257,7 +257,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
     let scores = chain::scores(&tables, &args.measure.judges()?, &protocol, &bars)?;
     if let Some(out) = &args.out {
-        chain::commit_scores(out, &scores, &Skeleton::smplx_neutral(), global)?;
+        let first = tables.first().context("no table of edits was given")?;
+        let skeleton = chain::skeleton_of(&Dataset::open_unverified(first)?)?;
+        chain::commit_scores(out, &scores, &skeleton, global)?;
     }
     let text = if global.json || args.measure.format == FormatArg::Json {
         format::json::render(&scores.rows)?

@@ -181,14 +181,14 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
                 },
                 compose: String::new(),
             };
-            exchange::import_editor(out, &record, skeleton.name(), weights, file, &device())?;
+            exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
         }
         Model::Coordinator => {
             let record = CoordinatorRecord {
                 train: CoordinatorConfig::preset(preset),
                 normalizer,
             };
-            exchange::import_coordinator(out, &record, skeleton.name(), weights, file, &device())?;
+            exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
         }
         Model::Tmr => bail!("name what the encoder sees: --features and --stats"),
     }

@@ -30,6 +30,7 @@ use crate::cmd::eval::tables;
 use crate::cmd::page::strip_of;
 use crate::exit::Exit;
 use crate::report;
+use crate::seeds::Seeds;
 
 /// Run the whole chain on your own folders: ingest, masks, triplets, training, edits, table.
 ///
@@ -83,6 +84,9 @@ pub(crate) struct RunConfig {
     /// Values in place of the preset's for the encoder.
     #[serde(default)]
     encoder: toml::Table,
+    /// Seeds of split, items, training and sampling.
+    #[serde(default)]
+    seeds: Seeds,
     /// Test questions.
     #[serde(default)]
     pub(crate) items: ItemConfig,
@@ -143,6 +147,7 @@ impl RunConfig {
             coordinator: toml::Table::new(),
             poses: toml::Table::new(),
             encoder: toml::Table::new(),
+            seeds: Seeds::default(),
             items: ItemConfig::default(),
             edit: EditConfig::default(),
             eval: Protocol::default(),
@@ -180,10 +185,15 @@ impl Plan {
         };
         let mut poses = chain::overlay(&J2sConfig::preset(network), Some(&config.poses))
             .context("section [poses]")?;
-        train.seed = global.seed().0;
-        coordinator.seed = global.seed().0;
-        poses.seed = global.seed().0;
-        encoder.seed = global.seed().0;
+        let seeds = config.seeds;
+        for (seed, own) in [
+            (&mut train.seed, &config.train),
+            (&mut coordinator.seed, &config.coordinator),
+            (&mut poses.seed, &config.poses),
+            (&mut encoder.seed, &config.encoder),
+        ] {
+            *seed = seeds.of_model(*seed, own, global).0;
+        }
         Ok(Self {
             config,
             train,
@@ -216,8 +226,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         .unwrap_or_default()
         .to_string_lossy();
     plan.commands = vec![format!(
-        "stance run --config {name} --seed {}",
-        global.seed().0
+        "stance run --config {name}{}",
+        global.seed_option()
     )];
     finish(plan, global)
 }
@@ -260,12 +270,12 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     let config = &plan.config;
     let places = Places::under(&config.out);
     let bars = global.bars();
-    let seed = global.seed();
 
     let ingested = chain::ingested(
         &config.sources,
         &places.dataset,
         &config.ingest,
+        config.seeds.split(global),
         global,
         &bars,
     )
@@ -280,11 +290,11 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &places.triplets,
         config.triplets,
         &config.compose,
+        Seed(plan.train.seed),
         global,
         &bars,
     )
     .context("stage triplets")?;
-    // The range of model units is stored with the dataset by now.
     let dataset = Dataset::open(&places.dataset)?;
     let encoder = chain::train_encoder(&places.dataset, &places.encoder, &plan.encoder, &bars)
         .context("stage train tmr")?;
@@ -297,7 +307,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
             windows: None,
             clip: config.clip.as_deref(),
         };
-        chain::train_editor(&places.dataset, run, &plan.train, &inputs, seed, &bars)
+        chain::train_editor(&places.dataset, run, &plan.train, &inputs, &bars)
             .context("stage train motionrefit")
     };
     let editor = train_editor(&places.editor, &config.compose)?;
@@ -321,7 +331,6 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
             &places.coordinator,
             &plan.coordinator,
             &config.compose,
-            seed,
             &bars,
         )
         .context("stage train coordinator")?;
@@ -338,7 +347,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &places.items,
         Split::Test,
         &config.items,
-        seed,
+        config.seeds.items(global),
         global,
     )
     .context("stage items")?;
@@ -356,7 +365,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
             &source,
             &out,
             &config.edit,
-            seed,
+            config.seeds.sample(global),
             global,
             &bars,
         )
@@ -372,7 +381,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         edit(&places.without_mcm, None, "without-mcm")?;
     }
     let protocol = Protocol {
-        seed,
+        seed: global.seed_or(Some(config.eval.seed.0)),
         ..config.eval
     };
     let scores = chain::scores(
@@ -391,7 +400,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
 
     let done = Done {
         plan: &plan,
-        seed,
+        seeds: config.seeds.in_words(global),
         ingested: &ingested,
         dataset: &dataset,
         encoder: &encoder,
@@ -419,7 +428,7 @@ fn stopped() -> Exit {
 /// What the stages came to.
 struct Done<'a> {
     plan: &'a Plan,
-    seed: Seed,
+    seeds: String,
     ingested: &'a IngestReport,
     dataset: &'a Dataset,
     encoder: &'a TrainReport,
@@ -553,7 +562,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
     ];
     let settings = vec![
         ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-        ("seed".to_owned(), done.seed.0.to_string()),
+        ("seeds".to_owned(), done.seeds.clone()),
     ];
     let config = &done.plan.config;
     let details = [
@@ -596,12 +605,15 @@ fn curves(run: &Path, title: &str, y_scale: Scale) -> anyhow::Result<Plot> {
             Curve {
                 name: "training".to_owned(),
                 points: metrics.loss,
+                ..Curve::default()
             },
             Curve {
                 name: "validation".to_owned(),
                 points: metrics.val_loss,
+                ..Curve::default()
             },
         ],
+        ..Plot::default()
     })
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::record::ScoreRow;
-use datasets_spec::{Dataset, Skeleton, Split};
+use datasets_spec::{Dataset, Split};
 use eval::draw::plot::{Curve, HeatMap, Plot, Scale, heat_map, plot};
 use eval::metric::Metric;
 use eval::protocol::Protocol;
@@ -19,6 +19,7 @@ use crate::chain::{self, EditConfig, EditorSource, Judges, Scores, TrainInputs};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
+use crate::seeds::Seeds;
 
 /// Run an ablation: train, edit and score at every point of a plan, and draw the curves.
 ///
@@ -65,6 +66,9 @@ struct Plan {
     compose: toml::Table,
     #[serde(default)]
     edit: toml::Table,
+    /// Seeds of items, training and sampling.
+    #[serde(default)]
+    seeds: Seeds,
     #[serde(default)]
     eval: Protocol,
     #[serde(rename = "axis")]
@@ -191,7 +195,10 @@ impl Plan {
         let preset = chain::preset(&self.preset)?;
         let mut train = chain::overlay(&TrainConfig::preset(preset), own("train"))
             .context("section [train]")?;
-        train.seed = global.seed().0;
+        // A point of an axis over the seed keeps its own.
+        if !changes.iter().any(|(key, _)| *key == "train.seed") {
+            train.seed = self.seeds.of_model(train.seed, &self.train, global).0;
+        }
         Ok(Settings {
             train,
             compose: chain::overlay(&ComposeConfig::default(), own("compose"))
@@ -268,15 +275,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         None => {
             let run = plan.out.join("encoder");
             let mut config = TmrConfig::preset(chain::preset(&plan.preset)?);
-            config.seed = global.seed().0;
+            config.seed = plan.seeds.train(global).0;
             chain::train_encoder(&plan.dataset, &run, &config, &bars).context("encoder")?;
             run
         }
     };
     let items = plan.out.join("items");
-    let seed = global.seed();
+    let seed = plan.seeds.items(global);
     chain::items(&plan.dataset, &items, plan.split, &plan.items, seed, global).context("items")?;
     let mut scored: Vec<Vec<ScoreRow>> = Vec::with_capacity(points.len());
+    let mut failed: Vec<String> = Vec::new();
     for (number, point) in points.iter().enumerate() {
         let name = point.name(&plan.axes);
         if chain::is_stopped() {
@@ -284,11 +292,20 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             return Ok(Exit::Interrupted);
         }
         report::note(&format!("point {} of {}: {name}", number + 1, points.len()));
-        let Some(rows) = at_point(&plan, point, &items, &encoder, global).context(name)? else {
-            report::note("stopped and saved; the same command goes on from here");
-            return Ok(Exit::Interrupted);
-        };
-        scored.push(rows);
+        match at_point(&plan, point, &items, &encoder, global) {
+            Ok(Some(rows)) => scored.push(rows),
+            Ok(None) => {
+                report::note("stopped and saved; the same command goes on from here");
+                return Ok(Exit::Interrupted);
+            }
+            // What stops the program stops the sweep; what a point cannot do is its own affair.
+            Err(error) if Exit::of_error(&error) != Exit::Failed => return Err(error.context(name)),
+            Err(error) => {
+                report::error(&error.context(format!("point {name}")));
+                scored.push(Vec::new());
+                failed.push(name);
+            }
+        }
     }
 
     let collected: Vec<Collected<'_>> = points
@@ -333,7 +350,17 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             .collect();
         report::text(&lines.join("\n"));
     }
-    Ok(Exit::Done)
+    if failed.is_empty() {
+        return Ok(Exit::Done);
+    }
+    report::note(&format!(
+        "{} of {} points failed and are missing: {}; the others are written, and the same command \
+         tries these again",
+        failed.len(),
+        points.len(),
+        failed.join("; ")
+    ));
+    Ok(Exit::Failed)
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
@@ -365,11 +392,12 @@ fn at_point(
         .manifest()
         .root_hash
         .clone();
-    let editing = short(&(&training, edit, &plan.coordinator, asked))?;
+    let seed = plan.seeds.sample(global);
+    let editing = short(&(&training, edit, &plan.coordinator, asked, seed))?;
     let run = plan.out.join("runs").join(&training);
     let edits = plan.out.join("edits").join(&editing);
     let protocol = Protocol {
-        seed: global.seed(),
+        seed: global.seed_or(Some(plan.eval.seed.0)),
         ..plan.eval
     };
     let measured = short(&(&editing, protocol, encoder))?;
@@ -382,7 +410,7 @@ fn at_point(
         windows: None,
         clip: plan.clip.as_deref(),
     };
-    chain::train_editor(&plan.dataset, &run, train, &inputs, global.seed(), &bars)?;
+    chain::train_editor(&plan.dataset, &run, train, &inputs, &bars)?;
     if chain::is_stopped() {
         return Ok(None);
     }
@@ -391,14 +419,14 @@ fn at_point(
         clip: plan.clip.as_deref(),
         ..EditorSource::best(&run)
     };
-    let seed = global.seed();
     chain::edits(items, &source, &edits, edit, seed, global, &bars)?;
     let judges = Judges {
         encoder,
         coordinator: None,
     };
     let found: Scores = chain::scores(std::slice::from_ref(&edits), &judges, &protocol, &bars)?;
-    chain::commit_scores(&scores, &found, &Skeleton::smplx_neutral(), global)?;
+    let skeleton = chain::skeleton_of(&Dataset::open_unverified(items)?)?;
+    chain::commit_scores(&scores, &found, &skeleton, global)?;
     Ok(Some(found.rows))
 }
 
@@ -411,16 +439,18 @@ fn drawing(
     points: &[Point],
     scored: &[Vec<ScoreRow>],
 ) -> String {
-    let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| {
+    let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| -> (f64, f64) {
         let of_metric = |row: &&ScoreRow| row.metric == metric.name() && wanted(&row.system);
         let mut found = rows.iter().filter(of_metric);
         // With one kind of edit alone there is no task of all.
         let all = found.clone().find(|row| row.task == ALL_TASKS);
         all.or_else(|| found.next())
-            .map_or(f64::NAN, |row| row.mean)
+            .map_or((f64::NAN, f64::NAN), |row| {
+                (row.mean, row.ci95.unwrap_or(f64::NAN))
+            })
     };
     let is_edited = |system: &str| ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system);
-    let on_axis: Vec<(&Point, f64)> = points
+    let on_axis: Vec<(&Point, (f64, f64))> = points
         .iter()
         .zip(scored)
         .filter(|(point, _)| point.axis == Some(index))
@@ -440,24 +470,38 @@ fn drawing(
                 axis.second_values.iter().map(label).collect(),
             ),
             y: (axis.key.clone(), axis.values.iter().map(label).collect()),
-            values: on_axis.into_iter().map(|(_, value)| value).collect(),
+            values: on_axis.into_iter().map(|(_, (mean, _))| mean).collect(),
         });
     }
     let number = |value: &toml::Value| match value {
-        toml::Value::Integer(value) => *value as f64,
-        toml::Value::Float(value) => *value,
-        _ => f64::NAN,
+        toml::Value::Integer(value) => Some(*value as f64),
+        toml::Value::Float(value) => Some(*value),
+        _ => None,
     };
-    let places: Vec<f64> = on_axis
+    // Values that are no numbers stand side by side under their names.
+    let numbers: Option<Vec<f64>> = on_axis
         .iter()
         .map(|(point, _)| number(&point.at[0]))
         .collect();
-    let identity = scored
-        .first()
-        .map_or(f64::NAN, |rows| value(rows, &|system| system == IDENTITY));
+    let x_names: Vec<String> = match numbers {
+        Some(_) => Vec::new(),
+        None => on_axis
+            .iter()
+            .map(|(point, _)| named(&point.at[0]))
+            .collect(),
+    };
+    let places = numbers.unwrap_or_else(|| (0..on_axis.len()).map(|at| at as f64).collect());
+    // Nothing edits in its row, so that any point that was scored has it.
+    let (identity, _) = scored
+        .iter()
+        .find(|rows| !rows.is_empty())
+        .map_or((f64::NAN, f64::NAN), |rows| {
+            value(rows, &|system| system == IDENTITY)
+        });
     plot(&Plot {
         title,
         x_label: axis.key.clone(),
+        x_names,
         y_label: metric.name().to_owned(),
         y_scale: Scale::Linear,
         curves: vec![
@@ -466,13 +510,23 @@ fn drawing(
                 points: places
                     .iter()
                     .copied()
-                    .zip(on_axis.iter().map(|(_, value)| *value))
+                    .zip(on_axis.iter().map(|(_, (mean, _))| *mean))
                     .collect(),
+                intervals: on_axis.iter().map(|(_, (_, half))| *half).collect(),
             },
             Curve {
                 name: IDENTITY.to_owned(),
                 points: places.iter().map(|&place| (place, identity)).collect(),
+                intervals: Vec::new(),
             },
         ],
     })
+}
+
+/// A value of an axis as its label: texts without quotes.
+fn named(value: &toml::Value) -> String {
+    match value {
+        toml::Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
 }

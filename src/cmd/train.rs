@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use eval::draw::plot::{Curve, Plot, Scale, plot};
+use train::checkpoint::Start;
 use train::config::{RunLength, TrainConfig};
 use train::coordinator::CoordinatorConfig;
 use train::fit::TrainReport;
@@ -53,6 +54,14 @@ pub(crate) struct Args {
     /// Epochs to train, in place of the preset's length
     #[arg(long, conflicts_with = "steps")]
     epochs: Option<u64>,
+    /// Continue the run of --out with other settings: a longer one, other rates of learning, other
+    /// intervals; the record keeps what changed at which step
+    #[arg(long)]
+    extend: bool,
+    /// Begin with the weights of another run of the same network, whose range of model units and words
+    /// are kept; the dataset may be another
+    #[arg(long, value_name = "RUN", conflicts_with = "extend")]
+    init: Option<PathBuf>,
     #[command(flatten)]
     compose: ComposeArgs,
     /// Train on windows recorded by `stance triplets --windows` in place of composing them
@@ -103,15 +112,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         bail!("name a model, a dataset and --out");
     };
     let own = args.config.as_deref().map(read_table).transpose()?;
+    let start = Start {
+        run: out,
+        extend: args.extend,
+        init: args.init.as_deref(),
+    };
     if let Model::J2s = model {
-        return train_j2s(args, dataset, out, own.as_ref(), global);
+        return train_j2s(args, dataset, start, own.as_ref(), global);
     }
     if args.features.is_some() && !matches!(model, Model::Tmr) {
         bail!("--features is about the evaluation encoder: stance train tmr");
     }
     let preset = chain::preset(&args.preset)?;
     let bars = global.bars();
-    let seed = global.seed();
     let length = |preset: RunLength| match (args.steps, args.epochs) {
         (Some(steps), _) => RunLength::of_steps(steps),
         (None, Some(epochs)) => RunLength {
@@ -123,25 +136,25 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let done = match model {
         Model::Motionrefit => {
             let mut config = chain::overlay(&TrainConfig::preset(preset), own.as_ref())?;
-            config.seed = seed.0;
+            config.seed = global.seed_or(Some(config.seed)).0;
             config.length = length(config.length);
             let inputs = TrainInputs {
                 compose: &args.compose.config()?,
                 windows: args.windows.as_deref(),
                 clip: args.clip.as_deref(),
             };
-            chain::train_editor(dataset, out, &config, &inputs, seed, &bars)?
+            chain::train_editor(dataset, start, &config, &inputs, &bars)?
         }
         Model::Coordinator => {
             let mut config = chain::overlay(&CoordinatorConfig::preset(preset), own.as_ref())?;
-            config.seed = seed.0;
+            config.seed = global.seed_or(Some(config.seed)).0;
             config.length = length(config.length);
             let compose = args.compose.config()?;
-            chain::train_coordinator(dataset, out, &config, &compose, seed, &bars)?
+            chain::train_coordinator(dataset, start, &config, &compose, &bars)?
         }
         Model::Tmr => {
             let mut config = chain::overlay(&TmrConfig::preset(preset), own.as_ref())?;
-            config.seed = seed.0;
+            config.seed = global.seed_or(Some(config.seed)).0;
             if args.epochs.is_some() {
                 bail!("the length of a run of tmr is given in --steps");
             }
@@ -149,7 +162,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             if let Some(features) = args.features {
                 config.features = features.recipe();
             }
-            chain::train_encoder(dataset, out, &config, &bars)?
+            chain::train_encoder(dataset, start, &config, &bars)?
         }
         Model::J2s => unreachable!("handled above"),
     };
@@ -168,7 +181,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn train_j2s(
     args: &Args,
     dataset: &Path,
-    out: &Path,
+    start: Start<'_>,
     own: Option<&toml::Table>,
     global: &Global,
 ) -> anyhow::Result<Exit> {
@@ -178,9 +191,9 @@ fn train_j2s(
         other => bail!("j2s has no preset {other:?}; known are paper and official"),
     };
     let mut config = chain::overlay(&J2sConfig::preset(preset), own)?;
-    config.seed = global.seed().0;
+    config.seed = global.seed_or(Some(config.seed)).0;
     config.num_steps = args.steps.unwrap_or(config.num_steps);
-    let report = chain::train_j2s(dataset, out, &config, &global.bars())?;
+    let report = chain::train_j2s(dataset, start, &config, &global.bars())?;
     if global.json {
         report::json(&report)?;
         return Ok(Exit::Done);
@@ -191,7 +204,7 @@ fn train_j2s(
             config.num_steps,
             report.loss[0],
             report.loss[1],
-            out.display()
+            start.run.display()
         ),
         "way back                  keypoints mm  rotations deg    frames/s".to_owned(),
     ];
@@ -216,10 +229,12 @@ fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
         curves.push(Curve {
             name: format!("{name}training"),
             points: metrics.loss,
+            ..Curve::default()
         });
         curves.push(Curve {
             name: format!("{name}validation"),
             points: metrics.val_loss,
+            ..Curve::default()
         });
     }
     let svg = plot(&Plot {
@@ -228,6 +243,7 @@ fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
         y_label: "loss".to_owned(),
         y_scale: if args.log { Scale::Log } else { Scale::Linear },
         curves,
+        ..Plot::default()
     });
     write_picture(&args.out, &svg, 2.0)?;
     if global.json {

@@ -109,7 +109,7 @@ struct Counted {
 fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     let dataset = Dataset::open(&args.dataset)?;
-    let (stream, _) = chain::train_stream(&dataset, &config, global.seed())?;
+    let (stream, _) = chain::train_stream(&dataset, &config, global.seed(), None)?;
     let skeleton = dataset.skeleton()?;
     let triplets = stream.first_triplets(args.count.max(1));
     let foot_scores: Vec<[Option<f64>; 2]> = triplets
@@ -252,7 +252,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     if let Some(id) = &args.explain {
         let dataset = Dataset::open(root)?;
-        let (stream, _) = chain::train_stream(&dataset, &config, global.seed())?;
+        let (stream, _) = chain::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
         let explained = Explained {
             instruction: triplet.instruction,
@@ -290,7 +290,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         return Ok(Exit::Done);
     }
-    let recorded = chain::triplets(root, out, args.count, &config, global, &bars)?;
+    let recorded = chain::triplets(root, out, args.count, &config, global.seed(), global, &bars)?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(TripletRow::TABLE, None);
     if global.json {

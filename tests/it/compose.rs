@@ -110,9 +110,13 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
         row.normalizer().expect("sound");
         row.id.clone()
     };
-    assert_eq!(
-        range(&recorded),
-        range(&Dataset::open(&dataset).expect("a dataset"))
+    assert_eq!(range(&recorded).len(), 64);
+    let untouched = Dataset::open(&dataset).expect("a dataset");
+    assert!(
+        !untouched
+            .manifest()
+            .tables
+            .contains_key(NormalizerRow::TABLE)
     );
     for sound in [&dataset, &windows] {
         stance(&["verify", arg(sound)]).expect_code(0);

@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::{Dataset, Skeleton};
 use serde_json::Value;
 
 use crate::train::Workshop;
 use crate::util::{Ran, arg, stance};
 
 /// Settings of an evaluation encoder that is trained in a second.
-const SMALL_ENCODER: &str = "
+pub(crate) const SMALL_ENCODER: &str = "
     batch_size = 8
     val_every = 3
     log_every = 3
@@ -261,6 +261,173 @@ fn a_sweep_goes_on_where_it_stopped_and_is_drawn() {
         .expect_code(0)
         .json();
     assert_eq!(first, again);
+}
+
+#[test]
+fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
+    let bench = Bench::open();
+    let plan = bench.workshop.path("plan.toml");
+    let settings = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
+    let train = settings.replace("[model]", "[train.model]");
+    let text = format!(
+        "dataset = \"dataset\"\nout = \"points\"\nencoder = \"encoder\"\nmetrics = [\"FS\"]\n\
+         [eval]\nrepeats = 2\n[items]\ncount = 6\n[seeds]\ntrain = 4\nitems = 3\n\
+         [[axis]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 400]\n\
+         [[axis]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\n\
+         [[axis]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\n\
+         [train]\nlength = {{ steps = 2 }}\n{train}"
+    );
+    fs::write(&plan, text).expect("writes");
+    let before = bench.workshop.root_hash();
+    let ran = stance(&["--json", "sweep", arg(&plan)]).expect_code(1);
+    assert!(
+        ran.stderr.contains("1 of 7 points failed"),
+        "{}",
+        ran.stderr
+    );
+    assert!(ran.stderr.contains("train.window = 400"), "{}", ran.stderr);
+    let rows: Value = ran.json();
+    let points: std::collections::BTreeSet<&str> = rows
+        .as_array()
+        .expect("rows")
+        .iter()
+        .map(|row| row["point"].as_str().expect("a name"))
+        .collect();
+    assert_eq!(
+        Vec::from_iter(points),
+        [
+            "compose.fixed_pairs = false",
+            "compose.fixed_pairs = true",
+            "train.seed = 1",
+            "train.seed = 2",
+            "train.window = 12",
+            "unchanged",
+        ]
+    );
+    assert_eq!(bench.workshop.root_hash(), before);
+    let out = bench.workshop.path("points");
+    let mut seeds: Vec<u64> = fs::read_dir(out.join("runs"))
+        .expect("runs")
+        .map(|run| {
+            let text = fs::read(run.expect("a run").path().join("config.json")).expect("a record");
+            let record: Value = serde_json::from_slice(&text).expect("JSON");
+            record["config"]["train"]["seed"].as_u64().expect("a seed")
+        })
+        .collect();
+    seeds.sort_unstable();
+    assert_eq!(seeds, [1, 2, 4, 4, 4]);
+    let svg = fs::read_to_string(out.join("pairs-fs.svg")).expect("drawn");
+    assert!(svg.contains(">true<") && svg.contains(">false<"), "{svg}");
+    let svg = fs::read_to_string(out.join("window-fs.svg")).expect("drawn");
+    assert!(svg.contains("<circle"), "{svg}");
+}
+
+/// A body a tenth larger than the built-in one, as a file of joints.
+fn tall_body(path: &Path) -> Skeleton {
+    let neutral = Skeleton::smplx_neutral();
+    let mut header = "{'descr': '<f8', 'fortran_order': False, 'shape': (55, 3), }".to_owned();
+    while !(header.len() + 11).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    for joint in 0..55 {
+        for value in (1.1 * neutral.rest(joint)).to_array() {
+            bytes.extend(value.to_le_bytes());
+        }
+    }
+    fs::write(path, bytes).expect("writes");
+    pipeline::source::body_model::read_skeleton(path).expect("a body")
+}
+
+#[test]
+fn a_model_of_another_body_is_refused_with_both_hashes() {
+    let bench = Bench::open();
+    let workshop = &bench.workshop;
+    let tall = tall_body(&workshop.path("tall.npy"));
+    let (root, body) = (workshop.path("tall"), workshop.path("tall.npy"));
+    let sources = workshop.path("corpus");
+    let ingest = ["ingest", arg(&sources), "--out", arg(&root)];
+    stance(&[&ingest[..], &["--body-model", arg(&body)]].concat()).expect_code(0);
+    stance(&["masks", arg(&root)]).expect_code(0);
+    let items = workshop.path("tall-items");
+    stance(&["items", arg(&root), "--count", "4", "--out", arg(&items)]).expect_code(0);
+    let settings = workshop.path("small.toml");
+    let encoder_settings = workshop.path("encoder.toml");
+    for (model, settings) in [("motionrefit", &settings), ("tmr", &encoder_settings)] {
+        let out = workshop.path(&format!("tall-{model}"));
+        let train = [
+            "train",
+            model,
+            arg(&root),
+            "--out",
+            arg(&out),
+            "--steps",
+            "2",
+        ];
+        stance(&[&train[..], &["--config", arg(settings)]].concat()).expect_code(0);
+    }
+    workshop.train("coordinator", "guide", "2").expect_code(0);
+    workshop
+        .train_with("j2s", "poses", &["--steps", "2"])
+        .expect_code(0);
+
+    let hashes = [Skeleton::smplx_neutral().hash(), tall.hash()];
+    let refused = |ran: Ran| {
+        let said = ran.expect_code(1).stderr;
+        for hash in &hashes {
+            assert!(said.contains(&hash[..12]), "{said}");
+        }
+    };
+    let out = workshop.path("answers");
+    let (own, foreign) = (workshop.path("tall-motionrefit"), workshop.path("editor"));
+    let edit = |run: &Path, more: &[&str]| {
+        let args = ["edit", arg(run), "--items", arg(&items), "--out", arg(&out)];
+        stance(&[&args[..], more].concat())
+    };
+    refused(edit(&foreign, &[]));
+    refused(edit(&own, &["--coordinator", arg(&workshop.path("guide"))]));
+    refused(edit(&own, &["--poses", arg(&workshop.path("poses"))]));
+    assert!(!out.exists());
+    edit(&own, &[]).expect_code(0);
+    refused(bench.eval(&[&out], &[]));
+    let scores = workshop.path("tall-scores");
+    let encoder = workshop.path("tall-tmr");
+    let eval = ["eval", "--encoder", arg(&encoder), "--repeats", "2"];
+    let rest = ["--out", arg(&scores), "--edits", arg(&out)];
+    stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
+
+    let clip = Dataset::open(&root)
+        .expect("a dataset")
+        .read::<MotionRow>(None)
+        .expect("rows")
+        .into_iter()
+        .find(|row| row.n_frames >= 40)
+        .expect("a clip");
+    let one = workshop.path("one");
+    let args = [
+        "--motion",
+        clip.id.as_str(),
+        "--text",
+        "wave",
+        "--out",
+        arg(&one),
+    ];
+    let edit_one = |run: &Path| {
+        let from = ["edit", arg(run), "--dataset", arg(&root)];
+        stance(&[&from[..], &args].concat())
+    };
+    refused(edit_one(&foreign));
+    edit_one(&own).expect_code(0);
+    for made in [&out, &scores, &one] {
+        let skeleton = Dataset::open(made)
+            .expect("a dataset")
+            .skeleton()
+            .expect("a body");
+        assert_eq!(skeleton.hash(), tall.hash(), "{}", made.display());
+    }
 }
 
 #[test]

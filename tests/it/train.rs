@@ -9,6 +9,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
+use crate::evaluate::SMALL_ENCODER;
 use crate::util::{Ran, arg, command, corpus, stance};
 
 /// Clips of the corpus: six styles of twenty actions.
@@ -42,6 +43,7 @@ impl Workshop {
         stance(&["ingest", arg(&sources), "--out", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
         fs::write(workshop.path("small.toml"), SMALL).expect("writes");
+        fs::write(workshop.path("encoder.toml"), SMALL_ENCODER).expect("writes");
         workshop
     }
 
@@ -55,19 +57,34 @@ impl Workshop {
 
     /// Trains a model for so many steps.
     pub(crate) fn train(&self, model: &str, out: &str, steps: &str) -> Ran {
+        let settings = self.settings(model);
+        self.train_with(model, out, &["--config", arg(&settings), "--steps", steps])
+    }
+
+    /// The settings of a small model.
+    fn settings(&self, model: &str) -> PathBuf {
+        self.path(match model {
+            "tmr" => "encoder.toml",
+            _ => "small.toml",
+        })
+    }
+
+    /// Trains a model with other settings than those of the workshop.
+    pub(crate) fn train_with(&self, model: &str, out: &str, more: &[&str]) -> Ran {
         let (dataset, out) = (self.dataset(), self.path(out));
-        stance(&[
-            "--json",
-            "train",
-            model,
-            arg(&dataset),
-            "--out",
-            arg(&out),
-            "--config",
-            arg(&self.path("small.toml")),
-            "--steps",
-            steps,
-        ])
+        let args = ["--json", "train", model, arg(&dataset), "--out", arg(&out)];
+        stance(&[&args, more].concat())
+    }
+
+    /// A document of a run folder.
+    fn record(&self, run: &str) -> Value {
+        let text = fs::read_to_string(self.path(run).join("config.json")).expect("a record");
+        serde_json::from_str(&text).expect("JSON")
+    }
+
+    pub(crate) fn root_hash(&self) -> String {
+        let dataset = Dataset::open(&self.dataset()).expect("a dataset");
+        dataset.manifest().root_hash.clone()
     }
 
     /// A clip of the corpus as a file.
@@ -151,6 +168,164 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     stance(&plotted).expect_code(0);
     let svg = fs::read_to_string(&plot).expect("a picture");
     assert!(svg.contains("whole validation") && svg.contains("parts training"));
+}
+
+#[test]
+fn the_released_pose_network_begins_as_pytorchs_layers_do() {
+    let workshop = Workshop::open();
+    let settings = ["--preset", "official", "--steps", "6", "--seed", "3"];
+    workshop
+        .train_with("j2s", "poses", &settings)
+        .expect_code(0);
+    let run = workshop.path("poses");
+    let metrics = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+    let losses: Vec<Value> = metrics
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
+        .filter(|line| line.get("val_loss").is_some())
+        .collect();
+    assert_eq!(losses.len(), 6);
+    for line in &losses {
+        assert!(
+            line["val_loss"].as_f64().is_some_and(f64::is_finite),
+            "{line}"
+        );
+    }
+    let weights = tensors(&run.join("checkpoint/best/model.safetensors"));
+    let variances: Vec<f32> = weights
+        .iter()
+        .filter(|(name, _)| name.ends_with("running_var"))
+        .flat_map(|(_, bytes)| bytes.as_chunks::<4>().0)
+        .map(|bytes| f32::from_le_bytes(*bytes))
+        .collect();
+    assert_eq!(variances.len(), 128);
+    assert!(variances.iter().all(|&variance| variance > 0.0));
+}
+
+#[test]
+fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
+    let workshop = Workshop::open();
+    let before = workshop.root_hash();
+    workshop.train("tmr", "encoder", "2").expect_code(0);
+    workshop.train("motionrefit", "editor", "2").expect_code(0);
+    let compose = workshop.path("compose.toml");
+    fs::write(
+        &compose,
+        "fps = 5.0\nanchor = \"translation\"\nwindow = 10\n",
+    )
+    .expect("writes");
+    let settings = workshop.path("other.toml");
+    fs::write(&settings, format!("window = 10\n{SMALL}")).expect("writes");
+    let other = [
+        "--config",
+        arg(&settings),
+        "--compose",
+        arg(&compose),
+        "--steps",
+        "2",
+    ];
+    workshop
+        .train_with("motionrefit", "other", &other)
+        .expect_code(0);
+    assert_eq!(workshop.root_hash(), before);
+    for (model, run) in [("tmr", "encoder"), ("motionrefit", "editor")] {
+        let again: Value = workshop.train(model, run, "2").expect_code(0).json();
+        assert_eq!(again["steps"], 2, "{run}");
+    }
+    let range = |run: &str| workshop.record(run)["config"]["normalizer"].clone();
+    assert_ne!(range("editor"), range("other"));
+    // The range is the run's own, and so is what it was trained on: another table changes neither.
+    let hash = workshop.record("editor")["dataset_hash"].clone();
+    assert_ne!(hash, before);
+    assert_eq!(hash, workshop.record("other")["dataset_hash"]);
+}
+
+#[test]
+fn fixed_pairs_are_validated_on_what_everything_else_is() {
+    let workshop = Workshop::open();
+    // Weights that do not move tell the windows they are validated on.
+    let settings = workshop.path("still.toml");
+    fs::write(
+        &settings,
+        format!("{SMALL}\n[optimizer]\nlearning_rate = 0.0\n"),
+    )
+    .expect("writes");
+    let fixed = workshop.path("fixed.toml");
+    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    let still = ["--config", arg(&settings), "--steps", "1"];
+    let loss = |run: &str, more: &[&str]| -> Value {
+        let args = [&still[..], more].concat();
+        let done: Value = workshop
+            .train_with("motionrefit", run, &args)
+            .expect_code(0)
+            .json();
+        done["best_val_loss"].clone()
+    };
+    let full = loss("full", &[]);
+    assert!(full.is_number());
+    assert_eq!(full, loss("fixed", &["--compose", arg(&fixed)]));
+}
+
+#[test]
+fn a_seed_in_a_file_counts_unless_one_is_given() {
+    let workshop = Workshop::open();
+    let settings = workshop.path("seeded.toml");
+    fs::write(&settings, format!("seed = 5\n{SMALL}")).expect("writes");
+    for (run, more, expected) in [("own", &[][..], 5), ("given", &["--seed", "7"][..], 7)] {
+        for model in ["motionrefit", "coordinator"] {
+            let run = format!("{run}-{model}");
+            let args = [&["--config", arg(&settings), "--steps", "1"][..], more].concat();
+            workshop.train_with(model, &run, &args).expect_code(0);
+            assert_eq!(
+                workshop.record(&run)["config"]["train"]["seed"],
+                expected,
+                "{run}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
+    let workshop = Workshop::open();
+    for model in ["motionrefit", "coordinator", "tmr"] {
+        workshop.train(model, model, "4").expect_code(0);
+        let refused = workshop.train(model, model, "6").expect_code(1);
+        assert!(refused.stderr.contains("--extend"), "{}", refused.stderr);
+        let settings = workshop.settings(model);
+        let longer = ["--config", arg(&settings), "--steps", "6"];
+        let extend = [&longer[..], &["--extend"]].concat();
+        let done: Value = workshop
+            .train_with(model, model, &extend)
+            .expect_code(0)
+            .json();
+        assert_eq!(done["steps"], 6, "{model}");
+        let lineage = workshop.record(model)["lineage"].clone();
+        assert_eq!(
+            (&lineage[0]["by"], &lineage[0]["step"]),
+            (&"extend".into(), &4.into())
+        );
+        // The same command without the word goes on with what is recorded.
+        workshop.train_with(model, model, &longer).expect_code(0);
+        let (first, begun) = (workshop.path(model), format!("{model}-begun"));
+        let init = [&longer[..], &["--init", arg(&first)]].concat();
+        workshop.train_with(model, &begun, &init).expect_code(0);
+        let lineage = workshop.record(&begun)["lineage"].clone();
+        assert_eq!(
+            (&lineage[0]["by"], &lineage[1]["by"]),
+            (&"extend".into(), &"init".into())
+        );
+        let dataset = workshop.dataset();
+        let foreign = [&longer[..], &["--init", arg(&dataset)]].concat();
+        workshop.train_with(model, "none", &foreign).expect_code(1);
+    }
+    let poses = ["--preset", "official", "--steps"];
+    workshop
+        .train_with("j2s", "poses", &[&poses[..], &["4"]].concat())
+        .expect_code(0);
+    let extend = [&poses[..], &["8", "--extend"]].concat();
+    workshop.train_with("j2s", "poses", &extend).expect_code(0);
+    assert_eq!(workshop.record("poses")["lineage"][0]["step"], 4);
 }
 
 #[test]
@@ -253,6 +428,74 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
         arg(&out),
     ]);
     refused(&args, "another diffusion");
+}
+
+#[test]
+fn an_editor_of_the_body_joints_alone_trains_and_edits() {
+    let workshop = Workshop::open();
+    let settings = workshop.path("joints.toml");
+    fs::write(&settings, format!("keypoints = 22\n{SMALL}")).expect("writes");
+    let args = ["--config", arg(&settings), "--steps", "6"];
+    workshop
+        .train_with("motionrefit", "editor", &args)
+        .expect_code(0);
+    workshop
+        .train_with("coordinator", "guide", &args)
+        .expect_code(0);
+    workshop.train("coordinator", "whole", "2").expect_code(0);
+    let widths = |run: &str, file: &str| -> Vec<usize> {
+        let path = workshop.path(run).join("checkpoint/best").join(file);
+        let bytes = fs::read(path).expect("weights");
+        let file = safetensors::SafeTensors::deserialize(&bytes).expect("safetensors");
+        let width = |name: &str, axis: usize| file.tensor(name).expect(name).shape()[axis];
+        vec![
+            width("embedding_input.weight", 1),
+            width("embedding_original.weight", 1),
+            width("out.weight", 0),
+        ]
+    };
+    assert_eq!(widths("editor", "denoiser.safetensors"), [66; 3]);
+    assert_eq!(widths("guide", "coordinator.safetensors"), [66; 3]);
+    assert_eq!(widths("whole", "coordinator.safetensors"), [84; 3]);
+    assert_eq!(
+        workshop.record("editor")["config"]["train"]["keypoints"],
+        22
+    );
+    assert!(workshop.record("whole")["config"]["train"]["keypoints"].is_null());
+
+    let (editor, clip) = (workshop.path("editor"), workshop.clip());
+    let out = workshop.path("edit.npz");
+    let edit = |coordinator: &str| {
+        stance(&[
+            "--json",
+            "edit",
+            arg(&editor),
+            "--coordinator",
+            arg(&workshop.path(coordinator)),
+            "--motion",
+            arg(&clip),
+            "--text",
+            "The person is waving.",
+            "--out",
+            arg(&out),
+        ])
+    };
+    let refused = edit("whole").expect_code(1);
+    assert!(
+        refused.stderr.contains("other keypoints"),
+        "{}",
+        refused.stderr
+    );
+    let made: Value = edit("guide").expect_code(0).json();
+    assert!(made["fit_error_m"].as_f64().expect("metres").is_finite());
+    assert!(fs::read(&out).expect("written").starts_with(b"PK"));
+    let odd = workshop.path("odd.toml");
+    fs::write(&odd, format!("keypoints = 24\n{SMALL}")).expect("writes");
+    let odd = ["--config", arg(&odd), "--steps", "1"];
+    let refused = workshop
+        .train_with("motionrefit", "odd", &odd)
+        .expect_code(1);
+    assert!(refused.stderr.contains("keypoints"), "{}", refused.stderr);
 }
 
 #[test]

@@ -40,6 +40,7 @@ fn denoiser(dropout: f64, device: &Device) -> Denoiser {
         Denoiser::new(&network, previous, network.width, device),
         Seed(1),
     )
+    .expect("known layers")
 }
 
 fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {

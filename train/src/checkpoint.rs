@@ -16,6 +16,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Skeleton;
+use datasets_spec::normalise::Normalizer;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -31,6 +33,10 @@ const BURN_VERSION: &str = "0.22.1";
 const CONFIG: &str = "config.json";
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
+/// The running average of the weights, in a checkpoint.
+pub(crate) const AVERAGE: &str = "average.safetensors";
+/// The place in the run, in a checkpoint.
+pub(crate) const STATE: &str = "state.json";
 
 /// A checkpoint of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,16 +92,173 @@ pub struct RunRecord<C> {
     pub kind: String,
     /// Programs that made the run, by name.
     pub versions: BTreeMap<String, String>,
-    /// Root hash of the dataset.
+    /// Hash of the tables it was trained on.
     pub dataset_hash: String,
     /// Name of the skeleton the motions drive.
     pub skeleton: String,
+    /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded its
+    /// name alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skeleton_hash: Option<String>,
+    /// What the weights come from, oldest first: none for a run that was trained at one go.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lineage: Vec<Ancestor>,
     /// The resolved configuration and what was fitted to the training split.
     pub config: C,
 }
 
+/// Weights that a run goes on from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ancestor {
+    /// How they were taken over.
+    pub by: Inheritance,
+    /// What identifies them: BLAKE3, hexadecimal.
+    pub weights: String,
+    /// Step they were made by, counted in the run they come from; 0 if it was not trained here.
+    pub step: u64,
+    /// Settings that are others from then on: name, value before and value after.
+    pub changed: BTreeMap<String, [Value; 2]>,
+}
+
+/// How a run takes over weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inheritance {
+    /// The run itself goes on, with other settings.
+    Extend,
+    /// A new run begins with them.
+    Init,
+}
+
+/// How a run begins: where, and from what.
+#[derive(Clone, Copy, Debug)]
+pub struct Start<'a> {
+    /// The run folder.
+    pub run: &'a Path,
+    /// Whether the run that is there goes on with other settings, of those that may change.
+    pub extend: bool,
+    /// Run folder whose weights a new run begins with. What was fitted to its training split holds for
+    /// the new run too.
+    pub init: Option<&'a Path>,
+}
+
+impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Start<'a> {
+    fn from(run: &'a P) -> Self {
+        Self {
+            run: run.as_ref(),
+            extend: false,
+            init: None,
+        }
+    }
+}
+
+impl Start<'_> {
+    /// The record whose fitted parts hold for the run: its own if it has begun, else that of the run
+    /// it begins with.
+    pub(crate) fn fitted<C: DeserializeOwned>(
+        &self,
+        kind: &'static str,
+    ) -> Result<Option<C>, Error> {
+        let own = self.run.join(CONFIG).exists().then_some(self.run);
+        own.or(self.init)
+            .map(|dir| Ok(read_record::<C>(dir, kind)?.config))
+            .transpose()
+    }
+
+    /// The range of model units that holds for the run, unless it is to be fitted.
+    ///
+    /// # Errors
+    /// A record cannot be read.
+    pub fn range(&self) -> Result<Option<Normalizer>, Error> {
+        #[derive(Deserialize)]
+        struct Record {
+            config: Config,
+        }
+        #[derive(Deserialize)]
+        struct Config {
+            normalizer: Option<Normalizer>,
+        }
+        for dir in [Some(self.run), self.init].into_iter().flatten() {
+            let path = dir.join(CONFIG);
+            let text = match fs::read_to_string(&path) {
+                Ok(text) => text,
+                Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => continue,
+                Err(problem) => return Err(Error::io("read", path)(problem)),
+            };
+            let record: Record =
+                serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+            return Ok(record.config.normalizer);
+        }
+        Ok(None)
+    }
+}
+
+/// Settings that `extend` may change, without the name of the section they are recorded in: they
+/// decide how far and how fast a run goes, not what is learned from what.
+const EXTENDABLE: [&str; 13] = [
+    "keep_epochs",
+    "learning_rate",
+    "length.epochs",
+    "length.steps",
+    "log_every",
+    "max_part",
+    "num_steps",
+    "optimizer.decay",
+    "optimizer.learning_rate",
+    "optimizer.max_gradient_norm",
+    "optimizer.warmup_steps",
+    "optimizer.weight_decay",
+    "val_every",
+];
+
+fn may_change(field: &str) -> bool {
+    let name = field.strip_prefix("config.").unwrap_or(field);
+    EXTENDABLE.contains(&name.strip_prefix("train.").unwrap_or(name))
+}
+
+/// Checks that the model of a run folder was trained on a skeleton; `what` names it.
+///
+/// # Errors
+/// It was trained on another one, or the folder is no run.
+pub fn check_skeleton(
+    run_dir: &Path,
+    what: &'static str,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
+    #[derive(Deserialize)]
+    struct Trained {
+        kind: String,
+        skeleton: String,
+        skeleton_hash: Option<String>,
+    }
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let trained: Trained =
+        serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    if trained.kind == crate::tmr::MOTION_KIND {
+        // Trained elsewhere, on features that do not depend on the body.
+        return Ok(());
+    }
+    let hash = skeleton.hash();
+    let fits = match &trained.skeleton_hash {
+        Some(recorded) => *recorded == hash,
+        None => trained.skeleton == skeleton.name(),
+    };
+    if fits {
+        return Ok(());
+    }
+    let of = trained.skeleton_hash.as_deref();
+    Err(Error::OtherSkeleton {
+        what,
+        run: run_dir.to_owned(),
+        trained: format!("{} ({:.12})", trained.skeleton, of.unwrap_or("no hash")),
+        asked: format!("{} ({hash:.12})", skeleton.name()),
+    })
+}
+
 impl<C> RunRecord<C> {
-    pub(crate) fn new(kind: &str, dataset_hash: &str, skeleton: &str, config: C) -> Self {
+    pub(crate) fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
         Self {
             format: FORMAT,
             kind: kind.to_owned(),
@@ -106,7 +269,9 @@ impl<C> RunRecord<C> {
             .map(|(name, version)| (name.to_owned(), version.to_owned()))
             .into(),
             dataset_hash: dataset_hash.to_owned(),
-            skeleton: skeleton.to_owned(),
+            skeleton: skeleton.name().to_owned(),
+            skeleton_hash: Some(skeleton.hash()),
+            lineage: Vec::new(),
             config,
         }
     }
@@ -130,38 +295,144 @@ struct FileEntry {
 #[derive(Clone, Debug)]
 pub(crate) struct Run {
     dir: PathBuf,
+    /// Weights it begins with, and the folder they are from.
+    init: Option<(PathBuf, Files)>,
+    /// The record of the run as it is extended, until it is known that it can be.
+    extended: Option<(Value, Vec<Ancestor>)>,
 }
 
 impl Run {
-    /// Starts a run, or opens it again if the folder holds one of the same record.
-    pub(crate) fn open<C: Serialize>(dir: &Path, record: &RunRecord<C>) -> Result<Self, Error> {
+    /// Starts a run, or opens it again if the folder holds one of the same record, or, where it is to
+    /// be extended, of a record that differs in nothing else than may change.
+    pub(crate) fn open<'a, C: Serialize + DeserializeOwned>(
+        start: impl Into<Start<'a>>,
+        record: &RunRecord<C>,
+    ) -> Result<Self, Error> {
+        let start = start.into();
+        let dir = start.run;
         let path = dir.join(CONFIG);
         let json = |source| Error::Json {
             path: path.clone(),
             source,
         };
-        let text = serde_json::to_string_pretty(record).map_err(json)?;
+        let not_a_run = |reason: &str| Error::NotARun {
+            path: dir.to_owned(),
+            kind: record.kind.clone(),
+            reason: reason.to_owned(),
+        };
         fs::create_dir_all(dir).map_err(Error::io("create", dir))?;
-        match fs::read_to_string(&path) {
-            Ok(recorded) => {
-                // Both sides go through text, so that numbers are compared as they are written.
-                let recorded: Value = serde_json::from_str(&recorded).map_err(json)?;
-                let asked: Value = serde_json::from_str(&text).map_err(json)?;
-                if let Some(field) = first_difference(&recorded, &asked, "") {
-                    return Err(Error::OtherRun {
-                        path: dir.to_owned(),
-                        field,
-                    });
-                }
-            }
+        // Both sides go through text, so that numbers are compared as they are written.
+        let text = serde_json::to_string_pretty(record).map_err(json)?;
+        let asked: Value = serde_json::from_str(&text).map_err(json)?;
+        let recorded = match fs::read_to_string(&path) {
+            Ok(recorded) => recorded,
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-                write_atomically(&path, text.as_bytes())?;
+                if start.extend {
+                    return Err(not_a_run("there is nothing to extend"));
+                }
+                let mut lineage = Vec::new();
+                let mut init = None;
+                if let Some(from) = start.init {
+                    let (past, files) = begin_with(from, record, &asked)?;
+                    lineage = past;
+                    init = Some((from.to_owned(), files));
+                }
+                write_record(&path, &asked, &lineage)?;
+                return Ok(Self {
+                    dir: dir.to_owned(),
+                    init,
+                    extended: None,
+                });
             }
             Err(problem) => return Err(Error::io("read", path)(problem)),
+        };
+        let kind: Value = serde_json::from_str(&recorded).map_err(json)?;
+        if kind["kind"] != asked["kind"] {
+            return Err(not_a_run(&format!("it is a run of {}", kind["kind"])));
+        }
+        // Settings that an earlier version did not know get the value they had then.
+        let recorded: RunRecord<C> = serde_json::from_str(&recorded).map_err(json)?;
+        let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
+        if recorded.skeleton_hash.is_none() {
+            differences.remove("skeleton_hash");
+        }
+        let refused = differences
+            .keys()
+            .find(|field| !(start.extend && may_change(field)));
+        if let Some(field) = refused {
+            return Err(Error::OtherRun {
+                path: dir.to_owned(),
+                field: field.clone(),
+                remedy: if start.extend {
+                    "--extend changes length, rates and intervals alone"
+                } else if may_change(field) {
+                    "continue it with --extend, with its own config.json, or choose another folder"
+                } else {
+                    "continue it with its own config.json or choose another folder"
+                },
+            });
+        }
+        let mut init = None;
+        if let Some(from) = start.init {
+            let (past, files) = begin_with(from, record, &asked)?;
+            let is_begun_with = |ancestor: &Ancestor| {
+                ancestor.by == Inheritance::Init
+                    && past
+                        .last()
+                        .is_some_and(|last| last.weights == ancestor.weights)
+            };
+            if !recorded.lineage.iter().any(is_begun_with) {
+                return Err(Error::OtherRun {
+                    path: dir.to_owned(),
+                    field: "beginning (--init)".to_owned(),
+                    remedy: "choose another folder",
+                });
+            }
+            init = Some((from.to_owned(), files));
+        } else if let Some(begun) = recorded
+            .lineage
+            .iter()
+            .find(|ancestor| ancestor.by == Inheritance::Init)
+            && read(dir, Slot::Last)?.is_none()
+        {
+            return Err(not_a_run(&format!(
+                "it has no checkpoint yet and begins with weights {:.12}; name their run again \
+                 with --init",
+                begun.weights
+            )));
+        }
+        let mut extended = None;
+        if !differences.is_empty() {
+            let files = read(dir, Slot::Last)?.unwrap_or_default();
+            let mut lineage = recorded.lineage.clone();
+            lineage.push(Ancestor {
+                by: Inheritance::Extend,
+                weights: hash_of(&recorded.config, &files),
+                step: step_of(&files, "step"),
+                changed: differences,
+            });
+            extended = Some((asked, lineage));
         }
         Ok(Self {
             dir: dir.to_owned(),
+            init,
+            extended,
         })
+    }
+
+    /// Records the settings that the run goes on with, if they are others than before.
+    pub(crate) fn settle(&self) -> Result<(), Error> {
+        match &self.extended {
+            Some((record, lineage)) => write_record(&self.dir.join(CONFIG), record, lineage),
+            None => Ok(()),
+        }
+    }
+
+    /// The weights the run begins with, if it has no checkpoint of its own, and the folder they are
+    /// from.
+    pub(crate) fn init(&self) -> Option<(&Path, Files)> {
+        let (dir, files) = self.init.as_ref()?;
+        Some((dir, files.clone()))
     }
 
     /// The folder.
@@ -324,7 +595,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     let path = run_dir.join(CONFIG);
     let not_a_run = |reason: String| Error::NotARun {
         path: run_dir.to_owned(),
-        kind,
+        kind: kind.to_owned(),
         reason,
     };
     let text = match fs::read_to_string(&path) {
@@ -355,7 +626,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
 pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Result<Files, Error> {
     read(run_dir, slot)?.ok_or_else(|| Error::NotARun {
         path: run_dir.to_owned(),
-        kind,
+        kind: kind.to_owned(),
         reason: format!("it holds no checkpoint {:?}", slot.name()),
     })
 }
@@ -379,27 +650,107 @@ pub(crate) fn weights_hash<C: Serialize>(config: &C, files: &[&[u8]]) -> String 
     hasher.finalize().to_hex().to_string()
 }
 
-/// The first field, in order of names, in which two documents differ. Versions of programs may
-/// differ.
-fn first_difference(recorded: &Value, asked: &Value, path: &str) -> Option<String> {
-    let (Value::Object(recorded), Value::Object(asked)) = (recorded, asked) else {
-        return (recorded != asked).then(|| path.to_owned());
+/// What identifies the weights of a checkpoint, as whoever uses them names them.
+fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
+    let weights: Vec<&[u8]> = files
+        .iter()
+        .filter(|(name, _)| name.ends_with(".safetensors") && *name != AVERAGE)
+        .map(|(_, bytes)| bytes.as_slice())
+        .collect();
+    weights_hash(config, &weights)
+}
+
+/// A count of the place in a run that its newest checkpoint was made at; 0 if it is not known.
+fn step_of(files: &Files, field: &str) -> u64 {
+    files
+        .get(STATE)
+        .and_then(|state| serde_json::from_slice::<Value>(state).ok())
+        .and_then(|state| state[field].as_u64())
+        .unwrap_or(0)
+}
+
+/// The lineage of a run that begins with the best weights of another, and those weights.
+fn begin_with<C: Serialize + DeserializeOwned>(
+    from: &Path,
+    record: &RunRecord<C>,
+    asked: &Value,
+) -> Result<(Vec<Ancestor>, Files), Error> {
+    let not_a_run = |reason: String| Error::NotARun {
+        path: from.to_owned(),
+        kind: record.kind.clone(),
+        reason,
     };
-    let names: std::collections::BTreeSet<&String> = recorded.keys().chain(asked.keys()).collect();
-    names.into_iter().find_map(|name| {
-        let path = if path.is_empty() {
-            name.clone()
-        } else {
-            format!("{path}.{name}")
+    let kind = read_kind(from)?;
+    if kind != record.kind {
+        return Err(not_a_run(format!("it is a run of {kind:?}")));
+    }
+    let path = from.join(CONFIG);
+    let json = |source| Error::Json {
+        path: path.clone(),
+        source,
+    };
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let before: RunRecord<C> = serde_json::from_str(&text).map_err(json)?;
+    let files = read(from, Slot::Best)?
+        .ok_or_else(|| not_a_run("it holds no checkpoint \"best\"".to_owned()))?;
+    let last = read(from, Slot::Last)?.unwrap_or_default();
+    let mut lineage = before.lineage.clone();
+    lineage.push(Ancestor {
+        by: Inheritance::Init,
+        weights: hash_of(&before.config, &files),
+        step: step_of(&last, "best_step"),
+        changed: differences(&to_value(&before).map_err(json)?, asked),
+    });
+    Ok((lineage, files))
+}
+
+fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(), Error> {
+    let json = |source| Error::Json {
+        path: path.to_owned(),
+        source,
+    };
+    let mut record = record.clone();
+    if !lineage.is_empty() {
+        record["lineage"] = serde_json::to_value(lineage).map_err(json)?;
+    }
+    let text = serde_json::to_string_pretty(&record).map_err(json)?;
+    write_atomically(path, text.as_bytes())
+}
+
+fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::Error> {
+    serde_json::from_str(&serde_json::to_string(document)?)
+}
+
+/// The fields in which two documents differ, with both values. Versions of programs and the lineage
+/// may differ.
+fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
+    fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
+        let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {
+            if recorded != asked {
+                found.insert(path.to_owned(), [recorded.clone(), asked.clone()]);
+            }
+            return;
         };
-        if path == "versions" {
-            return None;
+        let names: std::collections::BTreeSet<&String> =
+            before.keys().chain(after.keys()).collect();
+        for name in names {
+            let path = if path.is_empty() {
+                name.clone()
+            } else {
+                format!("{path}.{name}")
+            };
+            if path == "versions" || path == "lineage" {
+                continue;
+            }
+            let side = |document: &serde_json::Map<String, Value>| {
+                document.get(name).cloned().unwrap_or(Value::Null)
+            };
+            walk(&side(before), &side(after), &path, found);
         }
-        match (recorded.get(name), asked.get(name)) {
-            (Some(recorded), Some(asked)) => first_difference(recorded, asked, &path),
-            _ => Some(path),
-        }
-    })
+    }
+    let mut found = BTreeMap::new();
+    walk(recorded, asked, "", &mut found);
+    found
 }
 
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
@@ -446,7 +797,12 @@ mod tests {
     fn record(width: usize) -> RunRecord<Settings> {
         // A number whose shortest decimal form needs 17 digits.
         let rate = 0.1 + 0.2;
-        RunRecord::new("test", "hash", "smplx", Settings { width, rate })
+        RunRecord::new(
+            "test",
+            "hash",
+            &Skeleton::smplx_neutral(),
+            Settings { width, rate },
+        )
     }
 
     fn files(value: u8) -> Files {

@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::diffusion::{FixedFrames, Loss, Prediction, ScheduleName};
 use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::normalise::FRAME_WIDTH;
+use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
 /// Settings of the editor's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,6 +24,10 @@ pub struct TrainConfig {
     pub optimizer: OptimizerConfig,
     /// Frames of a window, the two fixed ones among them.
     pub window: usize,
+    /// Keypoints of a frame that the network sees and makes: all 28, or the 22 body joints alone (paper
+    /// App. C.6, for MotionFix).
+    #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
+    pub keypoints: usize,
     /// Windows in a step.
     pub batch_size: usize,
     /// Windows computed at once. A step of more is computed in parts, whose gradients are added.
@@ -283,6 +289,7 @@ impl TrainConfig {
                     average: None,
                 },
                 window: WINDOW_FRAMES,
+                keypoints: NUM_KEYPOINTS,
                 batch_size: 1024,
                 max_part: 256,
                 length: RunLength {
@@ -361,6 +368,7 @@ impl TrainConfig {
                     average: None,
                 },
                 window: WINDOW_FRAMES,
+                keypoints: NUM_KEYPOINTS,
                 batch_size: 64,
                 max_part: 256,
                 length: RunLength::of_steps(1_000),
@@ -384,6 +392,7 @@ impl TrainConfig {
         positive("batch_size", self.batch_size as u64)?;
         positive("max_part", self.max_part as u64)?;
         self.length.check()?;
+        check_keypoints(self.keypoints)?;
         if self.window <= FIXED_FRAMES {
             return Err(Error::Config {
                 field: "window",
@@ -405,6 +414,47 @@ impl TrainConfig {
         positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
         positive("text.words.max_words", self.text.words.max_words as u64)
     }
+}
+
+/// The setting of models recorded before there was a choice.
+pub(crate) fn all_keypoints() -> usize {
+    NUM_KEYPOINTS
+}
+
+/// Left out of records, so that what identifies older models stays as it is.
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+pub(crate) fn is_all_keypoints(keypoints: &usize) -> bool {
+    *keypoints == NUM_KEYPOINTS
+}
+
+pub(crate) fn check_keypoints(keypoints: usize) -> Result<(), Error> {
+    if [NUM_BODY_JOINTS, NUM_KEYPOINTS].contains(&keypoints) {
+        return Ok(());
+    }
+    Err(Error::Config {
+        field: "keypoints",
+        problem: format!(
+            "it is {keypoints}; known are {NUM_KEYPOINTS}, and the {NUM_BODY_JOINTS} body joints"
+        ),
+    })
+}
+
+/// The first keypoints of frames, which are laid out one after another.
+///
+/// # Shapes
+/// `[.., 84]` in; `[.., 3 keypoints]` out.
+pub(crate) fn narrowed(frames: Vec<f32>, keypoints: usize) -> Vec<f32> {
+    if keypoints == NUM_KEYPOINTS {
+        return frames;
+    }
+    frames
+        .chunks_exact(FRAME_WIDTH)
+        .flat_map(|frame| &frame[..3 * keypoints])
+        .copied()
+        .collect()
 }
 
 impl RunLength {
@@ -541,6 +591,25 @@ mod tests {
                 config
             );
         }
+    }
+
+    #[test]
+    fn records_without_a_number_of_keypoints_are_of_28() {
+        let config = TrainConfig::preset(Preset::Tiny);
+        let text = serde_json::to_string(&config).expect("serialises");
+        assert!(!text.contains("keypoints"));
+        let read: TrainConfig = serde_json::from_str(&text).expect("parses");
+        assert_eq!(read.keypoints, 28);
+        for (keypoints, fits) in [(22, true), (28, true), (24, false)] {
+            let config = TrainConfig {
+                keypoints,
+                ..config.clone()
+            };
+            assert_eq!(config.check().is_ok(), fits, "{keypoints}");
+        }
+        let frames: Vec<f32> = (0..2 * FRAME_WIDTH).map(|value| value as f32).collect();
+        let narrow = narrowed(frames, 22);
+        assert_eq!((narrow.len(), narrow[65], narrow[66]), (132, 65.0, 84.0));
     }
 
     #[test]

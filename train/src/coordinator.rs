@@ -13,10 +13,12 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
+use crate::checkpoint::{
+    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
+};
 use crate::config::{
     Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, TrainConfig,
-    positive,
+    all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
 };
 use crate::diffusion::{Schedule, ScheduleName};
 use crate::learn::{Course, Task, TrainReport, learn};
@@ -46,6 +48,9 @@ pub struct CoordinatorConfig {
     pub optimizer: OptimizerConfig,
     /// Frames of a window.
     pub window: usize,
+    /// Keypoints of a frame that the network sees: those of the editor it is to guide.
+    #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
+    pub keypoints: usize,
     /// Windows in a step.
     pub batch_size: usize,
     /// Windows computed at once.
@@ -93,6 +98,7 @@ impl CoordinatorConfig {
                 ..editor.optimizer
             },
             window: WINDOW_FRAMES,
+            keypoints: editor.keypoints,
             batch_size: editor.batch_size,
             max_part: editor.max_part,
             length: RunLength::of_steps(if is_tiny { 500 } else { 68_000 }),
@@ -113,6 +119,7 @@ impl CoordinatorConfig {
         self.optimizer.check()?;
         self.length.check()?;
         positive("window", self.window as u64)?;
+        check_keypoints(self.keypoints)?;
         positive("batch_size", self.batch_size as u64)?;
         positive("max_part", self.max_part as u64)?;
         positive("log_every", self.log_every)?;
@@ -179,9 +186,9 @@ pub struct Segments<'a> {
     pub val: &'a dyn SegmentSource,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
-    /// Name of the skeleton the motions drive.
-    pub skeleton: &'a str,
-    /// Root hash of the dataset.
+    /// The skeleton the motions drive.
+    pub skeleton: &'a Skeleton,
+    /// Hash of the tables the segments are composed from.
     pub dataset_hash: &'a str,
 }
 
@@ -199,14 +206,14 @@ pub struct CoordinatorRecord {
 /// [`crate::fit::train_motionrefit`] does.
 ///
 /// # Errors
-/// The settings are unusable, the folder holds another run or a damaged checkpoint, the loss is not
+/// The settings are unusable, the folder holds another run or a damaged checkpoint, a loss is not
 /// finite, or a file cannot be written.
 ///
 /// # Source
 /// Paper Sec. 4.4: binary classification of unmodified segments and of composed ones, with the noise
 /// of the last 20 diffusion steps.
-pub fn train_coordinator(
-    run_dir: &Path,
+pub fn train_coordinator<'a>(
+    start: impl Into<Start<'a>>,
     config: &CoordinatorConfig,
     segments: Segments<'_>,
     session: &Session<'_>,
@@ -235,8 +242,8 @@ pub fn train_coordinator(
         normalizer: segments.normalizer,
     };
     let run = Run::open(
-        run_dir,
-        &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, &record),
+        start,
+        &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record),
     )?;
     let seed = Seed(config.seed);
     let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;
@@ -244,6 +251,7 @@ pub fn train_coordinator(
         source: segments.train,
         schedule: &schedule,
         noise_steps: config.noise_steps,
+        keypoints: config.keypoints,
         seed: seed.derive(&["train"]),
     };
     let val_drawer = SegmentDrawer {
@@ -258,9 +266,9 @@ pub fn train_coordinator(
         .collect();
     let device = session.device.clone().autodiff();
     let model = draw(
-        Coordinator::new(&config.model, &device),
+        Coordinator::of_frames(&config.model, 3 * config.keypoints, &device),
         seed.derive(&["weights"]),
-    );
+    )?;
     let steps_per_epoch = segments
         .train
         .epoch_len()
@@ -300,13 +308,15 @@ struct SegmentDrawer<'a> {
     source: &'a dyn SegmentSource,
     schedule: &'a Schedule,
     noise_steps: usize,
+    keypoints: usize,
     seed: Seed,
 }
 
 impl SegmentDrawer<'_> {
     /// The segments `first..first + count` of the run, epochs following one another.
     fn draw(&self, first: u64, count: usize) -> SegmentBatch {
-        let (epoch_len, window) = (self.source.epoch_len(), self.source.window_len());
+        let epoch_len = self.source.epoch_len();
+        let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut whole = CoordinatorBatch::default();
         let mut part = CoordinatorBatch::default();
         while whole.composed.len() < count {
@@ -318,6 +328,7 @@ impl SegmentDrawer<'_> {
             whole.windows.append(&mut part.windows);
             whole.composed.append(&mut part.composed);
         }
+        whole.windows = narrowed(whole.windows, self.keypoints);
         let timesteps: Vec<usize> = whole
             .windows
             .par_chunks_mut(window)
@@ -366,9 +377,9 @@ impl Task for CoordinatorTask<'_> {
 
     fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {
         let rows = batch.timesteps.len();
-        let window = self.config.window;
+        let (window, width) = (self.config.window, 3 * self.config.keypoints);
         let x = Tensor::<3>::from_data(
-            TensorData::new(batch.windows.clone(), [rows, window, FRAME_WIDTH]),
+            TensorData::new(batch.windows.clone(), [rows, window, width]),
             device,
         );
         let composed =
@@ -429,7 +440,8 @@ impl TrainedCoordinator {
         let mut files = read_for_use(run_dir, slot, KIND)?;
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
-        let mut model = Coordinator::new(&record.config.train.model, device);
+        let train = &record.config.train;
+        let mut model = Coordinator::of_frames(&train.model, 3 * train.keypoints, device);
         let bytes = take(&mut files, WEIGHTS, run_dir)?;
         from_safetensors(&mut model, bytes, "", &run_dir.join(WEIGHTS))?;
         Ok(Self {
@@ -495,13 +507,16 @@ impl TrainedCoordinator {
     /// # Shapes
     /// `windows` `[B, W, 84]` in model units.
     pub fn probabilities(&self, windows: &[f32]) -> Vec<f32> {
-        let window = self.record.config.train.window;
+        let CoordinatorConfig {
+            window, keypoints, ..
+        } = self.record.config.train;
         let rows = windows.len() / (window * FRAME_WIDTH);
         if rows == 0 {
             return Vec::new();
         }
+        let seen = narrowed(windows.to_vec(), keypoints);
         let x = Tensor::<3>::from_data(
-            TensorData::new(windows.to_vec(), [rows, window, FRAME_WIDTH]),
+            TensorData::new(seen, [rows, window, 3 * keypoints]),
             &self.device,
         );
         self.model

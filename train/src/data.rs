@@ -13,6 +13,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::config::narrowed;
 use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
@@ -154,11 +155,11 @@ impl Texts<'_> {
 /// `B` windows of `W` frames with everything a training step draws.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoisyBatch {
-    /// Normalised original windows, `[B, W, 84]`.
+    /// Normalised original windows, `[B, W, D]`; `D` is 84, or 66 for the body joints alone.
     pub original: Vec<f32>,
-    /// Normalised edited windows, `[B, W, 84]`.
+    /// Normalised edited windows, `[B, W, D]`.
     pub edited: Vec<f32>,
-    /// Standard normal noise, zero on the fixed frames, `[B, W, 84]`.
+    /// Standard normal noise, zero on the fixed frames, `[B, W, D]`.
     pub noise: Vec<f32>,
     /// Diffusion step of each window, `[B]`.
     pub timesteps: Vec<usize>,
@@ -177,9 +178,9 @@ impl NoisyBatch {
         self.timesteps.len()
     }
 
-    /// Frames of a window.
-    pub fn window(&self) -> usize {
-        self.original.len() / (self.len().max(1) * FRAME_WIDTH)
+    /// Frames of a window, each of so many numbers.
+    pub fn window(&self, frame_width: usize) -> usize {
+        self.original.len() / (self.len().max(1) * frame_width)
     }
 }
 
@@ -198,6 +199,8 @@ pub(crate) enum Timesteps {
 #[derive(Clone, Copy)]
 pub(crate) struct Drawer<'a> {
     pub(crate) source: &'a dyn WindowSource,
+    /// Keypoints of a frame that are taken.
+    pub(crate) keypoints: usize,
     pub(crate) texts: Texts<'a>,
     pub(crate) seed: Seed,
     pub(crate) num_timesteps: usize,
@@ -209,7 +212,7 @@ impl Drawer<'_> {
     /// The windows `first..first + num_windows` of the run, epochs following one another.
     pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
         let windows = self.windows(first, num_windows)?;
-        let window_len = self.source.window_len();
+        let window_len = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut noise = vec![0.0f32; num_windows * window_len];
         let drawn: Vec<(usize, f32)> = noise
             .par_chunks_mut(window_len)
@@ -230,7 +233,7 @@ impl Drawer<'_> {
                 } else {
                     1.0
                 };
-                for value in &mut noise[FIXED_FRAMES * FRAME_WIDTH..] {
+                for value in &mut noise[FIXED_FRAMES * 3 * self.keypoints..] {
                     *value = rng.sample(StandardNormal);
                 }
                 (timestep, text_kept)
@@ -241,8 +244,8 @@ impl Drawer<'_> {
             texts: self
                 .texts
                 .batch(windows.instructions.iter().map(String::as_str))?,
-            original: windows.original,
-            edited: windows.edited,
+            original: narrowed(windows.original, self.keypoints),
+            edited: narrowed(windows.edited, self.keypoints),
             noise,
             timesteps,
             progress: windows.progress,
@@ -366,6 +369,7 @@ mod tests {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let drawer = Drawer {
             source: &Counting(3),
+            keypoints: 28,
             texts: Texts::Words(&vocabulary),
             seed: Seed(1),
             num_timesteps: 10,
@@ -397,6 +401,7 @@ mod tests {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let drawer = Drawer {
             source: &Counting(64),
+            keypoints: 28,
             texts: Texts::Words(&vocabulary),
             seed: Seed(2),
             num_timesteps: 10,
@@ -431,7 +436,7 @@ mod tests {
             assert_eq!(received, [3, 4, 5, 6, 7, 8]);
             let failing = prefetch(scope, 0..9, |step| {
                 if step == 1 {
-                    return Err(Error::Diverged { step });
+                    return Err(Error::Stopped { what: "a test" });
                 }
                 Ok(step)
             });

@@ -2,7 +2,6 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -331,10 +330,11 @@ pub fn training_loss(
     config: &DiffusionConfig,
 ) -> Tensor<1> {
     let device = text.device();
-    let window = batch.window();
+    let frame_width = denoiser.frame_width();
+    let window = batch.window(frame_width);
     let windows = |values: &[f32]| -> Tensor<3> {
         Tensor::from_data(
-            TensorData::new(values.to_vec(), [batch.len(), window, FRAME_WIDTH]),
+            TensorData::new(values.to_vec(), [batch.len(), window, frame_width]),
             &device,
         )
     };

@@ -4,12 +4,12 @@ use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::fit::{FitOptions, fit_motion_from};
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::resample::double_rate;
-use datasets_spec::skeleton::{KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_KEYPOINTS};
+use datasets_spec::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Skeleton};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
+use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction, keypoint_parent};
 use crate::{Error, Session};
 
 /// Which system answers, and how: what tells its rows from those of others.
@@ -92,7 +92,6 @@ pub struct Misfit {
 impl Misfit {
     fn of(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Self {
         let bones = 1..NUM_KEYPOINTS;
-        let parent = |slot: usize| usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0);
         let lengths: Vec<f64> = bones
             .clone()
             .map(|slot| skeleton.offset(KEYPOINT_JOINTS[slot]).length())
@@ -101,7 +100,7 @@ impl Misfit {
             .iter()
             .flat_map(|frame| {
                 bones.clone().zip(&lengths).map(|(slot, length)| {
-                    (frame[slot].distance(frame[parent(slot)]) - length).abs()
+                    (frame[slot].distance(frame[keypoint_parent(slot)]) - length).abs()
                 })
             })
             .sum();
@@ -164,12 +163,40 @@ fn fit_edited(
         smoothness: prior,
         ..FitOptions::default()
     };
-    let frames = double_rate(frames);
+    let mut frames = double_rate(frames);
+    if editor.record().config.train.keypoints < NUM_KEYPOINTS {
+        complete(&mut frames, item, skeleton)?;
+    }
     let twists = editor.twists(item, &frames, skeleton);
     let fitted = fit_motion_from(skeleton, &frames, &twists, Fps::STORE, &options)
         .map_err(motion_error(&item.id))?;
     let misfit = Misfit::of(&frames, &fitted.error_m, skeleton);
     Ok((fitted.motion, misfit))
+}
+
+/// Puts eyes and knuckles, which an editor of the body joints alone does not make, where the head and the
+/// hands carry them when these are turned against neck and forearms as in the original.
+fn complete(
+    frames: &mut [KeypointFrame],
+    item: &EditItem,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
+    const CARRIERS: [Joint; 3] = [Joint::Head, Joint::LeftWrist, Joint::RightWrist];
+    let options = FitOptions::body_joints();
+    let fitted = fit_motion_from(skeleton, frames, &item.original, Fps::STORE, &options)
+        .map_err(motion_error(&item.id))?;
+    let poses = fitted.motion.poses();
+    for ((frame, mut pose), original) in frames.iter_mut().zip(poses).zip(&item.original) {
+        for joint in CARRIERS {
+            pose.rotations[joint.index()] = original.rotations[joint.index()];
+        }
+        let points = skeleton.keypoints(&pose);
+        for slot in NUM_BODY_JOINTS..NUM_KEYPOINTS {
+            let parent = keypoint_parent(slot);
+            frame[slot] = frame[parent] + (points[slot] - points[parent]);
+        }
+    }
+    Ok(())
 }
 
 fn motion_error(id: &str) -> impl Fn(datasets_spec::Error) -> Error {

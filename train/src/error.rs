@@ -21,15 +21,30 @@ pub enum Error {
     #[error("recorded windows cannot be read")]
     Windows(#[from] pipeline::Error),
     /// A run folder holds a run with other settings.
-    #[error(
-        "{} holds a run whose {field} differs; continue it with its own config.json or choose another folder",
-        path.display()
-    )]
+    #[error("{} holds a run whose {field} differs; {remedy}", path.display())]
     OtherRun {
         /// The run folder.
         path: PathBuf,
         /// First part of the recorded configuration that differs.
         field: String,
+        /// What can be done.
+        remedy: &'static str,
+    },
+    /// A model was trained on another skeleton than the motions are on.
+    #[error(
+        "{what} in {} was trained on skeleton {trained}, and the motions are on {asked}; train one \
+         on a dataset of theirs, or bring the motions to its skeleton with --body-model",
+        run.display()
+    )]
+    OtherSkeleton {
+        /// Which model.
+        what: &'static str,
+        /// Its run folder.
+        run: PathBuf,
+        /// Name and hash of its skeleton.
+        trained: String,
+        /// Name and hash of the motions' skeleton.
+        asked: String,
     },
     /// A folder is not a run of the expected kind.
     #[error("{} is not a {kind} run: {reason}", path.display())]
@@ -37,7 +52,7 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
         /// Kind of run looked for.
-        kind: &'static str,
+        kind: String,
         /// What was missing.
         reason: String,
     },
@@ -56,6 +71,17 @@ pub enum Error {
         path: PathBuf,
         /// What the loader says.
         detail: String,
+    },
+    /// A parameter of a network is initialised by no rule.
+    #[error(
+        "parameter {parameter} of layer {layer} has no rule for its first values; add one to \
+         model::weights::draw"
+    )]
+    NoFirstValue {
+        /// Its place in the network.
+        parameter: String,
+        /// The layer it belongs to.
+        layer: String,
     },
     /// There is nothing to train on.
     #[error("the {what} is empty; give at least one item")]
@@ -109,13 +135,26 @@ pub enum Error {
         /// What was stopped.
         what: &'static str,
     },
-    /// The loss became NaN or infinite.
+    /// A loss became NaN or infinite.
     #[error(
-        "loss is not finite at step {step}; lower the learning rate and continue from the last checkpoint"
+        "the {what} loss is not finite at step {step}; {}",
+        match kept {
+            0 => "nothing was kept: train into another folder with a lower optimizer.learning_rate \
+                  or a shorter optimizer.max_gradient_norm, and look for numbers in the data that \
+                  are not finite".to_owned(),
+            kept => format!(
+                "the checkpoint of step {kept} is kept: continue it with --extend and a lower \
+                 learning rate, or with optimizer.max_gradient_norm"
+            ),
+        }
     )]
     Diverged {
+        /// Which loss.
+        what: &'static str,
         /// Step whose loss is not finite.
         step: u64,
+        /// Step of the newest checkpoint; 0 where there is none.
+        kept: u64,
     },
     /// An item to edit is malformed.
     #[error("item {id:?} {problem}")]

@@ -47,7 +47,7 @@ const RANGE: &str = "range.json";
 pub fn import_editor(
     run_dir: &Path,
     record: &EditorRecord,
-    skeleton: &str,
+    skeleton: &Skeleton,
     weights: Vec<u8>,
     path: &Path,
     device: &Device,
@@ -60,12 +60,18 @@ pub fn import_editor(
         });
     };
     let config = &record.train;
-    let mut network = Denoiser::new(&config.model, config.diffusion.previous, *width, device);
+    let mut network = Denoiser::of_frames(
+        &config.model,
+        config.diffusion.previous,
+        *width,
+        3 * config.keypoints,
+        device,
+    );
     from_safetensors(&mut network, weights, "", path)?;
     let files = [(fit::DENOISER.to_owned(), to_safetensors(&network, run_dir)?)];
     let run = Run::open(
         run_dir,
-        &RunRecord::new(fit::KIND, "imported", skeleton, record),
+        &RunRecord::new(fit::KIND, "imported", skeleton, record.clone()),
     )?;
     run.write(Slot::Best, &files.into())
 }
@@ -77,14 +83,14 @@ pub fn import_editor(
 pub fn import_coordinator(
     run_dir: &Path,
     record: &CoordinatorRecord,
-    skeleton: &str,
+    skeleton: &Skeleton,
     weights: Vec<u8>,
     path: &Path,
     device: &Device,
 ) -> Result<(), Error> {
     let config: &CoordinatorConfig = &record.train;
     config.check()?;
-    let mut network = Coordinator::new(&config.model, device);
+    let mut network = Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
     let files = [(
         coordinator::WEIGHTS.to_owned(),
@@ -92,7 +98,7 @@ pub fn import_coordinator(
     )];
     let run = Run::open(
         run_dir,
-        &RunRecord::new(coordinator::KIND, "imported", skeleton, record),
+        &RunRecord::new(coordinator::KIND, "imported", skeleton, record.clone()),
     )?;
     run.write(Slot::Best, &files.into())
 }
@@ -175,7 +181,7 @@ pub fn import_motion_encoder(
     let skeleton = Skeleton::smplx_neutral();
     let run = Run::open(
         run_dir,
-        &RunRecord::new(tmr::MOTION_KIND, "imported", skeleton.name(), &record),
+        &RunRecord::new(tmr::MOTION_KIND, "imported", &skeleton, record),
     )?;
     run.write(Slot::Best, &files.into())
 }

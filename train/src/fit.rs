@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use datasets_spec::Seed;
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
+use datasets_spec::{Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Files, Run, RunRecord, take};
+use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::config::{TextEncoder, TrainConfig};
 use crate::data::{Drawer, NoisyBatch, TextVectors, Texts, Timesteps, WindowSource};
 use crate::diffusion::Schedule;
@@ -37,9 +37,9 @@ pub struct Corpus<'a> {
     pub vectors: Option<&'a dyn TextVectors>,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
-    /// Name of the skeleton the motions drive.
-    pub skeleton: &'a str,
-    /// Root hash of the dataset.
+    /// The skeleton the motions drive.
+    pub skeleton: &'a Skeleton,
+    /// Hash of the tables the windows are composed from.
     pub dataset_hash: &'a str,
     /// How the windows were composed, as it is recorded with the run.
     pub compose: &'a str,
@@ -122,26 +122,36 @@ impl TextRecord {
 /// Trains the editor, or continues where the run folder left off.
 ///
 /// A run that was interrupted continues exactly: weights, optimiser, data, noise and learning rate
-/// are those of an uninterrupted one.
+/// are those of an uninterrupted one. One that begins with the weights of another run keeps its words.
 ///
 /// # Errors
 /// The settings are unusable, the folder holds another run or a damaged checkpoint, the source of
-/// windows fails, the loss is not finite, or a file cannot be written.
-pub fn train_motionrefit(
-    run_dir: &Path,
+/// windows fails, a loss is not finite, or a file cannot be written.
+pub fn train_motionrefit<'a>(
+    start: impl Into<Start<'a>>,
     config: &TrainConfig,
     corpus: Corpus<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
     check_windows(config, &corpus)?;
-    let text = match config.text.encoder {
-        TextEncoder::Learned => TextRecord::Learned(Vocabulary::build(
+    let start = start.into();
+    let fitted: Option<EditorRecord> = start.fitted(KIND)?;
+    let text = match (config.text.encoder, fitted.map(|record| record.text)) {
+        (TextEncoder::Learned, Some(text @ TextRecord::Learned(_)))
+        | (TextEncoder::Clip, Some(text @ TextRecord::Frozen { .. })) => text,
+        (_, Some(_)) => {
+            return Err(Error::Config {
+                field: "text.encoder",
+                problem: "it is not that of the run whose weights are to be taken over".to_owned(),
+            });
+        }
+        (TextEncoder::Learned, None) => TextRecord::Learned(Vocabulary::build(
             corpus.instructions.iter().map(String::as_str),
             config.text.words.num_buckets,
             config.text.words.max_words,
         )?),
-        TextEncoder::Clip => {
+        (TextEncoder::Clip, None) => {
             let vectors = corpus.vectors.ok_or_else(|| Error::Config {
                 field: "text.encoder",
                 problem: "it is clip; give the folder of its weights with --clip, or set it to \
@@ -161,14 +171,15 @@ pub fn train_motionrefit(
         compose: corpus.compose.to_owned(),
     };
     let run = Run::open(
-        run_dir,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, &record),
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
 
     let seed = Seed(config.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
     let drawer = Drawer {
         source: corpus.train,
+        keypoints: config.keypoints,
         texts: record.text.texts(corpus.vectors)?,
         seed: seed.derive(&["train"]),
         num_timesteps: schedule.len(),
@@ -193,14 +204,15 @@ pub fn train_motionrefit(
 
     let device = session.device.clone().autodiff();
     let model = draw(
-        MotionRefit::new(
+        MotionRefit::of_frames(
             &config.model,
             &config.diffusion,
             record.text.source(),
+            3 * config.keypoints,
             &device,
         ),
         seed.derive(&["weights"]),
-    );
+    )?;
     let steps_per_epoch = corpus
         .train
         .epoch_len()

@@ -16,7 +16,9 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, weights_hash};
+use crate::checkpoint::{
+    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
+};
 use crate::config::{Decay, OptimizerConfig};
 use crate::learn::{Course, Task, learn};
 use crate::model::pose_net::{
@@ -120,7 +122,7 @@ pub struct WayBack {
 pub struct J2sReport {
     /// The settings.
     pub config: J2sConfig,
-    /// Root hash of the dataset.
+    /// Hash of the table of motions.
     pub dataset_hash: String,
     /// Loss of the first and of the last twentieth of the steps.
     pub loss: [f64; 2],
@@ -135,10 +137,10 @@ pub struct J2sReport {
 /// network's own form.
 ///
 /// # Errors
-/// There is no motion in one of the lists, the loss is no number, or the run folder cannot be
+/// There is no motion in one of the lists, a loss is no number, or the run folder cannot be
 /// written.
-pub fn train_j2s(
-    run_dir: &Path,
+pub fn train_j2s<'a>(
+    start: impl Into<Start<'a>>,
     config: &J2sConfig,
     motions: [&[Motion]; 2],
     skeleton: &Skeleton,
@@ -155,23 +157,24 @@ pub fn train_j2s(
         }
     }
     let run = Run::open(
-        run_dir,
-        &RunRecord::new(KIND, dataset_hash, skeleton.name(), config),
+        start,
+        &RunRecord::new(KIND, dataset_hash, skeleton, config.clone()),
     )?;
+    let run_dir = run.dir();
     let seed = Seed(config.seed);
     let device = session.device.clone().autodiff();
     let (net, done) = match config.preset {
         J2sPreset::Paper => {
             let net = PaperPoseNet::new(config.width, &device);
             let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]));
+            let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = learn(&task, net, &task.course(), &run, session)?;
             (PoseNet::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
             let net = OfficialPoseNet::new(config.width, &device);
             let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]));
+            let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = learn(&task, net, &task.course(), &run, session)?;
             (PoseNet::Official(Box::new(net)), done)
         }

@@ -9,7 +9,7 @@ use burn::tensor::{Bytes, Device, Tensor, TensorData};
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{self, Files, Run, Slot, take};
+use crate::checkpoint::{self, AVERAGE, Files, Run, STATE, Slot, take};
 use crate::config::OptimizerConfig;
 use crate::data::prefetch;
 use crate::model::dropout::seeded;
@@ -17,8 +17,6 @@ use crate::optimizer::adamw;
 use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
-const STATE: &str = "state.json";
-const AVERAGE: &str = "average.safetensors";
 
 /// What is trained: its data, its loss and its files.
 pub(crate) trait Task: Sync {
@@ -179,8 +177,21 @@ pub(crate) fn learn<T: Task>(
         average = load_average(course, &mut files, run_dir, session.device)?;
         task.load(&mut model, &mut files, run_dir)?;
         (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
+    } else if let Some((from, mut files)) = run.init() {
+        task.load(&mut model, &mut files, from)?;
     }
+    if state.step > course.num_steps {
+        return Err(Error::Config {
+            field: "length",
+            problem: format!(
+                "it is {} steps, and the run has made {} already",
+                course.num_steps, state.step
+            ),
+        });
+    }
+    run.settle()?;
     run.rewind_log(state.step)?;
+    let mut kept = state.step;
     if average.is_none() {
         average = course
             .optimizer
@@ -207,7 +218,11 @@ pub(crate) fn learn<T: Task>(
             let rate = course.optimizer.rate_at(state.step, course.num_steps);
             let (loss, mut gradients) = gradients_of(task, &model, &parts, &device, masks, session);
             if !loss.is_finite() {
-                return Err(Error::Diverged { step: state.step });
+                return Err(Error::Diverged {
+                    what: "training",
+                    step: state.step,
+                    kept,
+                });
             }
             let gradient_norm = course
                 .optimizer
@@ -249,6 +264,13 @@ pub(crate) fn learn<T: Task>(
             if state.step.is_multiple_of(course.val_every) || is_last {
                 let used = used(&model, average.as_ref());
                 let val_loss = task.validate(&used, session.device);
+                if !val_loss.is_finite() {
+                    return Err(Error::Diverged {
+                        what: "validation",
+                        step: state.step,
+                        kept,
+                    });
+                }
                 let is_best = state.best_val_loss.is_none_or(|best| val_loss < best);
                 run.log(&ValidationLine {
                     step: state.step,
@@ -261,6 +283,7 @@ pub(crate) fn learn<T: Task>(
                 }
                 let files = save(task, &model, average.as_ref(), &optimizer, &state, run_dir)?;
                 run.write(Slot::Last, &files)?;
+                kept = state.step;
                 if is_best {
                     run.write(Slot::Best, &task.save(&used, run_dir)?)?;
                 }
@@ -595,7 +618,7 @@ mod tests {
     }
 
     fn layer(seed: u64, device: &Device) -> Linear {
-        draw(LinearConfig::new(3, 2).init(device), Seed(seed))
+        draw(LinearConfig::new(3, 2).init(device), Seed(seed)).expect("a known layer")
     }
 
     #[test]

@@ -11,13 +11,14 @@ use datasets_spec::canonical::{
     Anchor, FIXED_FRAMES, GroundTransform, KeypointFrame, Stitcher, canonicalise, window_starts,
 };
 use datasets_spec::normalise::{FRAME_WIDTH, NormalizedFrame, Normalizer};
+use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Pose, Resample, Rng, Seed, Skeleton};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
-use crate::config::{GuidanceConfig, GuidanceTarget};
+use crate::config::{GuidanceConfig, GuidanceTarget, narrowed};
 use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
 use crate::diffusion::{Prediction, Schedule, guide, put_fixed};
@@ -287,10 +288,11 @@ impl Editor {
             .filter_map(|&name| files.get(name).map(Vec::as_slice))
             .collect();
         let hash = weights_hash(&record.config, &weights);
-        let mut model = MotionRefit::new(
+        let mut model = MotionRefit::of_frames(
             &config.model,
             &config.diffusion,
             record.config.text.source(),
+            3 * config.keypoints,
             device,
         );
         load_weights(&mut model, &mut files, run_dir)?;
@@ -355,8 +357,8 @@ impl Editor {
     /// Gives the editor a coordinator, which guides its last steps from then on.
     ///
     /// # Errors
-    /// The coordinator was trained for another diffusion, another length of windows or another range
-    /// of model units.
+    /// The coordinator was trained for another diffusion, another length of windows, other keypoints or
+    /// another range of model units.
     pub fn with_coordinator(mut self, coordinator: TrainedCoordinator) -> Result<Self, Error> {
         let theirs = &coordinator.record().config;
         let ours = &self.record.config;
@@ -365,6 +367,8 @@ impl Editor {
             "it was trained in another range of model units"
         } else if theirs.train.window != ours.train.window {
             "its windows have another length"
+        } else if theirs.train.keypoints != ours.train.keypoints {
+            "it sees other keypoints"
         } else if (theirs.train.schedule, theirs.train.diffusion_steps)
             != (diffusion.schedule, diffusion.num_steps)
         {
@@ -401,7 +405,7 @@ impl Editor {
     }
 
     /// Edits motions. Each result holds the keypoints of one item in metres at 10 fps; `times` gains
-    /// what each part took.
+    /// what each part took. Keypoints the editor does not make lie on the joints they hang from.
     ///
     /// The noise of an item follows from the seed and its id, and a row of a batch never sees
     /// another, so a result does not depend on which other items are edited with it. The device is
@@ -484,11 +488,12 @@ impl Editor {
                     })
                     .collect();
                 let generated = self.generate(&mut rows, settings, session, times)?;
-                let numbers = window_frames * FRAME_WIDTH;
+                let width = 3 * self.record.config.train.keypoints;
+                let numbers = window_frames * width;
                 for (&index, window) in chunk.iter().zip(generated.chunks_exact(numbers)) {
                     let frames: Vec<KeypointFrame> = window
-                        .chunks_exact(FRAME_WIDTH)
-                        .map(|frame| normalizer.denormalize(frame))
+                        .chunks_exact(width)
+                        .map(|frame| whole_frame(frame, normalizer))
                         .collect();
                     stitchers[index].push(&frames);
                 }
@@ -501,7 +506,7 @@ impl Editor {
         Ok(stitchers.into_iter().map(Stitcher::into_frames).collect())
     }
 
-    /// Generates one window per row, `[B, W, 84]` normalised.
+    /// Generates one window per row, `[B, W, 84]` normalised, or `[B, W, 66]` of the body joints alone.
     fn generate(
         &self,
         rows: &mut [Row<'_>],
@@ -511,10 +516,13 @@ impl Editor {
     ) -> Result<Vec<f32>, Error> {
         let begun = session.secs();
         let num_rows = rows.len();
-        let frames = self.record.config.train.window;
+        let (frames, keypoints) = {
+            let config = &self.record.config.train;
+            (config.window, config.keypoints)
+        };
         let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
             Tensor::from_data(
-                TensorData::new(values, [num_rows, frames, FRAME_WIDTH]),
+                TensorData::new(values, [num_rows, frames, 3 * keypoints]),
                 &self.device,
             )
         };
@@ -532,8 +540,8 @@ impl Editor {
                 .map(|row| row.window.instruction.as_deref().unwrap_or_default()),
         )?;
         let condition = Condition {
-            original: window(original, frames),
-            fixed: window(fixed, FIXED_FRAMES),
+            original: window(narrowed(original, keypoints), frames),
+            fixed: window(narrowed(fixed, keypoints), FIXED_FRAMES),
             text: self.model.text_vectors(&texts, num_rows, &self.device),
             progress: rows.iter().map(|row| row.window.progress).collect(),
         };
@@ -561,7 +569,7 @@ impl Editor {
                 let noise: Vec<f32> = rows
                     .iter_mut()
                     .flat_map(|row| {
-                        (0..frames * FRAME_WIDTH)
+                        (0..frames * 3 * keypoints)
                             .map(|_| scale * row.rng.sample::<f32, _>(StandardNormal))
                     })
                     .collect();
@@ -578,6 +586,22 @@ impl Editor {
         times.diffusion_secs += session.secs() - begun - guided;
         Ok(generated)
     }
+}
+
+/// A generated frame in metres. Keypoints that were not generated lie on the joints they hang from.
+fn whole_frame(generated: &[f32], normalizer: &Normalizer) -> KeypointFrame {
+    let mut frame: NormalizedFrame = [0.0; FRAME_WIDTH];
+    frame[..generated.len()].copy_from_slice(generated);
+    let mut points = normalizer.denormalize(&frame);
+    for slot in generated.len() / 3..NUM_KEYPOINTS {
+        points[slot] = points[keypoint_parent(slot)];
+    }
+    points
+}
+
+/// The keypoint that one of the others hangs from.
+pub(crate) fn keypoint_parent(slot: usize) -> usize {
+    usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }
 
 /// Adds a window as it was. After an edit its frames stand where the edit left the body, and the pose

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Motion, Seed};
+use datasets_spec::{Motion, Seed, Skeleton};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_distr::StandardNormal;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, read_for_use, read_kind, take, weights_hash,
+    self, Files, Run, RunRecord, Slot, Start, read_for_use, read_kind, take, weights_hash,
 };
 use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, WordsConfig, positive};
 use crate::diffusion::Loss;
@@ -234,9 +234,9 @@ pub struct TmrCorpus<'a> {
     pub train: &'a [CaptionedMotion<'a>],
     /// Validation clips.
     pub val: &'a [CaptionedMotion<'a>],
-    /// Name of the skeleton the motions drive.
-    pub skeleton: &'a str,
-    /// Root hash of the dataset.
+    /// The skeleton the motions drive.
+    pub skeleton: &'a Skeleton,
+    /// Hash of the table of motions.
     pub dataset_hash: &'a str,
 }
 
@@ -271,26 +271,47 @@ struct ClipBatch {
 }
 
 /// Trains the encoder, or continues where the run folder left off, exactly as
-/// [`crate::fit::train_motionrefit`] does.
+/// [`crate::fit::train_motionrefit`] does. One that begins with the weights of another run keeps its
+/// words and its features' means and spreads.
 ///
 /// # Errors
 /// The settings are unusable, a split is empty or a clip without caption, the folder holds another
-/// run or a damaged checkpoint, the loss is not finite, or a file cannot be written.
-pub fn train_tmr(
-    run_dir: &Path,
+/// run or a damaged checkpoint, a loss is not finite, or a file cannot be written.
+pub fn train_tmr<'a>(
+    start: impl Into<Start<'a>>,
     config: &TmrConfig,
     corpus: TmrCorpus<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
-    let vocabulary = Vocabulary::build(
-        corpus
-            .train
-            .iter()
-            .flat_map(|clip| clip.captions.iter().map(String::as_str)),
-        config.text.num_buckets,
-        config.text.max_words,
-    )?;
+    let start = start.into();
+    let fitted: Option<TmrRecord> = start.fitted(KIND)?;
+    let (vocabulary, features) = match fitted {
+        Some(fitted) if fitted.features.recipe == config.features => {
+            (fitted.vocabulary, Some(fitted.features))
+        }
+        Some(fitted) => {
+            return Err(Error::Config {
+                field: "features",
+                problem: format!(
+                    "it is {}, and the run whose weights are to be taken over sees {}",
+                    config.features.name(),
+                    fitted.features.recipe.name()
+                ),
+            });
+        }
+        None => {
+            let captions = corpus
+                .train
+                .iter()
+                .flat_map(|clip| clip.captions.iter().map(String::as_str));
+            let WordsConfig {
+                num_buckets,
+                max_words,
+            } = config.text;
+            (Vocabulary::build(captions, num_buckets, max_words)?, None)
+        }
+    };
     let train = clips(
         corpus.train,
         "training split of the encoder",
@@ -305,18 +326,21 @@ pub fn train_tmr(
     )?;
     let record = TmrRecord {
         train: config.clone(),
-        features: fit_features(config.features, &train)?,
+        features: match features {
+            Some(features) => features,
+            None => fit_features(config.features, &train)?,
+        },
         vocabulary,
     };
     let run = Run::open(
-        run_dir,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, &record),
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
 
     let seed = Seed(config.seed);
     let device = session.device.clone().autodiff();
     let sizes = config.sizes(&record.vocabulary);
-    let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]));
+    let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]))?;
     let drawer = ClipDrawer {
         clips: &train,
         features: &record.features,
@@ -708,7 +732,7 @@ impl TmrEncoder {
         self.features.recipe.fps().get() / self.frame_stride as f64
     }
 
-    /// Root hash of the dataset it was trained on; `imported` where that is not known.
+    /// Hash of the motions it was trained on; `imported` where that is not known.
     pub fn dataset_hash(&self) -> &str {
         &self.dataset_hash
     }

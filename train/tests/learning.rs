@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -14,7 +15,7 @@ use glam::{DQuat, DVec3};
 use pipeline::compose::CoordinatorBatch;
 use rand::RngExt;
 use rand_distr::StandardNormal;
-use train::checkpoint::Slot;
+use train::checkpoint::{Slot, Start};
 use train::config::{
     Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
     TrainConfig,
@@ -110,6 +111,8 @@ impl Progress for StopAfter<'_> {
     fn finish(&self, _summary: &str) {}
 }
 
+static SKELETON: LazyLock<Skeleton> = LazyLock::new(Skeleton::smplx_neutral);
+
 /// Trains on windows and validates on the same.
 fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
     Corpus {
@@ -121,7 +124,7 @@ fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
             min: [-2.0, 0.0, -2.0],
             max: [2.0, 2.0, 2.0],
         },
-        skeleton: "smplx-neutral",
+        skeleton: &SKELETON,
         dataset_hash: "0",
         compose: "",
     }
@@ -147,8 +150,8 @@ fn train_on(
     })
 }
 
-fn train_until(
-    run: &Path,
+fn train_until<'a>(
+    run: impl Into<Start<'a>>,
     config: &TrainConfig,
     source: &dyn WindowSource,
     progress: &dyn Progress,
@@ -277,7 +280,8 @@ fn one_batch_is_overfitted() {
             &device,
         ),
         Seed(2),
-    );
+    )
+    .expect("known layers");
     const STEPS: u32 = 800;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::new();
@@ -307,7 +311,8 @@ fn a_dropped_instruction_leaves_no_trace() {
             &device,
         ),
         Seed(4),
-    );
+    )
+    .expect("known layers");
     let loss = |text: &str, text_kept: f32| {
         let batch = NoisyBatch {
             original: vec![0.1; WINDOW_NUMBERS],
@@ -598,6 +603,196 @@ fn a_folder_of_another_run_is_refused() {
     ));
 }
 
+fn record(run: &Path) -> serde_json::Value {
+    let text = std::fs::read(run.join("config.json")).expect("a record");
+    serde_json::from_slice(&text).expect("JSON")
+}
+
+#[test]
+fn a_run_is_extended_and_says_so() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path();
+    let source = Waves { items: 8 };
+    let stop = AtomicBool::new(false);
+    train(run, &small_config(4), &source);
+    let mut longer = small_config(9);
+    longer.optimizer.learning_rate *= 0.5;
+    match train_until(run, &longer, &source, &NoProgress, &stop) {
+        Err(error @ Error::OtherRun { .. }) => assert!(error.to_string().contains("--extend")),
+        other => panic!("expected a refusal, got {other:?}"),
+    }
+    let extend = Start {
+        extend: true,
+        ..Start::from(run)
+    };
+    let done = train_until(extend, &longer, &source, &NoProgress, &stop).expect("extended");
+    assert_eq!((done.steps, done.is_complete), (9, true));
+    let lineage = record(run)["lineage"].clone();
+    let ancestor = &lineage[0];
+    assert_eq!(
+        (&ancestor["by"], &ancestor["step"]),
+        (&"extend".into(), &4.into())
+    );
+    let steps = &ancestor["changed"]["config.train.length.steps"];
+    assert_eq!(*steps, serde_json::json!([4, 9]));
+    // The same again has nothing left to do, with and without the word.
+    for start in [extend, Start::from(run)] {
+        let again = train_until(start, &longer, &source, &NoProgress, &stop).expect("there");
+        assert_eq!(again.steps, 9);
+    }
+    assert_eq!(record(run)["lineage"], lineage);
+    // Neither a network nor a length that is behind it already.
+    let mut wider = longer.clone();
+    wider.model.width *= 2;
+    assert!(matches!(
+        train_until(extend, &wider, &source, &NoProgress, &stop),
+        Err(Error::OtherRun { field, .. }) if field == "config.train.model.width"
+    ));
+    assert!(matches!(
+        train_until(extend, &small_config(5), &source, &NoProgress, &stop),
+        Err(Error::Config {
+            field: "length",
+            ..
+        })
+    ));
+    assert_eq!(record(run)["config"]["train"]["length"]["steps"], 9);
+    let other = tempfile::tempdir().expect("a folder");
+    let nothing = Start {
+        run: other.path(),
+        ..extend
+    };
+    assert!(matches!(
+        train_until(nothing, &longer, &source, &NoProgress, &stop),
+        Err(Error::NotARun { .. })
+    ));
+}
+
+#[test]
+fn a_run_begins_with_the_weights_of_another() {
+    let (first, second) = (tempfile::tempdir(), tempfile::tempdir());
+    let (first, second) = (first.expect("a folder"), second.expect("a folder"));
+    let stop = AtomicBool::new(false);
+    train(first.path(), &small_config(10), &Waves { items: 8 });
+    // A rate of zero leaves the weights as they were.
+    let mut still = small_config(1);
+    still.optimizer.learning_rate = 0.0;
+    let start = Start {
+        init: Some(first.path()),
+        ..Start::from(second.path())
+    };
+    let other = Waves { items: 12 };
+    train_until(start, &still, &other, &NoProgress, &stop).expect("trains");
+    let weights = |run: &Path| {
+        std::fs::read(run.join("checkpoint/best/denoiser.safetensors")).expect("weights")
+    };
+    assert!(weights(first.path()) == weights(second.path()));
+    let editor = Editor::load(first.path(), Slot::Best, &Device::flex()).expect("loads");
+    let lineage = &record(second.path())["lineage"];
+    assert_eq!(lineage[0]["by"], "init");
+    assert_eq!(lineage[0]["weights"], editor.hash());
+    // It goes on without the other run, which is not its own beginning any more either.
+    train_until(second.path(), &still, &other, &NoProgress, &stop).expect("goes on");
+    let third = tempfile::tempdir().expect("a folder");
+    train(third.path(), &small_config(2), &Waves { items: 8 });
+    let swapped = Start {
+        init: Some(third.path()),
+        ..start
+    };
+    assert!(matches!(
+        train_until(swapped, &still, &other, &NoProgress, &stop),
+        Err(Error::OtherRun { .. })
+    ));
+    // A network of another shape cannot begin so.
+    let fourth = tempfile::tempdir().expect("a folder");
+    let mut wider = still.clone();
+    wider.model.width *= 2;
+    let misfit = Start {
+        run: fourth.path(),
+        ..start
+    };
+    assert!(matches!(
+        train_until(misfit, &wider, &other, &NoProgress, &stop),
+        Err(Error::Weights { .. })
+    ));
+}
+
+/// Windows of which one number is infinite.
+struct Broken(Waves);
+
+impl WindowSource for Broken {
+    fn epoch_len(&self) -> u64 {
+        self.0.epoch_len()
+    }
+
+    fn window_len(&self) -> usize {
+        self.0.window_len()
+    }
+
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        self.0.fill(epoch, first_item, num_items, batch)?;
+        batch.edited[WINDOW_NUMBERS - 1] = f32::INFINITY;
+        Ok(())
+    }
+}
+
+#[test]
+fn a_loss_that_is_no_number_ends_the_run_and_is_never_best() {
+    fn of<'a>(
+        train: &'a dyn WindowSource,
+        val: &'a dyn WindowSource,
+        instructions: &'a [String],
+    ) -> Corpus<'a> {
+        Corpus {
+            val,
+            instructions,
+            ..corpus(train)
+        }
+    }
+    let dir = tempfile::tempdir().expect("a folder");
+    let source = Waves { items: 8 };
+    let broken = Broken(Waves { items: 8 });
+    let instructions = HEIGHTS.map(|(text, _)| text.to_owned());
+    quietly(|session| {
+        let config = small_config(4);
+        match train_motionrefit(
+            dir.path(),
+            &config,
+            of(&source, &broken, &instructions),
+            session,
+        ) {
+            Err(
+                error @ Error::Diverged {
+                    step: 4, kept: 0, ..
+                },
+            ) => {
+                assert!(error.to_string().contains("validation loss"), "{error}");
+            }
+            other => panic!("expected an end, got {other:?}"),
+        }
+        assert!(!dir.path().join("checkpoint/best").exists());
+        let other = tempfile::tempdir().expect("a folder");
+        assert!(matches!(
+            train_motionrefit(
+                other.path(),
+                &config,
+                of(&broken, &source, &instructions),
+                session
+            ),
+            Err(Error::Diverged {
+                what: "training",
+                step: 0,
+                ..
+            })
+        ));
+    });
+}
+
 /// A body that walks and swings its arms.
 fn walk(num_frames: usize, speed: f64, phase: f64) -> Motion {
     let poses: Vec<Pose> = (0..num_frames)
@@ -874,7 +1069,7 @@ fn the_coordinator_learns_what_was_composed() {
             train: &Swings,
             val: &Swings,
             normalizer,
-            skeleton: "smplx-neutral",
+            skeleton: &SKELETON,
             dataset_hash: "0",
         };
         train_coordinator(dir.path(), &config, segments, session)
@@ -968,7 +1163,7 @@ fn check_encoder(
         TmrCorpus {
             train: clips,
             val: clips,
-            skeleton: "smplx-neutral",
+            skeleton: &SKELETON,
             dataset_hash: "0",
         },
         &Session {

@@ -5,13 +5,16 @@ use glam::DVec2;
 use super::{FAINT, Rgb, line, open, text};
 
 /// A named line.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     /// Name in the legend.
     pub name: String,
     /// Abscissa and ordinate of each point, from left to right. A point that is not finite, or not
     /// positive on a logarithmic axis, interrupts the line.
     pub points: Vec<(f64, f64)>,
+    /// Half the interval of each point, drawn as a bar about it; none for a bare line. One that is not
+    /// finite, or 0, is left out.
+    pub intervals: Vec<f64>,
 }
 
 /// How ordinates are spaced.
@@ -25,12 +28,14 @@ pub enum Scale {
 }
 
 /// Curves on common axes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot {
     /// Title above the axes; empty for none.
     pub title: String,
     /// What the abscissa counts.
     pub x_label: String,
+    /// Names of the abscissas 0, 1, 2 and so on, where they are no numbers; empty where they are.
+    pub x_names: Vec<String>,
     /// What the ordinate measures.
     pub y_label: String,
     /// How ordinates are spaced.
@@ -183,6 +188,7 @@ pub fn plot(plot: &Plot) -> String {
                 colour(index)
             ));
         }
+        axes.intervals(&mut svg, curve, colour(index));
     }
     legend(&mut svg, &plot.curves);
     svg.push_str("</svg>");
@@ -379,9 +385,18 @@ impl Axes {
                 .flat_map(|curve| &curve.points)
                 .filter_map(move |&point| on_scale(point, scale))
         };
+        let ends = || {
+            plot.curves
+                .iter()
+                .flat_map(Curve::interval_ends)
+                .filter_map(move |point| on_scale(point, scale))
+        };
         let (left, right) = extent(points().map(|point| point.0))?;
-        let (low, high) = extent(points().map(|point| point.1))?;
-        let (left, right) = widened(left, right);
+        let (low, high) = extent(points().chain(ends()).map(|point| point.1))?;
+        let (left, right) = match plot.x_names.len() {
+            0 => widened(left, right),
+            names => (-0.5, names as f64 - 0.5),
+        };
         let (low, high) = widened(low, high);
         let padding = PADDING * (high - low);
         Some(Self {
@@ -414,18 +429,20 @@ impl Axes {
             grid_line(svg, start.x, end.x, y, tick);
         }
         line(svg, DVec2::new(start.x, end.y), end);
-        for tick in linear_ticks(self.x.0, self.x.1) {
+        let ticks: Vec<(f64, String)> = if plot.x_names.is_empty() {
+            linear_ticks(self.x.0, self.x.1)
+                .into_iter()
+                .map(|tick| (tick, tick_text(tick, self.x.1 - self.x.0)))
+                .collect()
+        } else {
+            let names = plot.x_names.iter().enumerate();
+            names.map(|(at, name)| (at as f64, name.clone())).collect()
+        };
+        for (tick, label) in ticks {
             let x = self.place((tick, self.y.0)).x;
             line(svg, DVec2::new(x, end.y), DVec2::new(x, end.y + 4.0));
             let at = DVec2::new(x, end.y + 17.0);
-            text(
-                svg,
-                at,
-                "middle",
-                11.0,
-                FAINT,
-                &tick_text(tick, self.x.1 - self.x.0),
-            );
+            text(svg, at, "middle", 11.0, FAINT, &label);
         }
         axis_label(svg, SIZE, &plot.x_label);
         let middle = f64::midpoint(start.y, end.y);
@@ -438,6 +455,42 @@ impl Axes {
             &turned,
             &plot.y_label,
         );
+    }
+
+    /// Draws the points of a curve that has intervals, and these.
+    fn intervals(&self, svg: &mut String, curve: &Curve, colour: &str) {
+        /// Half the width of a bar's ends, and the radius of a point, in pixels.
+        const CAP: f64 = 4.0;
+        const DOT: f64 = 3.0;
+        if curve.intervals.is_empty() {
+            return;
+        }
+        for &point in &curve.points {
+            let Some(point) = on_scale(point, self.scale) else {
+                continue;
+            };
+            let at = self.place(point);
+            svg.push_str(&format!(
+                r#"<circle cx="{:.1}" cy="{:.1}" r="{DOT}" fill="{colour}"/>"#,
+                at.x, at.y
+            ));
+        }
+        let ends: Vec<(f64, f64)> = curve.interval_ends().collect();
+        for pair in ends.chunks_exact(2) {
+            let both = [pair[0], pair[1]].map(|end| on_scale(end, self.scale));
+            let [Some(low), Some(high)] = both else {
+                continue;
+            };
+            let (low, high) = (self.place(low), self.place(high));
+            svg.push_str(&format!(
+                r#"<path class="interval" d="M{x:.1} {a:.1}L{x:.1} {b:.1}M{l:.1} {a:.1}L{r:.1} {a:.1}M{l:.1} {b:.1}L{r:.1} {b:.1}" stroke="{colour}" stroke-width="1.2"/>"#,
+                x = low.x,
+                l = low.x - CAP,
+                r = low.x + CAP,
+                a = low.y,
+                b = high.y,
+            ));
+        }
     }
 
     fn path(&self, points: &[(f64, f64)]) -> String {
@@ -458,6 +511,15 @@ impl Axes {
             drawing = true;
         }
         path
+    }
+}
+
+impl Curve {
+    /// The lower and the upper end of each interval that is drawn, in turn.
+    fn interval_ends(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let bars = self.points.iter().zip(&self.intervals);
+        bars.filter(|(point, half)| point.1.is_finite() && half.is_finite() && **half > 0.0)
+            .flat_map(|(&(x, y), half)| [(x, y - half), (x, y + half)])
     }
 }
 
@@ -587,12 +649,15 @@ mod tests {
                 Curve {
                     name: "train".to_owned(),
                     points,
+                    ..Curve::default()
                 },
                 Curve {
                     name: "val \"x\"".to_owned(),
                     points: vec![(0.0, 0.5), (10.0, 0.25)],
+                    ..Curve::default()
                 },
             ],
+            ..Plot::default()
         }
     }
 
@@ -648,6 +713,22 @@ mod tests {
             assert!(svg.contains("Loss &lt;train&gt;") && svg.contains("val &quot;x&quot;"));
             assert!(!svg.contains("NaN") && !svg.contains("inf"));
         }
+    }
+
+    #[test]
+    fn intervals_are_drawn_and_names_stand_for_numbers() {
+        let mut named = sample(Scale::Linear, vec![(0.0, 3.0), (1.0, 4.0), (2.0, 5.0)]);
+        named.x_names = ["off", "on", "<both>"].map(str::to_owned).to_vec();
+        named.curves[0].intervals = vec![0.5, 0.0, 9.0];
+        named.curves.truncate(1);
+        let svg = plot(&named);
+        check_nesting(&svg);
+        assert_eq!(svg.matches("class=\"interval\"").count(), 2);
+        assert_eq!(svg.matches("<circle").count(), 3);
+        assert!(svg.contains(">off<") && svg.contains(">&lt;both&gt;<"));
+        // The axis holds the whole of the longest interval.
+        let axes = Axes::around(&named).expect("points");
+        assert!(axes.y.0 < -4.0 && axes.y.1 > 14.0);
     }
 
     #[test]

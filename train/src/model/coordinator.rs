@@ -41,17 +41,22 @@ pub struct Coordinator {
 impl Coordinator {
     /// Builds the network.
     pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+        Self::of_frames(config, FRAME_WIDTH, device)
+    }
+
+    /// Builds the network for frames of other than 84 numbers.
+    pub fn of_frames(config: &NetworkConfig, frame_width: usize, device: &Device) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
-            embedding_input: linear(FRAME_WIDTH, config.width),
-            embedding_original: linear(FRAME_WIDTH, config.width),
+            embedding_input: linear(frame_width, config.width),
+            embedding_original: linear(frame_width, config.width),
             embed_timestep: IndexEmbedding::new(config.width, device),
             embed_prog_ind: IndexEmbedding::new(config.width, device),
             transformer: Encoder::new(config, device),
-            out: linear(config.width, FRAME_WIDTH),
+            out: linear(config.width, frame_width),
             pred: Verdict {
-                hidden: linear(FRAME_WIDTH, FRAME_WIDTH),
-                output: linear(FRAME_WIDTH, 1),
+                hidden: linear(frame_width, frame_width),
+                output: linear(frame_width, 1),
             },
             dropout: DropoutConfig::new(config.dropout).init(),
         }

@@ -53,9 +53,9 @@ pub struct PreviousEmbedding {
 }
 
 impl PreviousEmbedding {
-    fn new(width: usize, device: &Device) -> Self {
+    fn new(frame_width: usize, width: usize, device: &Device) -> Self {
         Self {
-            hidden: LinearConfig::new(FRAME_WIDTH, width).init(device),
+            hidden: LinearConfig::new(frame_width, width).init(device),
             output: LinearConfig::new(width, width).init(device),
         }
     }
@@ -98,9 +98,22 @@ impl Denoiser {
         text_width: usize,
         device: &Device,
     ) -> Self {
+        Self::of_frames(config, previous, text_width, FRAME_WIDTH, device)
+    }
+
+    /// Builds the network for frames of other than 84 numbers.
+    pub fn of_frames(
+        config: &NetworkConfig,
+        previous: PreviousFrames,
+        text_width: usize,
+        frame_width: usize,
+        device: &Device,
+    ) -> Self {
         Self {
             embed_previous: match previous {
-                PreviousFrames::Encoded => Some(PreviousEmbedding::new(config.width, device)),
+                PreviousFrames::Encoded => {
+                    Some(PreviousEmbedding::new(frame_width, config.width, device))
+                }
                 PreviousFrames::Inpainted => None,
             },
             project_text: (text_width != config.width).then(|| {
@@ -108,20 +121,26 @@ impl Denoiser {
                     .with_bias(false)
                     .init(device)
             }),
-            embedding_input: LinearConfig::new(FRAME_WIDTH, config.width).init(device),
-            embedding_original: LinearConfig::new(FRAME_WIDTH, config.width).init(device),
+            embedding_input: LinearConfig::new(frame_width, config.width).init(device),
+            embedding_original: LinearConfig::new(frame_width, config.width).init(device),
             embed_timestep: IndexEmbedding::new(config.width, device),
             embed_prog_ind: IndexEmbedding::new(config.width, device),
             transformer: Encoder::new(config, device),
-            out: LinearConfig::new(config.width, FRAME_WIDTH).init(device),
+            out: LinearConfig::new(config.width, frame_width).init(device),
             dropout: DropoutConfig::new(config.dropout).init(),
         }
+    }
+
+    /// Numbers of a frame.
+    pub fn frame_width(&self) -> usize {
+        let [_, frame_width] = self.out.weight.val().dims();
+        frame_width
     }
 
     /// Predicts the noise in `x`.
     ///
     /// # Shapes
-    /// `x`, `original` and the result `[B, W, 84]`; `timesteps` and `progress` `[B]`; `text`
+    /// `x`, `original` and the result `[B, W, 84]`, or as wide as its frames are; `timesteps` and `progress` `[B]`; `text`
     /// `[B, text_width]`, a row of zeros standing for no text.
     pub fn forward(
         &self,
@@ -287,7 +306,8 @@ mod tests {
             let denoiser = draw(
                 Denoiser::new(&config, previous, text_width, &device),
                 Seed(4),
-            );
+            )
+            .expect("known layers");
             let normal = |shape: [usize; 3]| {
                 Tensor::<3>::random(shape, Distribution::Normal(0.0, 1.0), &device)
             };

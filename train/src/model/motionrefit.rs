@@ -2,6 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
 use super::text::LearnedText;
@@ -35,12 +36,29 @@ impl MotionRefit {
         text: TextSource,
         device: &Device,
     ) -> Self {
+        Self::of_frames(config, diffusion, text, FRAME_WIDTH, device)
+    }
+
+    /// Builds the networks for frames of other than 84 numbers.
+    pub fn of_frames(
+        config: &NetworkConfig,
+        diffusion: &DiffusionConfig,
+        text: TextSource,
+        frame_width: usize,
+        device: &Device,
+    ) -> Self {
         let text_width = match text {
             TextSource::Learned(_) => config.width,
             TextSource::Frozen(width) => width,
         };
         Self {
-            denoiser: Denoiser::new(config, diffusion.previous, text_width, device),
+            denoiser: Denoiser::of_frames(
+                config,
+                diffusion.previous,
+                text_width,
+                frame_width,
+                device,
+            ),
             text: match text {
                 TextSource::Learned(num_tokens) => {
                     Some(LearnedText::new(num_tokens, config.width, device))

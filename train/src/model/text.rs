@@ -86,7 +86,8 @@ mod tests {
         let encoder = draw(
             LearnedText::new(vocabulary.num_tokens(), 8, &device),
             Seed(3),
-        );
+        )
+        .expect("known layers");
         let encode = |texts: &[&str]| {
             encoder
                 .forward(&vocabulary.encode_batch(texts.iter().copied()))

@@ -374,7 +374,7 @@ mod tests {
     #[test]
     fn the_fused_layer_is_the_composed_one_forwards_and_backwards() {
         let device = Device::flex().autodiff();
-        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1));
+        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1)).expect("known layers");
         let (batch, length) = (9, 11);
         let x = Tensor::random([batch, length, 24], Distribution::Normal(0.0, 1.0), &device);
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
@@ -399,7 +399,7 @@ mod tests {
     #[test]
     fn dropout_repeats_with_the_key_and_its_gradient_matches_finite_differences() {
         let device = Device::flex().autodiff();
-        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(2));
+        let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(2)).expect("known layers");
         let x = Tensor::<3>::random([2, 5, 24], Distribution::Normal(0.0, 1.0), &device);
         let forward = |key: u64, x: Tensor<3>| {
             let tensors = layer.tensors().expect("a whole layer");

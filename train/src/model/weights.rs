@@ -163,17 +163,27 @@ fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Ve
 /// any number of threads; and the optimiser finds the state of a parameter again in another
 /// process, because its id follows from its name too.
 ///
+/// # Errors
+/// The network has a parameter that no rule is known for.
+///
 /// # Source
 /// The distributions are PyTorch's: linear layers uniform within `1/sqrt(fan_in)`; the joint
-/// projection of attention Xavier-uniform and the biases of attention zero; norms one and zero;
-/// embeddings and learned tokens standard normal.
-pub fn draw<M: Module>(network: M, seed: Seed) -> M {
-    network.map(&mut Draw {
+/// projection of attention Xavier-uniform and the biases of attention zero; norms one and zero, and
+/// the running mean and variance of a batch norm zero and one; embeddings and learned tokens standard
+/// normal.
+pub fn draw<M: Module>(network: M, seed: Seed) -> Result<M, Error> {
+    let mut draw = Draw {
         seed,
         path: Vec::new(),
         containers: Vec::new(),
         fan_in: 1,
-    })
+        unknown: None,
+    };
+    let network = network.map(&mut draw);
+    match draw.unknown {
+        None => Ok(network),
+        Some((parameter, layer)) => Err(Error::NoFirstValue { parameter, layer }),
+    }
 }
 
 struct Draw {
@@ -182,6 +192,8 @@ struct Draw {
     containers: Vec<String>,
     /// Inputs of the linear layer being visited: its weight comes before its bias.
     fan_in: usize,
+    /// Name and layer of the first parameter that no rule is known for.
+    unknown: Option<(String, String)>,
 }
 
 enum Values {
@@ -196,13 +208,17 @@ impl Draw {
             .containers
             .iter()
             .rev()
-            .find(|container| container.starts_with("Struct:"))
-            .map_or("", String::as_str);
+            .find_map(|container| container.strip_prefix("Struct:"))
+            .unwrap_or_default();
         let is_attention = name.contains("in_proj") || name.contains("out_proj");
-        match (layer, name.rsplit('.').next()) {
-            ("Struct:LayerNorm", Some("gamma")) => Values::Constant(1.0),
-            ("Struct:LayerNorm", _) => Values::Constant(0.0),
-            ("Struct:Linear", Some("weight")) => {
+        match (layer, name.rsplit('.').next().unwrap_or_default()) {
+            ("LayerNorm" | "BatchNorm", "gamma") | ("BatchNorm", "running_var") => {
+                Values::Constant(1.0)
+            }
+            ("LayerNorm" | "BatchNorm", "beta") | ("BatchNorm", "running_mean") => {
+                Values::Constant(0.0)
+            }
+            ("Linear", "weight") => {
                 self.fan_in = shape[0];
                 if name.contains("in_proj") {
                     // Xavier: sqrt(6 / (inputs + outputs)).
@@ -211,9 +227,14 @@ impl Draw {
                     Values::Uniform((self.fan_in as f64).sqrt().recip())
                 }
             }
-            ("Struct:Linear", _) if is_attention => Values::Constant(0.0),
-            ("Struct:Linear", _) => Values::Uniform((self.fan_in as f64).sqrt().recip()),
-            _ => Values::Normal,
+            ("Linear", "bias") if is_attention => Values::Constant(0.0),
+            ("Linear", "bias") => Values::Uniform((self.fan_in as f64).sqrt().recip()),
+            ("Embedding", "weight") | ("SequenceEncoder", "tokens") => Values::Normal,
+            (layer, _) => {
+                let layer = layer.to_owned();
+                self.unknown.get_or_insert_with(|| (name.to_owned(), layer));
+                Values::Constant(f32::NAN)
+            }
         }
     }
 }
@@ -251,7 +272,7 @@ impl ModuleMapper for Draw {
 
 #[cfg(test)]
 mod tests {
-    use burn::nn::{Linear, LinearConfig};
+    use burn::nn::{BatchNormConfig, Linear, LinearConfig};
     use burn::tensor::Device;
 
     use super::*;
@@ -261,6 +282,40 @@ mod tests {
             LinearConfig::new(16, 4).init(&Device::flex().autodiff()),
             Seed(seed),
         )
+        .expect("a known layer")
+    }
+
+    #[test]
+    fn a_batch_norm_begins_as_pytorchs_does() {
+        let device = Device::flex().autodiff();
+        let norm = draw(BatchNormConfig::new(8).init(&device), Seed(3)).expect("a known layer");
+        let numbers = |tensor: Tensor<1>| -> Vec<f32> {
+            tensor.into_data().try_into_vec_as().expect("floats")
+        };
+        assert_eq!(numbers(norm.gamma.val()), [1.0; 8]);
+        assert_eq!(numbers(norm.beta.val()), [0.0; 8]);
+        assert_eq!(numbers(norm.running_mean.value()), [0.0; 8]);
+        assert_eq!(numbers(norm.running_var.value()), [1.0; 8]);
+    }
+
+    #[test]
+    fn a_parameter_without_a_rule_is_an_error_that_names_it() {
+        #[derive(Module, Debug)]
+        struct Odd {
+            inner: Linear,
+            scale: Param<Tensor<1>>,
+        }
+        let device = Device::flex();
+        let odd = Odd {
+            inner: linear(1),
+            scale: Param::from_tensor(Tensor::zeros([3], &device)),
+        };
+        match draw(odd, Seed(1)) {
+            Err(Error::NoFirstValue { parameter, layer }) => {
+                assert_eq!((parameter.as_str(), layer.as_str()), ("scale", "Odd"));
+            }
+            other => panic!("expected a refusal, got {other:?}"),
+        }
     }
 
     #[test]

@@ -1,0 +1,56 @@
+//! The seeds of a plan.
+
+use datasets_spec::Seed;
+use serde::{Deserialize, Serialize};
+
+use crate::cli::Global;
+
+/// Section `[seeds]` of a plan. Each is 0 unless it is given, and `--seed` replaces them all.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Seeds {
+    /// Of the split of new clips.
+    split: Option<u64>,
+    /// Of the test questions.
+    items: Option<u64>,
+    /// Of weights, noise and the stream of edits that models are trained on.
+    train: Option<u64>,
+    /// Of the noise that edits are made from.
+    sample: Option<u64>,
+}
+
+impl Seeds {
+    pub(crate) fn split(&self, global: &Global) -> Seed {
+        global.seed_or(self.split)
+    }
+
+    pub(crate) fn items(&self, global: &Global) -> Seed {
+        global.seed_or(self.items)
+    }
+
+    pub(crate) fn train(&self, global: &Global) -> Seed {
+        global.seed_or(self.train)
+    }
+
+    pub(crate) fn sample(&self, global: &Global) -> Seed {
+        global.seed_or(self.sample)
+    }
+
+    /// All of them, for a report.
+    pub(crate) fn in_words(&self, global: &Global) -> String {
+        format!(
+            "split {}, items {}, training {}, sampling {}",
+            self.split(global).0,
+            self.items(global).0,
+            self.train(global).0,
+            self.sample(global).0
+        )
+    }
+
+    /// The seed of a model whose own settings may hold one; `resolved` is that of its settings with
+    /// the preset's in place of what they leave out.
+    pub(crate) fn of_model(&self, resolved: u64, own: &toml::Table, global: &Global) -> Seed {
+        let own = own.contains_key("seed").then_some(resolved);
+        global.seed_or(own.or(self.train))
+    }
+}
