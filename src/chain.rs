@@ -9,7 +9,7 @@ use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
-use datasets_spec::canonical::WINDOW_FRAMES;
+use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::dataset::{Commit, commit_made, commit_rows};
 use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
@@ -41,12 +41,13 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use train::Session;
 use train::checkpoint::{Slot, Start, check_skeleton};
+use train::compose::ComposeRecord;
 use train::config::{GuidanceConfig, Preset, TextEncoder, TrainConfig};
 use train::coordinator::{self, CoordinatorConfig, Segments, TrainedCoordinator};
-use train::edit::{self, SystemIdentity};
+use train::edit::{self, Remarks, SystemIdentity};
 use train::fit::{Corpus, TextRecord, TrainReport, train_motionrefit};
 use train::j2s::{self, J2sConfig, J2sReport, PoseNet};
-use train::sample::{EditSettings, EditTimes, Editor};
+use train::sample::{EditSettings, EditTimes, Editor, FitMethod};
 use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
 use train::text::hub::HubCache;
 use train::text::table::EmbeddingTable;
@@ -60,8 +61,9 @@ use crate::report;
 
 /// Name of an editor in the `edits` table and the result table, where the user gives none: what it is,
 /// and what of it differs from the preset.
-fn system_name(editor: &Editor, compose: &ComposeConfig) -> String {
-    let model = editor.record().config.train.model;
+fn system_name(editor: &Editor) -> String {
+    let record = &editor.record().config;
+    let (model, compose) = (record.train.model, &record.compose.config);
     let mut name = "MotionReFit".to_owned();
     if model == TrainConfig::preset(Preset::Tiny).model {
         name += " tiny";
@@ -635,7 +637,10 @@ pub(crate) fn train_editor<'a>(
         normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &learned_from(&dataset, inputs.windows)?,
-        compose: &serde_json::to_string(&(compose, seed))?,
+        compose: &ComposeRecord {
+            config: compose.clone(),
+            seed,
+        },
     };
     let report = with_session(progress, |session| {
         train_motionrefit(start, config, corpus, session)
@@ -670,12 +675,17 @@ pub(crate) fn train_coordinator<'a>(
     let val = library(&dataset, Split::Val)?;
     let val = Stream::new(val, unthinned(compose), seed, &normalizer)
         .context("the validation split cannot be composed; ingest more clips")?;
+    let record = ComposeRecord {
+        config: compose.clone(),
+        seed,
+    };
     let segments = Segments {
         train: &train,
         val: &val,
         normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&COMPOSED),
+        compose: &record,
     };
     Ok(with_session(progress, |session| {
         coordinator::train_coordinator(start, config, segments, session)
@@ -885,8 +895,10 @@ pub(crate) struct EditConfig {
     pub(crate) temperature: Option<f64>,
     /// Windows generated at a time.
     pub(crate) max_batch: usize,
-    /// Weight in m^2/rad^2 by which the fit holds rotations to those it starts from; none is that
-    /// of [`NETWORK_PRIOR`] with a pose network, and none without.
+    /// How SMPL-X parameters are found.
+    pub(crate) fit: FitMethod,
+    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from; none is
+    /// that of [`NETWORK_PRIOR`] with a pose network, and none without.
     pub(crate) prior: Option<f64>,
     /// How strongly a coordinator guides; none is what the editor's settings say.
     pub(crate) coordinator_strength: Option<f64>,
@@ -902,6 +914,7 @@ impl Default for EditConfig {
             guidance: None,
             temperature: None,
             max_batch: 64,
+            fit: FitMethod::Exact,
             prior: None,
             coordinator_strength: None,
             coordinator_steps: None,
@@ -931,6 +944,7 @@ pub(crate) fn edit_settings(editor: &Editor, config: &EditConfig, seed: Seed) ->
                 .coordinator_steps
                 .unwrap_or(trained.coordinator.num_steps),
         },
+        fit: config.fit,
         prior: config.prior.unwrap_or(if editor.has_poses() {
             NETWORK_PRIOR
         } else {
@@ -1000,6 +1014,7 @@ fn settings_document(
     settings: &EditSettings,
 ) -> serde_json::Value {
     let coordinator = editor.has_coordinator().then_some(settings.coordinator);
+    let record = &editor.record().config;
     serde_json::json!({
         "checkpoint": source.slot.name(),
         "guidance": settings.guidance,
@@ -1007,7 +1022,10 @@ fn settings_document(
         "prior": settings.prior,
         "poses": editor.has_poses(),
         "coordinator": coordinator,
-        "window": editor.record().config.train.window,
+        "fit": settings.fit,
+        "window": record.train.window,
+        "advance": record.train.window - FIXED_FRAMES,
+        "fps": record.compose.config.fps,
     })
 }
 
@@ -1020,12 +1038,7 @@ pub(crate) fn identity(
 ) -> anyhow::Result<SystemIdentity> {
     let name = match name {
         Some(name) => name.to_owned(),
-        None => {
-            let (compose, _): (ComposeConfig, Seed) =
-                serde_json::from_str(&editor.record().config.compose)
-                    .context("the composer's settings in the editor's record")?;
-            system_name(editor, &compose)
-        }
+        None => system_name(editor),
     };
     Ok(SystemIdentity {
         name,
@@ -1033,8 +1046,7 @@ pub(crate) fn identity(
     })
 }
 
-/// Answers items with an editor, and commits the items and the answers as a dataset of their own. The
-/// times are missing where the answers were there already.
+/// Answers items with an editor, and commits the items and the answers as a dataset of their own.
 pub(crate) fn edits(
     items: &Path,
     source: &EditorSource<'_>,
@@ -1043,13 +1055,15 @@ pub(crate) fn edits(
     seed: Seed,
     global: &Global,
     progress: &dyn Progress,
-) -> anyhow::Result<(Dataset, Option<EditTimes>)> {
+) -> anyhow::Result<MadeEdits> {
     let asked = Dataset::open(items)?;
     let skeleton = skeleton_of(&asked)?;
     let editor = source.load(&skeleton)?;
     let settings = edit_settings(&editor, config, seed);
     let system = identity(&editor, source, &settings, config.name.as_deref())?;
     let rows: Vec<ItemRow> = item_rows(&asked)?;
+    let remarks = item_remarks(&editor, &rows)?;
+    note_remarks(&remarks);
     let ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     let inputs = (
         ids,
@@ -1060,11 +1074,15 @@ pub(crate) fn edits(
         config.takes,
     );
     // The number counts changes of what the table holds.
-    let plan_hash = plan("edits-3", &inputs)?;
+    let plan_hash = plan("edits-4", &inputs)?;
     if let Ok(done) = Dataset::open_unverified(out)
         && plan_of(&done, EditRow::TABLE) == plan_hash
     {
-        return Ok((Dataset::open(out)?, None));
+        return Ok(MadeEdits {
+            dataset: Dataset::open(out)?,
+            times: None,
+            remarks,
+        });
     }
     let texts: Vec<String> = rows.iter().map(|row| row.instruction.clone()).collect();
     let editor = with_texts(editor, source, &texts, progress)?;
@@ -1085,7 +1103,55 @@ pub(crate) fn edits(
     let path = out.join(TIMES);
     std::fs::write(&path, serde_json::to_vec_pretty(&per_window(&times))?)
         .with_context(|| format!("cannot write {}", path.display()))?;
-    Ok((done, Some(times)))
+    Ok(MadeEdits {
+        dataset: done,
+        times: Some(times),
+        remarks,
+    })
+}
+
+/// Says what is to be known of edits before they are trusted.
+pub(crate) fn note_remarks(remarks: &Remarks) {
+    if remarks.num_short > 0 {
+        report::note(&format!(
+            "{} shorter than a window of the model: the last pose is held while editing, and what is \
+             added is cut off again",
+            match remarks.num_short {
+                1 => "1 motion is".to_owned(),
+                many => format!("{many} motions are"),
+            }
+        ));
+    }
+    if !remarks.unknown_words.is_empty() {
+        let words: Vec<&str> = remarks.unknown_words.iter().map(String::as_str).collect();
+        report::note(&format!(
+            "the editor has never seen {}: it cannot know what is asked for by that",
+            words.join(", ")
+        ));
+    }
+}
+
+/// What is to be known of an editor's answers to items.
+pub(crate) fn item_remarks(editor: &Editor, items: &[ItemRow]) -> anyhow::Result<Remarks> {
+    let motions = items
+        .iter()
+        .map(|item| {
+            let frames = usize::try_from(item.source_frames).unwrap_or(0);
+            Ok((frames, Fps::new(f64::from(item.fps))?))
+        })
+        .collect::<Result<Vec<_>, datasets_spec::Error>>()?;
+    let texts = items.iter().map(|item| item.instruction.as_str());
+    Ok(Remarks::of(&editor.record().config, motions, texts))
+}
+
+/// What [`edits`] gives.
+pub(crate) struct MadeEdits {
+    /// The folder of items and edits.
+    pub(crate) dataset: Dataset,
+    /// Missing where the answers were there already.
+    pub(crate) times: Option<EditTimes>,
+    /// What is to be known of them.
+    pub(crate) remarks: Remarks,
 }
 
 /// Commits items and what was made of them together.

@@ -64,6 +64,35 @@ pub enum Anchor {
     Translation,
 }
 
+impl Anchor {
+    /// Where the pelvis of the first frame of a canonical segment is, seen from above; `y` is 0.
+    pub fn pelvis(self, skeleton: &Skeleton) -> DVec3 {
+        match self {
+            Self::Pelvis => DVec3::ZERO,
+            Self::Translation => skeleton.rest(0).with_y(0.0),
+        }
+    }
+}
+
+/// The ground transform that carries a canonical segment back onto the motion it was cut from, whose
+/// frame `first` it began with: exact for either anchor, where [`world_from_segment`] gives the
+/// released numbers, which put the segment beside its place for [`Anchor::Translation`].
+pub fn motion_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
+    let yaw_rad = rotation::yaw(DMat3::from_quat(first.rotations[0]));
+    let pelvis = first.transl + skeleton.rest(0);
+    placed(yaw_rad, pelvis, anchor.pelvis(skeleton))
+}
+
+/// The ground transform of a heading that carries `from` below or above `onto`.
+fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
+    let shift = onto - DQuat::from_rotation_y(yaw_rad) * from;
+    GroundTransform {
+        yaw_rad,
+        x: shift.x,
+        z: shift.z,
+    }
+}
+
 /// The placement of a segment whose first frame is `first`: the ground transform that carries
 /// canonical coordinates to the world.
 pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
@@ -121,6 +150,18 @@ pub fn window_starts(num_frames: usize, window: usize, advance: usize) -> Vec<us
 /// built from the cross-covariance, which gives the same answer as Kabsch's SVD and needs no
 /// special case for a mirrored triangle.
 pub fn kabsch(from: &[DVec3; 3], onto: &[DVec3; 3]) -> (DMat3, DVec3) {
+    kabsch_near(from, onto, DMat3::IDENTITY, 0.0)
+}
+
+/// As [`kabsch`], but held to the rotation `near` with a weight in m^2: what three unit vectors turned
+/// by it, of that weight, add to the sum of squares. Small triangles of trembling points keep their
+/// sense by it.
+pub fn kabsch_near(
+    from: &[DVec3; 3],
+    onto: &[DVec3; 3],
+    near: DMat3,
+    weight: f64,
+) -> (DMat3, DVec3) {
     let from_centre = (from[0] + from[1] + from[2]) / 3.0;
     let onto_centre = (onto[0] + onto[1] + onto[2]) / 3.0;
     let mut s = [[0.0f64; 3]; 3];
@@ -130,6 +171,11 @@ pub fn kabsch(from: &[DVec3; 3], onto: &[DVec3; 3]) -> (DMat3, DVec3) {
             for (cell, b) in row.iter_mut().zip(b) {
                 *cell += a * b;
             }
+        }
+    }
+    for (row, near) in s.iter_mut().zip([near.x_axis, near.y_axis, near.z_axis]) {
+        for (cell, near) in row.iter_mut().zip(near.to_array()) {
+            *cell += weight * near;
         }
     }
     let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = s;
@@ -212,6 +258,8 @@ pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> G
 #[derive(Clone, Debug)]
 pub struct Stitcher {
     rest_triangle: [DVec3; 3],
+    /// Where the pelvis of a window's first frame is.
+    pelvis: DVec3,
     world_from_window: GroundTransform,
     frames: Vec<KeypointFrame>,
 }
@@ -221,8 +269,27 @@ impl Stitcher {
     pub fn new(rest_triangle: [DVec3; 3], world_from_window: GroundTransform) -> Self {
         Self {
             rest_triangle,
+            pelvis: DVec3::ZERO,
             world_from_window,
             frames: Vec::new(),
+        }
+    }
+
+    /// Windows have the pelvis of their first frame at `pelvis` instead of the origin
+    /// ([`Anchor::pelvis`]). The released code has it at the origin in all windows but the first
+    /// whatever the anchor is, which is where the network never saw it.
+    #[must_use]
+    pub fn anchored(mut self, pelvis: DVec3) -> Self {
+        self.pelvis = pelvis;
+        self
+    }
+
+    /// Goes back to the first `num_frames` frames, so that the next window begins two frames before
+    /// their end. Fewer than two frames give no window its fixed ones.
+    pub fn rewind(&mut self, num_frames: usize) {
+        if num_frames < self.frames.len() {
+            self.frames.truncate(num_frames);
+            self.place_next();
         }
     }
 
@@ -237,10 +304,16 @@ impl Stitcher {
             self.frames
                 .push(frame.map(|point| self.world_from_window.apply(point)));
         }
+        self.place_next();
+    }
+
+    /// Places the next window by the second-to-last frame.
+    fn place_next(&mut self) {
         if let Some(anchor) = self.frames.len().checked_sub(FIXED_FRAMES) {
             let frame = &self.frames[anchor];
-            self.world_from_window =
+            let GroundTransform { yaw_rad, x, z } =
                 ground_transform_of(&[frame[0], frame[1], frame[2]], &self.rest_triangle);
+            self.world_from_window = placed(yaw_rad, DVec3::new(x, 0.0, z), self.pelvis);
         }
     }
 
@@ -302,8 +375,12 @@ mod tests {
             // Exact for the pelvis; the released code turns `transl` and leaves the rest pelvis
             // where it was, which displaces the body by up to twice its distance from the axis.
             let slack = if official { 2.0 * skeleton.rest(0).with_y(0.0).length() } else { 1e-9 };
+            let exact = motion_from_segment(&motion[0], anchor, &skeleton);
             for (world, canonical) in motion.iter().zip(&segment) {
                 let world = skeleton.keypoints(world);
+                for (a, b) in world.iter().zip(skeleton.keypoints(canonical)) {
+                    prop_assert!((*a - exact.apply(b)).length() <= 1e-9);
+                }
                 for (a, b) in world.iter().zip(skeleton.keypoints(canonical)) {
                     prop_assert!((*a - placement.apply(b)).length() <= slack + 1e-9);
                 }

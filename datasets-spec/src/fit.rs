@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::adam::{AdamFit, AdamFitted, Parameters};
 
-use crate::canonical::{KeypointFrame, kabsch};
+use crate::canonical::{KeypointFrame, kabsch_near};
 use crate::motion::{Motion, Pose};
 use crate::rotation::{arc, from_axis_angle, slerp, to_axis_angle};
 use crate::skeleton::{
@@ -61,6 +61,13 @@ pub struct FitOptions {
     /// exact keypoints are recovered exactly; about 1e-4 calms trembling points, and also holds the
     /// twists that no point shows where they were in the first frame.
     pub smoothness: f64,
+    /// How firmly [`fit_motion_from`] holds points that are off the body to the frame before: the
+    /// weight of the squared angle between a joint's global rotation and the one it would have had,
+    /// had it gone on from there as the given poses do, is this times the frame's mean squared
+    /// difference of bones from their lengths. It is one over the square of the angle, in radians, by
+    /// which motions are expected to differ in a frame. Points on the body are fitted exactly whatever
+    /// it is.
+    pub continuity: f64,
 }
 
 impl Default for FitOptions {
@@ -70,6 +77,7 @@ impl Default for FitOptions {
             max_iterations: 20,
             tolerance_m: 1e-5,
             smoothness: 0.0,
+            continuity: 0.0,
         }
     }
 }
@@ -123,7 +131,7 @@ pub fn fit_pose(
     init: Option<&Pose>,
     options: &FitOptions,
 ) -> FitResult {
-    Fitter::new(skeleton, options).fit(target, init, init)
+    Fitter::new(skeleton, options).fit(target, init, init, options.smoothness)
 }
 
 /// Fits a motion to a keypoint sequence, frame after frame. The result depends on nothing but its
@@ -189,7 +197,23 @@ fn fit_frames<'a>(
         // Each frame starts by itself: carrying the twists over from the frame before would let
         // them drift along with the swing of the limbs.
         let own = twists(frame);
-        let result = fitter.fit(target, own, own.or(poses.last()));
+        let held = options.continuity * fitter.squared_drift(target);
+        let carried = own
+            .filter(|_| held > 0.0)
+            .zip(poses.last())
+            .zip(frame.checked_sub(1).and_then(&twists))
+            .map(|((own, before), own_before)| {
+                fitter.carried(own, before, own_before, held / (held + options.smoothness))
+            });
+        let result = match &carried {
+            Some(carried) => fitter.fit(
+                target,
+                Some(carried),
+                Some(carried),
+                held + options.smoothness,
+            ),
+            None => fitter.fit(target, own, own.or(poses.last()), options.smoothness),
+        };
         poses.push(result.pose);
         error_m.push(result.error_m);
     }
@@ -369,26 +393,65 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    fn fit(&self, target: &KeypointFrame, init: Option<&Pose>, prior: Option<&Pose>) -> FitResult {
+    /// The mean squared difference of the bones from their lengths, in m^2, over points of positive
+    /// weight.
+    fn squared_drift(&self, target: &KeypointFrame) -> f64 {
+        let (mut sum, mut count) = (0.0, 0usize);
+        for slot in 1..NUM_KEYPOINTS {
+            let parent = Tree::parent(slot);
+            if self.options.weights[slot] > 0.0 && self.options.weights[parent] > 0.0 {
+                let length = target[slot].distance(target[parent]);
+                sum += (length - self.offsets[slot].length()).powi(2);
+                count += 1;
+            }
+        }
+        sum / count.max(1) as f64
+    }
+
+    /// The pose between `own` and the one that goes on from the frame before as `own` does from its
+    /// own, at the share `alpha` of the way to the latter.
+    fn carried(&self, own: &Pose, before: &Pose, own_before: &Pose, alpha: f64) -> Pose {
+        let [own, before, own_before] = [own, before, own_before].map(|pose| self.body_of(pose));
+        let mut body = own.clone();
+        for joint in 0..NUM_BODY_JOINTS {
+            // In the joint's own axes, so that it does not matter which way the body faces.
+            let turn = own_before.global[joint].inverse() * own.global[joint];
+            let carried = (before.global[joint] * turn).normalize();
+            body.global[joint] = slerp(own.global[joint], carried, alpha);
+        }
+        let mut pose = self.pose_of(&body, None);
+        for joint in 1..NUM_BODY_JOINTS {
+            pose.rotations[joint] =
+                (body.global[Tree::parent(joint)].inverse() * body.global[joint]).normalize();
+        }
+        pose
+    }
+
+    /// Fits a frame from `init`, holding rotations to `prior` with a weight in m^2/rad^2.
+    fn fit(
+        &self,
+        target: &KeypointFrame,
+        init: Option<&Pose>,
+        prior: Option<&Pose>,
+        held: f64,
+    ) -> FitResult {
         assert!(
             target.iter().all(|point| point.is_finite()),
             "keypoints must be finite"
         );
         let mut body = match init {
-            Some(pose) => self.start_from(target, pose),
+            Some(pose) => self.start_from(target, pose, held),
             None => self.start(target),
         };
-        let prior = prior
-            .filter(|_| self.options.smoothness > 0.0)
-            .map(|pose| self.body_of(pose));
-        let mut now = self.evaluate(&body, target, prior.as_ref());
+        let prior = prior.filter(|_| held > 0.0).map(|pose| self.body_of(pose));
+        let mut now = self.evaluate(&body, target, prior.as_ref(), held);
         let mut damping = FIRST_DAMPING;
         let mut curved = false;
         let mut iterations = 0;
         while iterations < self.options.max_iterations && damping < MOST_DAMPING {
             iterations += 1;
-            let next_body = body.stepped(&self.step(&now, damping, curved));
-            let next = self.evaluate(&next_body, target, prior.as_ref());
+            let next_body = body.stepped(&self.step(&now, damping, curved, held));
+            let next = self.evaluate(&next_body, target, prior.as_ref(), held);
             let moved_m = now
                 .points
                 .iter()
@@ -491,14 +554,14 @@ impl<'a> Fitter<'a> {
     }
 
     /// A body whose bones point as the target's do, twisted about them as those of `init` are.
-    fn start_from(&self, target: &KeypointFrame, init: &Pose) -> Body {
+    fn start_from(&self, target: &KeypointFrame, init: &Pose, held: f64) -> Body {
         let mut global = init.rotations;
         for joint in 0..NUM_BODY_JOINTS {
             if joint > 0 {
                 global[joint] = global[Tree::parent(joint)] * init.rotations[joint];
             }
             global[joint] = self
-                .aligned(target, joint)
+                .aligned_near(target, joint, global[joint], held)
                 .unwrap_or_else(|| self.swung(global[joint], joint, target));
         }
         Body {
@@ -510,6 +573,17 @@ impl<'a> Fitter<'a> {
     /// The rotation of a joint that carries a triangle of points; none for other joints, or if one
     /// of the points is left out.
     fn aligned(&self, target: &KeypointFrame, joint: usize) -> Option<DQuat> {
+        self.aligned_near(target, joint, DQuat::IDENTITY, 0.0)
+    }
+
+    /// As [`Fitter::aligned`], held to a rotation with a weight in m^2/rad^2.
+    fn aligned_near(
+        &self,
+        target: &KeypointFrame,
+        joint: usize,
+        near: DQuat,
+        held: f64,
+    ) -> Option<DQuat> {
         let (_, slots) = TRIANGLES
             .into_iter()
             .find(|(carrier, _)| *carrier == joint)?;
@@ -523,7 +597,8 @@ impl<'a> Fitter<'a> {
                 self.offsets[slot]
             }
         });
-        let (rotation, _) = kabsch(&rest, &slots.map(|slot| target[slot]));
+        let onto = slots.map(|slot| target[slot]);
+        let (rotation, _) = kabsch_near(&rest, &onto, DMat3::from_quat(near), held);
         Some(DQuat::from_mat3(&rotation).normalize())
     }
 
@@ -583,7 +658,13 @@ impl<'a> Fitter<'a> {
         base * from_axis_angle(bone * twist)
     }
 
-    fn evaluate(&self, body: &Body, target: &KeypointFrame, prior: Option<&Body>) -> Evaluation {
+    fn evaluate(
+        &self,
+        body: &Body,
+        target: &KeypointFrame,
+        prior: Option<&Body>,
+        held: f64,
+    ) -> Evaluation {
         let mut bones = [DVec3::ZERO; NUM_KEYPOINTS];
         let mut points = [body.pelvis; NUM_KEYPOINTS];
         let mut pulls = [DVec3::ZERO; NUM_KEYPOINTS];
@@ -608,7 +689,7 @@ impl<'a> Fitter<'a> {
                 drift.iter_mut().zip(body.global.iter().zip(&prior.global))
             {
                 *drift = to_axis_angle(*now * before.inverse());
-                cost += self.options.smoothness * drift.length_squared();
+                cost += held * drift.length_squared();
             }
         }
         Evaluation {
@@ -620,7 +701,7 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// Solves `(J^T W J + (smoothness + damping) I) x = J^T W r` by eliminating the joints from the
+    /// Solves `(J^T W J + (held + damping) I) x = J^T W r` by eliminating the joints from the
     /// leaves to the root.
     ///
     /// A turn `w` of joint `a` moves every point beyond its child `c` by `w x v`, `v` being the bone
@@ -630,8 +711,8 @@ impl<'a> Fitter<'a> {
     /// With `curved`, the blocks on the diagonal get the rest of the second derivative, the pulls
     /// along the bones. Points off the skeleton make it large, and without it the steps towards them
     /// converge linearly.
-    fn step(&self, now: &Evaluation, damping: f64, curved: bool) -> Step {
-        let ridge = DMat3::from_diagonal(DVec3::splat(damping + self.options.smoothness));
+    fn step(&self, now: &Evaluation, damping: f64, curved: bool, held: f64) -> Step {
+        let ridge = DMat3::from_diagonal(DVec3::splat(damping + held));
         let mut diagonal = [ridge; NUM_BODY_JOINTS];
         let mut coupling = [[DMat3::ZERO; MAX_CHAIN]; NUM_BODY_JOINTS];
         let mut gradient = [DVec3::ZERO; NUM_BODY_JOINTS];
@@ -653,7 +734,7 @@ impl<'a> Fitter<'a> {
                 gradient[joint] += bone.cross(now.pulls[child]);
                 weighted += bone * weight;
             }
-            gradient[joint] -= now.drift[joint] * self.options.smoothness;
+            gradient[joint] -= now.drift[joint] * held;
             // Slot 0 couples to the translation, slot d + 1 to the ancestor at depth d.
             coupling[joint][0] = cross_matrix(weighted);
             let chain = &TREE.chain[joint];
@@ -809,7 +890,7 @@ mod tests {
             let options = FitOptions { max_iterations: 200, ..FitOptions::default() };
             let fitter = Fitter::new(&skeleton, &options);
             let slope = |pose: &Pose| {
-                let now = fitter.evaluate(&fitter.body_of(pose), &target, None);
+                let now = fitter.evaluate(&fitter.body_of(pose), &target, None, 0.0);
                 (0..NUM_BODY_JOINTS)
                     .map(|joint| {
                         let turn = |&child: &usize| now.bones[child].cross(now.pulls[child]);
@@ -892,9 +973,9 @@ mod tests {
         }
         let target = noisy(&skeleton.keypoints(&Pose::REST), 0.05, 4);
         let body = fitter.body_of(&pose);
-        let now = fitter.evaluate(&body, &target, None);
+        let now = fitter.evaluate(&body, &target, None, 0.0);
         let damping = 0.05;
-        let step = fitter.step(&now, damping, false);
+        let step = fitter.step(&now, damping, false, 0.0);
         // The solution x of (H + d I) x = g minimises the model |r - J x|^2 + d |x|^2, so at x the
         // directional derivative of that model vanishes along every coordinate.
         let moved = |step: &Step| -> f64 {
@@ -924,6 +1005,50 @@ mod tests {
                 assert!(moved(&other) > best, "coordinate {coordinate}");
             }
         }
+    }
+
+    #[test]
+    fn points_off_the_body_do_not_flip_joints_and_points_on_it_are_met() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses: Vec<Pose> = (0..40)
+            .map(|frame| {
+                let mut pose = Pose::REST;
+                pose.rotations[16] = from_axis_angle(DVec3::Z * (0.02 * f64::from(frame)));
+                pose
+            })
+            .collect();
+        let exact: Vec<KeypointFrame> = poses.iter().map(|pose| skeleton.keypoints(pose)).collect();
+        // 4 cm, as generated points are off a body, on eyes and knuckles that are 3 to 8 cm apart.
+        let trembling: Vec<KeypointFrame> = (0..)
+            .zip(&exact)
+            .map(|(seed, points)| noisy(points, 0.04, seed))
+            .collect();
+        let twists = vec![Pose::REST; poses.len()];
+        let fitted = |frames: &[KeypointFrame], continuity| {
+            let options = FitOptions {
+                continuity,
+                ..FitOptions::default()
+            };
+            fit_motion_from(&skeleton, frames, &twists, Fps::STORE, &options).expect("finite")
+        };
+        let largest = |fit: &FittedMotion| {
+            let poses = fit.motion.poses();
+            let steps = poses.windows(2).flat_map(|pair| {
+                let both = pair[0].rotations.into_iter().zip(pair[1].rotations);
+                both.map(|(a, b)| angle_between(a, b))
+            });
+            steps.fold(0.0, f64::max)
+        };
+        let (free, held) = (fitted(&trembling, 0.0), fitted(&trembling, 25.0));
+        assert!(
+            largest(&free) > 1.5,
+            "without it something flips: {}",
+            largest(&free)
+        );
+        assert!(largest(&held) < 0.8, "{}", largest(&held));
+        let error = fitted(&exact, 25.0).error_m.into_iter().fold(0.0, f64::max);
+        // The tolerance of the fit.
+        assert!(error < 1e-5, "{error}");
     }
 
     #[test]

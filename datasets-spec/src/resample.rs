@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 
 use crate::blocks;
-use crate::canonical::KeypointFrame;
 use crate::motion::{Motion, Pose};
 use crate::rotation::slerp;
 use crate::{Error, Fps};
@@ -102,33 +101,12 @@ fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     )
 }
 
-/// Doubles the rate of a keypoint sequence by linear interpolation on the exact grid: `T` frames
-/// become `2T - 1`.
-///
-/// # Source
-/// The released code samples `2T` points on the same span, which is not twice the rate
-/// (`algorithms` section 4); this grid is.
-pub fn double_rate(frames: &[KeypointFrame]) -> Vec<KeypointFrame> {
-    let mut out = Vec::with_capacity(2 * frames.len());
-    for (i, frame) in frames.iter().enumerate() {
-        if i > 0 {
-            let before = &frames[i - 1];
-            out.push(std::array::from_fn(|slot| {
-                before[slot].midpoint(frame[slot])
-            }));
-        }
-        out.push(*frame);
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
 
     use super::*;
     use crate::rotation::{angle_between, from_axis_angle};
-    use crate::skeleton::NUM_KEYPOINTS;
 
     /// A body moving along x at 1 m/s while turning its left elbow at 1 rad/s.
     fn steady(fps: f64, num_frames: usize) -> Motion {
@@ -181,17 +159,5 @@ mod tests {
                 .apply(&steady(10.0, 5), Fps::STORE)
                 .is_err()
         );
-    }
-
-    #[test]
-    fn doubling_the_rate_keeps_every_frame() {
-        let frames: Vec<KeypointFrame> = (0..4)
-            .map(|i| [DVec3::X * f64::from(i); NUM_KEYPOINTS])
-            .collect();
-        let out = double_rate(&frames);
-        assert_eq!(out.len(), 7);
-        for (i, frame) in out.iter().enumerate() {
-            assert_eq!(frame[5], DVec3::X * (i as f64 / 2.0));
-        }
     }
 }

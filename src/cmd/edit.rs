@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, MotionId, Resample, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
 use pipeline::source::{Format, Outcome, ReadOptions, Recognised, keys_in, read_clip, recognise};
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
-use train::edit::{Edited, Misfit, SystemIdentity, edit_motion};
+use train::edit::{Edited, Misfit, Remarks, SystemIdentity, edit_motion};
 use train::history::EditHistory;
-use train::sample::{EditSettings, EditTimes, Editor, TimedInstruction};
+use train::sample::{EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 
-use crate::chain::{self, EditConfig, EditorSource};
+use crate::chain::{self, EditConfig, EditorSource, MadeEdits};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -42,7 +42,10 @@ pub(crate) struct Args {
     /// shows; without it they are those of the original
     #[arg(long, value_name = "RUN")]
     poses: Option<PathBuf>,
-    /// Weight in m²/rad² by which the fit holds rotations to those of --poses, or of the original
+    /// How SMPL-X parameters are found: exact, or paper (the network of --poses, then Adam)
+    #[arg(long, value_name = "FIT", default_value = "exact")]
+    fit: FitMethod,
+    /// Weight in m²/rad² by which the exact fit holds rotations to those of --poses, or of the original
     /// [default: 0.01 with --poses, otherwise 0]
     #[arg(long, value_name = "WEIGHT")]
     prior: Option<f64>,
@@ -126,6 +129,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         takes: args.takes,
         guidance: args.guidance,
         temperature: args.temperature,
+        fit: args.fit,
         prior: args.prior,
         coordinator_strength: args.coordinator_strength,
         coordinator_steps: args.coordinator_steps,
@@ -154,12 +158,18 @@ fn answer(args: &Args, items: &Path, config: &EditConfig, global: &Global) -> an
     let bars = global.bars();
     let source = args.source();
     let seed = global.seed();
-    let (done, times) = chain::edits(items, &source, out, config, seed, global, &bars)?;
+    let MadeEdits {
+        dataset: done,
+        times,
+        remarks,
+    } = chain::edits(items, &source, out, config, seed, global, &bars)?;
     let rows = done.manifest().rows(EditRow::TABLE, None);
     if global.json {
         report::json(&serde_json::json!({
             "edits": rows,
             "root_hash": done.manifest().root_hash,
+            "num_short": remarks.num_short,
+            "unknown_words": remarks.unknown_words,
             "times": times,
         }))?;
         return Ok(Exit::Done);
@@ -234,7 +244,7 @@ fn layered(
             .iter()
             .map(|asked| match number {
                 0 => asked.clone(),
-                // An edit covers whole windows alone, so that the next has fewer frames.
+                // An edit may have another rate than the motion it was made of.
                 _ => whole(&asked.text, source),
             })
             .collect();
@@ -284,6 +294,7 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
     let editor = chain::with_texts(source.load(&skeleton)?, &source, &texts, &global.bars())?;
     let seed = global.seed();
     let settings = chain::edit_settings(&editor, config, seed);
+    let remarks = remarks(&editor, &original, &layers);
     let edited = layered(
         &editor, id, &original, &layers, &skeleton, &settings, global,
     )?;
@@ -310,16 +321,29 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
     for out in &args.out {
         shown.write(out, global)?;
     }
-    say(args, &edited, global)
+    say(args, &edited, &remarks, global)
+}
+
+/// What is to be known of edits of a motion, said too.
+fn remarks(editor: &Editor, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
+    let remarks = Remarks::of(
+        &editor.record().config,
+        [(motion.len(), motion.fps())],
+        layers.iter().flatten().map(|asked| asked.text.as_str()),
+    );
+    chain::note_remarks(&remarks);
+    remarks
 }
 
 /// Says what came out.
-fn say(args: &Args, edited: &Edited, global: &Global) -> anyhow::Result<Exit> {
+fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyhow::Result<Exit> {
     if global.json {
         report::json(&serde_json::json!({
             "out": args.out,
             "frames": edited.motion.len(),
-            "fps": Fps::STORE.get(),
+            "fps": edited.motion.fps(),
+            "num_short": remarks.num_short,
+            "unknown_words": remarks.unknown_words,
             "fit_error_m": edited.misfit.fit_error_m,
             "bone_drift_m": edited.misfit.bone_drift_m,
             "times": edited.times,
@@ -334,7 +358,7 @@ fn say(args: &Args, edited: &Edited, global: &Global) -> anyhow::Result<Exit> {
     report::text(&format!(
         "{} frames at {}, fitted to {:.1} cm{}",
         edited.motion.len(),
-        Fps::STORE,
+        edited.motion.fps(),
         100.0 * edited.misfit.fit_error_m,
         if places.is_empty() {
             String::new()
@@ -469,6 +493,7 @@ impl Interactive<'_> {
         let settings = chain::edit_settings(editor, self.config, seed);
         let (id, current) = (history.id(), history.current()?);
         let layer = [instructions];
+        remarks(editor, &current, &layer);
         let edited = layered(
             editor,
             id,
@@ -717,9 +742,9 @@ impl Shown<'_> {
         replace_file(out, &bytes).with_context(|| format!("cannot write {}", out.display()))
     }
 
-    /// Writes the original as an item without a target, and the edit of it, both at the store's rate.
+    /// Writes the original as an item without a target, and the edit of it, both at the edit's rate.
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
-        let original = Resample::Exact.apply(self.original, Fps::STORE)?;
+        let original = Resample::Exact.apply(self.original, self.edited.motion.fps())?;
         let item = free_item(self.id, self.text, &original)?;
         let motion = &self.edited.motion;
         let edit = EditRow {

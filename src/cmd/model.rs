@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use datasets_spec::normalise::Normalizer;
-use datasets_spec::{Progress, Skeleton};
+use datasets_spec::{Progress, Seed, Skeleton};
 use train::checkpoint::Slot;
+use train::compose::ComposeRecord;
 use train::config::TrainConfig;
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
 use train::exchange;
@@ -168,6 +169,10 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     // The released models were trained on the male body; the skeleton of this program stands in
     // wherever a motion is posed for them.
     let skeleton = Skeleton::smplx_neutral();
+    let compose = ComposeRecord {
+        config: TrainConfig::compose_preset(preset),
+        seed: Seed(0),
+    };
     let (out, file) = (&args.out, &args.file);
     match args.model {
         Model::Motionrefit => {
@@ -179,7 +184,8 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
                     encoder_hash: clip.identity().to_owned(),
                     width: clip.width(),
                 },
-                compose: String::new(),
+                compose,
+                extrapolation: None,
             };
             exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
         }
@@ -187,6 +193,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
             let record = CoordinatorRecord {
                 train: CoordinatorConfig::preset(preset),
                 normalizer,
+                compose,
             };
             exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
         }

@@ -70,8 +70,9 @@ pub(crate) struct RunConfig {
     /// Style pairs from labels.
     #[serde(default)]
     pairs: PairConfig,
+    /// Values in place of the preset's for the composer.
     #[serde(default)]
-    compose: ComposeConfig,
+    compose: toml::Table,
     /// Values in place of the preset's for the editor.
     #[serde(default)]
     train: toml::Table,
@@ -142,7 +143,7 @@ impl RunConfig {
             masks: MaskConfig::default(),
             stages: Stages::default(),
             pairs: PairConfig::default(),
-            compose: ComposeConfig::default(),
+            compose: toml::Table::new(),
             train: toml::Table::new(),
             coordinator: toml::Table::new(),
             poses: toml::Table::new(),
@@ -158,6 +159,7 @@ impl RunConfig {
 /// A configuration with everything resolved.
 pub(crate) struct Plan {
     config: RunConfig,
+    pub(crate) compose: ComposeConfig,
     pub(crate) train: TrainConfig,
     pub(crate) coordinator: CoordinatorConfig,
     pub(crate) poses: J2sConfig,
@@ -194,8 +196,11 @@ impl Plan {
         ] {
             *seed = seeds.of_model(*seed, own, global).0;
         }
+        let compose = chain::overlay(&TrainConfig::compose_preset(preset), Some(&config.compose))
+            .context("section [compose]")?;
         Ok(Self {
             config,
+            compose,
             train,
             coordinator,
             poses,
@@ -289,7 +294,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &places.dataset,
         &places.triplets,
         config.triplets,
-        &config.compose,
+        &plan.compose,
         Seed(plan.train.seed),
         global,
         &bars,
@@ -310,13 +315,13 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         chain::train_editor(&places.dataset, run, &plan.train, &inputs, &bars)
             .context("stage train motionrefit")
     };
-    let editor = train_editor(&places.editor, &config.compose)?;
+    let editor = train_editor(&places.editor, &plan.compose)?;
     if chain::is_stopped() {
         return Ok(stopped());
     }
     let fixed_pairs = ComposeConfig {
         fixed_pairs: true,
-        ..config.compose.clone()
+        ..plan.compose.clone()
     };
     if config.stages.without_mcm {
         train_editor(&places.without_mcm, &fixed_pairs)?;
@@ -330,7 +335,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
             &places.dataset,
             &places.coordinator,
             &plan.coordinator,
-            &config.compose,
+            &plan.compose,
             &bars,
         )
         .context("stage train coordinator")?;
@@ -569,7 +574,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         ("Editor", serde_json::to_value(&done.plan.train)?),
         ("Encoder", serde_json::to_value(&done.plan.encoder)?),
         ("Stages", serde_json::to_value(config.stages)?),
-        ("Composition", serde_json::to_value(&config.compose)?),
+        ("Composition", serde_json::to_value(&done.plan.compose)?),
         ("Items", serde_json::to_value(&config.items)?),
         ("Edits", serde_json::to_value(&config.edit)?),
         ("Evaluation", serde_json::to_value(config.eval)?),

@@ -201,7 +201,7 @@ impl Plan {
         }
         Ok(Settings {
             train,
-            compose: chain::overlay(&ComposeConfig::default(), own("compose"))
+            compose: chain::overlay(&TrainConfig::compose_preset(preset), own("compose"))
                 .context("section [compose]")?,
             edit: chain::overlay(&EditConfig::default(), own("edit")).context("section [edit]")?,
         })

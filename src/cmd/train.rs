@@ -139,7 +139,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             config.seed = global.seed_or(Some(config.seed)).0;
             config.length = length(config.length);
             let inputs = TrainInputs {
-                compose: &args.compose.config()?,
+                compose: &args.compose.over(&TrainConfig::compose_preset(preset))?,
                 windows: args.windows.as_deref(),
                 clip: args.clip.as_deref(),
             };
@@ -149,7 +149,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let mut config = chain::overlay(&CoordinatorConfig::preset(preset), own.as_ref())?;
             config.seed = global.seed_or(Some(config.seed)).0;
             config.length = length(config.length);
-            let compose = args.compose.config()?;
+            let compose = args.compose.over(&TrainConfig::compose_preset(preset))?;
             chain::train_coordinator(dataset, start, &config, &compose, &bars)?
         }
         Model::Tmr => {

@@ -64,10 +64,17 @@ pub(crate) struct ComposeArgs {
 impl ComposeArgs {
     /// The settings.
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
-        let mut config = match &self.compose {
-            Some(path) => parsed(path)?,
-            None => ComposeConfig::default(),
-        };
+        self.over(&ComposeConfig::default())
+    }
+
+    /// The settings in place of some of a preset's.
+    pub(crate) fn over(&self, preset: &ComposeConfig) -> anyhow::Result<ComposeConfig> {
+        let own: Option<toml::Table> = self.compose.as_deref().map(parsed).transpose()?;
+        let mut config =
+            chain::overlay(preset, own.as_ref()).with_context(|| match &self.compose {
+                Some(path) => format!("in {}", path.display()),
+                None => "the composer's settings".to_owned(),
+            })?;
         if let Some(path) = &self.phrases {
             config.phrases = parsed(path)?;
         }

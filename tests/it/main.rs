@@ -12,5 +12,6 @@ mod help;
 mod ingest;
 mod pairs;
 mod results;
+mod seams;
 mod train;
 mod util;

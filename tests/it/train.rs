@@ -88,7 +88,7 @@ impl Workshop {
     }
 
     /// A clip of the corpus as a file.
-    fn clip(&self) -> PathBuf {
+    pub(crate) fn clip(&self) -> PathBuf {
         crate::util::files_with_extension(&self.path("corpus"), "bvh")
             .into_iter()
             .next()

@@ -63,6 +63,7 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
         // The text vectors are given to the loss.
         texts: TextBatch::Vectors(Vec::new()),
         text_kept: vec![1.0; BATCH],
+        is_start: vec![false; BATCH],
     }
 }
 
@@ -78,7 +79,7 @@ fn training_step(bencher: Bencher, dropout: f64) {
     let mut optimizer = adamw(0.01);
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
         let network = model.take().expect("put back after every step");
-        let loss = training_loss(&network, &schedule, &batch, text.clone(), &diffusion);
+        let loss = training_loss(&network, &schedule, &batch, text.clone(), None, &diffusion);
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimizer.step(1e-4, network, gradients));
@@ -113,7 +114,7 @@ fn sample(bencher: Bencher, batch: usize) {
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let condition = Condition {
         original: normal([batch, WINDOW_FRAMES, FRAME_WIDTH], &device),
-        fixed: normal([batch, FIXED_FRAMES, FRAME_WIDTH], &device),
+        fixed: Some(normal([batch, FIXED_FRAMES, FRAME_WIDTH], &device)),
         text: normal([batch, 512], &device),
         progress: vec![0.5; batch],
     };
@@ -123,6 +124,7 @@ fn sample(bencher: Bencher, batch: usize) {
         weights: &weights,
         schedule: &schedule,
         prediction: Prediction::Noise,
+        extrapolation: None,
         clip: true,
         guidance: 4.0,
         coordinator: None,

@@ -4,9 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::diffusion::{FixedFrames, Loss, Prediction, ScheduleName};
-use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::normalise::FRAME_WIDTH;
 use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
 
 /// Settings of the editor's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -122,6 +123,20 @@ pub struct DiffusionConfig {
     /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
     /// stays nearer to its mean.
     pub temperature: f64,
+    /// Share of the training windows that are shown as the first of their motion, with nothing fixed.
+    /// At 0 the editor starts a motion on the first frames of the original, as published, although
+    /// training always fixes those of the edited motion; above 0 it generates them.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub generated_starts: f64,
+    /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
+    /// editing they are the network's own, and what they are wrong by is carried from window to window
+    /// unless the network has learned to mend it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub fixed_noise: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// How the frames before a window, which are its fixed first frames, enter the network.
@@ -233,6 +248,25 @@ pub enum Preset {
 }
 
 impl TrainConfig {
+    /// How windows are composed for models of these named settings.
+    ///
+    /// # Source
+    /// `Official`: the released preprocessing puts the translation above the origin, its file of
+    /// ranges looks like one for all axes, and its slerp averages nearly equal rotations
+    /// (`algorithms` sections 2, 4 and 10).
+    pub fn compose_preset(preset: Preset) -> ComposeConfig {
+        let paper = ComposeConfig::default();
+        match preset {
+            Preset::Official => ComposeConfig {
+                anchor: Anchor::Translation,
+                range: RangeRule::Scalar,
+                slerp: SlerpRule::Official,
+                ..paper
+            },
+            Preset::Paper | Preset::Tiny => paper,
+        }
+    }
+
     /// The named settings.
     ///
     /// # Source
@@ -267,6 +301,8 @@ impl TrainConfig {
                     motion_weight: 0.0,
                     guidance: 4.0,
                     temperature: 1.0,
+                    generated_starts: 0.0,
+                    fixed_noise: 0.0,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Clip,
@@ -346,6 +382,8 @@ impl TrainConfig {
                     motion_weight: 0.0,
                     guidance: 1.25,
                     temperature: 1.0,
+                    generated_starts: 0.0,
+                    fixed_noise: 0.0,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Learned,
@@ -490,6 +528,7 @@ impl NetworkConfig {
 impl DiffusionConfig {
     fn check(&self) -> Result<(), Error> {
         share("diffusion.text_dropout", self.text_dropout)?;
+        share("diffusion.generated_starts", self.generated_starts)?;
         if !self.guidance.is_finite() {
             return Err(Error::Config {
                 field: "diffusion.guidance",
@@ -499,6 +538,7 @@ impl DiffusionConfig {
         for (field, value) in [
             ("diffusion.motion_weight", self.motion_weight),
             ("diffusion.temperature", self.temperature),
+            ("diffusion.fixed_noise", self.fixed_noise),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(Error::Config {
@@ -508,12 +548,19 @@ impl DiffusionConfig {
             }
         }
         if self.motion_weight > 0.0
-            && matches!(self.prediction, Prediction::Noise | Prediction::Velocity)
+            && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
         {
             return Err(Error::Config {
                 field: "diffusion.motion_weight",
                 problem: "frames follow each other in a clean window or a change, not in noise"
                     .to_owned(),
+            });
+        }
+        let needs_clean = self.prediction == Prediction::Residual || self.fixed_noise > 0.0;
+        if needs_clean && self.fixed_frames != FixedFrames::Clean {
+            return Err(Error::Config {
+                field: "diffusion.fixed_frames",
+                problem: "a residual and noise on the fixed frames need them clean".to_owned(),
             });
         }
         crate::diffusion::Schedule::new(self.schedule, self.num_steps).map(|_| ())

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
+use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
-use datasets_spec::{Fps, Motion, Resample, Seed, Skeleton};
+use datasets_spec::{Motion, Resample, Seed, Skeleton};
 use pipeline::compose::{CoordinatorBatch, Stream};
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
 };
+use crate::compose::ComposeRecord;
 use crate::config::{
     Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, TrainConfig,
     all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
@@ -190,6 +191,8 @@ pub struct Segments<'a> {
     pub skeleton: &'a Skeleton,
     /// Hash of the tables the segments are composed from.
     pub dataset_hash: &'a str,
+    /// How the windows were composed.
+    pub compose: &'a ComposeRecord,
 }
 
 /// What is recorded of a coordinator's run.
@@ -200,6 +203,20 @@ pub struct CoordinatorRecord {
     pub train: CoordinatorConfig,
     /// Range the windows are scaled by.
     pub normalizer: Normalizer,
+    /// How the windows were composed.
+    pub compose: ComposeRecord,
+}
+
+impl CoordinatorRecord {
+    /// Checks a record that was read.
+    ///
+    /// # Errors
+    /// A setting of the coordinator or of the composer is out of range, or they do not fit each
+    /// other.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.train.check()?;
+        self.compose.check(self.train.window)
+    }
 }
 
 /// Trains the coordinator, or continues where the run folder left off, exactly as
@@ -219,6 +236,7 @@ pub fn train_coordinator<'a>(
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
+    segments.compose.check(config.window)?;
     for source in [segments.train, segments.val] {
         source.check()?;
         if source.window_len() != config.window * FRAME_WIDTH {
@@ -240,6 +258,7 @@ pub fn train_coordinator<'a>(
     let record = CoordinatorRecord {
         train: config.clone(),
         normalizer: segments.normalizer,
+        compose: segments.compose.clone(),
     };
     let run = Run::open(
         start,
@@ -436,7 +455,7 @@ impl TrainedCoordinator {
     /// The folder is not a run of the coordinator, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
         let record: RunRecord<CoordinatorRecord> = checkpoint::read_record(run_dir, KIND)?;
-        record.config.train.check()?;
+        record.config.check()?;
         let mut files = read_for_use(run_dir, slot, KIND)?;
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
@@ -473,15 +492,16 @@ impl TrainedCoordinator {
             source,
         };
         let window = self.record.config.train.window;
+        let compose = &self.record.config.compose.config;
         let poses = Resample::Exact
-            .apply(motion, Fps::MODEL)
+            .apply(motion, compose.fps)
             .map_err(no_motion)?
             .poses();
         let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
         if starts.is_empty() {
             return Err(no_motion(datasets_spec::Error::TooShort {
                 frames: poses.len(),
-                fps: Fps::MODEL.get(),
+                fps: compose.fps.get(),
                 needed: window,
             }));
         }
@@ -489,7 +509,7 @@ impl TrainedCoordinator {
         let mut values = Vec::with_capacity(starts.len() * window * FRAME_WIDTH);
         for start in &starts {
             let mut segment = poses[*start..start + window].to_vec();
-            canonicalise(&mut segment, Anchor::Pelvis, skeleton);
+            canonicalise(&mut segment, compose.anchor, skeleton);
             for pose in &segment {
                 values.extend(normalizer.normalize(&skeleton.keypoints(pose)));
             }

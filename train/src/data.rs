@@ -159,7 +159,7 @@ pub struct NoisyBatch {
     pub original: Vec<f32>,
     /// Normalised edited windows, `[B, W, D]`.
     pub edited: Vec<f32>,
-    /// Standard normal noise, zero on the fixed frames, `[B, W, D]`.
+    /// Standard normal noise, zero on fixed frames that are shown without, `[B, W, D]`.
     pub noise: Vec<f32>,
     /// Diffusion step of each window, `[B]`.
     pub timesteps: Vec<usize>,
@@ -169,6 +169,8 @@ pub struct NoisyBatch {
     pub texts: TextBatch,
     /// 1 where the instruction is shown to the network, 0 where it is dropped, `[B]`.
     pub text_kept: Vec<f32>,
+    /// Whether each window is shown as the first of its motion, none of whose frames is fixed, `[B]`.
+    pub is_start: Vec<bool>,
 }
 
 impl NoisyBatch {
@@ -206,6 +208,8 @@ pub(crate) struct Drawer<'a> {
     pub(crate) num_timesteps: usize,
     pub(crate) timesteps: Timesteps,
     pub(crate) text_dropout: f64,
+    pub(crate) generated_starts: f64,
+    pub(crate) fixed_noise: f64,
 }
 
 impl Drawer<'_> {
@@ -214,7 +218,7 @@ impl Drawer<'_> {
         let windows = self.windows(first, num_windows)?;
         let window_len = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut noise = vec![0.0f32; num_windows * window_len];
-        let drawn: Vec<(usize, f32)> = noise
+        let drawn: Vec<(usize, f32, bool)> = noise
             .par_chunks_mut(window_len)
             .enumerate()
             .map(|(index, noise)| {
@@ -233,13 +237,20 @@ impl Drawer<'_> {
                 } else {
                     1.0
                 };
-                for value in &mut noise[FIXED_FRAMES * 3 * self.keypoints..] {
+                // Nothing is drawn where the setting is unused, so that its runs stay what they were.
+                let is_start =
+                    self.generated_starts > 0.0 && rng.random_bool(self.generated_starts);
+                let first = if is_start || self.fixed_noise > 0.0 {
+                    0
+                } else {
+                    FIXED_FRAMES * 3 * self.keypoints
+                };
+                for value in &mut noise[first..] {
                     *value = rng.sample(StandardNormal);
                 }
-                (timestep, text_kept)
+                (timestep, text_kept, is_start)
             })
             .collect();
-        let (timesteps, text_kept) = drawn.into_iter().unzip();
         Ok(NoisyBatch {
             texts: self
                 .texts
@@ -247,14 +258,15 @@ impl Drawer<'_> {
             original: narrowed(windows.original, self.keypoints),
             edited: narrowed(windows.edited, self.keypoints),
             noise,
-            timesteps,
+            timesteps: drawn.iter().map(|(timestep, ..)| *timestep).collect(),
             progress: windows.progress,
-            text_kept,
+            text_kept: drawn.iter().map(|(_, kept, _)| *kept).collect(),
+            is_start: drawn.iter().map(|(.., is_start)| *is_start).collect(),
         })
     }
 
     /// Reads windows across the boundaries of epochs.
-    fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
+    pub(crate) fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
         let epoch_len = self.source.epoch_len();
         if epoch_len == 0 {
             return Err(Error::Empty {
@@ -375,6 +387,8 @@ mod tests {
             num_timesteps: 10,
             timesteps: Timesteps::Random,
             text_dropout: 0.5,
+            generated_starts: 0.25,
+            fixed_noise: 0.0,
         };
         let batch = drawer.draw(first, num_windows).expect("drawn");
         let firsts: Vec<f32> = batch
@@ -388,6 +402,7 @@ mod tests {
         assert_eq!(batch.noise, whole.noise[skipped * WINDOW_NUMBERS..]);
         assert_eq!(batch.timesteps, whole.timesteps[skipped..]);
         assert_eq!(batch.text_kept, whole.text_kept[skipped..]);
+        assert_eq!(batch.is_start, whole.is_start[skipped..]);
     }
 
     #[test]
@@ -407,6 +422,8 @@ mod tests {
             num_timesteps: 10,
             timesteps: Timesteps::Spread(64),
             text_dropout: 0.0,
+            generated_starts: 0.0,
+            fixed_noise: 0.0,
         };
         let batch = drawer.draw(0, 64).expect("drawn");
         let mut square = 0.0f64;

@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::canonical::FIXED_FRAMES;
+use datasets_spec::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -68,6 +69,163 @@ pub enum Prediction {
     /// change, and where there is little its error counts little, so that a narrow network does not
     /// have to pass every number of a frame to keep it.
     Velocity,
+    /// What the change differs by from its best linear [`Extrapolation`] from the fixed frames, in units
+    /// of the spread of that difference in each frame. The frames just after the fixed ones, which
+    /// follow from them almost, then count as much as any other, and what the network misses there is
+    /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
+    /// 2022, Sec. 5, by frame in place of by noise level).
+    Residual,
+}
+
+/// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
+/// numbers of a frame, fitted to training windows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Extrapolation {
+    /// What of the change of each fixed frame is expected in each frame, `[W, 2]`; the identity on
+    /// the fixed frames themselves.
+    gains: Vec<[f32; FIXED_FRAMES]>,
+    /// Standard deviation in model units of what is left in each frame, `[W]`.
+    spreads: Vec<f32>,
+    /// That of the change where nothing is fixed, `[W]`.
+    start_spreads: Vec<f32>,
+}
+
+/// The least spread of a frame in model units, a few millimetres: below it there is noise of captures
+/// alone.
+const LEAST_SPREAD: f64 = 2e-3;
+
+impl Extrapolation {
+    /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
+    /// are shown with noise of a standard deviation of `fixed_noise` in model units.
+    ///
+    /// # Panics
+    /// If a window has no frame beside the fixed ones.
+    pub fn fit(original: &[f32], edited: &[f32], window: usize, fixed_noise: f64) -> Self {
+        assert!(window > FIXED_FRAMES, "a window has frames to generate");
+        let mut moments = vec![vec![0.0f64; window]; window];
+        let mut count = 0u64;
+        for (original, edited) in original
+            .chunks_exact(window * FRAME_WIDTH)
+            .zip(edited.chunks_exact(window * FRAME_WIDTH))
+        {
+            count += FRAME_WIDTH as u64;
+            for channel in 0..FRAME_WIDTH {
+                let change = |frame: usize| {
+                    let at = frame * FRAME_WIDTH + channel;
+                    f64::from(edited[at]) - f64::from(original[at])
+                };
+                let changes: Vec<f64> = (0..window).map(change).collect();
+                for (row, a) in moments.iter_mut().zip(&changes) {
+                    for (cell, b) in row.iter_mut().zip(&changes) {
+                        *cell += a * b;
+                    }
+                }
+            }
+        }
+        for cell in moments.iter_mut().flatten() {
+            *cell /= count.max(1) as f64;
+        }
+        // The normal equations of two fixed frames; the ridge keeps them apart where nothing moves.
+        let ridge = LEAST_SPREAD * LEAST_SPREAD + fixed_noise * fixed_noise;
+        let (a, b, d) = (moments[0][0] + ridge, moments[0][1], moments[1][1] + ridge);
+        let determinant = a * d - b * b;
+        let mut gains = Vec::with_capacity(window);
+        let mut spreads = Vec::with_capacity(window);
+        for frame in 0..window {
+            if frame < FIXED_FRAMES {
+                gains.push(std::array::from_fn(
+                    |fixed| {
+                        if fixed == frame { 1.0 } else { 0.0 }
+                    },
+                ));
+                spreads.push(LEAST_SPREAD as f32);
+                continue;
+            }
+            let (p, q) = (moments[frame][0], moments[frame][1]);
+            let (g, h) = ((p * d - q * b) / determinant, (q * a - p * b) / determinant);
+            let left = moments[frame][frame] - 2.0 * (g * p + h * q)
+                + g * g * a
+                + 2.0 * g * h * b
+                + h * h * d;
+            gains.push([g as f32, h as f32]);
+            spreads.push(left.max(0.0).sqrt().max(LEAST_SPREAD) as f32);
+        }
+        let start_spreads = (0..window)
+            .map(|frame| moments[frame][frame].sqrt().max(LEAST_SPREAD) as f32)
+            .collect();
+        Self {
+            gains,
+            spreads,
+            start_spreads,
+        }
+    }
+
+    /// Frames of a window.
+    pub fn window(&self) -> usize {
+        self.gains.len()
+    }
+
+    /// The guessed change, and the spread of what is left.
+    ///
+    /// # Shapes
+    /// `fixed`, the change of the fixed frames, `[B, 2, 84]`; `is_start` `[B]`; the results
+    /// `[B, W, 84]` and `[B, W, 1]`.
+    fn guess(&self, fixed: Tensor<3>, is_start: &[bool]) -> (Tensor<3>, Tensor<3>) {
+        let device = fixed.device();
+        let (rows, window) = (is_start.len(), self.window());
+        let gains: Vec<f32> = is_start
+            .iter()
+            .flat_map(|is_start| {
+                let used = if *is_start { 0.0 } else { 1.0 };
+                self.gains
+                    .as_flattened()
+                    .iter()
+                    .map(move |gain| used * gain)
+            })
+            .collect();
+        let spreads: Vec<f32> = is_start
+            .iter()
+            .flat_map(|is_start| {
+                if *is_start {
+                    &self.start_spreads
+                } else {
+                    &self.spreads
+                }
+            })
+            .copied()
+            .collect();
+        let gains = Tensor::<3>::from_data(
+            TensorData::new(gains, [rows, window, FIXED_FRAMES]),
+            &device,
+        );
+        let spreads = Tensor::<3>::from_data(TensorData::new(spreads, [rows, window, 1]), &device);
+        // Two products and a sum; a matrix product of this size is mostly overhead.
+        let part =
+            |frame: usize| gains.clone().narrow(2, frame, 1) * fixed.clone().narrow(1, frame, 1);
+        (part(0) + part(1), spreads)
+    }
+}
+
+/// What a prediction is relative to, beside the noisy window.
+#[derive(Clone, Copy, Debug)]
+pub struct Basis<'a> {
+    /// Normalised original windows, `[B, W, 84]`.
+    pub original: &'a Tensor<3>,
+    /// Whether nothing is fixed in a window, `[B]`.
+    pub is_start: &'a [bool],
+    /// The linear guess, for [`Prediction::Residual`].
+    pub extrapolation: Option<&'a Extrapolation>,
+}
+
+impl Basis<'_> {
+    /// The guess and the spread for windows whose fixed frames are clean.
+    fn guess(&self, windows: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+        let fixed = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
+        self.extrapolation
+            .expect("a residual comes with what it is relative to")
+            .guess(fixed(windows) - fixed(self.original), self.is_start)
+    }
 }
 
 /// The coefficients of a diffusion of `T` steps, all in `f64`.
@@ -212,9 +370,10 @@ impl Schedule {
         prediction: Prediction,
         predicted: Tensor<3>,
         x_t: &Tensor<3>,
-        original: &Tensor<3>,
+        basis: Basis<'_>,
         timesteps: &[usize],
     ) -> Tensor<3> {
+        let original = basis.original;
         match prediction {
             Prediction::Noise => self.predict_x0(x_t.clone(), timesteps, predicted),
             Prediction::Clean => predicted,
@@ -223,6 +382,10 @@ impl Schedule {
                 let (signal, _) = self.mixture(timesteps, &x_t.device());
                 let change_t = x_t.clone() - original.clone() * signal;
                 original.clone() + self.from_velocity(change_t, timesteps, predicted)
+            }
+            Prediction::Residual => {
+                let (guess, spread) = basis.guess(x_t);
+                original.clone() + guess + predicted * spread
             }
         }
     }
@@ -327,6 +490,7 @@ pub fn training_loss(
     schedule: &Schedule,
     batch: &NoisyBatch,
     text: Tensor<2>,
+    extrapolation: Option<&Extrapolation>,
     config: &DiffusionConfig,
 ) -> Tensor<1> {
     let device = text.device();
@@ -341,20 +505,57 @@ pub fn training_loss(
     let x0 = windows(&batch.edited);
     let noise = windows(&batch.noise);
     let mut x_t = schedule.q_sample(x0.clone(), &batch.timesteps, noise.clone());
+    let starts = batch.is_start.contains(&true).then(|| {
+        let starts = batch
+            .is_start
+            .iter()
+            .map(|is_start| f32::from(u8::from(*is_start)));
+        let starts: Vec<f32> = starts.collect();
+        Tensor::<3>::from_data(TensorData::new(starts, [batch.len(), 1, 1]), &device)
+    });
     if config.fixed_frames == FixedFrames::Clean {
-        x_t = put_fixed(x_t, x0.clone().narrow(1, 0, FIXED_FRAMES));
+        let mut clean = x0.clone().narrow(1, 0, FIXED_FRAMES);
+        if config.fixed_noise > 0.0 {
+            let noise = noise.clone().narrow(1, 0, FIXED_FRAMES);
+            clean = clean + noise.mul_scalar(config.fixed_noise);
+        }
+        let shown = match &starts {
+            None => clean,
+            Some(starts) => {
+                let noisy = x_t.clone().narrow(1, 0, FIXED_FRAMES);
+                clean.clone() + (noisy - clean) * starts.clone()
+            }
+        };
+        x_t = put_fixed(x_t, shown);
     }
     let original = windows(&batch.original);
+    let basis = Basis {
+        original: &original,
+        is_start: &batch.is_start,
+        extrapolation,
+    };
     let target = match config.prediction {
         Prediction::Noise => noise,
         Prediction::Clean => x0,
         Prediction::Change => x0 - original.clone(),
         Prediction::Velocity => schedule.velocity(x0 - original.clone(), &batch.timesteps, noise),
+        Prediction::Residual => {
+            let (guess, spread) = basis.guess(&x_t);
+            (x0 - original.clone() - guess) / spread
+        }
     };
     let predicted = denoiser.forward(x_t, &batch.timesteps, text, &batch.progress, original);
+    let begun = starts.map(|starts| {
+        let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
+        config.loss.mean(first(&predicted), first(&target))
+    });
     let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
     let (predicted, target) = (free(predicted), free(target));
-    let loss = config.loss.mean(predicted.clone(), target.clone());
+    let mut loss = config.loss.mean(predicted.clone(), target.clone());
+    if let Some(begun) = begun {
+        // Every number counts the same: the mean over the first frames has as many fewer.
+        loss = loss + begun.mul_scalar(FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64);
+    }
     if config.motion_weight == 0.0 {
         return loss;
     }
@@ -419,6 +620,68 @@ mod tests {
         assert_eq!(values(guide(with, without, 3.0)), [5.0, -5.0]);
     }
 
+    #[test]
+    fn a_change_that_goes_on_as_it_began_leaves_no_residual() {
+        const WINDOW: usize = 6;
+        let mut rng = datasets_spec::Seed(3).rng(&["lines"]);
+        let mut normal = || rand::RngExt::sample::<f32, _>(&mut rng, rand_distr::StandardNormal);
+        let numbers = 64 * WINDOW * FRAME_WIDTH;
+        let original: Vec<f32> = (0..numbers).map(|_| normal()).collect();
+        // The change of every number is a line over the frames.
+        let lines: Vec<[f32; 2]> = (0..64 * FRAME_WIDTH)
+            .map(|_| [normal(), normal()])
+            .collect();
+        let edited: Vec<f32> = original
+            .iter()
+            .enumerate()
+            .map(|(at, value)| {
+                let (row, channel) = (at / (WINDOW * FRAME_WIDTH), at % FRAME_WIDTH);
+                let frame = at / FRAME_WIDTH % WINDOW;
+                let [height, slope] = lines[row * FRAME_WIDTH + channel];
+                value + height + slope * frame as f32
+            })
+            .collect();
+        let fitted = Extrapolation::fit(&original, &edited, WINDOW, 0.0);
+        for (frame, [first, second]) in fitted.gains.iter().enumerate() {
+            // A line through frames 0 and 1 reads 1 - f and f of them in frame f. The ridge takes a
+            // few millionths of that.
+            assert!(
+                (first - (1.0 - frame as f32)).abs() < 1e-3,
+                "{frame}: {first}"
+            );
+            assert!((second - frame as f32).abs() < 1e-3, "{frame}: {second}");
+        }
+        assert!(
+            fitted
+                .spreads
+                .iter()
+                .all(|&spread| f64::from(spread) < 4.0 * LEAST_SPREAD)
+        );
+        // Of nothing fixed nothing follows: the spread is that of the change itself.
+        assert!((fitted.start_spreads[0] - 1.0).abs() < 0.05);
+
+        let windows = |values: &[f32]| {
+            let count = values.len() / (WINDOW * FRAME_WIDTH);
+            Tensor::<3>::from_data(
+                TensorData::new(values.to_vec(), [count, WINDOW, FRAME_WIDTH]),
+                &Device::flex(),
+            )
+        };
+        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+        let x0 = windows(&edited);
+        let nothing = x0.zeros_like();
+        let basis = Basis {
+            original: &windows(&original),
+            is_start: &[false; 64],
+            extrapolation: Some(&fitted),
+        };
+        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, basis, &[0; 64]);
+        for (a, b) in edited.iter().zip(values(back)) {
+            // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
+            assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+    }
+
     proptest! {
         #[test]
         fn the_true_noise_gives_the_clean_window_back(
@@ -452,7 +715,9 @@ mod tests {
                 (Prediction::Change, change.clone()),
                 (Prediction::Velocity, schedule.velocity(change.clone(), &[t], tensor(&noise))),
             ] {
-                let back = schedule.clean_of(prediction, predicted, &x_t, &tensor(&original), &[t]);
+                let original = &tensor(&original);
+                let basis = Basis { original, is_start: &[false], extrapolation: None };
+                let back = schedule.clean_of(prediction, predicted, &x_t, basis, &[t]);
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
                 for (a, b) in x0.iter().zip(values(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");

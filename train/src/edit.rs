@@ -1,15 +1,23 @@
 //! Editing test items: from rows of table `items` to rows of table `edits`.
 
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use burn::tensor::Device;
 use datasets_spec::canonical::KeypointFrame;
-use datasets_spec::fit::{FitOptions, fit_motion_from};
+use datasets_spec::fit::{AdamFit, FitOptions, fit_motion_from};
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::resample::double_rate;
 use datasets_spec::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Skeleton};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction, keypoint_parent};
+use crate::fit::EditorRecord;
+use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
+use crate::sample::{
+    EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction, keypoint_parent,
+    model_frames,
+};
 use crate::{Error, Session};
 
 /// Which system answers, and how: what tells its rows from those of others.
@@ -28,12 +36,43 @@ impl SystemIdentity {
     }
 }
 
-/// Edits the source of every item. The rows are at 20 fps and as long as the edits.
-/// Beside them comes where the time went. With one window at a time the fits take turns too, so that
-/// the times are those of a single window.
+/// What is to be known of edits before they are trusted.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Remarks {
+    /// Motions shorter than a window: they are edited with their last pose held, which is cut off
+    /// again.
+    pub num_short: usize,
+    /// Words of the instructions that the editor has never seen.
+    pub unknown_words: BTreeSet<String>,
+}
+
+impl Remarks {
+    /// Looks at motions, as numbers of frames and rates, and at what is asked of them.
+    pub fn of<'a>(
+        editor: &EditorRecord,
+        motions: impl IntoIterator<Item = (usize, Fps)>,
+        texts: impl IntoIterator<Item = &'a str>,
+    ) -> Self {
+        let is_short = |(frames, fps): &(usize, Fps)| {
+            model_frames(*frames, *fps, editor) < editor.train.window
+        };
+        Self {
+            num_short: motions.into_iter().filter(is_short).count(),
+            unknown_words: texts
+                .into_iter()
+                .flat_map(|text| editor.text.unknown_words(text))
+                .collect(),
+        }
+    }
+}
+
+/// Edits the source of every item. The rows have the rate and the length of the sources. Beside them
+/// comes where the time went. With one window at a time the fits take turns too, so that the times are those
+/// of a single window.
 ///
 /// # Errors
-/// A source is shorter than a window, or a generated motion is not finite.
+/// A source has no frame, a generated motion is not finite, or the fit asks for a pose network that
+/// the editor has not.
 ///
 /// # Source
 /// Paper App. B.2 (windows) and B.3 (fit).
@@ -45,6 +84,7 @@ pub fn edit_items(
     settings: &EditSettings,
     session: &Session<'_>,
 ) -> Result<(Vec<EditRow>, EditTimes), Error> {
+    let fit = Fit::of(editor, settings)?;
     let record = &editor.record().config;
     let prepared: Vec<EditItem> = items
         .iter()
@@ -67,7 +107,7 @@ pub fn edit_items(
         .with_min_len(in_turn.max(1))
         .zip(prepared.par_iter().zip(&edited))
         .map(|(item, (prepared, frames))| {
-            let made = fit_edited(editor, prepared, frames, skeleton, settings.prior)?;
+            let made = fit.motion(prepared, frames, record.compose.config.fps, skeleton)?;
             session.progress.advance(1);
             Ok(edit_row(editor, system, item, &made, settings))
         })
@@ -114,7 +154,7 @@ impl Misfit {
 /// An edited motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edited {
-    /// The motion, at 20 fps, over whole windows.
+    /// The motion, as long as the original, at 20 fps, or at the model's rate where that is higher.
     pub motion: Motion,
     /// How far the generated points are from a body.
     pub misfit: Misfit,
@@ -125,8 +165,8 @@ pub struct Edited {
 /// Edits one motion, of any rate, by instructions for parts of it or for the whole.
 ///
 /// # Errors
-/// The motion is shorter than a window, an instruction fits no window, or the generated motion is
-/// not finite.
+/// The motion has no frame, an instruction has no frame of its own, the generated motion is not
+/// finite, or the fit asks for a pose network that the editor has not.
 pub fn edit_motion(
     editor: &Editor,
     id: &str,
@@ -138,11 +178,18 @@ pub fn edit_motion(
 ) -> Result<Edited, Error> {
     let mut times = EditTimes::default();
     let record = &editor.record().config;
-    let item = EditItem::timed(id, motion, instructions, skeleton, record)?;
+    let fit = Fit::of(editor, settings)?;
+    let model_fps = record.compose.config.fps;
+    let fps = if model_fps > Fps::STORE {
+        model_fps
+    } else {
+        Fps::STORE
+    };
+    let item = EditItem::timed(id, motion, instructions, fps, skeleton, record)?;
     let items = [item];
     let edited = editor.edit_batch(&items, skeleton, settings, session, &mut times)?;
     let begun = session.secs();
-    let (motion, misfit) = fit_edited(editor, &items[0], &edited[0], skeleton, settings.prior)?;
+    let (motion, misfit) = fit.motion(&items[0], &edited[0], model_fps, skeleton)?;
     times.fit_secs += session.secs() - begun;
     Ok(Edited {
         motion,
@@ -151,27 +198,95 @@ pub fn edit_motion(
     })
 }
 
-/// SMPL-X parameters of a generated motion at 20 fps, and by how much they miss it.
-fn fit_edited(
-    editor: &Editor,
-    item: &EditItem,
-    frames: &[KeypointFrame],
-    skeleton: &Skeleton,
-    prior: f64,
-) -> Result<(Motion, Misfit), Error> {
-    let options = FitOptions {
-        smoothness: prior,
-        ..FitOptions::default()
-    };
-    let mut frames = double_rate(frames);
-    if editor.record().config.train.keypoints < NUM_KEYPOINTS {
-        complete(&mut frames, item, skeleton)?;
+/// Firmness in 1/rad^2 by which the exact fit holds generated points, as far as they are off the body,
+/// to the frame before: motions are expected to differ by a fifth of a radian in a frame.
+const CONTINUITY: f64 = 25.0;
+
+/// How SMPL-X parameters are found for generated keypoints.
+#[derive(Clone, Copy)]
+pub struct Fit<'a> {
+    /// The way.
+    pub method: FitMethod,
+    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from.
+    pub prior: f64,
+    /// A network that guesses poses, and where it computes.
+    pub poses: Option<(&'a PoseNet, &'a Device)>,
+    /// Keypoints that were generated: all, or those of the body joints alone.
+    pub keypoints: usize,
+}
+
+impl<'a> Fit<'a> {
+    /// The fit of an editor.
+    ///
+    /// # Errors
+    /// It asks for a pose network that the editor has not.
+    fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
+        if settings.fit == FitMethod::Paper && editor.poses().is_none() {
+            return Err(Error::Misfit {
+                what: "the published fit",
+                problem:
+                    "it starts from a pose network; train one (stance train j2s) and give its \
+                          run with --poses"
+                        .to_owned(),
+            });
+        }
+        Ok(Self {
+            method: settings.fit,
+            prior: settings.prior,
+            poses: editor.poses().map(|net| (net, editor.device())),
+            keypoints: editor.record().config.train.keypoints,
+        })
     }
-    let twists = editor.twists(item, &frames, skeleton);
-    let fitted = fit_motion_from(skeleton, &frames, &twists, Fps::STORE, &options)
-        .map_err(motion_error(&item.id))?;
-    let misfit = Misfit::of(&frames, &fitted.error_m, skeleton);
-    Ok((fitted.motion, misfit))
+
+    /// SMPL-X parameters of keypoints at the model's rate, at the rate and of the length of the item,
+    /// and how far they are from the points.
+    ///
+    /// # Errors
+    /// The points are not finite.
+    pub fn motion(
+        &self,
+        item: &EditItem,
+        frames: &[KeypointFrame],
+        model_fps: Fps,
+        skeleton: &Skeleton,
+    ) -> Result<(Motion, Misfit), Error> {
+        let mut frames = item.at_own_rate(frames, model_fps);
+        if self.keypoints < NUM_KEYPOINTS {
+            complete(&mut frames, item, skeleton)?;
+        }
+        let failed = motion_error(&item.id);
+        if let (FitMethod::Paper, Some((net, device))) = (self.method, self.poses) {
+            let fit = match net.preset() {
+                J2sPreset::Paper => AdamFit::paper(),
+                J2sPreset::Official => AdamFit::official(),
+            };
+            let poses = solve(net, &Refinement::Adam(fit), &frames, skeleton, device);
+            let motion = Motion::from_poses(item.fps, &poses).map_err(failed)?;
+            let errors: Vec<f64> = skeleton
+                .points_of_poses::<NUM_KEYPOINTS>(&poses)
+                .iter()
+                .zip(&frames)
+                .map(|(found, wanted)| {
+                    let pairs = found.iter().zip(wanted);
+                    pairs.map(|(a, b)| a.distance(*b)).sum::<f64>() / NUM_KEYPOINTS as f64
+                })
+                .collect();
+            return Ok((motion, Misfit::of(&frames, &errors, skeleton)));
+        }
+        let options = FitOptions {
+            smoothness: self.prior,
+            continuity: CONTINUITY,
+            ..FitOptions::default()
+        };
+        let twists = match self.poses {
+            Some((net, device)) => Cow::Owned(net.poses(&frames, skeleton, device)),
+            None => Cow::Borrowed(item.original.as_slice()),
+        };
+        let fitted =
+            fit_motion_from(skeleton, &frames, &twists, item.fps, &options).map_err(failed)?;
+        let misfit = Misfit::of(&frames, &fitted.error_m, skeleton);
+        Ok((fitted.motion, misfit))
+    }
 }
 
 /// Puts eyes and knuckles, which an editor of the body joints alone does not make, where the head and the

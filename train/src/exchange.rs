@@ -52,7 +52,7 @@ pub fn import_editor(
     path: &Path,
     device: &Device,
 ) -> Result<(), Error> {
-    record.train.check()?;
+    record.check()?;
     let fit::TextRecord::Frozen { width, .. } = &record.text else {
         return Err(Error::Config {
             field: "text.encoder",
@@ -88,8 +88,8 @@ pub fn import_coordinator(
     path: &Path,
     device: &Device,
 ) -> Result<(), Error> {
+    record.check()?;
     let config: &CoordinatorConfig = &record.train;
-    config.check()?;
     let mut network = Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
     let files = [(
@@ -214,7 +214,9 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             let record: RunRecord<CoordinatorRecord> =
                 checkpoint::read_record(run_dir, coordinator::KIND)?;
             let files = read_for_use(run_dir, slot, coordinator::KIND)?;
-            let CoordinatorRecord { train, normalizer } = record.config;
+            let CoordinatorRecord {
+                train, normalizer, ..
+            } = record.config;
             (files, coordinator::WEIGHTS, train.model.width, normalizer)
         } else {
             let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, fit::KIND)?;

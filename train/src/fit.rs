@@ -8,9 +8,10 @@ use datasets_spec::{Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::compose::ComposeRecord;
 use crate::config::{TextEncoder, TrainConfig};
 use crate::data::{Drawer, NoisyBatch, TextVectors, Texts, Timesteps, WindowSource};
-use crate::diffusion::Schedule;
+use crate::diffusion::{Extrapolation, Prediction, Schedule};
 pub use crate::learn::TrainReport;
 use crate::learn::{Course, Task, learn};
 use crate::model::motionrefit::{MotionRefit, TextSource};
@@ -23,6 +24,10 @@ pub(crate) const KIND: &str = "motionrefit";
 
 pub(crate) const DENOISER: &str = "denoiser.safetensors";
 pub(crate) const TEXT: &str = "text.safetensors";
+
+/// Windows that the linear guess of a residual is fitted to: 84 numbers each, of which a 2 by 2 matrix
+/// is estimated.
+const EXTRAPOLATED_WINDOWS: usize = 4_096;
 
 /// What the editor learns from.
 #[derive(Clone, Copy)]
@@ -41,8 +46,8 @@ pub struct Corpus<'a> {
     pub skeleton: &'a Skeleton,
     /// Hash of the tables the windows are composed from.
     pub dataset_hash: &'a str,
-    /// How the windows were composed, as it is recorded with the run.
-    pub compose: &'a str,
+    /// How the windows were composed.
+    pub compose: &'a ComposeRecord,
 }
 
 /// What is recorded of an editor's run: its settings and what was fitted to the training split.
@@ -55,8 +60,34 @@ pub struct EditorRecord {
     pub normalizer: Normalizer,
     /// What the network is told instructions by.
     pub text: TextRecord,
-    /// How the windows were composed, as a document of the composer's settings and seed.
-    pub compose: String,
+    /// How the windows were composed.
+    pub compose: ComposeRecord,
+    /// What a predicted residual is relative to; none of other predictions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extrapolation: Option<Extrapolation>,
+}
+
+impl EditorRecord {
+    /// Checks a record that was read.
+    ///
+    /// # Errors
+    /// A setting of the editor or of the composer is out of range, or they do not fit each other.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.train.check()?;
+        self.compose.check(self.train.window)?;
+        let wanted =
+            (self.train.diffusion.prediction == Prediction::Residual).then_some(self.train.window);
+        if self.extrapolation.as_ref().map(Extrapolation::window) != wanted {
+            return Err(Error::Config {
+                field: "extrapolation",
+                problem:
+                    "a residual is relative to one of the model's window, other predictions to \
+                          none"
+                        .to_owned(),
+            });
+        }
+        Ok(())
+    }
 }
 
 /// What a network is told instructions by.
@@ -79,6 +110,15 @@ impl TextRecord {
         match self {
             Self::Learned(vocabulary) => TextSource::Learned(vocabulary.num_tokens()),
             Self::Frozen { width, .. } => TextSource::Frozen(*width),
+        }
+    }
+
+    /// Words of a text that the learned encoder has never seen, in their order, each once. A frozen
+    /// encoder has seen all.
+    pub fn unknown_words(&self, text: &str) -> Vec<String> {
+        match self {
+            Self::Learned(vocabulary) => vocabulary.unknown_words(text),
+            Self::Frozen { .. } => Vec::new(),
         }
     }
 
@@ -134,10 +174,15 @@ pub fn train_motionrefit<'a>(
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
+    corpus.compose.check(config.window)?;
     check_windows(config, &corpus)?;
     let start = start.into();
     let fitted: Option<EditorRecord> = start.fitted(KIND)?;
-    let text = match (config.text.encoder, fitted.map(|record| record.text)) {
+    let (known_text, known_extrapolation) = match fitted {
+        Some(record) => (Some(record.text), record.extrapolation),
+        None => (None, None),
+    };
+    let text = match (config.text.encoder, known_text) {
         (TextEncoder::Learned, Some(text @ TextRecord::Learned(_)))
         | (TextEncoder::Clip, Some(text @ TextRecord::Frozen { .. })) => text,
         (_, Some(_)) => {
@@ -164,27 +209,18 @@ pub fn train_motionrefit<'a>(
             }
         }
     };
-    let record = EditorRecord {
-        train: config.clone(),
-        normalizer: corpus.normalizer,
-        text,
-        compose: corpus.compose.to_owned(),
-    };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-
     let seed = Seed(config.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
     let drawer = Drawer {
         source: corpus.train,
         keypoints: config.keypoints,
-        texts: record.text.texts(corpus.vectors)?,
+        texts: text.texts(corpus.vectors)?,
         seed: seed.derive(&["train"]),
         num_timesteps: schedule.len(),
         timesteps: Timesteps::Random,
         text_dropout: config.diffusion.text_dropout,
+        generated_starts: config.diffusion.generated_starts,
+        fixed_noise: config.diffusion.fixed_noise,
     };
     let val_drawer = Drawer {
         source: corpus.val,
@@ -193,6 +229,30 @@ pub fn train_motionrefit<'a>(
         text_dropout: 0.0,
         ..drawer
     };
+    let extrapolation = match (config.diffusion.prediction, known_extrapolation) {
+        (Prediction::Residual, Some(known)) => Some(known),
+        (Prediction::Residual, None) => {
+            let windows = drawer.windows(0, EXTRAPOLATED_WINDOWS)?;
+            Some(Extrapolation::fit(
+                &windows.original,
+                &windows.edited,
+                config.window,
+                config.diffusion.fixed_noise,
+            ))
+        }
+        _ => None,
+    };
+    let record = EditorRecord {
+        train: config.clone(),
+        normalizer: corpus.normalizer,
+        text: text.clone(),
+        compose: corpus.compose.clone(),
+        extrapolation,
+    };
+    let run = Run::open(
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
+    )?;
     let val_part = config.batch_size.min(config.max_part);
     let val_batches = (0..config.val_windows)
         .step_by(val_part)
@@ -232,6 +292,7 @@ pub fn train_motionrefit<'a>(
     };
     let task = EditorTask {
         config,
+        extrapolation: record.extrapolation.as_ref(),
         schedule,
         drawer,
         val_batches,
@@ -259,6 +320,7 @@ fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error>
 
 struct EditorTask<'a> {
     config: &'a TrainConfig,
+    extrapolation: Option<&'a Extrapolation>,
     schedule: Schedule,
     drawer: Drawer<'a>,
     val_batches: Vec<NoisyBatch>,
@@ -282,7 +344,13 @@ impl Task for EditorTask<'_> {
     }
 
     fn loss(&self, model: &MotionRefit, batch: &NoisyBatch, device: &Device) -> Tensor<1> {
-        model.loss(&self.schedule, batch, &self.config.diffusion, device)
+        model.loss(
+            &self.schedule,
+            batch,
+            self.extrapolation,
+            &self.config.diffusion,
+            device,
+        )
     }
 
     fn validate(&self, model: &MotionRefit, device: &Device) -> f32 {

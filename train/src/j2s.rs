@@ -408,7 +408,8 @@ impl PoseNet {
         }
     }
 
-    fn preset(&self) -> J2sPreset {
+    /// Which of the two published networks it is.
+    pub fn preset(&self) -> J2sPreset {
         match self {
             Self::Paper(_) => J2sPreset::Paper,
             Self::Official(_) => J2sPreset::Official,

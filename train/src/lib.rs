@@ -10,6 +10,7 @@
 //! [`model::denoiser::Denoiser`].
 
 pub mod checkpoint;
+pub mod compose;
 mod compute;
 pub mod config;
 pub mod coordinator;

@@ -1,6 +1,5 @@
 //! Editing motions: windows generated one after another and merged.
 
-use std::borrow::Cow;
 use std::cell::Cell;
 use std::ops::Range;
 use std::path::Path;
@@ -8,9 +7,10 @@ use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::canonical::{
-    Anchor, FIXED_FRAMES, GroundTransform, KeypointFrame, Stitcher, canonicalise, window_starts,
+    FIXED_FRAMES, GroundTransform, KeypointFrame, Stitcher, canonicalise, motion_from_segment,
 };
 use datasets_spec::normalise::{FRAME_WIDTH, NormalizedFrame, Normalizer};
+use datasets_spec::resample::{grid, interpolate, interpolate_all};
 use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Pose, Resample, Rng, Seed, Skeleton};
 use rand::RngExt;
@@ -21,7 +21,7 @@ use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
 use crate::config::{GuidanceConfig, GuidanceTarget, narrowed};
 use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
-use crate::diffusion::{Prediction, Schedule, guide, put_fixed};
+use crate::diffusion::{Basis, Extrapolation, Prediction, Schedule, guide, put_fixed};
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::coordinator::Coordinator;
@@ -47,13 +47,15 @@ pub struct TimedInstruction {
 pub struct EditItem {
     /// Names the item, and with the seed decides its noise.
     pub id: String,
-    /// The windows; each starts `W - 2` frames after the one before.
+    /// The windows, each of which begins no earlier than the one before.
     pub windows: Vec<EditWindow>,
     /// Where the first window stands in the world.
     pub placement: GroundTransform,
-    /// The original at the store's rate: what an edit keeps of it are the twists that no keypoint
-    /// shows.
+    /// The original at the rate of the edit, which becomes equally long. What an edit keeps of it are
+    /// the twists that no keypoint shows.
     pub original: Vec<Pose>,
+    /// Rate of the edit.
+    pub fps: Fps,
 }
 
 /// A window to edit.
@@ -65,14 +67,27 @@ pub struct EditWindow {
     pub instruction: Option<Arc<str>>,
     /// Position of the window in what its instruction covers, in [0, 1].
     pub progress: f32,
+    /// Its first frame, at the model's rate. The window replaces what earlier ones made of the frames
+    /// after its two fixed ones.
+    pub start: usize,
+    /// Its first frames that are used, the fixed ones included; `W` but where its instruction, or the
+    /// motion, ends within it.
+    pub used: usize,
+}
+
+/// A run of frames at the model's rate that hear the same instruction, or none.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Span {
+    frames: Range<usize>,
+    instruction: Option<usize>,
 }
 
 impl EditItem {
-    /// Cuts a motion of any rate into windows that all ask for the same. Frames after the last whole
-    /// window are left out, so that `n` windows give `W + (W - 2) (n - 1)` frames at 10 fps.
+    /// Cuts a motion of any rate into windows that all ask for the same. The edit has the motion's
+    /// own rate and length.
     ///
     /// # Errors
-    /// The motion is shorter than a window at 10 fps.
+    /// The motion has no frame.
     ///
     /// # Source
     /// Paper App. B.1 and B.2. The windows advance by what each adds; the released demo's 31 raw
@@ -88,16 +103,22 @@ impl EditItem {
             frames: 0..motion.len(),
             text: instruction.to_owned(),
         };
-        Self::timed(id, motion, &[whole], skeleton, editor)
+        Self::timed(id, motion, &[whole], motion.fps(), skeleton, editor)
     }
 
-    /// Cuts a motion into windows that ask for what is asked of their frames. A window belongs to the
-    /// instruction that covers most of the frames it adds, the first of equals; one that none
-    /// touches is kept as it is.
+    /// Cuts a motion into windows that ask for what is asked of their frames; a frame belongs to the
+    /// first instruction that covers it, and stays as it is where none does. `fps` is the rate of the
+    /// edit.
+    ///
+    /// The first window of an instruction adds the first frame of its range, and the last one is used
+    /// up to its last. Where a window does not fit before the end of the motion, it begins earlier and
+    /// replaces what was made of the frames it repeats; where the range does not reach back that far,
+    /// or the motion is shorter than a window, the last pose is held to fill it, and the frames that
+    /// were added are cut off again.
     ///
     /// # Errors
-    /// The motion is shorter than a window at 10 fps, a range is empty or ends after the motion, or
-    /// an instruction has no window of its own.
+    /// The motion has no frame, a range is empty or ends after the motion, or an instruction has no
+    /// frame of its own.
     ///
     /// # Source
     /// Paper Sec. 5.4 (time-variant editing); which window hears which instruction is not published.
@@ -105,11 +126,13 @@ impl EditItem {
         id: impl Into<String>,
         motion: &Motion,
         instructions: &[TimedInstruction],
+        fps: Fps,
         skeleton: &Skeleton,
         editor: &EditorRecord,
     ) -> Result<Self, Error> {
         let id = id.into();
         let (window, normalizer) = (editor.train.window, &editor.normalizer);
+        let (model_fps, anchor) = (editor.compose.config.fps, editor.compose.config.anchor);
         for asked in instructions {
             let Range { start, end } = asked.frames;
             if start >= end || end > motion.len() {
@@ -123,88 +146,214 @@ impl EditItem {
                 });
             }
         }
-        let to_model = Fps::MODEL.get() / motion.fps().get();
-        let poses_at = |fps| {
-            Resample::Exact
-                .apply(motion, fps)
-                .map(|motion| motion.poses())
-                .map_err(|source| Error::Motion {
-                    id: id.clone(),
-                    source,
-                })
-        };
-        let poses: Vec<Pose> = poses_at(Fps::MODEL)?;
-        let original = poses_at(Fps::STORE)?;
-        let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
-        if starts.is_empty() {
-            return Err(Error::Motion {
+        let original = Resample::Exact
+            .apply(motion, fps)
+            .map_err(|source| Error::Motion {
+                id: id.clone(),
+                source,
+            })?
+            .poses();
+        let mut poses = covering(motion, model_fps);
+        let num_frames = poses.len();
+        let Some(&last_pose) = poses.last() else {
+            return Err(Error::Item {
                 id,
-                source: datasets_spec::Error::TooShort {
-                    frames: poses.len(),
-                    fps: Fps::MODEL.get(),
-                    needed: window,
-                },
+                problem: "has no frame".to_owned(),
             });
+        };
+        let to_model = model_fps.get() / motion.fps().get();
+        let spans = spans(num_frames, motion.len(), to_model, instructions);
+        for (index, asked) in instructions.iter().enumerate() {
+            if spans.iter().all(|span| span.instruction != Some(index)) {
+                let Range { start, end } = asked.frames;
+                return Err(Error::Item {
+                    id,
+                    problem: format!(
+                        "has no frame of its own for {start}:{end} {:?}: at {model_fps} all of them \
+                         belong to instructions before it; widen the range",
+                        asked.text
+                    ),
+                });
+            }
         }
+        let places: Vec<(usize, usize, Option<usize>)> = spans
+            .iter()
+            .flat_map(|span| {
+                let instruction = span.instruction;
+                places(&span.frames, num_frames, window)
+                    .into_iter()
+                    .map(move |(start, used)| (start, used, instruction))
+            })
+            .collect();
+        let needed = places.iter().map(|(start, ..)| start + window).max();
+        poses.resize(needed.unwrap_or(0).max(num_frames), last_pose);
         let texts: Vec<Arc<str>> = instructions
             .iter()
             .map(|asked| asked.text.as_str().into())
             .collect();
-        let mut heard = vec![false; texts.len()];
-        let mut placement = None;
-        let mut windows = Vec::with_capacity(starts.len());
-        for &start in &starts {
-            let mut segment = poses[start..start + window].to_vec();
-            let placed = canonicalise(&mut segment, Anchor::Pelvis, skeleton);
-            placement = placement.or(placed);
-            // The first window adds its fixed frames too.
-            let added = if start == 0 { 0 } else { start + FIXED_FRAMES };
-            let (from, to) = (added as f64, (start + window) as f64);
-            let covered = |asked: &TimedInstruction| {
-                let begin = asked.frames.start as f64 * to_model;
-                let end = asked.frames.end as f64 * to_model;
-                (end.min(to) - begin.max(from)).max(0.0)
-            };
-            let mut best: Option<(usize, f64)> = None;
-            for (index, asked) in instructions.iter().enumerate() {
-                let share = covered(asked);
-                if share > best.map_or(0.0, |(_, share)| share) {
-                    best = Some((index, share));
+        let windows = places
+            .into_iter()
+            .map(|(start, used, instruction)| {
+                let mut segment = poses[start..start + window].to_vec();
+                canonicalise(&mut segment, anchor, skeleton);
+                let progress = instruction.map_or(0.0, |index| {
+                    let Range { start: begin, end } = instructions[index].frames;
+                    let length = (end - begin) as f64 * to_model;
+                    ((start as f64 - begin as f64 * to_model) / length).clamp(0.0, 1.0)
+                });
+                EditWindow {
+                    original: segment
+                        .iter()
+                        .map(|pose| normalizer.normalize(&skeleton.keypoints(pose)))
+                        .collect(),
+                    instruction: instruction.map(|index| Arc::clone(&texts[index])),
+                    progress: progress as f32,
+                    start,
+                    used,
                 }
-            }
-            let progress = best.map_or(0.0, |(index, _)| {
-                heard[index] = true;
-                let Range { start: begin, end } = instructions[index].frames;
-                let length = (end - begin) as f64 * to_model;
-                ((start as f64 - begin as f64 * to_model) / length).clamp(0.0, 1.0)
-            });
-            windows.push(EditWindow {
-                original: segment
-                    .iter()
-                    .map(|pose| normalizer.normalize(&skeleton.keypoints(pose)))
-                    .collect(),
-                instruction: best.map(|(index, _)| Arc::clone(&texts[index])),
-                progress: progress as f32,
-            });
-        }
-        if let Some(unheard) = heard.iter().position(|heard| !heard) {
-            let Range { start, end } = instructions[unheard].frames;
-            return Err(Error::Item {
-                id,
-                problem: format!(
-                    "has no window that belongs to {start}:{end} {:?}: a window adds {} frames at \
-                     10 fps, and others cover more of each; widen the range",
-                    texts[unheard],
-                    window - FIXED_FRAMES
-                ),
-            });
-        }
+            })
+            .collect();
         Ok(Self {
             id,
             windows,
-            placement: placement.expect("there is a first window"),
+            placement: motion_from_segment(&poses[0], anchor, skeleton),
             original,
+            fps,
         })
+    }
+
+    /// Brings keypoints of the model's rate to that of the edit, each point on the straight line
+    /// between two frames, and to the length of the original.
+    ///
+    /// # Panics
+    /// If the frames do not cover the original.
+    pub fn at_own_rate(&self, frames: &[KeypointFrame], model_fps: Fps) -> Vec<KeypointFrame> {
+        let step = model_fps.get() / self.fps.get();
+        (0..self.original.len())
+            .map(|frame| {
+                let at = frame as f64 * step;
+                // Rates are quotients: what is a millionth of a frame past one, is that one.
+                let before = (at + 1e-6).floor();
+                let share = (at - before).max(0.0);
+                let before = &frames[before as usize];
+                if share < 1e-6 {
+                    return *before;
+                }
+                let after = &frames[(at + 1e-6).floor() as usize + 1];
+                std::array::from_fn(|slot| before[slot].lerp(after[slot], share))
+            })
+            .collect()
+    }
+}
+
+/// Frames at the model's rate that cover a motion.
+pub fn model_frames(num_frames: usize, fps: Fps, editor: &EditorRecord) -> usize {
+    let to_model = editor.compose.config.fps.get() / fps.get();
+    match num_frames.checked_sub(1) {
+        Some(last) => (last as f64 * to_model - 1e-6).ceil() as usize + 1,
+        None => 0,
+    }
+}
+
+/// The poses of a motion at another rate over the whole of it: where its last frame lies between two,
+/// the second of them is there too, as far beyond the end as the one before is from it.
+fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
+    let poses = motion.poses();
+    let Some(last) = poses.len().checked_sub(1) else {
+        return poses;
+    };
+    let mut out = interpolate_all(&poses, &grid(poses.len(), motion.fps(), fps));
+    let step = motion.fps().get() / fps.get();
+    let missing = out.len() as f64 * step - last as f64;
+    if missing < step * (1.0 - 1e-6) && missing > 0.0 {
+        let mirrored = last as f64 - missing;
+        let pose = if mirrored < 0.0 {
+            poses[last]
+        } else {
+            let place = (mirrored.floor() as usize, mirrored.fract());
+            let before = interpolate_all(&poses, &[place])[0];
+            interpolate(&before, &poses[last], 2.0)
+        };
+        out.push(pose);
+    }
+    out
+}
+
+/// The spans of `num_frames` frames at the model's rate, of a motion of `length` frames of its own.
+fn spans(
+    num_frames: usize,
+    length: usize,
+    to_model: f64,
+    instructions: &[TimedInstruction],
+) -> Vec<Span> {
+    let owner = |frame: usize| {
+        // A frame past the end belongs to whom the last one belongs to.
+        let at = (frame as f64 / to_model).min((length - 1) as f64) + 1e-6;
+        instructions
+            .iter()
+            .position(|asked| (asked.frames.start as f64) <= at && at < asked.frames.end as f64)
+    };
+    let mut spans: Vec<Span> = Vec::new();
+    for frame in 0..num_frames {
+        let instruction = owner(frame);
+        match spans.last_mut() {
+            Some(span) if span.instruction == instruction => span.frames.end = frame + 1,
+            // Nothing can be fixed before the second frame: what is asked then, is asked from the
+            // first on.
+            Some(span) if span.frames.end < FIXED_FRAMES => {
+                span.frames.end = frame + 1;
+                span.instruction = instruction;
+            }
+            _ => spans.push(Span {
+                frames: frame..frame + 1,
+                instruction,
+            }),
+        }
+    }
+    spans
+}
+
+/// Start and used frames of the windows that make the frames of a span, of a motion of `num_frames`.
+fn places(frames: &Range<usize>, num_frames: usize, window: usize) -> Vec<(usize, usize)> {
+    let mut places = Vec::new();
+    let mut next = frames.start;
+    while next < frames.end {
+        let natural = next.saturating_sub(FIXED_FRAMES);
+        let latest = num_frames.saturating_sub(window);
+        let is_free = latest + FIXED_FRAMES >= frames.start;
+        let start = if natural > latest && is_free {
+            latest
+        } else {
+            natural
+        };
+        let used = (frames.end - start).min(window);
+        places.push((start, used));
+        next = start + used;
+    }
+    places
+}
+
+/// How SMPL-X parameters are found for generated keypoints.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FitMethod {
+    /// Second-order steps until no point moves, the twists that no point shows being those of the pose
+    /// network or of the original.
+    #[default]
+    Exact,
+    /// The published way: a pose network, and from its poses 120 steps of Adam (paper App. B.3).
+    Paper,
+}
+
+impl std::str::FromStr for FitMethod {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "exact" => Ok(Self::Exact),
+            "paper" => Ok(Self::Paper),
+            _ => Err(format!("{name:?} is no fit; known are exact and paper")),
+        }
     }
 }
 
@@ -219,7 +368,9 @@ pub struct EditSettings {
     pub temperature: f64,
     /// Guidance by the coordinator, if the editor has one.
     pub coordinator: GuidanceConfig,
-    /// Weight in m^2/rad^2 by which the fit holds rotations to those of the pose network or, without
+    /// How SMPL-X parameters are found.
+    pub fit: FitMethod,
+    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those of the pose network or, without
     /// one, of the original: what short bones gain by it, such as those of head and hands, long ones
     /// hardly feel.
     pub prior: f64,
@@ -281,7 +432,7 @@ impl Editor {
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
         let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, KIND)?;
         let config = &record.config.train;
-        config.check()?;
+        record.config.check()?;
         let mut files = read_for_use(run_dir, slot, KIND)?;
         let weights: Vec<&[u8]> = [DENOISER, TEXT]
             .iter()
@@ -329,18 +480,14 @@ impl Editor {
         self.hash = blake3::hash(&both).to_hex().to_string();
     }
 
-    /// Poses whose twists a fit to generated frames at the store's rate keeps, at least as many as
-    /// there are frames.
-    pub(crate) fn twists<'a>(
-        &self,
-        item: &'a EditItem,
-        frames: &[KeypointFrame],
-        skeleton: &Skeleton,
-    ) -> Cow<'a, [Pose]> {
-        match &self.poses {
-            Some(net) => net.poses(frames, skeleton, &self.device).into(),
-            None => item.original.as_slice().into(),
-        }
+    /// The pose network.
+    pub(crate) fn poses(&self) -> Option<&PoseNet> {
+        self.poses.as_ref()
+    }
+
+    /// Where tensors live.
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
     }
 
     /// Gives the editor the vectors of the instructions it will be asked, of the frozen encoder it
@@ -363,12 +510,16 @@ impl Editor {
         let theirs = &coordinator.record().config;
         let ours = &self.record.config;
         let diffusion = &ours.train.diffusion;
-        let problem = if theirs.normalizer != ours.normalizer {
-            "it was trained in another range of model units"
-        } else if theirs.train.window != ours.train.window {
+        let problem = if theirs.train.window != ours.train.window {
             "its windows have another length"
         } else if theirs.train.keypoints != ours.train.keypoints {
             "it sees other keypoints"
+        } else if theirs.compose.config.fps != ours.compose.config.fps {
+            "it was trained at another rate"
+        } else if theirs.compose.config.anchor != ours.compose.config.anchor {
+            "its windows stand above the origin by another point of the body"
+        } else if theirs.normalizer != ours.normalizer {
+            "it was trained in another range of model units"
         } else if (theirs.train.schedule, theirs.train.diffusion_steps)
             != (diffusion.schedule, diffusion.num_steps)
         {
@@ -404,16 +555,16 @@ impl Editor {
         &self.hash
     }
 
-    /// Edits motions. Each result holds the keypoints of one item in metres at 10 fps; `times` gains
-    /// what each part took. Keypoints the editor does not make lie on the joints they hang from.
+    /// Edits motions. Each result holds the keypoints of one item in metres at the model's rate, as many
+    /// frames as its windows make; `times` gains what each part took. Keypoints the editor does not
+    /// make lie on the joints they hang from.
     ///
     /// The noise of an item follows from the seed and its id, and a row of a batch never sees
     /// another, so a result does not depend on which other items are edited with it. The device is
     /// that of the editor.
     ///
     /// # Errors
-    /// An item has no window or one of another length, a text has no vector, or the session is
-    /// stopped.
+    /// As [`edit_windows`], or a text has no vector.
     ///
     /// # Source
     /// Paper App. B.2; `algorithms` section 8.
@@ -425,139 +576,210 @@ impl Editor {
         session: &Session<'_>,
         times: &mut EditTimes,
     ) -> Result<Vec<Vec<KeypointFrame>>, Error> {
-        let window_frames = self.record.config.train.window;
-        for item in items {
-            let problem = if item.windows.is_empty() {
-                "has no window".to_owned()
-            } else if item
-                .windows
-                .iter()
-                .any(|window| window.original.len() != window_frames)
-            {
-                format!("has windows of another length than the model's {window_frames} frames")
-            } else {
+        times.window = self.record.config.train.window;
+        let mut generator = Generator {
+            editor: self,
+            settings,
+            session,
+            times,
+        };
+        edit_windows(
+            &mut generator,
+            &self.record.config,
+            items,
+            skeleton,
+            settings,
+            session,
+        )
+    }
+}
+
+/// A window to be made.
+#[derive(Debug)]
+pub struct WindowRequest<'a> {
+    /// Place of its item among those that are edited.
+    pub item: usize,
+    /// The window.
+    pub window: &'a EditWindow,
+    /// Its normalised first frames; none where they are to be made too.
+    pub fixed: Option<[NormalizedFrame; FIXED_FRAMES]>,
+    /// Generator of its noise.
+    pub rng: Rng,
+}
+
+/// What makes windows.
+pub trait WindowModel {
+    /// Makes a window for each request, `[B, W, 84]` normalised. The first window of a motion and
+    /// later ones are never asked for together.
+    ///
+    /// # Errors
+    /// A window cannot be made.
+    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error>;
+}
+
+/// Edits motions window by window: asks for the windows, keeps those without an instruction, and joins
+/// them. Each result holds the keypoints of one item in metres at the model's rate.
+///
+/// # Errors
+/// An item has no window or one of another length, the session is stopped, or `model` fails.
+pub fn edit_windows(
+    model: &mut dyn WindowModel,
+    record: &EditorRecord,
+    items: &[EditItem],
+    skeleton: &Skeleton,
+    settings: &EditSettings,
+    session: &Session<'_>,
+) -> Result<Vec<Vec<KeypointFrame>>, Error> {
+    let window_frames = record.train.window;
+    for item in items {
+        let problem = if item.windows.is_empty() {
+            "has no window".to_owned()
+        } else if item
+            .windows
+            .iter()
+            .any(|window| window.original.len() != window_frames)
+        {
+            format!("has windows of another length than the model's {window_frames} frames")
+        } else {
+            continue;
+        };
+        return Err(Error::Item {
+            id: item.id.clone(),
+            problem,
+        });
+    }
+    let normalizer = &record.normalizer;
+    let pelvis = record.compose.config.anchor.pelvis(skeleton);
+    let mut stitchers: Vec<Stitcher> = items
+        .iter()
+        .map(|item| Stitcher::new(skeleton.rest_triangle(), item.placement).anchored(pelvis))
+        .collect();
+    let num_windows = items.iter().map(|item| item.windows.len()).sum::<usize>();
+    let progress = session.progress;
+    progress.begin("edit", Some(num_windows as u64));
+    let longest = items.iter().map(|item| item.windows.len()).max();
+    for window_index in 0..longest.unwrap_or(0) {
+        // Longer motions go on while shorter ones are done.
+        let mut active = Vec::new();
+        for (index, item) in items.iter().enumerate() {
+            let Some(window) = item.windows.get(window_index) else {
                 continue;
             };
-            return Err(Error::Item {
-                id: item.id.clone(),
-                problem,
-            });
+            if window_index > 0 {
+                stitchers[index].rewind(window.start + FIXED_FRAMES);
+            }
+            if window.instruction.is_some() {
+                active.push(index);
+            } else {
+                keep(&mut stitchers[index], window, normalizer);
+                progress.advance(1);
+            }
         }
-        times.window = window_frames;
-        let normalizer = &self.record.config.normalizer;
-        let mut stitchers: Vec<Stitcher> = items
-            .iter()
-            .map(|item| Stitcher::new(skeleton.rest_triangle(), item.placement))
-            .collect();
-        let num_windows = items.iter().map(|item| item.windows.len()).sum::<usize>();
-        let progress = session.progress;
-        progress.begin("edit", Some(num_windows as u64));
-        let longest = items.iter().map(|item| item.windows.len()).max();
-        for window_index in 0..longest.unwrap_or(0) {
-            // Longer motions go on while shorter ones are done.
-            let mut active = Vec::new();
-            for (index, item) in items.iter().enumerate() {
-                match item.windows.get(window_index) {
-                    Some(window) if window.instruction.is_some() => active.push(index),
-                    Some(window) => {
-                        keep(&mut stitchers[index], window, normalizer);
-                        progress.advance(1);
+        for chunk in active.chunks(settings.max_batch.max(1)) {
+            if session.is_stopped() {
+                return Err(Error::Stopped { what: "editing" });
+            }
+            let mut requests: Vec<WindowRequest<'_>> = chunk
+                .iter()
+                .map(|&index| {
+                    let item = &items[index];
+                    let window = &item.windows[window_index];
+                    let is_generated = record.train.diffusion.generated_starts > 0.0;
+                    let fixed = match stitchers[index].next_fixed() {
+                        Some(frames) => Some(frames.map(|frame| normalizer.normalize(&frame))),
+                        None if is_generated => None,
+                        None => Some([window.original[0], window.original[1]]),
+                    };
+                    let place = window_index.to_string();
+                    WindowRequest {
+                        item: index,
+                        window,
+                        fixed,
+                        rng: settings.seed.rng(&["edit", &item.id, &place]),
                     }
-                    None => {}
-                }
-            }
-            for chunk in active.chunks(settings.max_batch.max(1)) {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "editing" });
-                }
-                let mut rows: Vec<Row<'_>> = chunk
-                    .iter()
-                    .map(|&index| {
-                        let item = &items[index];
-                        let window = &item.windows[window_index];
-                        let fixed = match stitchers[index].next_fixed() {
-                            Some(frames) => frames.map(|frame| normalizer.normalize(&frame)),
-                            None => [window.original[0], window.original[1]],
-                        };
-                        let place = window_index.to_string();
-                        Row {
-                            window,
-                            fixed,
-                            rng: settings.seed.rng(&["edit", &item.id, &place]),
-                        }
-                    })
+                })
+                .collect();
+            let generated = model.generate(&mut requests)?;
+            let numbers = window_frames * FRAME_WIDTH;
+            for (request, frames) in requests.iter().zip(generated.chunks_exact(numbers)) {
+                let frames: Vec<KeypointFrame> = frames
+                    .chunks_exact(FRAME_WIDTH)
+                    .take(request.window.used)
+                    .map(|frame| normalizer.denormalize(frame))
                     .collect();
-                let generated = self.generate(&mut rows, settings, session, times)?;
-                let width = 3 * self.record.config.train.keypoints;
-                let numbers = window_frames * width;
-                for (&index, window) in chunk.iter().zip(generated.chunks_exact(numbers)) {
-                    let frames: Vec<KeypointFrame> = window
-                        .chunks_exact(width)
-                        .map(|frame| whole_frame(frame, normalizer))
-                        .collect();
-                    stitchers[index].push(&frames);
-                }
-                times.num_windows += chunk.len();
-                times.num_batches += 1;
-                progress.advance(chunk.len() as u64);
+                stitchers[request.item].push(&frames);
             }
+            progress.advance(chunk.len() as u64);
         }
-        progress.finish(&format!("{} motions, {num_windows} windows", items.len()));
-        Ok(stitchers.into_iter().map(Stitcher::into_frames).collect())
     }
+    progress.finish(&format!("{} motions, {num_windows} windows", items.len()));
+    Ok(stitchers.into_iter().map(Stitcher::into_frames).collect())
+}
 
-    /// Generates one window per row, `[B, W, 84]` normalised, or `[B, W, 66]` of the body joints alone.
-    fn generate(
-        &self,
-        rows: &mut [Row<'_>],
-        settings: &EditSettings,
-        session: &Session<'_>,
-        times: &mut EditTimes,
-    ) -> Result<Vec<f32>, Error> {
+/// The editor's network at work.
+struct Generator<'a> {
+    editor: &'a Editor,
+    settings: &'a EditSettings,
+    session: &'a Session<'a>,
+    times: &'a mut EditTimes,
+}
+
+impl WindowModel for Generator<'_> {
+    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
+        let Self {
+            editor,
+            settings,
+            session,
+            ..
+        } = self;
+        let config = &editor.record.config;
         let begun = session.secs();
-        let num_rows = rows.len();
-        let (frames, keypoints) = {
-            let config = &self.record.config.train;
-            (config.window, config.keypoints)
-        };
+        let num_rows = requests.len();
+        let (frames, keypoints) = (config.train.window, config.train.keypoints);
         let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
             Tensor::from_data(
                 TensorData::new(values, [num_rows, frames, 3 * keypoints]),
-                &self.device,
+                &editor.device,
             )
         };
-        let original: Vec<f32> = rows
+        let original: Vec<f32> = requests
             .iter()
-            .flat_map(|row| row.window.original.as_flattened().iter().copied())
+            .flat_map(|request| request.window.original.as_flattened().iter().copied())
             .collect();
-        let fixed: Vec<f32> = rows
-            .iter()
-            .flat_map(|row| row.fixed.as_flattened().iter().copied())
-            .collect();
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.config.text.texts(vectors)?.batch(
-            rows.iter()
-                .map(|row| row.window.instruction.as_deref().unwrap_or_default()),
+        let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
+            requests.iter().map(|request| request.fixed).collect();
+        let vectors = editor.vectors.as_deref().map(|vectors| vectors as _);
+        let texts = config.text.texts(vectors)?.batch(
+            requests
+                .iter()
+                .map(|request| request.window.instruction.as_deref().unwrap_or_default()),
         )?;
         let condition = Condition {
             original: window(narrowed(original, keypoints), frames),
-            fixed: window(narrowed(fixed, keypoints), FIXED_FRAMES),
-            text: self.model.text_vectors(&texts, num_rows, &self.device),
-            progress: rows.iter().map(|row| row.window.progress).collect(),
+            fixed: fixed.map(|fixed| {
+                let numbers = fixed.as_flattened().as_flattened().to_vec();
+                window(narrowed(numbers, keypoints), FIXED_FRAMES)
+            }),
+            text: editor.model.text_vectors(&texts, num_rows, &editor.device),
+            progress: requests
+                .iter()
+                .map(|request| request.window.progress)
+                .collect(),
         };
-        let diffusion = &self.record.config.train.diffusion;
+        let diffusion = &config.train.diffusion;
         let clock = || session.secs();
-        let coordinator = self.coordinator.as_ref().map(|coordinator| Guide {
+        let coordinator = editor.coordinator.as_ref().map(|coordinator| Guide {
             network: &coordinator.model,
             config: settings.coordinator,
             clock: &clock,
             secs: Cell::new(0.0),
         });
         let sampler = Sampler {
-            denoiser: &self.model.denoiser,
-            weights: &self.weights,
-            schedule: &self.schedule,
+            denoiser: &editor.model.denoiser,
+            weights: &editor.weights,
+            schedule: &editor.schedule,
             prediction: diffusion.prediction,
+            extrapolation: config.extrapolation.as_ref(),
             clip: diffusion.clip,
             guidance: settings.guidance,
             coordinator: coordinator.as_ref(),
@@ -566,11 +788,11 @@ impl Editor {
             &condition,
             |_| {
                 let scale = settings.temperature as f32;
-                let noise: Vec<f32> = rows
+                let noise: Vec<f32> = requests
                     .iter_mut()
-                    .flat_map(|row| {
+                    .flat_map(|request| {
                         (0..frames * 3 * keypoints)
-                            .map(|_| scale * row.rng.sample::<f32, _>(StandardNormal))
+                            .map(|_| scale * request.rng.sample::<f32, _>(StandardNormal))
                     })
                     .collect();
                 window(noise, frames)
@@ -582,21 +804,32 @@ impl Editor {
             .try_into_vec_as()
             .expect("a float tensor gives floats");
         let guided = coordinator.map_or(0.0, |guide| guide.secs.get());
-        times.coordinator_secs += guided;
-        times.diffusion_secs += session.secs() - begun - guided;
-        Ok(generated)
+        self.times.coordinator_secs += guided;
+        self.times.diffusion_secs += session.secs() - begun - guided;
+        self.times.num_windows += num_rows;
+        self.times.num_batches += 1;
+        Ok(widened(generated, keypoints))
     }
 }
 
-/// A generated frame in metres. Keypoints that were not generated lie on the joints they hang from.
-fn whole_frame(generated: &[f32], normalizer: &Normalizer) -> KeypointFrame {
-    let mut frame: NormalizedFrame = [0.0; FRAME_WIDTH];
-    frame[..generated.len()].copy_from_slice(generated);
-    let mut points = normalizer.denormalize(&frame);
-    for slot in generated.len() / 3..NUM_KEYPOINTS {
-        points[slot] = points[keypoint_parent(slot)];
+/// Generated windows with all keypoints: those that were not generated lie on the joints they hang from.
+fn widened(generated: Vec<f32>, keypoints: usize) -> Vec<f32> {
+    if keypoints == NUM_KEYPOINTS {
+        return generated;
     }
-    points
+    generated
+        .chunks_exact(3 * keypoints)
+        .flat_map(|frame| {
+            (0..NUM_KEYPOINTS).flat_map(move |slot| {
+                let known = if slot < keypoints {
+                    slot
+                } else {
+                    keypoint_parent(slot)
+                };
+                frame[3 * known..3 * known + 3].iter().copied()
+            })
+        })
+        .collect()
 }
 
 /// The keypoint that one of the others hangs from.
@@ -607,8 +840,7 @@ pub(crate) fn keypoint_parent(slot: usize) -> usize {
 /// Adds a window as it was. After an edit its frames stand where the edit left the body, and the pose
 /// finds back to the original within a few frames.
 fn keep(stitcher: &mut Stitcher, window: &EditWindow, normalizer: &Normalizer) {
-    let mut frames: Vec<KeypointFrame> = window
-        .original
+    let mut frames: Vec<KeypointFrame> = window.original[..window.used]
         .iter()
         .map(|frame| normalizer.denormalize(frame))
         .collect();
@@ -629,19 +861,13 @@ fn keep(stitcher: &mut Stitcher, window: &EditWindow, normalizer: &Normalizer) {
     stitcher.push(&frames);
 }
 
-struct Row<'a> {
-    window: &'a EditWindow,
-    fixed: [NormalizedFrame; FIXED_FRAMES],
-    rng: Rng,
-}
-
 /// What a batch of windows is generated from.
 #[derive(Clone, Debug)]
 pub struct Condition {
     /// Normalised original windows, `[B, W, 84]`.
     pub original: Tensor<3>,
-    /// Normalised first frames, `[B, 2, 84]`.
-    pub fixed: Tensor<3>,
+    /// Normalised first frames, `[B, 2, 84]`; none where they are to be generated too.
+    pub fixed: Option<Tensor<3>>,
     /// Text vectors, `[B, d]`.
     pub text: Tensor<2>,
     /// Position of each window in its motion, `[B]`.
@@ -697,6 +923,8 @@ pub struct Sampler<'a> {
     pub schedule: &'a Schedule,
     /// What it predicts.
     pub prediction: Prediction,
+    /// What a predicted residual is relative to.
+    pub extrapolation: Option<&'a Extrapolation>,
     /// Whether estimates of the clean window are clipped to [-1, 1].
     pub clip: bool,
     /// Guidance weight.
@@ -717,8 +945,8 @@ impl Sampler<'_> {
     pub fn sample(
         &self,
         condition: &Condition,
-        mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
-        mut on_step: impl FnMut(usize, &Tensor<3>),
+        noise: impl FnMut(Option<usize>) -> Tensor<3>,
+        on_step: impl FnMut(usize, &Tensor<3>),
     ) -> Tensor<3> {
         let batch = condition.progress.len();
         // At weight 1 the prediction without text cancels out.
@@ -740,10 +968,18 @@ impl Sampler<'_> {
         let denoiser =
             self.denoiser
                 .prepare(self.weights, self.schedule.len(), text, &progress, original);
-        let mut x = put_fixed(noise(None), condition.fixed.clone());
-        for timestep in (0..self.schedule.len()).rev() {
-            let input = if is_guided { twice(&x) } else { x.clone() };
-            let timesteps = vec![timestep; batch];
+        let is_start = vec![condition.fixed.is_none(); batch];
+        let basis = Basis {
+            original: &condition.original,
+            is_start: &is_start,
+            extrapolation: self.extrapolation,
+        };
+        let push = |target, x: &Tensor<3>, timestep| {
+            self.coordinator
+                .and_then(|guide| guide.push(target, x, timestep))
+        };
+        let estimate = |x: &Tensor<3>, timestep: usize| {
+            let input = if is_guided { twice(x) } else { x.clone() };
             let predicted = denoiser.forward(input, timestep);
             let predicted = if is_guided {
                 guide(
@@ -757,34 +993,64 @@ impl Sampler<'_> {
             let mut x0 = self.schedule.clean_of(
                 self.prediction,
                 predicted,
-                &x,
-                &condition.original,
-                &timesteps[..batch],
+                x,
+                basis,
+                &vec![timestep; batch],
             );
             if self.clip {
                 x0 = x0.clamp(-1.0, 1.0);
             }
-            let push = |target, x: &Tensor<3>| {
-                self.coordinator
-                    .and_then(|guide| guide.push(target, x, timestep))
-            };
-            if let Some(slope) = push(GuidanceTarget::CleanPrediction, &x0) {
-                x0 = x0 - slope;
+            match push(GuidanceTarget::CleanPrediction, &x0, timestep) {
+                Some(slope) => x0 - slope,
+                None => x0,
             }
-            let mut mean = self.schedule.posterior_mean(x0, x, &timesteps[..batch]);
+        };
+        let nudge = |mean: Tensor<3>, timestep: usize| {
             // The last step adds no noise, and what is scaled by it is nothing.
-            if timestep > 0
-                && let Some(slope) = push(GuidanceTarget::PosteriorMean, &mean)
-            {
-                let spread = self.schedule.posterior_variance[timestep].sqrt();
-                mean = mean - slope.mul_scalar(spread);
+            let slope = (timestep > 0)
+                .then(|| push(GuidanceTarget::PosteriorMean, &mean, timestep))
+                .flatten();
+            match slope {
+                Some(slope) => {
+                    let spread = self.schedule.posterior_variance[timestep].sqrt();
+                    mean - slope.mul_scalar(spread)
+                }
+                None => mean,
             }
-            x = self
-                .schedule
-                .add_noise(mean, timestep, noise(Some(timestep)));
-            x = put_fixed(x, condition.fixed.clone());
-            on_step(timestep, &x);
-        }
-        x
+        };
+        reverse(
+            self.schedule,
+            condition.fixed.as_ref(),
+            estimate,
+            nudge,
+            noise,
+            on_step,
+        )
     }
+}
+
+/// Runs the reverse process from pure noise, `[B, W, 84]`, with `estimate` telling the clean windows of
+/// noisy ones and `nudge` moving the mean of a posterior. `noise` and `on_step` are those of
+/// [`Sampler::sample`].
+pub fn reverse(
+    schedule: &Schedule,
+    fixed: Option<&Tensor<3>>,
+    estimate: impl Fn(&Tensor<3>, usize) -> Tensor<3>,
+    nudge: impl Fn(Tensor<3>, usize) -> Tensor<3>,
+    mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
+    mut on_step: impl FnMut(usize, &Tensor<3>),
+) -> Tensor<3> {
+    let put = |x: Tensor<3>| match fixed {
+        Some(fixed) => put_fixed(x, fixed.clone()),
+        None => x,
+    };
+    let mut x = put(noise(None));
+    for timestep in (0..schedule.len()).rev() {
+        let x0 = estimate(&x, timestep);
+        let timesteps = vec![timestep; x.dims()[0]];
+        let mean = nudge(schedule.posterior_mean(x0, x, &timesteps), timestep);
+        x = put(schedule.add_noise(mean, timestep, noise(Some(timestep))));
+        on_step(timestep, &x);
+    }
+    x
 }

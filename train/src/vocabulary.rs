@@ -90,6 +90,17 @@ impl Vocabulary {
         TokenBatch { ids, width }
     }
 
+    /// Words of a text that are not known, in their order, each once, as far as the text is read.
+    pub fn unknown_words(&self, text: &str) -> Vec<String> {
+        let mut unknown: Vec<String> = Vec::new();
+        for word in words_of(text).take(self.max_words) {
+            if self.words.binary_search(&word).is_err() && !unknown.contains(&word) {
+                unknown.push(word);
+            }
+        }
+        unknown
+    }
+
     fn token(&self, word: &str) -> usize {
         match self
             .words
@@ -117,6 +128,17 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    #[test]
+    fn unknown_words_are_named_once_in_their_order() {
+        let known = Vocabulary::build(["wave the left arm"], 2, 6).expect("valid");
+        assert_eq!(
+            known.unknown_words("Levitate, wave; levitate sideways, the Arm flies"),
+            ["levitate", "sideways"],
+            "the text is read up to its sixth word"
+        );
+        assert!(known.unknown_words("the arm").is_empty());
+    }
 
     fn small() -> Vocabulary {
         Vocabulary::build(["Raise the LEFT arm.", "walk, slowly"], 4, 6).expect("valid")

@@ -11,9 +11,10 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
 use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::{Fps, Motion, Pose, rotation};
+use datasets_spec::{Fps, Motion, Pose, Seed, rotation};
 use glam::DVec3;
 use safetensors::SafeTensors;
+use train::compose::ComposeRecord;
 use train::config::{
     GuidanceConfig, GuidanceTarget, NetworkConfig, Preset, PreviousFrames, TrainConfig,
 };
@@ -217,7 +218,11 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
             min: [-2.5; 3],
             max: [2.5; 3],
         },
-        compose: String::new(),
+        compose: ComposeRecord {
+            config: TrainConfig::compose_preset(Preset::Official),
+            seed: Seed(0),
+        },
+        extrapolation: None,
     };
     let recorded = golden.bytes();
     let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
@@ -234,7 +239,14 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
     let device = Device::flex();
     let import = |bytes: Vec<u8>| {
         let path = Path::new("released.pth");
-        import_editor(&run, &record, "smplx-neutral", bytes, path, &device)
+        import_editor(
+            &run,
+            &record,
+            &datasets_spec::Skeleton::smplx_neutral(),
+            bytes,
+            path,
+            &device,
+        )
     };
     for absent in ["embed_prog_ind.time_embed.0.bias", "out.weight"] {
         let fewer = tensors.iter().filter(|(name, _)| name != absent).cloned();
@@ -352,6 +364,7 @@ fn golden_training_loss() {
             width: 1,
         }),
         text_kept: vec![1.0; timesteps.len()],
+        is_start: vec![false; timesteps.len()],
         timesteps,
     };
     let loss: f32 = training_loss(
@@ -359,6 +372,7 @@ fn golden_training_loss() {
         &schedule,
         &batch,
         golden.tensor("in.loss.text"),
+        None,
         &TrainConfig::preset(Preset::Official).diffusion,
     )
     .into_scalar();
@@ -522,11 +536,10 @@ fn check_sampling(case: &str) {
     };
     let condition = Condition {
         original: golden.tensor("in.orig"),
-        fixed: golden.tensor("in.fixed"),
+        fixed: Some(golden.tensor("in.fixed")),
         text: golden.tensor("in.text"),
         progress: golden.f32s("in.prog"),
     };
-    assert_eq!(condition.fixed.dims()[1], FIXED_FRAMES);
     let metadata = golden.metadata();
     let number = |key: &str| -> f64 { metadata[key].parse().expect("a number") };
     let coordinator = coordinator(&Device::flex());
@@ -547,6 +560,7 @@ fn check_sampling(case: &str) {
         weights: &network.pack(),
         schedule: &schedule,
         prediction: Prediction::Noise,
+        extrapolation: None,
         clip: true,
         guidance: number("cfg_alpha"),
         coordinator: Some(&guide),
@@ -672,7 +686,7 @@ fn golden_autoregressive() {
         };
         let condition = Condition {
             original: tensor(original, window),
-            fixed: tensor(&fixed, FIXED_FRAMES),
+            fixed: Some(tensor(&fixed, FIXED_FRAMES)),
             text: Tensor::from_data(
                 TensorData::new(texts[text..text + text_width].to_vec(), [1, text_width]),
                 &device,
@@ -688,6 +702,7 @@ fn golden_autoregressive() {
             weights: &weights,
             schedule: &schedule,
             prediction: Prediction::Noise,
+            extrapolation: None,
             clip: true,
             guidance: 3.0,
             coordinator: Some(&guide),

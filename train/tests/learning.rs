@@ -12,10 +12,11 @@ use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
 use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
 use glam::{DQuat, DVec3};
-use pipeline::compose::CoordinatorBatch;
+use pipeline::compose::{ComposeConfig, CoordinatorBatch};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::checkpoint::{Slot, Start};
+use train::compose::ComposeRecord;
 use train::config::{
     Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
     TrainConfig,
@@ -29,10 +30,16 @@ use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
 use train::model::weights::draw;
-use train::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
+use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
+
+/// The composer's own settings.
+static COMPOSE: LazyLock<ComposeRecord> = LazyLock::new(|| ComposeRecord {
+    config: ComposeConfig::default(),
+    seed: Seed(0),
+});
 
 /// Numbers of a window of 16 frames.
 const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
@@ -126,7 +133,7 @@ fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
         },
         skeleton: &SKELETON,
         dataset_hash: "0",
-        compose: "",
+        compose: &COMPOSE,
     }
 }
 
@@ -261,6 +268,7 @@ fn one_batch_is_overfitted() {
         timesteps: vec![5, 15, 30, 45],
         progress: windows.progress,
         text_kept: vec![1.0; 4],
+        is_start: vec![false; 4],
     };
     let diffusion = DiffusionConfig {
         prediction: Prediction::Noise,
@@ -286,7 +294,7 @@ fn one_batch_is_overfitted() {
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = model.loss(&schedule, &batch, &diffusion, &device);
+        let loss = model.loss(&schedule, &batch, None, &diffusion, &device);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
@@ -322,15 +330,17 @@ fn a_dropped_instruction_leaves_no_trace() {
             progress: vec![0.5],
             texts: TextBatch::Words(vocabulary.encode_batch([text])),
             text_kept: vec![text_kept],
+            is_start: vec![false],
         };
         let of_zeros = training_loss(
             &model.denoiser,
             &schedule,
             &batch,
             Tensor::zeros([1, config.model.width], &device),
+            None,
             &config.diffusion,
         );
-        let loss = model.loss(&schedule, &batch, &config.diffusion, &device);
+        let loss = model.loss(&schedule, &batch, None, &config.diffusion, &device);
         (loss.into_scalar::<f32>(), of_zeros.into_scalar::<f32>())
     };
     let (raised, without) = loss("raise it", 1.0);
@@ -556,6 +566,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
             guidance: 1.0,
             temperature: 1.0,
             coordinator: record.train.coordinator,
+            fit: FitMethod::Exact,
             prior: 0.0,
             max_batch: 2,
         };
@@ -833,6 +844,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         guidance: 2.0,
         temperature: 1.0,
         coordinator: record.train.coordinator,
+        fit: FitMethod::Exact,
         prior: 0.0,
         max_batch: 2,
     };
@@ -844,9 +856,9 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         .expect("edits")
     };
     let together = edit(&items, &settings);
-    // 61 frames at 20 fps are 31 at 10, which hold windows at 0 and 14.
+    // 61 frames at 20 fps are 31 at 10: windows at 0 and 14, and one at 15 that ends with the motion.
     let lengths: Vec<usize> = together.iter().map(Vec::len).collect();
-    assert_eq!(lengths, [30, WINDOW_FRAMES, 44]);
+    assert_eq!(lengths, [31, WINDOW_FRAMES, 47]);
     assert_eq!(edit(&items, &settings), together);
 
     let difference = |a: &[[DVec3; 28]], b: &[[DVec3; 28]]| {
@@ -875,16 +887,6 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     assert!(difference(&together[0][1..2], &source.points[2..3]) < 1e-5);
 }
 
-#[test]
-fn motions_too_short_for_a_window_are_refused_by_name() {
-    let skeleton = Skeleton::smplx_neutral();
-    let short = walk(30, 1.0, 0.0);
-    match EditItem::new("short", &short, "wave", &skeleton, &untrained_record()) {
-        Err(Error::Motion { id, .. }) => assert_eq!(id, "short"),
-        other => panic!("expected a refusal, got {other:?}"),
-    }
-}
-
 /// The record of an editor of the tiny preset that was never trained.
 fn untrained_record() -> EditorRecord {
     EditorRecord {
@@ -894,7 +896,8 @@ fn untrained_record() -> EditorRecord {
             max: [1.0; 3],
         },
         text: TextRecord::Learned(Vocabulary::build(["wave"], 1, 4).expect("valid")),
-        compose: String::new(),
+        compose: COMPOSE.clone(),
+        extrapolation: None,
     }
 }
 
@@ -918,13 +921,14 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
 }
 
 #[test]
-fn windows_hear_the_instruction_that_covers_most_of_them() {
+fn windows_hear_the_instruction_their_frames_belong_to() {
     let skeleton = Skeleton::smplx_neutral();
     let record = untrained_record();
-    // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56.
+    // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56, and one at 57 for the last
+    // frame.
     let motion = walk(145, 1.0, 0.0);
     let heard = |asked: &[TimedInstruction]| {
-        EditItem::timed("walk", &motion, asked, &skeleton, &record).map(|item| {
+        EditItem::timed("walk", &motion, asked, Fps::STORE, &skeleton, &record).map(|item| {
             let windows = item.windows.iter();
             windows
                 .map(|window| {
@@ -946,19 +950,47 @@ fn windows_hear_the_instruction_that_covers_most_of_them() {
     let some = |text: &str| Some(text.to_owned());
     assert_eq!(
         texts(&[timed(0..60, "raise"), timed(60..88, "lower")]),
-        [some("raise"), some("raise"), some("lower"), None, None]
+        [
+            some("raise"),
+            some("raise"),
+            some("lower"),
+            None,
+            None,
+            None
+        ]
     );
-    // The second window adds frames 16 to 30 of the model, 32 to 60 of the motion.
+    // A range of fewer frames than a window has a window of its own, which begins two frames before it
+    // and is used up to its end.
     assert_eq!(
         texts(&[timed(40..60, "raise")]),
-        [None, some("raise"), None, None, None]
+        [None, None, some("raise"), None, None, None, None]
+    );
+    let asked = [timed(40..60, "raise")];
+    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &record);
+    let places: Vec<(usize, usize)> = item
+        .expect("cut")
+        .windows
+        .iter()
+        .map(|window| (window.start, window.used))
+        .collect();
+    assert_eq!(
+        places,
+        [
+            (0, 16),
+            (14, 6),
+            (18, 12),
+            (28, 16),
+            (42, 16),
+            (56, 16),
+            (57, 16)
+        ]
     );
     let progress: Vec<f32> = heard(&[timed(0..145, "raise")])
         .expect("cut")
         .into_iter()
         .map(|(_, progress)| progress)
         .collect();
-    let expected = [0.0, 28.0 / 145.0, 56.0 / 145.0, 84.0 / 145.0, 112.0 / 145.0];
+    let expected = [0.0, 28.0, 56.0, 84.0, 112.0, 114.0].map(|frame| frame / 145.0);
     for (found, expected) in progress.iter().zip(expected) {
         assert!((found - expected).abs() < 1e-6);
     }
@@ -967,7 +999,7 @@ fn windows_hear_the_instruction_that_covers_most_of_them() {
         (vec![timed(20..20, "raise")], "does not fit"),
         (
             vec![timed(0..60, "raise"), timed(0..50, "lower")],
-            "no window that belongs",
+            "no frame of its own",
         ),
     ] {
         match heard(&asked) {
@@ -986,12 +1018,13 @@ fn windows_without_an_instruction_stay_as_they_were() {
     let skeleton = Skeleton::smplx_neutral();
     let motion = walk(145, 1.0, 0.0);
     let asked = [timed(60..88, "raise it")];
-    let item = EditItem::timed("a", &motion, &asked, &skeleton, record).expect("cut");
+    let item = EditItem::timed("a", &motion, &asked, Fps::STORE, &skeleton, record).expect("cut");
     let settings = EditSettings {
         seed: Seed(5),
         guidance: 1.0,
         temperature: 1.0,
         coordinator: record.train.coordinator,
+        fit: FitMethod::Exact,
         prior: 0.0,
         max_batch: 2,
     };
@@ -1071,6 +1104,7 @@ fn the_coordinator_learns_what_was_composed() {
             normalizer,
             skeleton: &SKELETON,
             dataset_hash: "0",
+            compose: &COMPOSE,
         };
         train_coordinator(dir.path(), &config, segments, session)
     })

@@ -8,7 +8,7 @@ use super::denoiser::Denoiser;
 use super::text::LearnedText;
 use crate::config::{DiffusionConfig, NetworkConfig};
 use crate::data::{NoisyBatch, TextBatch};
-use crate::diffusion::{Schedule, training_loss};
+use crate::diffusion::{Extrapolation, Schedule, training_loss};
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -97,6 +97,7 @@ impl MotionRefit {
         &self,
         schedule: &Schedule,
         batch: &NoisyBatch,
+        extrapolation: Option<&Extrapolation>,
         config: &DiffusionConfig,
         device: &Device,
     ) -> Tensor<1> {
@@ -105,6 +106,13 @@ impl MotionRefit {
             TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
             device,
         );
-        training_loss(&self.denoiser, schedule, batch, text * kept, config)
+        training_loss(
+            &self.denoiser,
+            schedule,
+            batch,
+            text * kept,
+            extrapolation,
+            config,
+        )
     }
 }

@@ -1,0 +1,362 @@
+//! An edit has the length of its source, the rate and the anchor of the training, and says what it does
+//! not know.
+
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::Dataset;
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use serde_json::{Value, json};
+
+use crate::train::Workshop;
+use crate::util::{Ran, arg, stance};
+
+/// Trains an editor or a coordinator with settings of the composer.
+fn train_composed(
+    workshop: &Workshop,
+    model: &str,
+    out: &str,
+    compose: &str,
+    more: &[&str],
+) -> Ran {
+    let toml = workshop.path(&format!("{out}.compose.toml"));
+    fs::write(&toml, compose).expect("writes");
+    let (dataset, run) = (workshop.dataset(), workshop.path(out));
+    let small = workshop.path("small.toml");
+    let mut args = vec![
+        "--json",
+        "train",
+        model,
+        arg(&dataset),
+        "--out",
+        arg(&run),
+        "--config",
+        arg(&small),
+        "--compose",
+        arg(&toml),
+        "--steps",
+        "4",
+    ];
+    args.extend(more);
+    stance(&args)
+}
+
+fn record(run: &Path) -> Value {
+    let text = fs::read_to_string(run.join("config.json")).expect("a record");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+/// A copy of a run whose record says something else.
+fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
+    let (from, to) = (run.join("checkpoint/best"), copy.join("checkpoint/best"));
+    fs::create_dir_all(&to).expect("a folder");
+    for file in fs::read_dir(&from).expect("a checkpoint") {
+        let file = file.expect("a file");
+        fs::copy(file.path(), to.join(file.file_name())).expect("copied");
+    }
+    let mut record = record(run);
+    change(&mut record);
+    fs::write(copy.join("config.json"), record.to_string()).expect("writes");
+}
+
+fn row(folder: &Path) -> EditRow {
+    let rows: Vec<EditRow> = Dataset::open(folder)
+        .expect("a table")
+        .read(None)
+        .expect("rows");
+    rows.into_iter().next().expect("an edit")
+}
+
+#[test]
+fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
+    let workshop = Workshop::open();
+    let dataset = workshop.dataset();
+    let compose = "anchor = \"translation\"\nfps = 5.0\n";
+    train_composed(&workshop, "motionrefit", "editor", compose, &[]).expect_code(0);
+    let editor = workshop.path("editor");
+    let recorded = &record(&editor)["config"]["compose"]["config"];
+    assert_eq!(
+        (&recorded["anchor"], &recorded["fps"]),
+        (&json!("translation"), &json!(5.0))
+    );
+
+    let motions: Vec<MotionRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    let clip = motions
+        .iter()
+        .find(|row| row.n_frames >= 100)
+        .expect("a clip of five seconds");
+    let edit = |run: &Path, out: &str| -> (Ran, EditRow) {
+        let out = workshop.path(out);
+        let ran = stance(&[
+            "--json",
+            "edit",
+            arg(run),
+            "--dataset",
+            arg(&dataset),
+            "--motion",
+            clip.id.as_str(),
+            "--text",
+            "The person is waving.",
+            "--out",
+            arg(&out),
+        ])
+        .expect_code(0);
+        (ran, row(&out))
+    };
+    let (ran, edited) = edit(&editor, "edited");
+    // Windows of 16 frames at 5 fps, each after the first with 14 new ones, the last of which ends with
+    // the clip; a clip shorter than a window takes one.
+    let model_frames = (clip.n_frames - 1 + 3) / 4 + 1;
+    let windows = 1 + (model_frames - 16 + 13).max(0) / 14;
+    assert_eq!(ran.json::<Value>()["times"]["num_windows"], windows);
+    assert_eq!((edited.n_frames, edited.fps), (clip.n_frames, 20.0));
+    let settings: Value = serde_json::from_str(&edited.settings).expect("an object");
+    assert_eq!(
+        (
+            &settings["window"],
+            &settings["advance"],
+            &settings["fps"],
+            &settings["fit"]
+        ),
+        (&json!(16), &json!(14), &json!(5.0), &json!("exact"))
+    );
+
+    // The same weights with another anchor see other windows.
+    let other = workshop.path("other-anchor");
+    copy_with(&editor, &other, |record| {
+        record["config"]["compose"]["config"]["anchor"] = json!("pelvis");
+    });
+    assert_ne!(edit(&other, "other").1.transl, edited.transl);
+    // A record as it was written before tells the same.
+    let old = workshop.path("old-record");
+    copy_with(&editor, &old, |record| {
+        let compose = record["config"]["compose"].take();
+        let pair = json!([compose["config"], compose["seed"]]);
+        record["config"]["compose"] = json!(pair.to_string());
+    });
+    assert_eq!(edit(&old, "old").1.transl, edited.transl);
+    // Settings that no composer has are refused.
+    let broken = workshop.path("broken");
+    copy_with(&editor, &broken, |record| {
+        record["config"]["compose"]["config"]["mcm_ratio"] = json!(7.0);
+    });
+    let clip_file = workshop.clip();
+    let out = workshop.path("none.bvh");
+    let ask = |run: &Path, more: &[&str]| -> Ran {
+        let mut args = vec![
+            "edit",
+            arg(run),
+            "--motion",
+            arg(&clip_file),
+            "--text",
+            "wave",
+        ];
+        args.extend(more);
+        args.extend(["--out", arg(&out)]);
+        stance(&args)
+    };
+    let refused = ask(&broken, &[]).expect_code(1);
+    assert!(refused.stderr.contains("mcm_ratio"), "{}", refused.stderr);
+
+    // Coordinators that were shown other windows do not fit.
+    for (name, compose, reason) in [
+        ("rate", "anchor = \"translation\"\n", "another rate"),
+        ("anchor", "fps = 5.0\n", "another point of the body"),
+    ] {
+        train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
+        let guide = workshop.path(name);
+        let refused = ask(&editor, &["--coordinator", arg(&guide)]).expect_code(1);
+        assert!(refused.stderr.contains(reason), "{}", refused.stderr);
+    }
+    let compose = "anchor = \"translation\"\nfps = 5.0\n";
+    train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
+    let guide = workshop.path("guide");
+    assert_eq!(
+        record(&guide)["config"]["compose"]["config"]["anchor"],
+        "translation"
+    );
+    ask(&editor, &["--coordinator", arg(&guide)]).expect_code(0);
+}
+
+#[test]
+fn the_released_preset_composes_as_the_release_does() {
+    let workshop = Workshop::open();
+    let toml = workshop.path("official.toml");
+    let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
+    fs::write(&toml, format!("{small}[text]\nencoder = \"learned\"\n")).expect("writes");
+    let with = |name: &str, compose: &str| {
+        let (dataset, run) = (workshop.dataset(), workshop.path(name));
+        let composed = workshop.path(&format!("{name}.toml"));
+        fs::write(&composed, compose).expect("writes");
+        stance(&[
+            "train",
+            "motionrefit",
+            arg(&dataset),
+            "--out",
+            arg(&run),
+            "--preset",
+            "official",
+            "--config",
+            arg(&toml),
+            "--compose",
+            arg(&composed),
+            "--steps",
+            "2",
+        ])
+        .expect_code(0);
+        let settings = record(&run)["config"]["compose"]["config"].clone();
+        ["anchor", "range", "slerp"].map(|key| settings[key].as_str().unwrap_or("").to_owned())
+    };
+    assert_eq!(with("released", ""), ["translation", "scalar", "official"]);
+    assert_eq!(
+        with("own", "range = \"per-axis\"\n"),
+        ["translation", "per-axis", "official"]
+    );
+}
+
+#[test]
+fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
+    let workshop = Workshop::open();
+    workshop.train("motionrefit", "editor", "4").expect_code(0);
+    let (editor, dataset, items) = (
+        workshop.path("editor"),
+        workshop.dataset(),
+        workshop.path("items"),
+    );
+    stance(&["items", arg(&dataset), "--count", "8", "--out", arg(&items)]).expect_code(0);
+    let answer = |run: &Path, out: &str| -> Ran {
+        let out = workshop.path(out);
+        stance(&[
+            "--json",
+            "edit",
+            arg(run),
+            "--items",
+            arg(&items),
+            "--out",
+            arg(&out),
+        ])
+    };
+    let lengths = |out: &str| -> Vec<(i32, i32)> {
+        let folder = Dataset::open(&workshop.path(out)).expect("a table");
+        let asked: Vec<ItemRow> = folder.read(None).expect("rows");
+        let rows: Vec<EditRow> = folder.read(None).expect("rows");
+        rows.iter()
+            .map(|row| {
+                let item = asked
+                    .iter()
+                    .find(|item| item.id == row.id)
+                    .expect("its item");
+                assert_eq!(item.fps, row.fps);
+                (item.source_frames, row.n_frames)
+            })
+            .collect()
+    };
+    let said: Value = answer(&editor, "edits").expect_code(0).json();
+    assert_eq!(
+        (&said["num_short"], &said["unknown_words"]),
+        (&json!(0), &json!([]))
+    );
+    let found = lengths("edits");
+    assert_eq!(found.len(), 8);
+    assert!(
+        found.iter().all(|(source, edit)| source == edit),
+        "{found:?}"
+    );
+    // Whole windows end with frame 30, 58, 86 and so on: some of the clips do not.
+    assert!(
+        found.iter().any(|(source, _)| (source - 31) % 28 != 0),
+        "{found:?}"
+    );
+
+    // A model of longer windows edits what is shorter than one, and says how many those are.
+    let toml = workshop.path("long.toml");
+    let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
+    fs::write(&toml, format!("window = 24\n{small}")).expect("writes");
+    let more = ["--config", arg(&toml)];
+    let compose = workshop.path("slow.compose.toml");
+    fs::write(&compose, "fps = 5.0\n").expect("writes");
+    let long = workshop.path("long");
+    let mut args = vec!["train", "motionrefit", arg(&dataset), "--out", arg(&long)];
+    args.extend(more);
+    args.extend(["--compose", arg(&compose), "--steps", "4"]);
+    stance(&args).expect_code(0);
+    let ran = answer(&long, "long-edits").expect_code(0);
+    let said: Value = ran.json();
+    let found = lengths("long-edits");
+    assert!(
+        found.iter().all(|(source, edit)| source == edit),
+        "{found:?}"
+    );
+    // 24 frames at 5 fps reach from frame 0 to 92 at 20 fps; 89 frames take 23.
+    let short = found.iter().filter(|(source, _)| *source <= 89).count();
+    assert!(
+        short > 0,
+        "the items have a clip shorter than 4.5 s: {found:?}"
+    );
+    assert_eq!(said["num_short"], short);
+    assert!(
+        ran.stderr.contains("shorter than a window"),
+        "{}",
+        ran.stderr
+    );
+
+    // Words of no training instruction, and a range of half a second.
+    let clip = workshop.clip();
+    let out = workshop.path("said");
+    let ran = stance(&[
+        "--json",
+        "edit",
+        arg(&editor),
+        "--motion",
+        arg(&clip),
+        "--during",
+        "20:30 Levitate ultrasonically!",
+        "--out",
+        arg(&out),
+    ])
+    .expect_code(0);
+    let said: Value = ran.json();
+    assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
+    assert!(
+        ran.stderr.contains("never seen levitate, ultrasonically"),
+        "{}",
+        ran.stderr
+    );
+
+    // The published fit needs its network, and its rows say that it was used.
+    let refused = |args: &[&str]| stance(args).expect_code(1).stderr;
+    let published = [
+        "edit",
+        arg(&editor),
+        "--items",
+        arg(&items),
+        "--fit",
+        "paper",
+        "--out",
+    ];
+    let fitted = workshop.path("fitted");
+    let args: Vec<&str> = published.iter().copied().chain([arg(&fitted)]).collect();
+    assert!(
+        refused(&args).contains("--poses"),
+        "it says what is missing"
+    );
+    let poses = workshop.path("poses");
+    stance(&[
+        "train",
+        "j2s",
+        arg(&dataset),
+        "--out",
+        arg(&poses),
+        "--steps",
+        "4",
+    ])
+    .expect_code(0);
+    let args: Vec<&str> = args.into_iter().chain(["--poses", arg(&poses)]).collect();
+    stance(&args).expect_code(0);
+    let row = row(&fitted);
+    let settings: Value = serde_json::from_str(&row.settings).expect("an object");
+    assert_eq!(settings["fit"], "paper");
+}

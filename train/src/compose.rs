@@ -1,0 +1,114 @@
+//! How the windows of a run were composed, as its record keeps it.
+
+use datasets_spec::Seed;
+use pipeline::compose::ComposeConfig;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Settings and seed of the composer. Rate and anchor hold while editing too: the network knows no
+/// other frames.
+///
+/// Records of version 1.3 and before hold the same as a JSON document in a string, which is read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Written")]
+pub struct ComposeRecord {
+    /// The settings.
+    pub config: ComposeConfig,
+    /// The seed of what was drawn.
+    pub seed: Seed,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Fields(Fields),
+    Text(String),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    config: ComposeConfig,
+    seed: Seed,
+}
+
+impl TryFrom<Written> for ComposeRecord {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let (config, seed) = match written {
+            Written::Fields(Fields { config, seed }) => (config, seed),
+            Written::Text(text) if text.is_empty() => {
+                return Err(
+                    "the run does not say how its windows were composed; import the model again"
+                        .to_owned(),
+                );
+            }
+            Written::Text(text) => serde_json::from_str(&text)
+                .map_err(|error| format!("the composer's settings cannot be read: {error}"))?,
+        };
+        Ok(Self { config, seed })
+    }
+}
+
+impl ComposeRecord {
+    /// Checks the settings, and that they are those of a network for windows of so many frames.
+    ///
+    /// # Errors
+    /// A setting is out of range, or the windows have another length.
+    pub(crate) fn check(&self, window: usize) -> Result<(), Error> {
+        let problem = match self.config.check() {
+            Err(error) => error.to_string(),
+            Ok(()) if self.config.window != window => format!(
+                "its windows have {} frames, and the network is made for {window}",
+                self.config.window
+            ),
+            Ok(()) => return Ok(()),
+        };
+        Err(Error::Config {
+            field: "compose",
+            problem,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_are_read_as_they_are_written_and_as_they_were() {
+        let record = ComposeRecord {
+            config: ComposeConfig {
+                fixed_pairs: true,
+                ..ComposeConfig::default()
+            },
+            seed: Seed(7),
+        };
+        let json = serde_json::to_string(&record).expect("serialises");
+        let old = serde_json::to_string(&(&record.config, record.seed)).expect("serialises");
+        let old = serde_json::to_string(&old).expect("serialises");
+        for text in [&json, &old] {
+            let read: ComposeRecord = serde_json::from_str(text).expect("known");
+            assert_eq!(read, record);
+        }
+        assert!(serde_json::from_str::<ComposeRecord>("\"\"").is_err());
+    }
+
+    #[test]
+    fn settings_out_of_range_and_other_windows_are_refused() {
+        let record = |config| ComposeRecord {
+            config,
+            seed: Seed(0),
+        };
+        let usable = ComposeConfig::default();
+        assert!(record(usable.clone()).check(usable.window).is_ok());
+        assert!(record(usable.clone()).check(usable.window + 1).is_err());
+        let unusable = ComposeConfig {
+            mcm_ratio: 2.0,
+            ..usable.clone()
+        };
+        assert!(record(unusable).check(usable.window).is_err());
+    }
+}
