@@ -4,6 +4,7 @@
 //! shard fixed, so the result depends neither on the order in which threads finish nor on how often
 //! the run was interrupted. A bad file becomes a row of the `quarantine` table and the rest goes on.
 
+use std::cell::Cell;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -796,17 +797,42 @@ impl Plan {
         }
     }
 
-    /// Gives single files with labels of action and style the group of their original.
+    /// Gives single files with labels of action and style the group of their original. A file whose
+    /// labels cannot be read is rejected: without them it might land in another split.
     fn group_styles(&mut self) {
         let Self { files, items, .. } = self;
-        let single = items.par_iter_mut().filter(|item| item.release.is_none());
-        single.for_each(|item| {
-            let file = &item.entry.file;
-            let folder = files.path(file).and_then(Path::parent);
-            let folder = folder.unwrap_or(Path::new("."));
-            let companions = |name: &str| files.read_beside(&folder.join(name)).ok().flatten();
-            let found = labels::action_and_style(Path::new(file), &companions);
-            item.group = found.map(|(action, style)| style_group(file, &action, &style));
+        let unreadable: Vec<Option<Rejected>> = items
+            .par_iter_mut()
+            .map(|item| {
+                if item.release.is_some() {
+                    return None;
+                }
+                let file = &item.entry.file;
+                let folder = files.path(file).and_then(Path::parent);
+                let folder = folder.unwrap_or(Path::new("."));
+                let failed = Cell::new(None);
+                let companions = |name: &str| match files.read_beside(&folder.join(name)) {
+                    Ok(bytes) => bytes,
+                    Err(rejected) => {
+                        failed.set(Some(rejected));
+                        None
+                    }
+                };
+                let found = labels::action_and_style(Path::new(file), &companions);
+                item.group = found.map(|(action, style)| style_group(file, &action, &style));
+                failed.into_inner()
+            })
+            .collect();
+        let mut unreadable = unreadable.into_iter();
+        let (sources, rejected) = (&self.sources, &mut self.rejected);
+        self.items.retain(|item| match unreadable.next().flatten() {
+            None => true,
+            Some(reason) => {
+                let Entry { file, key, .. } = &item.entry;
+                let row = staged_rejection(file, key, source_hash(sources, file), reason);
+                rejected.push(row.into());
+                false
+            }
         });
     }
 

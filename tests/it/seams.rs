@@ -255,10 +255,21 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
             .collect()
     };
     let said: Value = answer(&editor, "edits").expect_code(0).json();
-    assert_eq!(
-        (&said["num_short"], &said["unknown_words"]),
-        (&json!(0), &json!([]))
-    );
+    assert_eq!(said["num_short"], 0);
+    // Splits keep the takes of an action together, so that some actions of the test are new.
+    let asked: Vec<ItemRow> = Dataset::open(&items)
+        .expect("items")
+        .read(None)
+        .expect("rows");
+    for word in said["unknown_words"].as_array().expect("a list") {
+        let word = word.as_str().expect("a word");
+        assert!(
+            asked
+                .iter()
+                .any(|item| item.instruction.to_lowercase().contains(word)),
+            "{word} is in no instruction"
+        );
+    }
     let found = lengths("edits");
     assert_eq!(found.len(), 8);
     assert!(
@@ -274,7 +285,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     // A model of longer windows edits what is shorter than one, and says how many those are.
     let toml = workshop.path("long.toml");
     let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
-    fs::write(&toml, format!("window = 24\n{small}")).expect("writes");
+    fs::write(&toml, format!("window = 28\n{small}")).expect("writes");
     let more = ["--config", arg(&toml)];
     let compose = workshop.path("slow.compose.toml");
     fs::write(&compose, "fps = 5.0\n").expect("writes");
@@ -290,11 +301,11 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         found.iter().all(|(source, edit)| source == edit),
         "{found:?}"
     );
-    // 24 frames at 5 fps reach from frame 0 to 92 at 20 fps; 89 frames take 23.
-    let short = found.iter().filter(|(source, _)| *source <= 89).count();
+    // 28 frames at 5 fps reach from frame 0 to 108 at 20 fps.
+    let short = found.iter().filter(|(source, _)| *source <= 105).count();
     assert!(
         short > 0,
-        "the items have a clip shorter than 4.5 s: {found:?}"
+        "the items have a clip shorter than 5.4 s: {found:?}"
     );
     assert_eq!(said["num_short"], short);
     assert!(
