@@ -1110,7 +1110,7 @@ pub(crate) fn edits(
     })
 }
 
-/// Says what is to be known of edits before they are trusted.
+/// Prints the warnings about edits to stderr.
 pub(crate) fn note_remarks(remarks: &Remarks) {
     if remarks.num_short > 0 {
         report::note(&format!(

@@ -427,7 +427,8 @@ impl<'a> Fitter<'a> {
         pose
     }
 
-    /// Fits a frame from `init`, holding rotations to `prior` with a weight in m^2/rad^2.
+    /// Fits a frame, starting at `init`; `prior` pulls rotations towards itself with a weight in
+    /// m^2/rad^2.
     fn fit(
         &self,
         target: &KeypointFrame,

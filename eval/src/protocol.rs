@@ -52,8 +52,8 @@ pub enum Spread {
     /// How the value varies over draws of the targets with replacement: what another test set would
     /// have given. Items that share a target are drawn together.
     Targets,
-    /// How the repeats scatter, as published: what other galleries, pairs and takes would have given
-    /// on these items. A value that is the same in all repeats has no interval.
+    /// Spread over the repeats, as published: how other galleries, pairs and takes of the same items
+    /// change the value. A value that is the same in all repeats has no interval.
     Repeats,
 }
 

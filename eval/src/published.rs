@@ -2,7 +2,7 @@
 //!
 //! They were measured by their authors with their own encoder and test sets, so they show the order
 //! of magnitude a table ought to have and no more; every row built from them is marked. The papers do
-//! not say on how many items: shares of n items are multiples of 1/n, which gives it away.
+//! not state the number of items n. It follows from the printed recalls, which are multiples of 1/n.
 
 use crate::metric::{Metric, retrieval};
 use crate::protocol::Gallery;

@@ -39,7 +39,7 @@ pub const RECAPTURED: &str = "recaptured";
 
 /// Motions decoded and encoded together: enough for a full batch of the encoder, and little memory.
 const MOTIONS_PER_CALL: usize = 256;
-/// Digits of the hash that stands for a set of items.
+/// Hexadecimal digits of the digest of the sorted item ids.
 const DIGEST_DIGITS: usize = 12;
 /// Ids an error message lists.
 const MAX_IDS_SHOWN: usize = 5;

@@ -618,7 +618,7 @@ impl Planned {
         format!("{}{}", self.prefix, self.entry.id)
     }
 
-    /// The source clip, under the id it has in the dataset.
+    /// Id of the source clip in the dataset, without crop or mirror suffix.
     fn clip(&self) -> String {
         let id = self.full_id();
         MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::train::Workshop;
 use crate::util::{Ran, arg, stance};
 
-/// Trains an editor or a coordinator with settings of the composer.
+/// Trains an editor or a coordinator on windows composed with the given settings.
 fn train_composed(
     workshop: &Workshop,
     model: &str,

@@ -91,8 +91,8 @@ pub struct Extrapolation {
     start_spreads: Vec<f32>,
 }
 
-/// The least spread of a frame in model units, a few millimetres: below it there is noise of captures
-/// alone.
+/// Lower bound of a frame's spread in model units. It is a few millimetres, the noise of motion
+/// capture.
 const LEAST_SPREAD: f64 = 2e-3;
 
 impl Extrapolation {

@@ -36,7 +36,7 @@ impl SystemIdentity {
     }
 }
 
-/// What is to be known of edits before they are trusted.
+/// Warnings about edits: short clips and unknown words.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Remarks {
     /// Motions shorter than a window: they are edited with their last pose held, which is cut off
@@ -205,7 +205,7 @@ const CONTINUITY: f64 = 25.0;
 /// How SMPL-X parameters are found for generated keypoints.
 #[derive(Clone, Copy)]
 pub struct Fit<'a> {
-    /// The way.
+    /// The method.
     pub method: FitMethod,
     /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from.
     pub prior: f64,

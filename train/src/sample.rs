@@ -601,7 +601,7 @@ pub struct WindowRequest<'a> {
     pub item: usize,
     /// The window.
     pub window: &'a EditWindow,
-    /// Its normalised first frames; none where they are to be made too.
+    /// Its normalised first frames; none if the model generates them as well.
     pub fixed: Option<[NormalizedFrame; FIXED_FRAMES]>,
     /// Generator of its noise.
     pub rng: Rng,

@@ -313,7 +313,7 @@ fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
 }
 
 /// A range shorter than a window is edited from its first frame to its last; the frames before it are the
-/// original's, and those after it become so within a third of a second.
+/// original's, and those after it return to the original's within a third of a second.
 #[test]
 fn a_short_range_is_edited_where_it_is() {
     let record = record(16, Fps::MODEL, Anchor::Pelvis, 0.25);

@@ -183,7 +183,7 @@ mod tests {
 
     const FPS: Fps = Fps::STORE;
 
-    /// A body whose points move by a function of time in seconds.
+    /// Keypoints of the rest pose, translated by `path` of the time in seconds.
     fn moving(num_frames: usize, path: impl Fn(f64) -> DVec3) -> Vec<KeypointFrame> {
         let rest = Skeleton::smplx_neutral().keypoints(&Pose::REST);
         (0..num_frames)

@@ -37,8 +37,8 @@ pub fn pairs(
             found: num_repeats,
         });
     }
-    // Neighbours on a random round of all positions: each of them has every other beside it as
-    // often as any.
+    // Pairs are neighbours in a random circular order, so that no take is paired with itself and
+    // every other take is an equally likely partner.
     let round = draw_without_replacement(num_repeats, num_repeats, rng);
     let second = (1..=num_pairs).map(|place| round[place % num_repeats]);
     Ok([round[..num_pairs].to_vec(), second.collect()])

@@ -44,7 +44,7 @@ pub enum Place {
     Source,
 }
 
-/// Whose answers are imported, and what their files do not say.
+/// Options of an import: the name of the system, and what its files leave out.
 #[derive(Clone, Debug)]
 pub struct AnswerOptions {
     /// Name of the system in tables.

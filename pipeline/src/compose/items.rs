@@ -18,7 +18,7 @@ use super::{ComposeConfig, EditKind, Error, Library, blend_motion};
 /// Windows an item should cover: the paper edits clips of several segments, and the released demo
 /// uses at least three.
 const PREFERRED_WINDOWS: usize = 3;
-/// Draws that may repeat an item before its subject is passed over.
+/// Attempts at a new item of a mask or pair before it is passed over.
 const MAX_REPEATS: usize = 16;
 
 /// What a test question asks about.
@@ -147,7 +147,7 @@ pub struct ItemConfig {
     pub count: ItemCount,
     /// Of which tasks; all there is data for if empty.
     pub tasks: Vec<ItemTask>,
-    /// How they are composed. What an ablation thins the training data by is ignored.
+    /// How they are composed; `mcm_ratio` and `annotated_ratio` are ignored.
     pub compose: ComposeConfig,
 }
 
