@@ -21,11 +21,11 @@ use datasets_spec::{
 };
 use eval::EncoderError;
 use eval::compare::{Comparison, compare};
+use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
 use eval::linalg::Matrix;
 use eval::metric::matching::{CrossRetrieval, cross_retrieval};
 use eval::metric::retrieval::unit_rows;
 use eval::protocol::Protocol;
-use eval::score::{Instruments, MotionEncoder, MotionJudge};
 use eval::times::WindowTimes;
 use pipeline::catalogue::other_than_motions;
 use pipeline::compose::{
@@ -1238,15 +1238,15 @@ pub(crate) struct Scores {
 /// Scores every system of one or more tables of edits.
 pub(crate) fn scores(
     edits: &[PathBuf],
-    judges: &Judges<'_>,
+    runs: &EvaluatorRuns<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> anyhow::Result<Scores> {
     let answered = Answered::read_for_table(edits)?;
-    judges.with(&answered.skeleton, |instruments| {
+    runs.with(&answered.skeleton, |evaluators| {
         let (items, edits) = (&answered.items, &answered.edits);
-        let rows = eval::score::score(items, edits, instruments, protocol, progress)?;
-        let encoder = instruments.encoder;
+        let rows = eval::score::score(items, edits, evaluators, protocol, progress)?;
+        let encoder = evaluators.encoder;
         Ok(Scores {
             rows,
             recipes: BTreeMap::from([(encoder.hash(), encoder.recipe())]),
@@ -1257,7 +1257,7 @@ pub(crate) fn scores(
 /// Compares two systems of one or more tables of edits item by item.
 pub(crate) fn comparison(
     edits: [&Path; 2],
-    judges: &Judges<'_>,
+    runs: &EvaluatorRuns<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> anyhow::Result<Vec<Comparison>> {
@@ -1289,61 +1289,58 @@ pub(crate) fn comparison(
         }));
         names.push(name);
     }
-    judges.with(&skeleton, |instruments| {
+    runs.with(&skeleton, |evaluators| {
         let names = [names[0].as_str(), names[1].as_str()];
         Ok(compare(
-            &items,
-            &rows,
-            names,
-            instruments,
-            protocol,
-            progress,
+            &items, &rows, names, evaluators, protocol, progress,
         )?)
     })
 }
 
-/// Run folders of what motions are judged by.
+/// Run folders of the networks that motions are measured with.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Judges<'a> {
+pub(crate) struct EvaluatorRuns<'a> {
     /// The evaluation encoder.
     pub(crate) encoder: &'a Path,
     /// A coordinator.
     pub(crate) coordinator: Option<&'a Path>,
 }
 
-impl Judges<'_> {
+impl EvaluatorRuns<'_> {
     fn with<T>(
         &self,
         skeleton: &Skeleton,
-        act: impl FnOnce(Instruments<'_>) -> anyhow::Result<T>,
+        act: impl FnOnce(Evaluators<'_>) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         check_skeleton(self.encoder, "the encoder", skeleton)?;
         if let Some(run) = self.coordinator {
             check_skeleton(run, "the coordinator", skeleton)?;
         }
         let encoder = Encoder(TmrEncoder::load(self.encoder, Slot::Best, &device())?);
-        let judge = match self.coordinator {
-            Some(run) => Some(Judge {
+        let classifier = match self.coordinator {
+            Some(run) => Some(Classifier {
                 network: TrainedCoordinator::load(run, Slot::Best, &device())?,
                 skeleton,
             }),
             None => None,
         };
-        act(Instruments {
+        act(Evaluators {
             encoder: &encoder,
-            judge: judge.as_ref().map(|judge| judge as &dyn MotionJudge),
+            classifier: classifier
+                .as_ref()
+                .map(|classifier| classifier as &dyn MotionClassifier),
             skeleton,
         })
     }
 }
 
-/// A coordinator as evaluation asks for it.
-struct Judge<'a> {
+/// A coordinator as the classifier of evaluation.
+struct Classifier<'a> {
     network: TrainedCoordinator,
     skeleton: &'a Skeleton,
 }
 
-impl MotionJudge for Judge<'_> {
+impl MotionClassifier for Classifier<'_> {
     fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError> {
         motions
             .iter()

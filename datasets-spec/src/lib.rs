@@ -23,6 +23,7 @@ pub mod motion;
 pub mod normalise;
 pub mod product;
 mod progress;
+pub mod quantile;
 pub mod record;
 pub mod resample;
 pub mod rotation;

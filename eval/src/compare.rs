@@ -1,24 +1,25 @@
 //! Whether one system is better than another: paired differences with intervals.
 
 use datasets_spec::Progress;
+use datasets_spec::quantile::quantile;
 use datasets_spec::record::{EditRow, ItemRow};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::bootstrap::{Resamples, drawn};
+use crate::evaluators::Evaluators;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
-use crate::metric::fid::{self, MIN_ROWS};
-use crate::metric::{Better, Metric};
+use crate::metric::fid::{self, FID, MIN_ROWS};
+use crate::metric::{self, Better, Measure, Metric, RankSummary};
 use crate::protocol::{FidSample, Protocol, Spread};
-use crate::score::{Asked, Instruments, Measured, System, Take, TestSet, item_values, measured};
+use crate::score::{Measured, Ranks, Resamples, System, Take, TestSet, drawn, measured, of_items};
 use crate::table::Items;
 
 /// Resamples behind an interval of a Fréchet distance, each of which decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
 
-/// Share of the resamples left out on either side of an interval.
+/// Share of the resamples beyond either end of an interval.
 const TAIL: f64 = 0.025;
 
 /// The difference of two systems in one metric, on the same items.
@@ -34,8 +35,8 @@ pub struct Difference {
     pub difference: f64,
     /// Ends of the 95 % interval of the difference.
     pub interval: [f64; 2],
-    /// Which system the interval favours; none where it holds 0, or where closeness to real data
-    /// decides, which a difference does not tell.
+    /// Which system is better, `A` or `B`; none where the interval contains 0, and for metrics whose
+    /// good values are those near real data.
     pub better: Option<&'static str>,
 }
 
@@ -46,7 +47,7 @@ pub struct Comparison {
     pub task: String,
     /// Items.
     pub n: usize,
-    /// Distinct motions their targets took from, which intervals come from draws of.
+    /// Distinct motions their targets were made of, which the bootstrap draws.
     pub targets: u32,
     /// What tells one set of items from another.
     pub items_digest: String,
@@ -62,19 +63,18 @@ pub struct Comparison {
 
 /// Compares two systems item by item.
 ///
-/// Targets are drawn with replacement, the same for both systems and with all items that share them,
-/// and the interval is that of the 2.5 and 97.5 % quantiles of the difference (Efron 1979). Where the
-/// protocol repeats a gallery, an item's rank is its mean over the repeats that ranked it. The
-/// Fréchet distance is between all real motions and all of a system's, whatever the protocol says,
-/// and is named so.
+/// Targets are drawn with replacement, with all items that share them and the same draws for both
+/// systems; the interval reaches from the 2.5 to the 97.5 % quantile of the difference (Efron 1979).
+/// An item's rank is its mean over the repeats that ranked it. The Fréchet distance is between all
+/// real motions and all motions of a system, whatever the protocol says, and is named so.
 ///
 /// # Errors
-/// As [`crate::score::score`]; or one of the systems is not among the rows.
+/// As [`crate::score::score`]; or the edits lack one of the systems.
 pub fn compare(
     items: &[ItemRow],
     edits: &[EditRow],
     names: [&str; 2],
-    instruments: Instruments<'_>,
+    evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<Comparison>, Error> {
@@ -96,7 +96,7 @@ pub fn compare(
     }
     let Measured {
         sources, systems, ..
-    } = measured(&test_set, instruments, protocol, progress)?;
+    } = measured(&test_set, evaluators, protocol, progress)?;
     let find = |name: &str| systems.iter().find(|system| system.name == name);
     let tasks = test_set.tasks();
     progress.begin("compare", Some(tasks.len() as u64));
@@ -123,7 +123,7 @@ pub fn compare(
                 items_digest: digest,
                 systems: names.map(str::to_owned),
                 protocol: whole_sets(protocol).name(indices.len()),
-                encoder_hash: instruments.encoder.hash(),
+                encoder_hash: evaluators.encoder.hash(),
                 differences,
             })
         })
@@ -132,7 +132,7 @@ pub fn compare(
     Ok(comparisons)
 }
 
-/// The protocol as it is followed here: without halves, since a resample of a half is too small.
+/// The protocol of a comparison: FID of whole sets, since a resample of a half is too small.
 fn whole_sets(protocol: &Protocol) -> Protocol {
     Protocol {
         fid_sample: FidSample::All,
@@ -150,20 +150,24 @@ fn differences(
     protocol: &Protocol,
 ) -> Result<Vec<Difference>, Error> {
     let values = |side: &System<'_>| {
-        let asked = Asked::new(sources, targets, side, protocol.queries)?;
-        item_values(side, &asked, protocol)
+        let ranks = Ranks::of_system(sources, targets, side, protocol)?;
+        of_items(side, &ranks, protocol)
     };
     let (a, b) = (values(&sides[0])?, values(&sides[1])?);
     let mut found = Vec::new();
-    if targets.raw.num_rows() >= MIN_ROWS {
-        let takes = sides.each_ref().map(|side| &side.takes[0].unit);
-        found.extend(fid_difference(task, &targets.unit, takes, resamples)?);
+    if targets.latents.raw.num_rows() >= MIN_ROWS {
+        let takes = sides.each_ref().map(|side| &side.takes[0].latents.unit);
+        let real = &targets.latents.unit;
+        found.extend(fid_difference(task, real, takes, resamples)?);
     }
-    for metric in Metric::ALL {
-        let (Some(a), Some(b)) = (a.get(&metric), b.get(&metric)) else {
+    for &metric in metric::ALL {
+        if matches!(metric.measure, Measure::Rank(_, RankSummary::Median)) {
+            continue;
+        }
+        let (Some(a), Some(b)) = (a.get(metric), b.get(metric)) else {
             continue;
         };
-        // An item that no gallery ranked says nothing.
+        // An item that no gallery ranked has no value.
         let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
         let mean = |values: &[f64]| {
             let known = values.iter().zip(&differences);
@@ -179,7 +183,7 @@ fn differences(
             continue;
         }
         found.push(difference(
-            metric.name(),
+            metric.name,
             metric,
             task,
             values,
@@ -189,10 +193,10 @@ fn differences(
     Ok(found)
 }
 
-/// What the Fréchet distance of this comparison is called: not that of the tables.
+/// Name of the Fréchet distance here, which is not the FID of the tables.
 const FID_NAME: &str = "FID of whole sets";
 
-/// None where every resample draws one row alone.
+/// The difference in FID; none where every resample draws a single row.
 fn fid_difference(
     task: &str,
     real: &Matrix,
@@ -215,24 +219,21 @@ fn fid_difference(
         .par_iter()
         .map(|drawn| both(drawn).map(|[a, b]| b - a))
         .collect::<Result<Vec<f64>, Error>>()?;
-    Ok((!resampled.is_empty())
-        .then(|| difference(FID_NAME, Metric::FidUnit, task, values, &mut resampled)))
+    Ok((!resampled.is_empty()).then(|| difference(FID_NAME, &FID, task, values, &mut resampled)))
 }
 
 fn difference(
     name: &'static str,
-    metric: Metric,
+    metric: &Metric,
     task: &str,
     [a, b]: [f64; 2],
     resampled: &mut [f64],
 ) -> Difference {
-    resampled.sort_by(f64::total_cmp);
-    let last = resampled.len() - 1;
-    let at = |share: f64| resampled[(share * last as f64).round() as usize];
-    let interval = [at(TAIL), at(1.0 - TAIL)];
+    let interval = [TAIL, 1.0 - TAIL]
+        .map(|share| quantile(resampled, share).expect("resamples of a known difference"));
     let rises = interval[0] > 0.0;
     let falls = interval[1] < 0.0;
-    let better = match metric.better(task) {
+    let better = match (metric.better)(task) {
         Better::Higher if rises => Some("B"),
         Better::Higher if falls => Some("A"),
         Better::Lower if rises => Some("A"),
@@ -270,7 +271,7 @@ impl Comparison {
                 .differences
                 .iter()
                 .map(|row| {
-                    let digits = Metric::from_name(row.metric).map_or(3, Metric::decimals);
+                    let digits = metric::from_name(row.metric).map_or(3, |metric| metric.decimals);
                     let number = |value: f64| format!("{value:.digits$}");
                     vec![
                         row.metric.to_owned(),

@@ -1,20 +1,15 @@
-//! Dense real matrices as far as the metrics need them: products, covariances and the symmetric
-//! eigenproblem.
+//! What the metrics need of linear algebra: products, covariances and symmetric eigenproblems.
 //!
-//! Everything runs in `f64`; the work is faer's. Matrices are cut into blocks whose size does not
-//! depend on the number of threads and each block is one thread's, so the same inputs give the same
-//! bits however many there are.
+//! Everything runs in `f64`; faer does the work. Products are divided into blocks of a fixed size,
+//! each computed by one thread, so the result does not depend on the number of threads.
 
-use datasets_spec::lanes::{Kernel, vectorised};
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par, Side};
 use rayon::prelude::*;
 
-use crate::scatter::Scatter;
-
-/// Rows of a result that one thread computes at a time: enough to use what is loaded of the right
-/// factor, and eight tasks for a covariance of 512 dimensions.
+/// Rows of a result that one thread computes at a time: a covariance of 512 dimensions makes eight
+/// tasks.
 const ROWS_PER_TASK: usize = 64;
 
 /// A matrix in row-major order.
@@ -248,56 +243,6 @@ fn symmetric_product(a: MatRef<'_, f64>) -> Matrix {
     result
 }
 
-/// `R S Rᵀ` for a symmetric `S`; if `R` is upper triangular, at a third of the cost.
-///
-/// # Panics
-/// If the sizes disagree.
-pub fn congruence(root: &Matrix, symmetric: &Matrix, is_triangular: bool) -> Matrix {
-    let shape = if is_triangular {
-        BlockStructure::TriangularUpper
-    } else {
-        BlockStructure::Rectangular
-    };
-    let (rows, size) = (root.num_rows, root.num_cols);
-    assert_eq!([symmetric.num_rows, symmetric.num_cols], [size; 2]);
-    let mut seen = Matrix::zeros(rows, size);
-    let mut result = Matrix::zeros(rows, rows);
-    let view = MatMut::from_row_major_slice_mut(&mut seen.data, rows, size);
-    triangular::matmul(
-        view,
-        BlockStructure::Rectangular,
-        Accum::Replace,
-        root.view(),
-        shape,
-        symmetric.view(),
-        BlockStructure::Rectangular,
-        1.0,
-        Par::Seq,
-    );
-    let view = MatMut::from_row_major_slice_mut(&mut result.data, rows, rows);
-    triangular::matmul(
-        view,
-        BlockStructure::TriangularLower,
-        Accum::Replace,
-        seen.view(),
-        BlockStructure::Rectangular,
-        root.view().transpose(),
-        if is_triangular {
-            BlockStructure::TriangularLower
-        } else {
-            BlockStructure::Rectangular
-        },
-        1.0,
-        Par::Seq,
-    );
-    for row in 0..rows {
-        for col in row + 1..rows {
-            result.data[row * rows + col] = result.data[col * rows + row];
-        }
-    }
-    result
-}
-
 /// The mean row and the unbiased covariance (divisor N - 1) of feature rows.
 ///
 /// # Shapes
@@ -309,75 +254,25 @@ pub fn mean_and_covariance(features: &Matrix) -> (Vec<f64>, Matrix) {
     let num_rows = features.num_rows;
     assert!(num_rows >= 2, "a covariance needs two rows, got {num_rows}");
     let mut mean = vec![0.0; features.num_cols];
-    vectorised(AddRows {
-        rows: &features.data,
-        sums: &mut mean,
-    });
+    for row in features.rows() {
+        for (sum, value) in mean.iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
     for sum in &mut mean {
         *sum /= num_rows as f64;
     }
-    let mut covariance = scatter(features, &mean);
+    let mut centred = features.clone();
+    for row in centred.data.chunks_exact_mut(features.num_cols.max(1)) {
+        for (value, mean) in row.iter_mut().zip(&mean) {
+            *value -= mean;
+        }
+    }
+    let mut covariance = symmetric_product(centred.view().transpose());
     for value in &mut covariance.data {
         *value /= (num_rows - 1) as f64;
     }
     (mean, covariance)
-}
-
-/// Adds rows to sums of columns, four at a time, so that sums are read and written a quarter as often.
-struct AddRows<'a> {
-    rows: &'a [f64],
-    sums: &'a mut [f64],
-}
-
-impl Kernel for AddRows<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let width = self.sums.len().max(1);
-        let mut fours = self.rows.chunks_exact(4 * width);
-        for four in &mut fours {
-            let (a, b) = four.split_at(2 * width);
-            let ((a, b), (c, d)) = (a.split_at(width), b.split_at(width));
-            let pairs = a.iter().zip(b).zip(c.iter().zip(d));
-            for (sum, ((a, b), (c, d))) in self.sums.iter_mut().zip(pairs) {
-                *sum += (a + b) + (c + d);
-            }
-        }
-        for row in fours.remainder().chunks_exact(width) {
-            for (sum, value) in self.sums.iter_mut().zip(row) {
-                *sum += value;
-            }
-        }
-    }
-}
-
-/// Sums that are taken apart from each other, so that threads can share the work; their number does
-/// not depend on the threads, and so neither does the result.
-const PARTIAL_SUMS: usize = 4;
-
-/// The sum over all rows of the products of their differences from the mean, `[D, D]`.
-fn scatter(features: &Matrix, mean: &[f64]) -> Matrix {
-    let size = features.num_cols;
-    if size == 0 {
-        return Matrix::zeros(0, 0);
-    }
-    let share = features.num_rows.div_ceil(PARTIAL_SUMS).max(1) * size;
-    let sums: Vec<Scatter> = features
-        .data
-        .par_chunks(share)
-        .map(|rows| {
-            let mut sum = Scatter::new(size);
-            sum.add(rows, mean);
-            sum
-        })
-        .collect();
-    let mut sums = sums.into_iter();
-    let mut total = sums.next().expect("a share of the rows");
-    for sum in sums {
-        total.merge(&sum);
-    }
-    Matrix::new(size, size, total.symmetric())
 }
 
 /// The eigenvalues of a symmetric matrix in ascending order, with their eigenvectors.
@@ -439,37 +334,6 @@ pub fn symmetric_eigenvalues(matrix: &Matrix) -> Vec<f64> {
         *value *= scale;
     }
     values
-}
-
-/// Least share of the largest pivot that a pivot of [`root_of_definite`] may have. Below it rounding
-/// noise, some 1e-13 of the largest, would show in the root.
-const LEAST_PIVOT: f64 = 1e-8;
-
-/// A matrix whose Gram matrix `Rᵀ R` is the given symmetric one, by Cholesky's decomposition, at a
-/// tenth of the cost of eigenvectors; none where the matrix is not clearly positive definite.
-///
-/// Only the lower triangle is read.
-///
-/// # Panics
-/// If the matrix is not square or not finite.
-pub fn root_of_definite(matrix: &Matrix) -> Option<Matrix> {
-    let (scale, scaled) = scaled(matrix);
-    let size = matrix.num_rows;
-    let factor = scaled.view().llt(Side::Lower).ok()?;
-    let lower = factor.L();
-    let pivots = || (0..size).map(|k| lower[(k, k)].powi(2));
-    let largest = pivots().fold(0.0, f64::max);
-    if !pivots().all(|pivot| pivot >= LEAST_PIVOT * largest) {
-        return None;
-    }
-    let unit = scale.sqrt();
-    let mut root = Matrix::zeros(size, size);
-    for row in 0..size {
-        for col in row..size {
-            root.data[row * size + col] = unit * lower[(col, row)];
-        }
-    }
-    Some(root)
 }
 
 /// The largest magnitude in a matrix and the matrix divided by it, so that no square of an entry
@@ -546,27 +410,6 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn roots_of_definite_matrices_multiply_to_them() {
-        let (mean, covariance) = mean_and_covariance(&random(200, 37, "root"));
-        assert_eq!(mean.len(), 37);
-        let root = root_of_definite(&covariance).expect("definite");
-        let product = root.transposed().times(&root);
-        // Cholesky is off by a modest multiple of n times the precision.
-        assert!(max_difference(&product, &covariance) < 37.0 * f64::EPSILON);
-        let other = random(37, 37, "other").gram();
-        let expected = root.times(&other).times_transposed(&root);
-        for is_triangular in [true, false] {
-            let found = congruence(&root, &other, is_triangular);
-            assert!(max_difference(&found, &expected) < 1e-12 * expected.max_abs());
-        }
-        // Fewer rows than columns: a covariance that is not definite.
-        let (_, deficient) = mean_and_covariance(&random(20, 37, "deficient"));
-        assert!(root_of_definite(&deficient).is_none());
-        assert!(root_of_definite(&Matrix::diagonal(&[1.0, -1.0])).is_none());
-        assert!(root_of_definite(&Matrix::zeros(3, 3)).is_none());
     }
 
     #[test]

@@ -1,15 +1,25 @@
 //! How a table of scores is measured: galleries, repeats, and what varies between repeats.
 
+use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{Rng, Seed};
+use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::bootstrap::{RESAMPLES, SET_RESAMPLES};
-use crate::metric::foot_score::Floor;
-use crate::metric::position_error::Keypoints;
-use crate::metric::{diversity, draw_without_replacement, fid, retrieval};
 
-/// Among how many motions a counterpart is looked for.
+/// Galleries in the paper's main tables.
+pub const PAPER_GALLERY: usize = 32;
+
+/// Pairs drawn for Diversity in the T2M evaluation.
+pub const T2M_DIVERSITY_PAIRS: usize = 300;
+
+/// Bootstrap resamples behind the interval of a mean or a median over items.
+pub(crate) const RESAMPLES: usize = 1000;
+
+/// Bootstrap resamples behind the interval of FID and Diversity, which are recomputed on each.
+pub(crate) const SET_RESAMPLES: usize = 100;
+
+/// Size of a retrieval gallery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gallery {
@@ -24,37 +34,72 @@ pub enum Gallery {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FidSample {
-    /// Each repeat cuts the items into two random halves: the real motions of one are compared
-    /// with the motions of the other, which are real ones in the row of the real data and a
-    /// system's in its own row. All rows of a repeat share the halves, so they differ by the
-    /// motions alone, and the row of the real data is what a perfect system reaches, the bias of a
-    /// finite sample included.
+    /// Each repeat splits the items into two random halves and compares the targets of the first
+    /// with the motions of the second: targets again for the real data, edited motions for a
+    /// system. All systems of a repeat share the halves, so the value of the real data is what a
+    /// perfect system reaches, bias of the finite sample included.
     Halves,
-    /// All real motions against all of a system's. The real data are at distance 0 from
-    /// themselves, and values are not comparable between test sets of different size.
+    /// All targets against all motions of a system. The real data have distance 0, and values are
+    /// not comparable between test sets of different size.
     All,
 }
 
-/// Which side of a retrieval asks.
+/// Which side of a retrieval is the query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Queries {
-    /// Originals or targets ask, edited motions answer: what the MotionFix evaluation computes.
+    /// Originals or targets are the queries, edited motions the gallery: what the MotionFix
+    /// evaluation computes.
     Real,
-    /// Edited motions ask: what the words "Edited-to-Source" say.
+    /// Edited motions are the queries: what the words "Edited-to-Source" say.
     Edited,
 }
 
-/// What the interval beside a value says.
+/// What the 95 % interval of a value covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Spread {
-    /// How the value varies over draws of the targets with replacement: what another test set would
-    /// have given. Items that share a target are drawn together.
+    /// Bootstrap over the targets: how the value would vary over other test sets. Items that share
+    /// a target are drawn together.
     Targets,
-    /// Spread over the repeats, as published: how other galleries, pairs and takes of the same items
+    /// Spread over the repeats, as published: how galleries, pairs and takes of the same items
     /// change the value. A value that is the same in all repeats has no interval.
     Repeats,
+}
+
+/// Where the foot score takes the floor to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Floor {
+    /// At the lowest foot joint of the clip. The floor of an SMPL-X clip need not be at height 0,
+    /// and the score penalises any distance from it.
+    #[default]
+    Lowest,
+    /// At the given height in metres for every clip; DIMOS uses 0.
+    At(f64),
+}
+
+/// Which points the position error is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Keypoints {
+    /// All 28 of the model: joints of the body, eyes and fingers.
+    All,
+    /// The 22 joints of the body.
+    ///
+    /// # Source
+    /// Paper, App. C.6: MotionFix is compared on 22 joints.
+    Body,
+}
+
+impl Keypoints {
+    /// How many there are; they come first among the keypoints.
+    pub fn count(self) -> usize {
+        match self {
+            Self::All => NUM_KEYPOINTS,
+            Self::Body => NUM_BODY_JOINTS,
+        }
+    }
 }
 
 /// A part of the test set, drawn at random.
@@ -69,17 +114,17 @@ pub struct Limit {
 
 /// How scores are measured. Two runs with equal protocols and encoders are comparable.
 ///
-/// What varies between repeats: the cut of the items into galleries, the pairs of Diversity, the
-/// halves of the Fréchet distance, and, where a system edited every item several times, which of
-/// its takes is scored. Nothing depends on the system, so all systems meet the same draws.
+/// Four things vary between repeats: the galleries, the pairs of Diversity, the halves of the
+/// Fréchet distance and, for a system with several takes of each item, which take is scored. No
+/// draw depends on the system, so all systems are scored on the same draws.
 ///
 /// # Source
-/// Paper Sec. 5: galleries of 32 sampled at random, ten evaluations, 95 % intervals. Re-sampling
-/// the galleries for every evaluation is inferred.
+/// Paper, Sec. 6.1: galleries of 32 sampled at random, ten evaluations, 95 % intervals. New
+/// galleries for every evaluation are our reading.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Protocol {
-    /// Among how many motions a counterpart is looked for.
+    /// Size of a retrieval gallery.
     pub gallery: Gallery,
     /// Evaluations.
     pub repeats: usize,
@@ -89,12 +134,12 @@ pub struct Protocol {
     pub fid_sample: FidSample,
     /// Where the foot score takes the floor to be.
     pub floor: Floor,
-    /// Which side of a retrieval asks.
+    /// Which side of a retrieval is the query.
     pub queries: Queries,
     /// Whether edited motions are cut to the length of their target before they are encoded, as
     /// the MotionFix evaluation does.
     pub truncate_to_target: bool,
-    /// What the interval beside a value says.
+    /// What the 95 % interval of a value covers.
     pub interval: Spread,
     /// Which points the position error is over.
     pub keypoints: Keypoints,
@@ -114,9 +159,9 @@ const PAPER_REPEATS: usize = 10;
 impl Default for Protocol {
     fn default() -> Self {
         Self {
-            gallery: Gallery::Batches(retrieval::PAPER_GALLERY),
+            gallery: Gallery::Batches(PAPER_GALLERY),
             repeats: PAPER_REPEATS,
-            diversity_pairs: diversity::T2M_PAIRS,
+            diversity_pairs: T2M_DIVERSITY_PAIRS,
             fid_sample: FidSample::Halves,
             floor: Floor::Lowest,
             queries: Queries::Real,
@@ -265,39 +310,41 @@ impl Protocol {
         }
     }
 
-    /// The items whose real motions, and those whose compared motions, enter the Fréchet distance
-    /// of a repeat; none where a side would be too small for a covariance.
-    pub fn fid_items(&self, num_items: usize, repeat: usize) -> Option<(Vec<usize>, Vec<usize>)> {
-        let (real, compared) = match self.fid_sample {
+    /// Items whose targets, and items whose scored motions, enter the Fréchet distance of a repeat.
+    pub fn fid_items(&self, num_items: usize, repeat: usize) -> [Vec<usize>; 2] {
+        match self.fid_sample {
             FidSample::Halves => {
                 let order =
                     draw_without_replacement(num_items, num_items, &mut self.rng("fid", repeat));
                 let half = num_items / 2;
-                (order[..half].to_vec(), order[half..2 * half].to_vec())
+                [order[..half].to_vec(), order[half..2 * half].to_vec()]
             }
-            FidSample::All => ((0..num_items).collect(), (0..num_items).collect()),
-        };
-        (real.len() >= fid::MIN_ROWS).then_some((real, compared))
+            FidSample::All => [(0..num_items).collect(), (0..num_items).collect()],
+        }
     }
 
-    /// The generator of a repeat's Diversity pairs.
-    pub fn diversity_rng(&self, repeat: usize) -> Rng {
-        self.rng("diversity", repeat)
-    }
-
-    /// The generator of a repeat's Multimodality pairs.
-    pub fn multimodality_rng(&self, repeat: usize) -> Rng {
-        self.rng("multimodality", repeat)
-    }
-
-    /// The generator of the resamples of a comparison.
-    pub(crate) fn bootstrap_rng(&self, resample: usize) -> Rng {
-        self.rng("bootstrap", resample)
-    }
-
-    fn rng(&self, what: &str, repeat: usize) -> Rng {
+    /// The random generator of one purpose, such as `diversity`, in one repeat or resample.
+    pub(crate) fn rng(&self, what: &str, repeat: usize) -> Rng {
         self.seed.rng(&["eval", what, &repeat.to_string()])
     }
+}
+
+/// Draws distinct positions below `size` in random order.
+///
+/// # Panics
+/// If `count` exceeds `size`.
+pub(crate) fn draw_without_replacement(size: usize, count: usize, rng: &mut Rng) -> Vec<usize> {
+    assert!(
+        count <= size,
+        "cannot draw {count} of {size} without replacement"
+    );
+    let mut indices: Vec<usize> = (0..size).collect();
+    for drawn in 0..count {
+        let other = rng.random_range(drawn..size);
+        indices.swap(drawn, other);
+    }
+    indices.truncate(count);
+    indices
 }
 
 #[cfg(test)]
@@ -412,13 +459,6 @@ mod tests {
         assert!(error.contains("506") && error.contains("505"), "{error}");
     }
 
-    #[test]
-    fn sets_too_small_for_a_covariance_have_no_halves() {
-        let protocol = Protocol::default();
-        assert!(protocol.fid_items(3, 0).is_none());
-        assert!(protocol.fid_items(4, 0).is_some());
-    }
-
     proptest! {
         #[test]
         fn galleries_and_halves_never_repeat_an_item(
@@ -436,10 +476,9 @@ mod tests {
             seen.dedup();
             prop_assert_eq!(seen.len(), count);
             prop_assert!(seen.last().is_none_or(|last| *last < num_items));
-            if let Some((real, compared)) = protocol.fid_items(num_items, repeat) {
-                prop_assert_eq!(real.len(), compared.len());
-                prop_assert!(real.iter().all(|item| !compared.contains(item)));
-            }
+            let [real, compared] = protocol.fid_items(num_items, repeat);
+            prop_assert_eq!(real.len(), compared.len());
+            prop_assert!(real.iter().all(|item| !compared.contains(item)));
             prop_assert_eq!(protocol.galleries(num_items, repeat), galleries);
         }
     }

@@ -4,13 +4,34 @@
 //! of magnitude a table ought to have and no more; every row built from them is marked. The papers do
 //! not state the number of items n. It follows from the printed recalls, which are multiples of 1/n.
 
+use crate::metric::diversity::DIVERSITY;
+use crate::metric::fid::FID;
+use crate::metric::foot_score::FOOT_SCORE;
 use crate::metric::{Metric, retrieval};
-use crate::protocol::Gallery;
-use crate::score::{IDENTITY, REAL_DATA};
+use crate::names::{IDENTITY, REAL_DATA};
+use crate::protocol::{Gallery, PAPER_GALLERY};
 use crate::table::{Cell, Row, Table};
 
 /// A printed value and, where there is one, the half width of its interval.
 type Value = Option<(f64, Option<f64>)>;
+
+/// Columns of the paper's Table 1.
+const NUM_COLUMNS: usize = 11;
+
+/// The printed columns, in order.
+static COLUMNS: [&Metric; NUM_COLUMNS] = [
+    &FID,
+    &DIVERSITY,
+    &FOOT_SCORE,
+    &retrieval::E2S_RECALL_1,
+    &retrieval::E2S_RECALL_2,
+    &retrieval::E2S_RECALL_3,
+    &retrieval::E2S_AVERAGE_RANK,
+    &retrieval::E2T_RECALL_1,
+    &retrieval::E2T_RECALL_2,
+    &retrieval::E2T_RECALL_3,
+    &retrieval::E2T_AVERAGE_RANK,
+];
 
 /// A table of the paper, or the part of one that is about a single task.
 #[derive(Clone, Copy, Debug)]
@@ -30,12 +51,12 @@ struct Printed {
     system: &'static str,
     /// Items in the galleries, where the shares tell.
     n: Option<u32>,
-    values: [Value; Metric::PAPER.len()],
+    values: [Value; NUM_COLUMNS],
 }
 
 impl Published {
     /// The rows of the table for the given columns, all marked as published.
-    pub fn rows(&self, metrics: &[Metric]) -> Vec<Row> {
+    pub fn rows(&self, metrics: &[&Metric]) -> Vec<Row> {
         self.rows
             .iter()
             .map(|printed| Row {
@@ -46,7 +67,7 @@ impl Published {
                 cells: metrics
                     .iter()
                     .map(|metric| {
-                        let place = Metric::PAPER.iter().position(|known| known == metric)?;
+                        let place = COLUMNS.iter().position(|known| known == metric)?;
                         let (mean, ci95) = printed.values[place]?;
                         Some(Cell {
                             mean,
@@ -123,26 +144,24 @@ pub enum PaperTable {
 
 impl PaperTable {
     /// The columns, in the paper's order.
-    pub fn columns(self) -> Vec<Metric> {
-        let left_out: &[Metric] = match self {
+    pub fn columns(self) -> Vec<&'static Metric> {
+        let left_out: &[&Metric] = match self {
             Self::One | Self::A1 => &[],
-            Self::Two => &[Metric::FidUnit, Metric::Diversity, Metric::FootScore],
-            Self::A2 => &[Metric::Diversity, Metric::FootScore],
-            Self::A3 => &[Metric::Diversity],
+            Self::Two => &[&FID, &DIVERSITY, &FOOT_SCORE],
+            Self::A2 => &[&DIVERSITY, &FOOT_SCORE],
+            Self::A3 => &[&DIVERSITY],
         };
-        let columns = Metric::PAPER.iter().copied();
+        let columns = COLUMNS.into_iter();
         columns
             .filter(|metric| !left_out.contains(metric))
             .collect()
     }
 
-    /// Among how many motions a counterpart is looked for.
+    /// Size of a retrieval gallery.
     pub fn gallery(self) -> Gallery {
         match self {
             Self::A3 => Gallery::Full,
-            Self::One | Self::Two | Self::A1 | Self::A2 => {
-                Gallery::Batches(retrieval::PAPER_GALLERY)
-            }
+            Self::One | Self::Two | Self::A1 | Self::A2 => Gallery::Batches(PAPER_GALLERY),
         }
     }
 
@@ -177,7 +196,7 @@ impl Table {
         }) else {
             return false;
         };
-        let metrics: Vec<Metric> = self.columns.iter().map(|column| column.metric).collect();
+        let metrics: Vec<&Metric> = self.columns.iter().map(|column| column.metric).collect();
         self.rows.extend(published.rows(&metrics));
         let note = published.note(table.gallery(), self.items.count);
         self.notes.push(note);
@@ -187,11 +206,7 @@ impl Table {
 
 const NONE: Value = None;
 
-const fn row(
-    system: &'static str,
-    n: Option<u32>,
-    values: [Value; Metric::PAPER.len()],
-) -> Printed {
+const fn row(system: &'static str, n: Option<u32>, values: [Value; NUM_COLUMNS]) -> Printed {
     Printed { system, n, values }
 }
 
@@ -203,7 +218,7 @@ const fn ci(mean: f64, half_width: f64) -> Value {
     Some((mean, Some(half_width)))
 }
 
-/// The result tables of the paper in the order of [`Metric::PAPER`].
+/// The result tables of the paper, with its columns in the order of Table 1.
 ///
 /// Many intervals of Table 1 are misprinted, such as `±.1.286`; they are read as 1.286. The foot
 /// score's arrow of Table 1 is a misprint too.
@@ -309,23 +324,23 @@ pub const TABLES: &[Published] = &[
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metric::Better;
+    use crate::metric::{self, Better, Measure, Part, RankSummary};
     use crate::table::tests::sample_table;
 
     #[test]
     fn shares_rise_with_k_and_real_data_find_themselves() {
         for table in TABLES {
-            for row in table.rows(Metric::PAPER) {
-                let cell = |metric: Metric| {
-                    let place = Metric::PAPER.iter().position(|known| *known == metric);
+            for row in table.rows(&COLUMNS) {
+                let cell = |metric: &Metric| {
+                    let place = COLUMNS.iter().position(|known| *known == metric);
                     row.cells[place.expect("a column of the paper")]
                 };
-                let value = |metric: Metric| cell(metric).expect("printed").mean;
-                for family in [Metric::SourceRecall, Metric::TargetRecall] {
-                    if cell(family(1)).is_none() {
+                let value = |metric: &Metric| cell(metric).expect("printed").mean;
+                for family in [&COLUMNS[3..6], &COLUMNS[7..10]] {
+                    if cell(family[0]).is_none() {
                         continue;
                     }
-                    let shares = [1, 2, 3].map(|k| value(family(k)));
+                    let shares = [0, 1, 2].map(|at| value(family[at]));
                     assert!(
                         shares.is_sorted(),
                         "{} {}: {shares:?}",
@@ -334,9 +349,9 @@ mod tests {
                     );
                     assert!(shares[2] <= 100.0 && shares[0] > 0.0);
                 }
-                assert!(value(Metric::TargetAverageRank) >= 1.0);
+                assert!(value(&retrieval::E2T_AVERAGE_RANK) >= 1.0);
                 if row.baseline && table.protocol.starts_with("galleries") {
-                    assert_eq!(value(Metric::TargetRecall(1)), 100.0);
+                    assert_eq!(value(&retrieval::E2T_RECALL_1), 100.0);
                 }
             }
         }
@@ -348,8 +363,8 @@ mod tests {
             |table: &&Published| table.task != "motionfix" && !table.title.starts_with("Table A2");
         for table in TABLES.iter().filter(full) {
             let fid = |row: &Row| row.cells[0].expect("printed").mean;
-            let rows = table.rows(&[Metric::FidUnit]);
-            assert_eq!(Metric::FidUnit.better(table.task), Better::Lower);
+            let rows = table.rows(&[&FID]);
+            assert_eq!((FID.better)(table.task), Better::Lower);
             let best = rows
                 .iter()
                 .filter(|row| !row.baseline && row.cells[0].is_some())
@@ -373,10 +388,10 @@ mod tests {
                 let Some(n) = printed.n else {
                     continue;
                 };
-                let shares: Vec<f64> = (0..Metric::PAPER.len())
+                let shares: Vec<f64> = (0..NUM_COLUMNS)
                     .filter(|&place| {
-                        let metric = Metric::PAPER[place];
-                        matches!(metric, Metric::SourceRecall(_) | Metric::TargetRecall(_))
+                        let measure = COLUMNS[place].measure;
+                        matches!(measure, Measure::Rank(_, RankSummary::Recall(_)))
                     })
                     .filter_map(|place| printed.values[place].map(|(mean, _)| mean))
                     .collect();
@@ -431,9 +446,9 @@ mod tests {
 
     #[test]
     fn columns_are_those_of_the_paper() {
-        assert_eq!(PaperTable::One.columns(), Metric::PAPER);
+        assert_eq!(PaperTable::One.columns(), metric::of_part(Part::Paper));
         assert_eq!(PaperTable::Two.columns().len(), 8);
-        assert_eq!(PaperTable::A2.columns()[0], Metric::FidUnit);
+        assert_eq!(PaperTable::A2.columns()[0], &FID);
         assert_eq!(PaperTable::A3.columns().len(), 10);
     }
 
@@ -459,7 +474,7 @@ mod tests {
             let place = table
                 .columns
                 .iter()
-                .position(|column| column.metric == Metric::SourceRecall(1));
+                .position(|column| column.metric == &retrieval::E2S_RECALL_1);
             let cell = tmed.expect("a row").cells[place.expect("a column")];
             assert_eq!(cell.expect("printed").mean, value);
         }

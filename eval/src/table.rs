@@ -5,11 +5,8 @@ use std::collections::BTreeMap;
 use datasets_spec::record::ScoreRow;
 
 use crate::metric::interval::Interval;
-use crate::metric::{Better, Metric};
-use crate::score::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA, RECAPTURED};
-
-/// The rows that no system made, in their order.
-const GIVEN: [&str; 3] = [REAL_DATA, IDENTITY, NOISE_FLOOR];
+use crate::metric::{self, Better, Metric, fid};
+use crate::names::{ALL_TASKS, GIVEN, IDENTITY, REAL_DATA, RECAPTURED};
 
 /// The scores of one task under one protocol and one encoder.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +17,7 @@ pub struct Table {
     pub protocol: String,
     /// Hash of the encoder in hexadecimal.
     pub encoder_hash: String,
-    /// How the encoder came about.
+    /// How the encoder was trained.
     pub encoder_recipe: String,
     /// What was measured.
     pub items: Items,
@@ -32,7 +29,7 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows: real data, identity, noise floor where there is one, then the systems.
     pub rows: Vec<Row>,
-    /// What a reader has to know beside the numbers, one sentence each.
+    /// What a reader has to know besides the numbers, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -41,15 +38,15 @@ pub struct Table {
 pub struct Items {
     /// Items measured.
     pub count: u32,
-    /// Distinct motions that their targets took from; 0 where it is not known.
+    /// Distinct motions that their targets were made of; 0 where it is not known.
     pub targets: u32,
     /// Distinct motions that their sources were made of.
     pub sources: u32,
     /// Distinct instructions.
     pub instructions: u32,
-    /// Those on either side of a Fréchet distance.
+    /// Items on either side of a Fréchet distance.
     pub fid: u32,
-    /// What tells one set of items from another.
+    /// Digest of the sorted item ids.
     pub digest: String,
 }
 
@@ -57,7 +54,7 @@ pub struct Items {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column {
     /// The metric.
-    pub metric: Metric,
+    pub metric: &'static Metric,
     /// Which values are good in this task.
     pub better: Better,
 }
@@ -97,14 +94,14 @@ pub struct Cell {
 
 impl Cell {
     /// The mean as printed.
-    pub fn mean_text(&self, metric: Metric) -> String {
-        format!("{:.*}", metric.decimals(), self.mean)
+    pub fn mean_text(&self, metric: &Metric) -> String {
+        format!("{:.*}", metric.decimals, self.mean)
     }
 
     /// The half width as printed, with its sign; empty where there is none.
-    pub fn ci_text(&self, metric: Metric) -> String {
+    pub fn ci_text(&self, metric: &Metric) -> String {
         self.ci95
-            .map_or_else(String::new, |ci95| format!("±{ci95:.*}", metric.decimals()))
+            .map_or_else(String::new, |ci95| format!("±{ci95:.*}", metric.decimals))
     }
 }
 
@@ -112,12 +109,12 @@ impl Table {
     /// Lays out scores: one table for each task, protocol and encoder found, in the order of
     /// [`crate::score::score`].
     ///
-    /// `recipes` says how the encoder of each hash came about. `metrics` are the columns; those
+    /// `recipes` says how the encoder of each hash was trained. `metrics` are the columns; those that
     /// no system has a value of are left out, and so are scores of other metrics.
     pub fn from_scores(
         scores: &[ScoreRow],
         recipes: &BTreeMap<String, String>,
-        metrics: &[Metric],
+        metrics: &[&'static Metric],
     ) -> Vec<Self> {
         let mut keys: Vec<Key<'_>> = Vec::new();
         for row in scores {
@@ -139,14 +136,14 @@ impl Table {
     fn of_group(
         scores: &[&ScoreRow],
         recipes: &BTreeMap<String, String>,
-        metrics: &[Metric],
+        metrics: &[&'static Metric],
     ) -> Option<Self> {
         let first = scores.first()?;
         let mut names: Vec<&str> = Vec::new();
-        let mut values: BTreeMap<(&str, Metric), Interval> = BTreeMap::new();
+        let mut values: BTreeMap<(&str, &Metric), Interval> = BTreeMap::new();
         let mut takes: BTreeMap<&str, u32> = BTreeMap::new();
         for row in scores {
-            let Some(metric) = Metric::from_name(&row.metric) else {
+            let Some(metric) = metric::from_name(&row.metric) else {
                 continue;
             };
             if !names.contains(&row.system.as_str()) {
@@ -170,7 +167,7 @@ impl Table {
             .filter(|metric| values.keys().any(|(_, known)| known == *metric))
             .map(|&metric| Column {
                 metric,
-                better: metric.better(&first.task),
+                better: (metric.better)(&first.task),
             })
             .collect();
         if columns.is_empty() {
@@ -271,9 +268,9 @@ impl Table {
         }
     }
 
-    /// Marks the best measured systems of each column. Values that print alike are equally good.
-    /// Where the identity editor is better than all of them, none is. Returns in words which
-    /// systems fall behind it.
+    /// Marks the best measured systems of each column; values that print alike are equally good.
+    /// Where the identity editor is better than all systems, none is marked. Returns a sentence that
+    /// names the systems behind the identity editor.
     fn mark_best(&mut self) -> Option<String> {
         let mut behind: BTreeMap<usize, Vec<&'static str>> = BTreeMap::new();
         for (index, column) in self.columns.iter().enumerate() {
@@ -297,7 +294,7 @@ impl Table {
                     let found = badness(cell.mean);
                     cell.best = is_competitor && best.is_some() && found == best;
                     if is_competitor && found.is_some_and(|found| found > limit) {
-                        behind.entry(place).or_default().push(column.metric.name());
+                        behind.entry(place).or_default().push(column.metric.name);
                     }
                 }
             }
@@ -330,9 +327,9 @@ impl Table {
         })
     }
 
-    /// Says so where covariances of fewer motions than dimensions make up a Fréchet distance.
+    /// A note where the covariances of a Fréchet distance come from fewer motions than dimensions.
     fn note_of_small_samples(&self) -> Option<String> {
-        let is_fid = |column: &Column| [Metric::FidUnit, Metric::FidRaw].contains(&column.metric);
+        let is_fid = |column: &Column| [&fid::FID, &fid::FID_RAW].contains(&column.metric);
         let (count, width) = (self.items.fid, self.latent_width);
         (self.columns.iter().any(is_fid) && count > 0 && count <= width).then(|| {
             format!(
@@ -350,10 +347,10 @@ fn competes(row: &Row) -> bool {
     !row.baseline && !row.published
 }
 
-/// How far a value is from the best, as printed; none where closeness to real data decides and there
-/// are none.
+/// How far a value is from the best, as printed; none where values near real data are good and there
+/// is no real data.
 fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
-    let unit = 10f64.powi(column.metric.decimals() as i32);
+    let unit = 10f64.powi(column.metric.decimals as i32);
     let printed = |mean: f64| (mean * unit).round();
     match column.better {
         Better::Lower => Some(printed(mean)),
@@ -362,7 +359,7 @@ fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
     }
 }
 
-/// Whether each score falls behind the identity editor's of the same task, items and protocol.
+/// Whether each score is worse than the identity editor's of the same task, items and protocol.
 pub(crate) fn behind_identity(scores: &[ScoreRow]) -> Vec<bool> {
     let given: BTreeMap<(Key<'_>, &str, &str), f64> = scores
         .iter()
@@ -378,13 +375,13 @@ pub(crate) fn behind_identity(scores: &[ScoreRow]) -> Vec<bool> {
         .iter()
         .map(|row| {
             let of = |system| given.get(&(key(row), row.metric.as_str(), system)).copied();
-            let (Some(metric), Some(identity)) = (Metric::from_name(&row.metric), of(IDENTITY))
+            let (Some(metric), Some(identity)) = (metric::from_name(&row.metric), of(IDENTITY))
             else {
                 return false;
             };
             let column = Column {
                 metric,
-                better: metric.better(&row.task),
+                better: (metric.better)(&row.task),
             };
             let badness = |mean| badness(column, mean, of(REAL_DATA));
             !GIVEN.contains(&row.system.as_str()) && badness(row.mean) > badness(identity)
@@ -425,13 +422,21 @@ pub(crate) fn short_hash(hash: &str) -> &str {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::metric::diversity::DIVERSITY;
+    use crate::metric::foot_score::FOOT_SCORE;
+    use crate::metric::position_error::POSITION_ERROR;
+    use crate::metric::{Measure, Part, RankSummary, retrieval};
+
+    fn paper_columns() -> Vec<&'static Metric> {
+        metric::of_part(Part::Paper)
+    }
 
     /// A score row of the sample table.
-    pub(crate) fn score_row(task: &str, system: &str, metric: Metric, mean: f64) -> ScoreRow {
+    pub(crate) fn score_row(task: &str, system: &str, metric: &Metric, mean: f64) -> ScoreRow {
         ScoreRow {
             system: system.to_owned(),
             task: task.to_owned(),
-            metric: metric.name().to_owned(),
+            metric: metric.name.to_owned(),
             protocol: "galleries of 32, seed 0".to_owned(),
             encoder_hash: "0123456789abcdef".to_owned(),
             n: 512,
@@ -460,11 +465,11 @@ pub(crate) mod tests {
         ];
         let mut scores = Vec::new();
         for (system, factor) in systems {
-            for metric in Metric::ALL {
-                let mean = match metric {
-                    Metric::SourceRecall(_) | Metric::TargetRecall(_) => 100.0 * factor,
-                    Metric::Diversity => 36.06 * factor,
-                    Metric::FootScore => factor,
+            for &metric in metric::ALL {
+                let mean = match metric.measure {
+                    Measure::Rank(_, RankSummary::Recall(_)) => 100.0 * factor,
+                    _ if *metric == DIVERSITY => 36.06 * factor,
+                    _ if *metric == FOOT_SCORE => factor,
                     _ => 2.0 / factor,
                 };
                 scores.push(score_row(task, system, metric, mean));
@@ -476,7 +481,7 @@ pub(crate) mod tests {
     /// The sample scores as a table of the paper's columns.
     pub(crate) fn sample_table() -> Table {
         let recipes = BTreeMap::from([("0123456789abcdef".to_owned(), "TMR tiny".to_owned())]);
-        Table::from_scores(&sample_scores("semantic"), &recipes, Metric::PAPER).remove(0)
+        Table::from_scores(&sample_scores("semantic"), &recipes, &paper_columns()).remove(0)
     }
 
     #[test]
@@ -500,7 +505,7 @@ pub(crate) mod tests {
         );
     }
 
-    fn best(table: &Table, metric: Metric) -> Vec<&str> {
+    fn best<'a>(table: &'a Table, metric: &Metric) -> Vec<&'a str> {
         let index = table
             .columns
             .iter()
@@ -529,7 +534,7 @@ pub(crate) mod tests {
 
     #[test]
     fn no_system_is_best_where_returning_the_original_is_better() {
-        let (error, recall) = (Metric::PositionError, Metric::SourceRecall(1));
+        let (error, recall) = (&POSITION_ERROR, &retrieval::E2S_RECALL_1);
         let rows = [
             score_row("style", REAL_DATA, error, 0.0),
             score_row("style", IDENTITY, error, 40.0),
@@ -561,7 +566,7 @@ pub(crate) mod tests {
     fn a_small_sample_is_said_to_be_one() {
         let mut scores = sample_scores("style");
         let notes = |scores: &[ScoreRow]| {
-            let table = Table::from_scores(scores, &BTreeMap::new(), Metric::PAPER).remove(0);
+            let table = Table::from_scores(scores, &BTreeMap::new(), &paper_columns()).remove(0);
             table.notes.join(" ")
         };
         assert!(!notes(&scores).contains("FID:"));
@@ -574,20 +579,20 @@ pub(crate) mod tests {
             "{note}"
         );
         assert!(note.contains("singular below 65"), "{note}");
-        let of_feet = [score_row("style", "a", Metric::FootScore, 0.9)];
+        let of_feet = [score_row("style", "a", &FOOT_SCORE, 0.9)];
         assert_eq!(notes(&of_feet), "");
     }
 
     #[test]
     fn takes_are_counted_and_item_sets_kept_apart() {
         let mut rows = [
-            score_row("style", REAL_DATA, Metric::FootScore, 0.9),
-            score_row("style", "a", Metric::FootScore, 0.9),
-            score_row("style", "b", Metric::FootScore, 0.9),
+            score_row("style", REAL_DATA, &FOOT_SCORE, 0.9),
+            score_row("style", "a", &FOOT_SCORE, 0.9),
+            score_row("style", "b", &FOOT_SCORE, 0.9),
         ];
         rows[1].takes = 3;
         let head = |rows: &[ScoreRow]| {
-            let tables = Table::from_scores(rows, &BTreeMap::new(), &[Metric::FootScore]);
+            let tables = Table::from_scores(rows, &BTreeMap::new(), &[&FOOT_SCORE]);
             tables.iter().map(Table::head).collect::<Vec<_>>()
         };
         assert!(head(&rows)[0].contains("), 3 takes of a, 1 take of b, 10 repeats;"));
@@ -606,7 +611,7 @@ pub(crate) mod tests {
 
     #[test]
     fn closeness_to_real_data_beats_size() {
-        let metric = Metric::SourceRecall(1);
+        let metric = &retrieval::E2S_RECALL_1;
         let rows = |task| {
             [
                 score_row(task, REAL_DATA, metric, 52.0),
@@ -625,7 +630,7 @@ pub(crate) mod tests {
 
     #[test]
     fn without_real_data_nothing_is_closest_to_them() {
-        let metric = Metric::Diversity;
+        let metric = &DIVERSITY;
         let scores = [score_row("style", "ours", metric, 30.0)];
         let table = &Table::from_scores(&scores, &BTreeMap::new(), &[metric])[0];
         assert!(best(table, metric).is_empty());
@@ -640,7 +645,7 @@ pub(crate) mod tests {
             row.encoder_hash = "ff".to_owned();
         }
         scores.extend(other);
-        let tables = Table::from_scores(&scores, &BTreeMap::new(), Metric::FURTHER);
+        let tables = Table::from_scores(&scores, &BTreeMap::new(), &metric::of_part(Part::Further));
         let keys: Vec<(&str, &str)> = tables
             .iter()
             .map(|table| (table.task.as_str(), table.encoder_hash.as_str()))
@@ -653,17 +658,20 @@ pub(crate) mod tests {
                 ("style", "ff")
             ]
         );
-        assert_eq!(tables[0].columns.len(), Metric::FURTHER.len());
-        assert!(Table::from_scores(&[], &BTreeMap::new(), Metric::PAPER).is_empty());
+        assert_eq!(
+            tables[0].columns.len(),
+            metric::of_part(Part::Further).len()
+        );
+        assert!(Table::from_scores(&[], &BTreeMap::new(), &paper_columns()).is_empty());
     }
 
     #[test]
     fn missing_values_leave_a_gap_and_missing_metrics_no_column() {
         let scores = [
-            score_row("style", "a", Metric::FootScore, 0.9),
-            score_row("style", "b", Metric::FidUnit, 0.2),
+            score_row("style", "a", &FOOT_SCORE, 0.9),
+            score_row("style", "b", &fid::FID, 0.2),
         ];
-        let table = &Table::from_scores(&scores, &BTreeMap::new(), Metric::PAPER)[0];
+        let table = &Table::from_scores(&scores, &BTreeMap::new(), &paper_columns())[0];
         assert_eq!(table.columns.len(), 2);
         assert_eq!(table.rows[0].cells[0], None);
         assert!(table.rows[0].cells[1].is_some());

@@ -5,19 +5,17 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use datasets_spec::{Dataset, Seed, Split};
 use eval::format;
-use eval::metric::Metric;
-use eval::metric::foot_score::Floor;
 use eval::metric::interval::Interval;
 use eval::metric::matching::CrossRetrieval;
-use eval::metric::position_error::Keypoints;
 use eval::metric::retrieval::Retrieval;
-use eval::protocol::{FidSample, Gallery, Limit, Protocol, Queries, Spread};
+use eval::metric::{self, Part};
+use eval::names::{ALL_TASKS, RECAPTURED};
+use eval::protocol::{FidSample, Floor, Gallery, Keypoints, Limit, Protocol, Queries, Spread};
 use eval::published::PaperTable;
-use eval::score::{ALL_TASKS, RECAPTURED};
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
-use crate::chain::{self, Judges, Scores};
+use crate::chain::{self, EvaluatorRuns, Scores};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -111,8 +109,8 @@ struct Measure {
     /// Evaluations behind each value
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
-    /// Let the edited motions ask and the real ones answer, as the words of the paper say; its
-    /// code and this program do the reverse
+    /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and
+    /// the default here, do the opposite)
     #[arg(long)]
     transpose: bool,
     /// Cut edited motions to the length of their target, as the MotionFix evaluation does
@@ -175,11 +173,11 @@ impl Measure {
         }
     }
 
-    fn judges(&self) -> anyhow::Result<Judges<'_>> {
+    fn evaluators(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
         let Some(encoder) = &self.encoder else {
             bail!("say what motions are compared by: --encoder RUN, of `stance train tmr`");
         };
-        Ok(Judges {
+        Ok(EvaluatorRuns {
             encoder,
             coordinator: self.coordinator.as_deref(),
         })
@@ -255,7 +253,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let bars = global.bars();
     let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
-    let scores = chain::scores(&tables, &args.measure.judges()?, &protocol, &bars)?;
+    let scores = chain::scores(&tables, &args.measure.evaluators()?, &protocol, &bars)?;
     if let Some(out) = &args.out {
         let first = tables.first().context("no table of edits was given")?;
         let skeleton = chain::skeleton_of(&Dataset::open_unverified(first)?)?;
@@ -357,7 +355,7 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
     let comparisons = chain::comparison(
         [&args.a, &args.b],
-        &args.measure.judges()?,
+        &args.measure.evaluators()?,
         &protocol,
         &global.bars(),
     )?;
@@ -375,8 +373,9 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
 
 fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
-    let judges = args.measure.judges()?;
-    let (n, repeats) = chain::cross_scores(&args.dataset, judges.encoder, args.split, &protocol)?;
+    let evaluators = args.measure.evaluators()?;
+    let (n, repeats) =
+        chain::cross_scores(&args.dataset, evaluators.encoder, args.split, &protocol)?;
     type Side = fn(&CrossRetrieval) -> &Retrieval;
     type Column = fn(&Retrieval) -> f64;
     let sides: [(&str, Side); 2] = [
@@ -443,11 +442,11 @@ fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
 
 /// The scores in the shape of the paper's Table 1, for all tasks there are.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
-    Table::from_scores(&scores.rows, &scores.recipes, Metric::PAPER)
+    Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(Part::Paper))
 }
 
 /// The columns the paper does not print, and how motions move.
 pub(crate) fn further_tables(scores: &Scores) -> Vec<Table> {
-    let of = |metrics| Table::from_scores(&scores.rows, &scores.recipes, metrics);
-    [of(Metric::FURTHER), of(Metric::QUALITY)].concat()
+    let of = |part| Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(part));
+    [of(Part::Further), of(Part::Quality)].concat()
 }

@@ -11,7 +11,7 @@ use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
 
-use crate::chain::{self, Answered, Judges};
+use crate::chain::{self, Answered, EvaluatorRuns};
 use crate::cli::Global;
 use crate::cmd::eval::{further_tables, tables};
 use crate::exit::Exit;
@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     let scores = match &args.encoder {
         Some(encoder) => {
-            let judges = Judges {
+            let runs = EvaluatorRuns {
                 encoder,
                 coordinator: None,
             };
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             };
             Some(chain::scores(
                 &args.edits,
-                &judges,
+                &runs,
                 &protocol,
                 &global.bars(),
             )?)

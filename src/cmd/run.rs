@@ -23,7 +23,8 @@ use train::j2s::{J2sConfig, J2sPreset};
 use train::tmr::TmrConfig;
 
 use crate::chain::{
-    self, Answered, EditConfig, EditorSource, IngestConfig, Judged, Judges, Scores, TrainInputs,
+    self, Answered, EditConfig, EditorSource, EvaluatorRuns, IngestConfig, Judged, Scores,
+    TrainInputs,
 };
 use crate::cli::Global;
 use crate::cmd::eval::tables;
@@ -391,7 +392,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     };
     let scores = chain::scores(
         &tables,
-        &Judges {
+        &EvaluatorRuns {
             encoder: &places.encoder,
             coordinator: None,
         },

@@ -7,15 +7,16 @@ use anyhow::{Context, bail};
 use datasets_spec::record::ScoreRow;
 use datasets_spec::{Dataset, Split};
 use eval::draw::plot::{Curve, HeatMap, Plot, Scale, heat_map, plot};
-use eval::metric::Metric;
+use eval::metric::retrieval::E2T_AVERAGE_RANK;
+use eval::metric::{self, Metric};
+use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use eval::protocol::Protocol;
-use eval::score::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use serde::{Deserialize, Serialize};
 use train::config::TrainConfig;
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, EditorSource, Judges, Scores, TrainInputs};
+use crate::chain::{self, EditConfig, EditorSource, EvaluatorRuns, Scores, TrainInputs};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -84,7 +85,7 @@ fn validation() -> Split {
 }
 
 fn drawn() -> Vec<String> {
-    vec![Metric::TargetAverageRank.name().to_owned()]
+    vec![E2T_AVERAGE_RANK.name.to_owned()]
 }
 
 /// Settings that change together along one or two lists.
@@ -245,12 +246,12 @@ impl Plan {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let plan = Plan::read(&args.plan)?;
-    let metrics: Vec<Metric> = plan
+    let metrics: Vec<&Metric> = plan
         .metrics
         .iter()
         .map(|name| {
-            Metric::from_name(name).with_context(|| {
-                let known: Vec<&str> = Metric::ALL.iter().map(|metric| metric.name()).collect();
+            metric::from_name(name).with_context(|| {
+                let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
                 format!(
                     "there is no metric {name:?}; there are: {}",
                     known.join(", ")
@@ -331,7 +332,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     for (index, axis) in plan.axes.iter().enumerate() {
         for &metric in &metrics {
             let svg = drawing(axis, index, metric, &points, &scored);
-            let name = format!("{}-{}", axis.name, metric.name());
+            let name = format!("{}-{}", axis.name, metric.name);
             let name: String = name
                 .chars()
                 .map(|c| if c.is_alphanumeric() { c } else { '-' })
@@ -420,11 +421,11 @@ fn at_point(
         ..EditorSource::best(&run)
     };
     chain::edits(items, &source, &edits, edit, seed, global, &bars)?;
-    let judges = Judges {
+    let runs = EvaluatorRuns {
         encoder,
         coordinator: None,
     };
-    let found: Scores = chain::scores(std::slice::from_ref(&edits), &judges, &protocol, &bars)?;
+    let found: Scores = chain::scores(std::slice::from_ref(&edits), &runs, &protocol, &bars)?;
     let skeleton = chain::skeleton_of(&Dataset::open_unverified(items)?)?;
     chain::commit_scores(&scores, &found, &skeleton, global)?;
     Ok(Some(found.rows))
@@ -435,12 +436,12 @@ fn at_point(
 fn drawing(
     axis: &Axis,
     index: usize,
-    metric: Metric,
+    metric: &Metric,
     points: &[Point],
     scored: &[Vec<ScoreRow>],
 ) -> String {
     let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| -> (f64, f64) {
-        let of_metric = |row: &&ScoreRow| row.metric == metric.name() && wanted(&row.system);
+        let of_metric = |row: &&ScoreRow| row.metric == metric.name && wanted(&row.system);
         let mut found = rows.iter().filter(of_metric);
         // With one kind of edit alone there is no task of all.
         let all = found.clone().find(|row| row.task == ALL_TASKS);
@@ -459,7 +460,7 @@ fn drawing(
     let title = format!(
         "{}: {metric} {}",
         axis.name,
-        metric.better(ALL_TASKS).arrow()
+        (metric.better)(ALL_TASKS).arrow()
     );
     if let Some(second) = &axis.second_key {
         let label = |value: &toml::Value| value.to_string();
@@ -502,7 +503,7 @@ fn drawing(
         title,
         x_label: axis.key.clone(),
         x_names,
-        y_label: metric.name().to_owned(),
+        y_label: metric.name.to_owned(),
         y_scale: Scale::Linear,
         curves: vec![
             Curve {

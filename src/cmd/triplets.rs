@@ -7,7 +7,8 @@ use datasets_spec::record::{TripletRow, WindowRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
-use eval::metric::foot_score::{Floor, foot_score};
+use eval::metric::foot_score::foot_score;
+use eval::protocol::Floor;
 use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
 use serde::Serialize;
 
@@ -126,7 +127,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
                 let feet: Vec<[_; 4]> = skeleton
                     .points_of_frames::<12>(motion, 0..motion.len())
                     .iter()
-                    .map(|joints| [7, 8, 10, 11].map(|foot| joints[foot].as_vec3()))
+                    .map(|joints| [7, 10, 8, 11].map(|foot| joints[foot]))
                     .collect();
                 foot_score(&feet, motion.fps(), Floor::At(0.0))
             })

@@ -7,7 +7,8 @@ use std::path::Path;
 use datasets_spec::dataset::Transaction;
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Skeleton};
-use eval::metric::foot_score::{FOOT_JOINTS, Floor, foot_score};
+use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
+use eval::protocol::Floor;
 use serde::Deserialize;
 
 use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};

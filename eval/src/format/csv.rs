@@ -51,12 +51,12 @@ pub(super) fn quoted(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metric::Metric;
+    use crate::metric::fid::FID;
     use crate::table::tests::score_row;
 
     #[test]
     fn fields_that_hold_separators_are_quoted() {
-        let row = score_row("style", "a \"b\", c", Metric::FidUnit, 0.1);
+        let row = score_row("style", "a \"b\", c", &FID, 0.1);
         let expected = format!(
             "{HEAD}\n\"a \"\"b\"\", c\",style,FID,\"galleries of 32, seed 0\",0123456789abcdef,512,10,\
              0.1,0.001,1,29,400,61,32,512,256,64,a1b2c3d4e5f6,false\n"

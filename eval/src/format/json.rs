@@ -73,7 +73,7 @@ mod tests {
     use serde::Deserialize;
 
     use super::*;
-    use crate::score::{IDENTITY, REAL_DATA};
+    use crate::names::{IDENTITY, REAL_DATA};
     use crate::table::tests::sample_scores;
 
     /// What a reader of the document relies on; a new field is a change of the contract.

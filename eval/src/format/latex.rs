@@ -22,7 +22,7 @@ pub fn render(tables: &[Table]) -> String {
                 Better::Higher => "\\uparrow",
                 Better::NearReal => "\\rightarrow",
             };
-            text.push_str(&format!(" & {} ${arrow}$", escaped(column.metric.name())));
+            text.push_str(&format!(" & {} ${arrow}$", escaped(column.metric.name)));
         }
         text.push_str(" \\\\\n\\midrule\n");
         let mut previous = None;

@@ -95,7 +95,7 @@ fn table_text(table: &Table, text: &mut String) {
 
 /// The family of a column and what is left of its label.
 fn heading(column: &Column) -> (&'static str, String) {
-    let name = column.metric.name();
+    let name = column.metric.name;
     for family in ["E2S", "E2T"] {
         if let Some(rest) = name.strip_prefix(family) {
             return (

@@ -2,22 +2,43 @@
 
 use datasets_spec::Rng;
 
-use super::{check_finite, check_size, distance, draw_without_replacement};
+use super::definition::{
+    Better, Measure, Metric, Part, SetSample, check_finite, check_size, distance,
+};
 use crate::Error;
 use crate::linalg::Matrix;
+use crate::protocol::draw_without_replacement;
 
 const METRIC: &str = "Diversity";
+
+/// Mean distance of latents paired at random.
+pub static DIVERSITY: Metric = Metric {
+    name: METRIC,
+    part: Part::Paper,
+    better: |_| Better::NearReal,
+    decimals: 2,
+    measure: Measure::Set(of_sample),
+};
 
 /// Smallest set two different motions can be drawn from.
 pub const MIN_ROWS: usize = 2;
 
-/// Pairs drawn in the T2M evaluation.
-pub const T2M_PAIRS: usize = 300;
+fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
+    if sample.items.len() < MIN_ROWS {
+        return Ok(None);
+    }
+    let values = sample.sets.iter().map(|latents| {
+        let mut rng = sample.protocol.rng("diversity", sample.draw);
+        let latents = latents.raw.select_rows(sample.items);
+        diversity(&latents, sample.protocol.diversity_pairs, &mut rng)
+    });
+    values.collect::<Result<_, _>>().map(Some)
+}
 
 /// The mean distance between latents paired at random: two lists of positions are drawn, each
-/// without replacement, so that a latent may meet itself in the other list.
+/// without replacement, so a latent may be paired with itself.
 ///
-/// At most `num_pairs` pairs are drawn; a smaller set uses each latent once on either side.
+/// At most `num_pairs` pairs are drawn; a smaller set uses each latent once in either list.
 ///
 /// # Shapes
 /// `latents` is `[N, D]`.
@@ -77,6 +98,7 @@ mod tests {
 
     use super::*;
     use crate::golden::Golden;
+    use crate::protocol::T2M_DIVERSITY_PAIRS;
 
     #[test]
     fn golden_diversity_agrees_with_the_reference() {
@@ -102,7 +124,8 @@ mod tests {
         let value = diversity_of_pairs(&latents, &[0, 1], &[1, 1]).expect("valid");
         assert_eq!(value, 2.5);
         // Each list holds both points, so the pairs are either all equal or all different.
-        let drawn = diversity(&latents, T2M_PAIRS, &mut Seed(1).rng(&["two"])).expect("valid");
+        let drawn =
+            diversity(&latents, T2M_DIVERSITY_PAIRS, &mut Seed(1).rng(&["two"])).expect("valid");
         assert!(drawn == 0.0 || drawn == 5.0, "{drawn}");
     }
 

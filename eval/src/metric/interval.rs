@@ -15,8 +15,8 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation. Repeats
-    /// that are all the same say nothing of how sure a value is.
+    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation. Equal
+    /// repeats have no interval.
     ///
     /// # Panics
     /// If there are no values.
@@ -32,12 +32,12 @@ impl Interval {
         }
     }
 
-    /// A value with the spread of its bootstrap: the half width is 1.96 deviations of the resampled
-    /// values, whatever their mean, which drawing with replacement shifts.
+    /// A value with its bootstrap interval: the half width is 1.96 standard deviations of the
+    /// resampled values. Their mean is not used, because drawing with replacement shifts it.
     ///
-    /// Where each resample stands for one repeat and the value is the mean of several, `repeats`
-    /// holds those: what they scatter by counts once in the resamples, and only the share of it that
-    /// their mean keeps belongs to the interval.
+    /// `repeats` holds the values whose mean is `mean`, where each resample is scored as one repeat.
+    /// A resample then varies by the whole variance between repeats, of which the mean of n repeats
+    /// keeps only 1/n; the rest is subtracted.
     ///
     /// # Source
     /// Efron and Tibshirani 1993, Sec. 13.3, the interval by a normal distribution.
@@ -56,8 +56,7 @@ impl Interval {
     }
 }
 
-/// The population's variance; none of values that are all the same, whatever the rounding of their
-/// mean.
+/// The population variance; none for no values and for equal ones.
 fn variance(values: &[f64]) -> Option<f64> {
     if values.is_empty() {
         return None;

@@ -1,14 +1,11 @@
 //! How well motions match their texts in a shared space: R-precision and matching score.
 
+use super::definition::{check_finite, check_size, distance};
 use super::retrieval::{Retrieval, ranks_among_equivalents};
-use super::{check_finite, check_size, distance};
 use crate::Error;
 use crate::linalg::Matrix;
 
 const METRIC: &str = "R-precision";
-
-/// Texts and motions compared with each other at once in the T2M evaluation.
-pub const T2M_BATCH: usize = 32;
 
 /// Ranks considered.
 pub const TOP: usize = 3;
@@ -79,14 +76,14 @@ pub fn matching(texts: &Matrix, motions: &Matrix, batch_size: usize) -> Result<M
 /// How well texts find their motions, and motions their texts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossRetrieval {
-    /// Texts ask, motions answer.
+    /// Texts are the queries, motions the gallery.
     pub text_to_motion: Retrieval,
-    /// Motions ask, texts answer.
+    /// Motions are the queries, texts the gallery.
     pub motion_to_text: Retrieval,
 }
 
-/// Ranks motions by texts and texts by motions within galleries, by cosine. With `same_text`,
-/// motions that are described in equal words may stand for each other.
+/// Ranks motions by texts and texts by motions within galleries, by cosine. Where `same_text` holds
+/// for two items, either motion is a correct answer to either text.
 ///
 /// # Shapes
 /// `texts` and `motions` are `[N, D]` of unit length; `galleries` lists positions.

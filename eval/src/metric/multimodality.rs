@@ -2,19 +2,49 @@
 
 use datasets_spec::Rng;
 
+use super::definition::{Better, Measure, Metric, Part, TakesSample, check_finite, check_size};
 use super::diversity::diversity_of_pairs;
-use super::{check_finite, check_size, draw_without_replacement};
 use crate::Error;
 use crate::linalg::Matrix;
+use crate::protocol::draw_without_replacement;
 
 const METRIC: &str = "Multimodality";
 
-/// Motions generated for each condition in the T2M evaluation.
-pub const T2M_REPEATS: usize = 30;
+/// Mean distance of latents of one item, generated from several seeds.
+pub static MULTIMODALITY: Metric = Metric {
+    name: METRIC,
+    part: Part::Further,
+    better: |_| Better::Higher,
+    decimals: 2,
+    measure: Measure::Takes(of_sample),
+};
+
 /// Conditions compared in the T2M evaluation.
 pub const T2M_CONDITIONS: usize = 100;
 /// Pairs drawn for each condition in the T2M evaluation.
 pub const T2M_PAIRS: usize = 10;
+
+/// Values of at most [`T2M_CONDITIONS`] items drawn at random; none where a system made too few
+/// takes for [`T2M_PAIRS`] pairs.
+fn of_sample(sample: &TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error> {
+    let num_takes = sample.takes.len();
+    if num_takes <= T2M_PAIRS {
+        return Ok(Vec::new());
+    }
+    let mut rng = sample.protocol.rng("multimodality", sample.repeat);
+    let num_items = sample.takes[0].raw.num_rows();
+    let count = num_items.min(T2M_CONDITIONS);
+    let items = draw_without_replacement(num_items, count, &mut rng);
+    let [first, second] = pairs(num_takes, T2M_PAIRS, &mut rng)?;
+    items
+        .into_iter()
+        .map(|item| {
+            let rows: Vec<&[f64]> = sample.takes.iter().map(|take| take.raw.row(item)).collect();
+            let latents = [Matrix::from_rows(&rows)];
+            Ok((item, multimodality_of_pairs(&latents, &first, &second)?))
+        })
+        .collect()
+}
 
 /// Pairs of different positions below `num_repeats`: two lists, each without repetition, that never
 /// hold the same position in the same place.
@@ -24,7 +54,7 @@ pub const T2M_PAIRS: usize = 10;
 ///
 /// # Source
 /// T2M evaluation: 30 repeats, 10 pairs, both lists drawn without replacement. There a motion may
-/// meet itself, which is at no distance and says nothing of how motions differ.
+/// be paired with itself, which adds a distance of 0; here it may not.
 pub fn pairs(
     num_repeats: usize,
     num_pairs: usize,
@@ -42,24 +72,6 @@ pub fn pairs(
     let round = draw_without_replacement(num_repeats, num_repeats, rng);
     let second = (1..=num_pairs).map(|place| round[place % num_repeats]);
     Ok([round[..num_pairs].to_vec(), second.collect()])
-}
-
-/// The mean distance between motions of the same condition, over all conditions and pairs. The
-/// same positions are drawn for every condition.
-///
-/// # Shapes
-/// `conditions` holds one `[R, D]` matrix of latents for each condition.
-///
-/// # Errors
-/// There is no condition, the conditions differ in size, there are not more repeats than pairs, or
-/// a latent is not finite.
-///
-/// # Source
-/// T2M evaluation, but for [`pairs`]. The paper names the metric and prints it in no table.
-pub fn multimodality(conditions: &[Matrix], num_pairs: usize, rng: &mut Rng) -> Result<f64, Error> {
-    let num_repeats = conditions.first().map_or(0, Matrix::num_rows);
-    let [first, second] = pairs(num_repeats, num_pairs, rng)?;
-    multimodality_of_pairs(conditions, &first, &second)
 }
 
 /// The mean distance between the latents at paired positions of each condition.
@@ -151,7 +163,8 @@ mod tests {
         }
         // Takes at distance 1 from each other: a pair of equals would lower the mean.
         let takes = Matrix::identity(12);
-        let value = multimodality(&[takes], T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("valid");
+        let [first, second] = pairs(12, T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("enough");
+        let value = multimodality_of_pairs(&[takes], &first, &second).expect("valid");
         assert!((value - 2f64.sqrt()).abs() < 1e-12, "{value}");
     }
 
@@ -161,10 +174,10 @@ mod tests {
             Matrix::from_rows(&[[1.0]; 4]),
             Matrix::from_rows(&[[5.0]; 4]),
         ];
-        let mut rng = Seed(3).rng(&["mm"]);
-        assert_eq!(multimodality(&conditions, 3, &mut rng).expect("valid"), 0.0);
-        assert!(multimodality(&conditions, 4, &mut rng).is_err());
-        assert!(multimodality(&[], 1, &mut rng).is_err());
+        let value = multimodality_of_pairs(&conditions, &[0, 1, 2], &[1, 2, 3]);
+        assert_eq!(value.expect("valid"), 0.0);
+        assert!(pairs(4, 4, &mut Seed(3).rng(&["mm"])).is_err());
+        assert!(multimodality_of_pairs(&[], &[0], &[1]).is_err());
         let spread = [Matrix::from_rows(&[[0.0], [2.0]])];
         assert_eq!(
             multimodality_of_pairs(&spread, &[0], &[1]).expect("valid"),

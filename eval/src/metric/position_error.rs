@@ -1,36 +1,30 @@
 //! How far a motion is from another, joint by joint.
 
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
-use glam::DVec3;
-use serde::{Deserialize, Serialize};
+use datasets_spec::canonical::KeypointFrame;
 
-/// Which points of a body are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Keypoints {
-    /// All 28 of the model: joints of the body, eyes and fingers.
-    All,
-    /// The 22 joints of the body.
-    ///
-    /// # Source
-    /// Paper, App. C.6: MotionFix is compared on 22 joints.
-    Body,
-}
+use super::definition::{Better, Measure, Metric, Part};
 
-impl Keypoints {
-    /// How many there are; they come first among the keypoints.
-    pub fn count(self) -> usize {
-        match self {
-            Self::All => NUM_KEYPOINTS,
-            Self::Body => NUM_BODY_JOINTS,
-        }
-    }
-}
+/// Centimetres in a metre.
+const CM_PER_M: f64 = 100.0;
 
-/// The mean distance between the first `count` keypoints of two motions in metres, over the frames both have.
+/// Mean distance to the keypoints of the target, in centimetres.
+pub static POSITION_ERROR: Metric = Metric {
+    name: "Position error (cm)",
+    part: Part::Further,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Motion(|sample| {
+        let count = sample.protocol.keypoints.count();
+        let metres = mean_position_error(sample.keypoints, sample.target, count);
+        Some(CM_PER_M * metres)
+    }),
+};
+
+/// The mean distance between the first `count` keypoints of two motions in metres, over the
+/// frames both have.
 ///
-/// Frames beyond the end of the shorter motion have no counterpart and are left out. Positions are
-/// compared where they are, without alignment, so drift of the root counts.
+/// Frames beyond the end of the shorter motion are left out. Positions are not aligned, so drift
+/// of the root counts.
 ///
 /// # Shapes
 /// Both are `[L, 28]` at the same frame rate; `L` may differ.
@@ -38,8 +32,8 @@ impl Keypoints {
 /// # Panics
 /// If one of them has no frame, or there are fewer keypoints.
 pub fn mean_position_error(
-    found: &[[DVec3; NUM_KEYPOINTS]],
-    expected: &[[DVec3; NUM_KEYPOINTS]],
+    found: &[KeypointFrame],
+    expected: &[KeypointFrame],
     count: usize,
 ) -> f64 {
     let num_frames = found.len().min(expected.len());
@@ -55,7 +49,11 @@ pub fn mean_position_error(
 
 #[cfg(test)]
 mod tests {
+    use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+    use glam::DVec3;
+
     use super::*;
+    use crate::protocol::Keypoints;
 
     #[test]
     fn a_constant_offset_is_its_length_and_surplus_frames_do_not_count() {

@@ -1,22 +1,112 @@
 //! Whether a motion finds its counterpart among others.
 
+use datasets_spec::quantile;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
-use super::{check_finite, check_size};
+use super::definition::{
+    Better, Counterpart, Measure, Metric, Part, RankSummary, check_finite, check_size,
+};
 use crate::Error;
 use crate::linalg::{Matrix, dot};
-use crate::similarity::{Pairing, Place, Rows};
 
 const METRIC: &str = "retrieval";
 
 /// Cut-offs k of the recall that is reported.
 pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 
-/// Galleries in the paper's main tables.
-pub const PAPER_GALLERY: usize = 32;
+/// Queries that are compared with the gallery at once: at 10,000 gallery rows their similarities
+/// take 10 MB.
+const QUERIES_PER_BLOCK: usize = 256;
 
-/// Largest gallery whose similarities are taken one by one; packing a larger one pays.
-const SMALL_GALLERY: usize = 64;
+/// Edits retrieved by their originals: share ranked first, in percent.
+pub static E2S_RECALL_1: Metric = recall("E2S R@1", Counterpart::Source, 1);
+/// Edits retrieved by their originals: share among the first 2, in percent.
+pub static E2S_RECALL_2: Metric = recall("E2S R@2", Counterpart::Source, 2);
+/// Edits retrieved by their originals: share among the first 3, in percent.
+pub static E2S_RECALL_3: Metric = recall("E2S R@3", Counterpart::Source, 3);
+/// Edits retrieved by their targets: share ranked first, in percent.
+pub static E2T_RECALL_1: Metric = recall("E2T R@1", Counterpart::Target, 1);
+/// Edits retrieved by their targets: share among the first 2, in percent.
+pub static E2T_RECALL_2: Metric = recall("E2T R@2", Counterpart::Target, 2);
+/// Edits retrieved by their targets: share among the first 3, in percent.
+pub static E2T_RECALL_3: Metric = recall("E2T R@3", Counterpart::Target, 3);
+
+/// Edits retrieved by their originals: mean rank.
+pub static E2S_AVERAGE_RANK: Metric = Metric {
+    name: "E2S AvgR",
+    part: Part::Paper,
+    better: source_rank,
+    decimals: 2,
+    measure: Measure::Rank(Counterpart::Source, RankSummary::Average),
+};
+
+/// Edits retrieved by their targets: mean rank.
+pub static E2T_AVERAGE_RANK: Metric = Metric {
+    name: "E2T AvgR",
+    part: Part::Paper,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Rank(Counterpart::Target, RankSummary::Average),
+};
+
+/// Edits retrieved by their originals: median rank.
+pub static E2S_MEDIAN_RANK: Metric = Metric {
+    name: "E2S MedR",
+    part: Part::Further,
+    better: source_rank,
+    decimals: 2,
+    measure: Measure::Rank(Counterpart::Source, RankSummary::Median),
+};
+
+/// Edits retrieved by their targets: median rank.
+pub static E2T_MEDIAN_RANK: Metric = Metric {
+    name: "E2T MedR",
+    part: Part::Further,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Rank(Counterpart::Target, RankSummary::Median),
+};
+
+const fn recall(name: &'static str, counterpart: Counterpart, k: usize) -> Metric {
+    Metric {
+        name,
+        part: Part::Paper,
+        better: match counterpart {
+            Counterpart::Source => source_recall,
+            Counterpart::Target => target_recall,
+        },
+        decimals: 2,
+        measure: Measure::Rank(counterpart, RankSummary::Recall(k)),
+    }
+}
+
+/// Tasks whose edits keep most of their original.
+const PRESERVING: [&str; 2] = ["fine-grained", "motionfix"];
+
+/// # Source
+/// Table 1 (body parts, style) asks E2S to be close to the real data: an edit that keeps the
+/// original too well has not edited it. Table A1 (fine-grained) and Table 2 ask for more.
+fn source_recall(task: &str) -> Better {
+    if PRESERVING.contains(&task) {
+        Better::Higher
+    } else {
+        Better::NearReal
+    }
+}
+
+fn target_recall(_task: &str) -> Better {
+    Better::Higher
+}
+
+fn source_rank(task: &str) -> Better {
+    if PRESERVING.contains(&task) {
+        Better::Lower
+    } else {
+        Better::NearReal
+    }
+}
 
 /// What a set of ranks amounts to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +147,18 @@ impl Retrieval {
             average_rank: mean(&|part| part.average_rank),
         }
     }
+
+    /// One of the values.
+    ///
+    /// # Panics
+    /// If a recall is at a cut-off that [`RECALL_AT`] lacks.
+    pub fn value(&self, summary: RankSummary) -> f64 {
+        match summary {
+            RankSummary::Recall(k) => self.recall[k - RECALL_AT[0]],
+            RankSummary::Average => self.average_rank,
+            RankSummary::Median => self.median_rank,
+        }
+    }
 }
 
 /// The share of ranks below k in percent. A two-way tie for the first place has rank 0.5 and counts
@@ -75,16 +177,7 @@ pub fn recall_at(ranks: &[f64], k: usize) -> f64 {
 /// # Panics
 /// If there are no ranks.
 pub fn median_rank(ranks: &[f64]) -> f64 {
-    assert!(!ranks.is_empty(), "median of no ranks");
-    let mut sorted = ranks.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    let median = if sorted.len() % 2 == 1 {
-        sorted[middle]
-    } else {
-        f64::midpoint(sorted[middle - 1], sorted[middle])
-    };
-    median + 1.0
+    quantile::median(&mut ranks.to_vec()).expect("median of no ranks") + 1.0
 }
 
 /// The mean rank, counted from one.
@@ -101,24 +194,15 @@ pub fn average_rank(ranks: &[f64]) -> f64 {
 ///
 /// # Panics
 /// If `truth` does not exist.
-pub fn tied_rank(similarities: &[f64], truth: usize) -> f64 {
+pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 {
     let own = similarities[truth];
-    let (nearer, equal) = similarities
-        .iter()
-        .fold((0, 0), |counts, &other| count(counts, other, own));
-    mean_position(nearer, equal)
-}
-
-fn count((nearer, equal): (usize, usize), other: f64, own: f64) -> (usize, usize) {
-    (
-        nearer + usize::from(other > own),
-        equal + usize::from(other == own),
-    )
-}
-
-fn mean_position(nearer: usize, equal: usize) -> f64 {
-    // `equal` includes the entry itself, unless its similarity overflowed.
-    nearer as f64 + equal.saturating_sub(1) as f64 / 2.0
+    let (mut nearer, mut equal) = (0u32, 0u32);
+    for &other in similarities {
+        nearer += u32::from(other > own);
+        equal += u32::from(other == own);
+    }
+    // `equal` includes the entry itself.
+    f64::from(nearer) + (f64::from(equal) - 1.0) / 2.0
 }
 
 /// The rank of the diagonal in each row of a similarity matrix.
@@ -188,8 +272,8 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// The rank of gallery row i for query row i by dot product in single precision, counted from zero.
-/// Memory does not grow with the product of the sizes.
+/// The rank of gallery row i for query row i by dot product in single precision, counted from zero,
+/// among the rows at some positions. Blocks of queries bound the memory.
 ///
 /// Equal gallery rows are exact ties, wherever they stand.
 ///
@@ -197,31 +281,55 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
 /// Both are `[N, D]`; pass rows of unit length to rank by cosine.
 ///
 /// # Errors
-/// The sizes differ.
-pub fn ranks(queries: &Rows, gallery: &Rows) -> Result<Vec<f64>, Error> {
-    Ok(ranks_of_places(&compare(queries, gallery)?.places()))
-}
-
-/// Queries and a gallery whose ranks are to be taken, in one gallery or in many.
+/// The sizes differ, or a number is not finite in single precision.
 ///
-/// # Errors
-/// The sizes differ.
-pub fn compare<'a>(queries: &'a Rows, gallery: &'a Rows) -> Result<Pairing<'a>, Error> {
-    check_size(
-        METRIC,
-        "gallery size",
-        gallery.num_rows(),
-        queries.num_rows(),
-    )?;
-    check_size(METRIC, "latent width", gallery.width(), queries.width())?;
-    Ok(Pairing::new(queries, gallery))
+/// # Panics
+/// If a position does not exist.
+pub fn ranks(queries: &Matrix, gallery: &Matrix, indices: &[usize]) -> Result<Vec<f64>, Error> {
+    let [num_rows, width] = [queries.num_rows(), queries.num_cols()];
+    check_size(METRIC, "gallery size", gallery.num_rows(), num_rows)?;
+    check_size(METRIC, "latent width", gallery.num_cols(), width)?;
+    let size = indices.len();
+    if size == 0 || width == 0 {
+        return Ok(vec![size.saturating_sub(1) as f64 / 2.0; size]);
+    }
+    let (queries, gallery) = (single(queries, indices)?, single(gallery, indices)?);
+    let gallery = MatRef::from_row_major_slice(&gallery, size, width);
+    let blocks: Vec<Vec<f64>> = queries
+        .par_chunks(QUERIES_PER_BLOCK * width)
+        .enumerate()
+        .map(|(block, queries)| {
+            let rows = queries.len() / width;
+            let mut similarity = vec![0.0f32; rows * size];
+            matmul(
+                MatMut::from_row_major_slice_mut(&mut similarity, rows, size),
+                Accum::Replace,
+                MatRef::from_row_major_slice(queries, rows, width),
+                gallery.transpose(),
+                1.0,
+                Par::Seq,
+            );
+            let rows = similarity.chunks_exact(size).enumerate();
+            rows.map(|(row, similarity)| tied_rank(similarity, block * QUERIES_PER_BLOCK + row))
+                .collect()
+        })
+        .collect();
+    Ok(blocks.concat())
 }
 
-fn ranks_of_places(places: &[Place]) -> Vec<f64> {
-    places
-        .iter()
-        .map(|place| mean_position(place.nearer as usize, place.equal as usize))
-        .collect()
+/// Some rows in single precision, one after the other.
+fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
+    let mut values = Vec::with_capacity(indices.len() * rows.num_cols());
+    for &row in indices {
+        values.extend(rows.row(row).iter().map(|&value| value as f32));
+    }
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(at) => Err(Error::NotFinite {
+            metric: METRIC,
+            row: indices[at / rows.num_cols()],
+        }),
+        None => Ok(values),
+    }
 }
 
 /// Ranks within each gallery and averages the results over the galleries.
@@ -230,25 +338,36 @@ fn ranks_of_places(places: &[Place]) -> Vec<f64> {
 /// Rows of unit length are compared by cosine; `galleries` lists positions.
 ///
 /// # Errors
-/// There is no gallery or an empty one.
+/// As [`gallery_ranks`].
 ///
 /// # Panics
 /// If a position does not exist.
-///
-/// # Source
-/// MotionFix evaluation: the original or target motions are the queries, the generated ones the
-/// gallery. The paper's "Edited-to-Source" reads the other way round.
-pub fn retrieval(pairing: &Pairing<'_>, galleries: &[Vec<usize>]) -> Result<Retrieval, Error> {
-    let parts: Vec<Retrieval> = gallery_ranks(pairing, galleries)?
+pub fn retrieval(
+    queries: &Matrix,
+    gallery: &Matrix,
+    galleries: &[Vec<usize>],
+) -> Result<Retrieval, Error> {
+    let parts: Vec<Retrieval> = gallery_ranks(queries, gallery, galleries)?
         .iter()
         .map(|ranks| Retrieval::of_ranks(ranks))
         .collect();
     Ok(Retrieval::mean(&parts))
 }
 
-/// The ranks of [`ranks`] within each gallery, in its order.
-pub(crate) fn gallery_ranks(
-    pairing: &Pairing<'_>,
+/// The [`ranks`] within each gallery.
+///
+/// # Errors
+/// There is no gallery or an empty one, the sizes differ, or a number is not finite.
+///
+/// # Panics
+/// If a position does not exist.
+///
+/// # Source
+/// MotionFix evaluation: original or target motions are the queries, generated ones the gallery.
+/// The paper's "Edited-to-Source" reads the other way round.
+pub fn gallery_ranks(
+    queries: &Matrix,
+    gallery: &Matrix,
     galleries: &[Vec<usize>],
 ) -> Result<Vec<Vec<f64>>, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
@@ -258,19 +377,10 @@ pub(crate) fn gallery_ranks(
             found: 0,
         });
     }
-    Ok(galleries
+    galleries
         .par_iter()
-        .enumerate()
-        .map_init(Vec::new, |room, (at, indices)| {
-            let places = if indices.len() <= SMALL_GALLERY {
-                let next = galleries.get(at + 1).map_or(&[][..], Vec::as_slice);
-                pairing.places_within(indices, next, room)
-            } else {
-                pairing.select(indices).places()
-            };
-            ranks_of_places(&places)
-        })
-        .collect())
+        .map(|indices| ranks(queries, gallery, indices))
+        .collect()
 }
 
 #[cfg(test)]
@@ -287,8 +397,10 @@ mod tests {
     /// Galleries of the recorded batches.
     const GOLDEN_GALLERY: usize = 32;
 
-    fn rows(latents: &Matrix) -> Rows {
-        Rows::new(latents).expect("finite")
+    /// Ranks in one gallery of all rows.
+    fn full_ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
+        let all: Vec<usize> = (0..queries.num_rows()).collect();
+        ranks(queries, gallery, &all)
     }
 
     fn golden_metrics(ranks: &[f64]) -> Vec<f64> {
@@ -405,30 +517,38 @@ mod tests {
             [0.1, 0.7, -0.3, 0.2, 0.9],
             [-0.5, 0.2, 0.4, 0.1, 0.3],
         ]);
-        let unit = rows(&unit_rows(&latents).expect("directions"));
-        assert_eq!(ranks(&unit, &unit).expect("same size"), [0.5, 0.5, 0.0]);
+        let unit = unit_rows(&latents).expect("directions");
+        assert_eq!(
+            full_ranks(&unit, &unit).expect("same size"),
+            [0.5, 0.5, 0.0]
+        );
+    }
+
+    /// A product whose last rows and columns were summed in another order would break ties.
+    #[test]
+    fn copies_tie_at_every_place_of_a_block() {
+        for (size, width) in [(33, 17), (100, 256), (261, 37), (515, 512)] {
+            let mut rng = Seed(7).rng(&["ties", &size.to_string()]);
+            let values = (0..size * width).map(|_| rng.random_range(-1.0..1.0));
+            let different = Matrix::new(size, width, values.collect());
+            // Every vector stands in three places.
+            let places: Vec<usize> = (0..3 * size).map(|place| place * 7 % size).collect();
+            let copies = unit_rows(&different.select_rows(&places)).expect("directions");
+            let ranks = full_ranks(&copies, &copies).expect("same size");
+            assert_eq!(ranks, vec![1.0; 3 * size], "{size} {width}");
+        }
     }
 
     #[test]
     fn galleries_are_ranked_apart_and_averaged() {
-        let queries = rows(&Matrix::from_rows(&[
-            [1.0, 0.0],
-            [0.0, 1.0],
-            [1.0, 0.0],
-            [0.0, 1.0],
-        ]));
-        let gallery = rows(&Matrix::from_rows(&[
-            [1.0, 0.0],
-            [0.0, 1.0],
-            [0.0, 1.0],
-            [1.0, 0.0],
-        ]));
-        let pairing = compare(&queries, &gallery).expect("same size");
-        let result = retrieval(&pairing, &[vec![0, 1], vec![2, 3]]).expect("valid");
+        let queries = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]);
+        let gallery = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]);
+        let ranked = |galleries: &[Vec<usize>]| retrieval(&queries, &gallery, galleries);
+        let result = ranked(&[vec![0, 1], vec![2, 3]]).expect("valid");
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
-        assert!(retrieval(&pairing, &[]).is_err());
-        assert!(retrieval(&pairing, &[vec![]]).is_err());
+        assert!(ranked(&[]).is_err());
+        assert!(ranked(&[vec![]]).is_err());
     }
 
     #[test]
@@ -443,9 +563,10 @@ mod tests {
         assert!((unit.row(0)[0] - 0.6).abs() < 1e-15);
         let nan = Matrix::from_rows(&[[f64::NAN]]);
         assert!(matches!(unit_rows(&nan), Err(Error::NotFinite { .. })));
-        assert!(ranks(&rows(&zero), &rows(&Matrix::zeros(3, 3))).is_err());
+        assert!(full_ranks(&zero, &Matrix::zeros(3, 3)).is_err());
         for bad in [f64::NAN, f64::INFINITY, 1e300] {
-            let found = Rows::new(&Matrix::from_rows(&[[0.0, 0.0], [1.0, bad]]));
+            let rows = Matrix::from_rows(&[[0.0, 0.0], [1.0, bad]]);
+            let found = full_ranks(&rows, &rows);
             assert!(matches!(found, Err(Error::NotFinite { row: 1, .. })));
         }
     }
@@ -466,13 +587,12 @@ mod tests {
                 Matrix::new(size, width, data)
             };
             let (queries, gallery) = (draw(), draw());
-            let found = ranks(&rows(&queries), &rows(&gallery)).expect("same size");
+            let found = full_ranks(&queries, &gallery).expect("same size");
             let stored = ranks_of_similarity(&queries.times_transposed(&gallery)).expect("square");
             prop_assert_eq!(&found, &stored);
 
             let order: Vec<usize> = (0..size).map(|index| (index + seed as usize % size) % size).collect();
-            let moved = ranks(&rows(&queries).select(&order), &rows(&gallery).select(&order))
-                .expect("same size");
+            let moved = ranks(&queries, &gallery, &order).expect("same size");
             let expected: Vec<f64> = order.iter().map(|&index| found[index]).collect();
             prop_assert_eq!(moved, expected);
         }

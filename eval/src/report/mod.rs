@@ -1,16 +1,18 @@
 //! A run in one HTML file that needs nothing beside itself.
 
-use std::fmt::Write;
+mod details;
+mod result_tables;
+mod viewer;
 
-use serde_json::Value;
+use std::fmt::Write;
 
 use crate::draw::escaped;
 use crate::draw::plot::{Bars, Plot, bar_chart, plot};
-use crate::draw::strip::{Row, Style, strip};
-use crate::format::{ABSENT, PUBLISHED_HEADING, RowGroup};
-use crate::metric::Metric;
-use crate::table::{Cell, Column, Table};
-use crate::viewer;
+use crate::draw::strip::{Style, strip};
+use crate::table::Table;
+
+pub use details::Details;
+pub use viewer::Strip;
 
 /// What a report shows, from top to bottom. Sections without content are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,94 +59,6 @@ pub enum Chart {
     Bars(Bars),
 }
 
-/// An edited item: its instruction, and the motions to compare.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Strip {
-    /// The instruction.
-    pub caption: String,
-    /// The item: its id, kind or whatever finds it again.
-    pub note: String,
-    /// The motions, such as original, edited and target.
-    pub rows: Vec<Row>,
-}
-
-/// Settings side by side: a line for each, a column for each system or stage.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Details {
-    /// What the settings are of.
-    pub title: String,
-    /// Names of the columns.
-    pub columns: Vec<String>,
-    /// Name of each setting, and its value in each column.
-    pub rows: Vec<(String, Vec<String>)>,
-}
-
-impl Details {
-    /// Lays out the settings of one or more JSON documents. Settings within settings are named by the
-    /// way to them, such as `diffusion.steps`; a column without a setting has a dash there.
-    pub fn of_json(title: &str, documents: &[(&str, &Value)]) -> Self {
-        let mut rows: Vec<(String, Vec<String>)> = Vec::new();
-        for (column, (_, document)) in documents.iter().enumerate() {
-            let mut found = Vec::new();
-            flatten("", document, &mut found);
-            for (name, value) in found {
-                let row = match rows.iter().position(|(known, _)| *known == name) {
-                    Some(row) => row,
-                    None => {
-                        rows.push((name, vec![ABSENT.to_owned(); documents.len()]));
-                        rows.len() - 1
-                    }
-                };
-                rows[row].1[column] = value;
-            }
-        }
-        Self {
-            title: title.to_owned(),
-            columns: documents
-                .iter()
-                .map(|(name, _)| (*name).to_owned())
-                .collect(),
-            rows,
-        }
-    }
-}
-
-/// Adds every value of a document with the way to it.
-fn flatten(way: &str, value: &Value, found: &mut Vec<(String, String)>) {
-    let plain = |value: &Value| match value {
-        Value::String(text) => text.clone(),
-        Value::Null => "not set".to_owned(),
-        other => other.to_string(),
-    };
-    match value {
-        Value::Object(fields) if !fields.is_empty() => {
-            for (name, value) in fields {
-                let way = if way.is_empty() {
-                    name.clone()
-                } else {
-                    format!("{way}.{name}")
-                };
-                flatten(&way, value, found);
-            }
-        }
-        Value::Array(values)
-            if values
-                .iter()
-                .any(|value| value.is_object() || value.is_array()) =>
-        {
-            for (place, value) in values.iter().enumerate() {
-                flatten(&format!("{way}[{place}]"), value, found);
-            }
-        }
-        Value::Array(values) => {
-            let values: Vec<String> = values.iter().map(plain).collect();
-            found.push((way.to_owned(), values.join(", ")));
-        }
-        Value::Object(_) => found.push((way.to_owned(), ABSENT.to_owned())),
-        value => found.push((way.to_owned(), plain(value))),
-    }
-}
-
 const STYLE: &str = include_str!("report.css");
 
 impl Report {
@@ -189,7 +103,7 @@ impl Report {
     fn sections(&self) -> Vec<Section> {
         [
             Section::new("summary", "Summary", cards(&self.cards)),
-            Section::new("results", "Results", tables(&self.tables)),
+            Section::new("results", "Results", result_tables::html(&self.tables)),
             Section::new(
                 "viewer-section",
                 "Motions in 3D",
@@ -201,7 +115,7 @@ impl Report {
             Section::new(
                 "settings",
                 "Settings and versions",
-                definitions(&self.settings) + &details(&self.details),
+                definitions(&self.settings) + &details::html(&self.details),
             ),
             Section::new("reproduce", "How to reproduce", commands(&self.commands)),
         ]
@@ -260,114 +174,6 @@ fn cards(cards: &[Card]) -> String {
     html
 }
 
-fn tables(tables: &[Table]) -> String {
-    let mut html = String::new();
-    for table in tables {
-        let class = if table.columns.len() < WIDE_COLUMNS {
-            "scroll narrow"
-        } else {
-            "scroll"
-        };
-        let _ = write!(
-            html,
-            "<h3>{}</h3>\n<p class=\"head\">{}</p>\n<div class=\"{class}\"><table>\n<thead>",
-            escaped(&table.task),
-            escaped(&table.conditions()),
-        );
-        table_head(&mut html, &table.columns);
-        html.push_str("</thead>\n<tbody>\n");
-        let mut previous = None;
-        for row in &table.rows {
-            let group = RowGroup::of(row);
-            if group == RowGroup::Published && previous != Some(group) {
-                let _ = writeln!(
-                    html,
-                    "<tr class=\"divider\"><th colspan=\"{}\">{PUBLISHED_HEADING}</th></tr>",
-                    table.columns.len() + 1
-                );
-            }
-            previous = Some(group);
-            let class = match group {
-                RowGroup::Baseline => " class=\"baseline\"",
-                RowGroup::System => "",
-                RowGroup::Published => " class=\"published\"",
-            };
-            let _ = write!(
-                html,
-                "<tr{class}><th scope=\"row\">{}</th>",
-                escaped(&row.system)
-            );
-            for (cell, column) in row.cells.iter().zip(&table.columns) {
-                table_cell(&mut html, cell.as_ref(), column.metric);
-            }
-            html.push_str("</tr>\n");
-        }
-        html.push_str("</tbody>\n</table></div>\n");
-        for note in &table.notes {
-            let _ = writeln!(html, "<p class=\"head\">{}</p>", escaped(note));
-        }
-    }
-    if !html.is_empty() {
-        html.push_str(
-            "<p class=\"head legend\">Mean ± half width of the 95 % interval. Bold: best measured \
-             system of the column, where the identity editor is not better. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
-        );
-    }
-    html
-}
-
-/// Columns from which on a table takes the whole width of the page.
-const WIDE_COLUMNS: usize = 5;
-
-/// Two head lines: families of columns, such as E2S, above their members.
-fn table_head(html: &mut String, columns: &[Column]) {
-    let mut families = "<tr><th rowspan=\"2\" scope=\"col\">System</th>".to_owned();
-    let mut members = "<tr>".to_owned();
-    let mut index = 0;
-    while index < columns.len() {
-        let name = columns[index].metric.name();
-        let family = FAMILIES.into_iter().find(|family| name.starts_with(family));
-        let Some(family) = family else {
-            let label = escaped(&columns[index].label());
-            let _ = write!(families, "<th rowspan=\"2\" scope=\"col\">{label}</th>");
-            index += 1;
-            continue;
-        };
-        let span = columns[index..]
-            .iter()
-            .take_while(|column| column.metric.name().starts_with(family))
-            .count();
-        let _ = write!(
-            families,
-            "<th colspan=\"{span}\" scope=\"colgroup\" class=\"family\">{family}</th>"
-        );
-        for column in &columns[index..index + span] {
-            let label = column.label();
-            let label = label.strip_prefix(family).unwrap_or(&label).trim_start();
-            let _ = write!(members, "<th scope=\"col\">{}</th>", escaped(label));
-        }
-        index += span;
-    }
-    let _ = write!(html, "{families}</tr>{members}</tr>");
-}
-
-/// First words of the columns that stand under a common heading.
-const FAMILIES: [&str; 2] = ["E2S", "E2T"];
-
-fn table_cell(html: &mut String, cell: Option<&Cell>, metric: Metric) {
-    let Some(cell) = cell else {
-        html.push_str("<td class=\"absent\">–</td>");
-        return;
-    };
-    let class = if cell.best { " class=\"best\"" } else { "" };
-    let _ = write!(html, "<td{class}>{}", cell.mean_text(metric));
-    let ci = cell.ci_text(metric);
-    if !ci.is_empty() {
-        let _ = write!(html, "<small>{ci}</small>");
-    }
-    html.push_str("</td>");
-}
-
 fn strips(strips: &[Strip]) -> String {
     let mut html = String::new();
     for item in strips {
@@ -422,31 +228,6 @@ fn definitions(entries: &[(String, String)]) -> String {
     html
 }
 
-fn details(details: &[Details]) -> String {
-    let mut html = String::new();
-    for part in details {
-        let _ = write!(
-            html,
-            "<h3>{}</h3>\n<div class=\"scroll narrow\"><table class=\"settings\">\n<thead><tr><th \
-             scope=\"col\">Setting</th>",
-            escaped(&part.title)
-        );
-        for column in &part.columns {
-            let _ = write!(html, "<th scope=\"col\">{}</th>", escaped(column));
-        }
-        html.push_str("</tr></thead>\n<tbody>\n");
-        for (name, values) in &part.rows {
-            let _ = write!(html, "<tr><th scope=\"row\">{}</th>", escaped(name));
-            for value in values {
-                let _ = write!(html, "<td>{}</td>", escaped(value));
-            }
-            html.push_str("</tr>\n");
-        }
-        html.push_str("</tbody>\n</table></div>\n");
-    }
-    html
-}
-
 fn commands(commands: &[String]) -> String {
     if commands.is_empty() {
         return String::new();
@@ -461,6 +242,7 @@ mod tests {
 
     use super::*;
     use crate::draw::plot::{Curve, Scale};
+    use crate::draw::strip::Row;
     use crate::draw::tests::check_nesting;
     use crate::table::tests::sample_table;
 
@@ -592,41 +374,6 @@ mod tests {
                 "{anchor}"
             );
         }
-    }
-
-    #[test]
-    fn settings_stand_side_by_side_and_not_as_json() {
-        let one = serde_json::json!({
-            "guidance": 2.0, "poses": null,
-            "coordinator": {"strength": 1.0, "parts": ["left arm", "head"]},
-        });
-        let two = serde_json::json!({"guidance": 2.5, "axis": [{"key": "x"}], "none": {}});
-        let details = Details::of_json("Editors", &[("full", &one), ("bare", &two)]);
-        let rows: Vec<(&str, [&str; 2])> = details
-            .rows
-            .iter()
-            .map(|(name, values)| (name.as_str(), [values[0].as_str(), values[1].as_str()]))
-            .collect();
-        let expected = [
-            ("coordinator.parts", ["left arm, head", "–"]),
-            ("coordinator.strength", ["1.0", "–"]),
-            ("guidance", ["2.0", "2.5"]),
-            ("poses", ["not set", "–"]),
-            ("axis[0].key", ["–", "x"]),
-            ("none", ["–", "–"]),
-        ];
-        assert_eq!(rows.len(), expected.len());
-        for row in expected {
-            assert!(rows.contains(&row), "{row:?} in {rows:?}");
-        }
-        let html = Report {
-            details: vec![details],
-            ..Report::default()
-        }
-        .to_html();
-        check_nesting(&html);
-        assert!(html.contains("<th scope=\"row\">guidance</th><td>2.0</td><td>2.5</td>"));
-        assert!(!html.contains("{&quot;"));
     }
 
     #[test]

@@ -8,21 +8,32 @@ use glam::DVec3;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
-use crate::report::Strip;
+use crate::draw::strip::Row;
+
+/// An edited item: its instruction, and the motions to compare.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Strip {
+    /// The instruction.
+    pub caption: String,
+    /// The item: its id, kind or whatever finds it again.
+    pub note: String,
+    /// The motions, such as original, edited and target.
+    pub rows: Vec<Row>,
+}
 
 /// The program of the viewer. It makes its elements from the data and loads nothing.
-pub(crate) const SCRIPT: &str = include_str!("viewer.js");
+pub(super) const SCRIPT: &str = include_str!("viewer.js");
 
 /// Millimetres in a metre: the unit of stored positions.
 const MM_PER_M: f64 = 1e3;
 
 /// The source by which a content security policy allows the script and no other.
-pub(crate) fn script_source() -> String {
+pub(super) fn script_source() -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
 }
 
 /// Place and data of the viewer; empty without motions.
-pub(crate) fn body(strips: &[Strip]) -> String {
+pub(super) fn body(strips: &[Strip]) -> String {
     if strips.is_empty() {
         return String::new();
     }
@@ -75,7 +86,6 @@ mod tests {
     use datasets_spec::{Fps, Motion, Pose, Skeleton};
 
     use super::*;
-    use crate::draw::strip::Row;
 
     #[test]
     fn positions_survive_to_half_a_millimetre_around_the_first_pelvis() {

@@ -1,23 +1,15 @@
-//! What scores would be on other test sets like the one at hand: draws of its targets.
+//! Bootstrap over the targets of a test set.
 
 use std::collections::BTreeMap;
 
+use datasets_spec::quantile;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use crate::metric::retrieval::median_rank;
-use crate::protocol::Protocol;
+use crate::protocol::{Protocol, RESAMPLES};
 
-/// Resamples behind an interval of a value that is a mean or a median over items.
-pub(crate) const RESAMPLES: usize = 1000;
-
-/// Resamples behind an interval of FID and Diversity, which are computed anew on each.
-pub(crate) const SET_RESAMPLES: usize = 100;
-
-/// Draws of the targets with replacement. Items that share a target are drawn together, since they
-/// are not independent: what makes one of them easy makes all of them easy.
-///
-/// All systems and metrics meet the same draws.
+/// Draws of the targets with replacement, the same for all systems and metrics. Items that share a
+/// target are not independent, so they are drawn together.
 pub(crate) struct Resamples {
     /// Items of each target.
     groups: Vec<Vec<usize>>,
@@ -36,7 +28,7 @@ impl Resamples {
         let counts = (0..RESAMPLES)
             .into_par_iter()
             .map(|resample| {
-                let mut rng = protocol.bootstrap_rng(resample);
+                let mut rng = protocol.rng("bootstrap", resample);
                 let mut counts = vec![0; groups.len()];
                 for _ in 0..groups.len() {
                     counts[rng.random_range(0..groups.len())] += 1;
@@ -90,20 +82,15 @@ impl Resamples {
     /// As [`Resamples::means`] for the median.
     pub(crate) fn medians(&self, values: &[f64]) -> Vec<f64> {
         self.weights(RESAMPLES)
-            .map(|weights| {
-                let drawn: Vec<f64> = values
+            .filter_map(|weights| {
+                let mut drawn: Vec<f64> = values
                     .iter()
                     .zip(weights)
                     .filter(|(value, _)| value.is_finite())
                     .flat_map(|(&value, weight)| std::iter::repeat_n(value, weight as usize))
                     .collect();
-                if drawn.is_empty() {
-                    f64::NAN
-                } else {
-                    median_rank(&drawn)
-                }
+                quantile::median(&mut drawn)
             })
-            .filter(|median| median.is_finite())
             .collect()
     }
 }
@@ -118,6 +105,7 @@ pub(crate) fn drawn(positions: &[usize], weights: &[u32]) -> Vec<usize> {
 mod tests {
     use super::*;
     use crate::metric::interval::Interval;
+    use crate::protocol::SET_RESAMPLES;
 
     fn spread(targets: &[&str], values: &[f64]) -> f64 {
         let resamples = Resamples::new(targets.iter().copied(), &Protocol::default());
@@ -144,8 +132,7 @@ mod tests {
         let resamples = Resamples::new(["a", "b", "c"].into_iter(), &Protocol::default());
         let means = resamples.means(&[2.0, f64::NAN, 2.0]);
         assert!(means.len() > RESAMPLES / 2 && means.iter().all(|mean| *mean == 2.0));
-        // Ranks count from zero, and their median from one.
-        let medians = resamples.medians(&[0.0, f64::NAN, 0.0]);
+        let medians = resamples.medians(&[1.0, f64::NAN, 1.0]);
         assert!(medians.len() > RESAMPLES / 2 && medians.iter().all(|median| *median == 1.0));
     }
 

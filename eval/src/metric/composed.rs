@@ -1,0 +1,15 @@
+//! How much of a motion a classifier takes for composed of several.
+
+use super::definition::{Better, Measure, Metric, Part};
+
+/// Share of windows that the coordinator's classifier takes for composed, in percent.
+///
+/// # Source
+/// Paper, Sec. 5.2 and App. B.4 for the classifier; its use as a metric is ours.
+pub static COMPOSED: Metric = Metric {
+    name: "Composed (%)",
+    part: Part::Further,
+    better: |_| Better::NearReal,
+    decimals: 2,
+    measure: Measure::Motion(|sample| Some(100.0 * sample.composed?)),
+};

@@ -1,0 +1,229 @@
+//! What a metric is: its name, its direction, how it is printed and how it is computed.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+
+use datasets_spec::Motion;
+use datasets_spec::canonical::KeypointFrame;
+use datasets_spec::record::EditRow;
+
+use crate::Error;
+use crate::linalg::Matrix;
+use crate::protocol::Protocol;
+
+/// A column of the result tables. Two metrics are the same if their names are.
+#[derive(Debug)]
+pub struct Metric {
+    /// The name in the table of scores, with the unit where there is one.
+    pub name: &'static str,
+    /// The table it belongs to.
+    pub part: Part,
+    /// Which values are good for a task.
+    pub better: fn(&str) -> Better,
+    /// Digits after the point that tables print.
+    pub decimals: usize,
+    /// How it is computed.
+    pub measure: Measure,
+}
+
+/// The tables metrics are divided into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The columns of the paper's Table 1.
+    Paper,
+    /// Columns that the paper does not print.
+    Further,
+    /// How motions move, whatever they show.
+    Quality,
+}
+
+/// Which values of a metric are good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Better {
+    /// Small ones.
+    Lower,
+    /// Large ones.
+    Higher,
+    /// Those near the value of the real data.
+    NearReal,
+}
+
+impl Better {
+    /// The arrow of the paper's tables.
+    pub fn arrow(self) -> char {
+        match self {
+            Self::Lower => '↓',
+            Self::Higher => '↑',
+            Self::NearReal => '→',
+        }
+    }
+}
+
+/// How a metric is computed, which also says what it needs.
+#[derive(Clone, Copy, Debug)]
+pub enum Measure {
+    /// From each motion alone; none where the motion has no value. Tables show the mean over the
+    /// items that have one.
+    Motion(fn(&MotionSample<'_>) -> Option<f64>),
+    /// From the latents of whole sets: one value for each set, computed again on each bootstrap
+    /// resample; none where there are too few items.
+    Set(fn(&SetSample<'_>) -> Result<Option<Vec<f64>>, Error>),
+    /// From several takes of each item: pairs of an item and its value. Tables show their mean.
+    Takes(fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>),
+    /// From the rank of each edit's counterpart in a gallery.
+    Rank(Counterpart, RankSummary),
+}
+
+/// What an edit is searched by in a retrieval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counterpart {
+    /// Its original.
+    Source,
+    /// Its target.
+    Target,
+}
+
+/// What ranks are reduced to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RankSummary {
+    /// Share of queries whose counterpart is among the first k, in percent.
+    Recall(usize),
+    /// Mean rank, the best being 1.
+    Average,
+    /// Median rank, the best being 1.
+    Median,
+}
+
+/// A motion that is measured, and what is known of it.
+#[derive(Clone, Copy)]
+pub struct MotionSample<'a> {
+    /// The motion.
+    pub motion: &'a Motion,
+    /// Its keypoints in metres, y up.
+    pub keypoints: &'a [KeypointFrame],
+    /// Keypoints of the target of its item.
+    pub target: &'a [KeypointFrame],
+    /// Frames where one generated window ends and the next begins.
+    pub seams: &'a [RangeInclusive<usize>],
+    /// The edit; none for sources and targets.
+    pub edit: Option<&'a EditRow>,
+    /// Share of windows that the classifier takes for composed, where there is a classifier.
+    pub composed: Option<f64>,
+    /// The protocol.
+    pub protocol: &'a Protocol,
+}
+
+/// Latents of one motion for each item, `[N, D]`.
+#[derive(Clone, Debug)]
+pub struct Latents {
+    /// As the encoder returns them.
+    pub raw: Matrix,
+    /// Scaled to unit length.
+    pub unit: Matrix,
+}
+
+impl Latents {
+    /// The latents of some items, in the given order.
+    ///
+    /// # Panics
+    /// If an index does not exist.
+    pub fn select(&self, items: &[usize]) -> Self {
+        Self {
+            raw: self.raw.select_rows(items),
+            unit: self.unit.select_rows(items),
+        }
+    }
+}
+
+/// Sets of latents of the same items, and which items are drawn in one repeat or resample.
+#[derive(Clone, Copy)]
+pub struct SetSample<'a> {
+    /// A set for each system; the first is of the real data.
+    pub sets: &'a [&'a Latents],
+    /// Drawn items; a bootstrap resample repeats some.
+    pub items: &'a [usize],
+    /// Items whose targets, and items whose scored motions, enter the Fréchet distance.
+    pub fid_items: [&'a [usize]; 2],
+    /// Which repeat or resample this is; it chooses the random draws.
+    pub draw: usize,
+    /// Whether the items are a bootstrap resample.
+    pub resampled: bool,
+    /// The protocol.
+    pub protocol: &'a Protocol,
+}
+
+/// All takes of one system in one repeat.
+#[derive(Clone, Copy)]
+pub struct TakesSample<'a> {
+    /// Latents of each take.
+    pub takes: &'a [&'a Latents],
+    /// The repeat.
+    pub repeat: usize,
+    /// The protocol.
+    pub protocol: &'a Protocol,
+}
+
+impl PartialEq for Metric {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for Metric {}
+
+impl PartialOrd for Metric {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Metric {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.name.cmp(other.name)
+    }
+}
+
+impl fmt::Display for Metric {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+/// Refuses rows that hold a NaN or an infinity, which would spread through a metric unseen.
+pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Error> {
+    match rows
+        .rows()
+        .position(|row| row.iter().any(|value| !value.is_finite()))
+    {
+        Some(row) => Err(Error::NotFinite { metric, row }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses two sizes that ought to be equal.
+pub(super) fn check_size(
+    metric: &'static str,
+    what: &'static str,
+    found: usize,
+    expected: usize,
+) -> Result<(), Error> {
+    if found == expected {
+        Ok(())
+    } else {
+        Err(Error::Size {
+            metric,
+            what,
+            found,
+            expected,
+        })
+    }
+}
+
+/// The Euclidean distance of two latents.
+pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b) * (a - b))
+        .sum::<f64>()
+        .sqrt()
+}

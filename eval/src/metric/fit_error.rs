@@ -1,0 +1,24 @@
+//! Errors of generated keypoints that are recorded beside an edit.
+
+use super::definition::{Better, Measure, Metric, Part};
+
+/// Centimetres in a metre.
+const CM_PER_M: f64 = 100.0;
+
+/// Mean distance of generated keypoints from the body fitted to them, in centimetres.
+pub static FIT_ERROR: Metric = Metric {
+    name: "Fit error (cm)",
+    part: Part::Further,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Motion(|sample| Some(CM_PER_M * f64::from(sample.edit?.fit_error_m?))),
+};
+
+/// Mean difference of generated bones from their lengths in the body, in centimetres.
+pub static BONE_DRIFT: Metric = Metric {
+    name: "Bone drift (cm)",
+    part: Part::Further,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Motion(|sample| Some(CM_PER_M * f64::from(sample.edit?.bone_drift_m?))),
+};

@@ -1,0 +1,117 @@
+//! Result tables as HTML.
+
+use std::fmt::Write;
+
+use crate::draw::escaped;
+use crate::format::{PUBLISHED_HEADING, RowGroup};
+use crate::metric::Metric;
+use crate::table::{Cell, Column, Table};
+
+/// All tables, each under the name of its task.
+pub(super) fn html(tables: &[Table]) -> String {
+    let mut html = String::new();
+    for table in tables {
+        let class = if table.columns.len() < WIDE_COLUMNS {
+            "scroll narrow"
+        } else {
+            "scroll"
+        };
+        let _ = write!(
+            html,
+            "<h3>{}</h3>\n<p class=\"head\">{}</p>\n<div class=\"{class}\"><table>\n<thead>",
+            escaped(&table.task),
+            escaped(&table.conditions()),
+        );
+        table_head(&mut html, &table.columns);
+        html.push_str("</thead>\n<tbody>\n");
+        let mut previous = None;
+        for row in &table.rows {
+            let group = RowGroup::of(row);
+            if group == RowGroup::Published && previous != Some(group) {
+                let _ = writeln!(
+                    html,
+                    "<tr class=\"divider\"><th colspan=\"{}\">{PUBLISHED_HEADING}</th></tr>",
+                    table.columns.len() + 1
+                );
+            }
+            previous = Some(group);
+            let class = match group {
+                RowGroup::Baseline => " class=\"baseline\"",
+                RowGroup::System => "",
+                RowGroup::Published => " class=\"published\"",
+            };
+            let _ = write!(
+                html,
+                "<tr{class}><th scope=\"row\">{}</th>",
+                escaped(&row.system)
+            );
+            for (cell, column) in row.cells.iter().zip(&table.columns) {
+                table_cell(&mut html, cell.as_ref(), column.metric);
+            }
+            html.push_str("</tr>\n");
+        }
+        html.push_str("</tbody>\n</table></div>\n");
+        for note in &table.notes {
+            let _ = writeln!(html, "<p class=\"head\">{}</p>", escaped(note));
+        }
+    }
+    if !html.is_empty() {
+        html.push_str(
+            "<p class=\"head legend\">Mean ± half width of the 95 % interval. Bold: best measured \
+             system of the column, where the identity editor is not better. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
+        );
+    }
+    html
+}
+
+/// Columns from which on a table takes the whole width of the page.
+const WIDE_COLUMNS: usize = 5;
+
+/// Two head lines: families of columns, such as E2S, above their members.
+fn table_head(html: &mut String, columns: &[Column]) {
+    let mut families = "<tr><th rowspan=\"2\" scope=\"col\">System</th>".to_owned();
+    let mut members = "<tr>".to_owned();
+    let mut index = 0;
+    while index < columns.len() {
+        let name = columns[index].metric.name;
+        let family = FAMILIES.into_iter().find(|family| name.starts_with(family));
+        let Some(family) = family else {
+            let label = escaped(&columns[index].label());
+            let _ = write!(families, "<th rowspan=\"2\" scope=\"col\">{label}</th>");
+            index += 1;
+            continue;
+        };
+        let span = columns[index..]
+            .iter()
+            .take_while(|column| column.metric.name.starts_with(family))
+            .count();
+        let _ = write!(
+            families,
+            "<th colspan=\"{span}\" scope=\"colgroup\" class=\"family\">{family}</th>"
+        );
+        for column in &columns[index..index + span] {
+            let label = column.label();
+            let label = label.strip_prefix(family).unwrap_or(&label).trim_start();
+            let _ = write!(members, "<th scope=\"col\">{}</th>", escaped(label));
+        }
+        index += span;
+    }
+    let _ = write!(html, "{families}</tr>{members}</tr>");
+}
+
+/// First words of the columns that stand under a common heading.
+const FAMILIES: [&str; 2] = ["E2S", "E2T"];
+
+fn table_cell(html: &mut String, cell: Option<&Cell>, metric: &Metric) {
+    let Some(cell) = cell else {
+        html.push_str("<td class=\"absent\">–</td>");
+        return;
+    };
+    let class = if cell.best { " class=\"best\"" } else { "" };
+    let _ = write!(html, "<td{class}>{}", cell.mean_text(metric));
+    let ci = cell.ci_text(metric);
+    if !ci.is_empty() {
+        let _ = write!(html, "<small>{ci}</small>");
+    }
+    html.push_str("</td>");
+}

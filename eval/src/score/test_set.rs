@@ -1,0 +1,294 @@
+//! The test set: items, and the takes of every system, checked and in one order.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{Fps, Motion};
+
+use crate::Error;
+use crate::names::{ALL_TASKS, GIVEN, RECAPTURED};
+use crate::protocol::Protocol;
+use crate::table::Items;
+
+/// Hexadecimal digits of the digest of the sorted item ids.
+const DIGEST_DIGITS: usize = 12;
+/// Ids an error message lists.
+const MAX_IDS_SHOWN: usize = 5;
+
+/// The items and the edits of all systems, in the order of the item ids.
+pub(crate) struct TestSet<'a> {
+    pub(crate) items: Vec<&'a ItemRow>,
+    /// Takes of each system, each with one row for every item.
+    pub(crate) systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
+}
+
+impl<'a> TestSet<'a> {
+    /// Sorts and checks rows, and keeps the items that the protocol scores.
+    pub(crate) fn new(
+        items: &'a [ItemRow],
+        edits: &'a [EditRow],
+        protocol: &Protocol,
+    ) -> Result<Self, Error> {
+        let mut by_id: BTreeMap<&str, &ItemRow> = BTreeMap::new();
+        for item in items {
+            item.check().map_err(|source| Error::Item {
+                id: item.id.clone(),
+                source: Box::new(source),
+            })?;
+            if item.target_frames == 0 {
+                return Err(Error::NoTarget {
+                    id: item.id.clone(),
+                });
+            }
+            by_id.insert(&item.id, item);
+        }
+        if by_id.is_empty() {
+            return Err(Error::NoItems);
+        }
+        let ids: Vec<&str> = by_id.keys().copied().collect();
+        let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
+        for row in edits {
+            if GIVEN.contains(&row.system.as_str()) {
+                return Err(Error::ReservedSystem {
+                    system: row.system.clone(),
+                });
+            }
+            by_system
+                .entry(&row.system)
+                .or_default()
+                .entry(&row.id)
+                .or_default()
+                .push(row);
+        }
+        let kept = protocol.scored_items(ids.len())?;
+        let systems = by_system
+            .into_iter()
+            .map(|(system, rows)| {
+                let takes = takes(system, rows, &ids)?
+                    .into_iter()
+                    .map(|rows| kept.iter().map(|&item| rows[item]).collect())
+                    .collect();
+                Ok((system, takes))
+            })
+            .collect::<Result<_, Error>>()?;
+        let items: Vec<&ItemRow> = by_id.into_values().collect();
+        Ok(Self {
+            systems,
+            items: kept.iter().map(|&item| items[item]).collect(),
+        })
+    }
+
+    /// The windows of the first system that records them.
+    pub(super) fn windows(&self) -> Option<Windows> {
+        let first = |takes: &Vec<Vec<&EditRow>>| Windows::of(takes.first()?.first()?);
+        self.systems.values().find_map(first)
+    }
+
+    /// Ids of the motions that the targets of items were made of.
+    pub(crate) fn targets(&self, indices: &[usize]) -> impl Iterator<Item = &'a str> {
+        indices
+            .iter()
+            .map(|&item| self.items[item].target_id.as_str())
+    }
+
+    /// Numbers of distinct targets, sources and instructions of items, and the digest of their ids.
+    pub(crate) fn counts(&self, indices: &[usize]) -> Items {
+        let distinct = |of: fn(&'a ItemRow) -> &'a str| {
+            let names: BTreeSet<&str> = indices.iter().map(|&item| of(self.items[item])).collect();
+            names.len() as u32
+        };
+        let mut hasher = blake3::Hasher::new();
+        for &item in indices {
+            hasher.update(self.items[item].id.as_bytes());
+            hasher.update(b"\n");
+        }
+        let mut digest = hasher.finalize().to_hex().to_string();
+        digest.truncate(DIGEST_DIGITS);
+        Items {
+            count: indices.len() as u32,
+            targets: distinct(|item| item.target_id.as_str()),
+            sources: distinct(|item| item.source_id.as_str()),
+            instructions: distinct(|item| &item.instruction),
+            fid: 0,
+            digest,
+        }
+    }
+
+    /// One side of every item.
+    pub(super) fn sides(&self, side: fn(&'a ItemRow) -> Side<'a>) -> Vec<Side<'a>> {
+        self.items.iter().map(|item| side(item)).collect()
+    }
+
+    /// Motions that will be encoded.
+    pub(super) fn num_motions(&self) -> usize {
+        let num_takes: usize = self.systems.values().map(Vec::len).sum();
+        (2 + num_takes) * self.items.len() + self.recaptured().len()
+    }
+
+    /// Positions of the items whose target was captured more than once.
+    pub(super) fn recaptured(&self) -> Vec<usize> {
+        (0..self.items.len())
+            .filter(|&index| self.items[index].other_frames > 0)
+            .collect()
+    }
+
+    /// Positions of the items of each task.
+    pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
+        let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, item) in self.items.iter().enumerate() {
+            kinds.entry(&item.task).or_default().push(index);
+        }
+        let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.items.len()).collect()));
+        let recaptured =
+            Some((RECAPTURED, self.recaptured())).filter(|(_, items)| !items.is_empty());
+        all.into_iter().chain(kinds).chain(recaptured).collect()
+    }
+}
+
+/// A motion that is measured: a side of an item, or an edit of it.
+#[derive(Clone, Copy)]
+pub(super) enum Side<'a> {
+    Source(&'a ItemRow),
+    Target(&'a ItemRow),
+    OtherTake(&'a ItemRow),
+    Edit(&'a EditRow),
+}
+
+impl<'a> Side<'a> {
+    /// What it is called in errors.
+    pub(super) fn system(self) -> &'a str {
+        match self {
+            Self::Source(_) => "source",
+            Self::Target(_) => "target",
+            Self::OtherTake(_) => "other take",
+            Self::Edit(row) => &row.system,
+        }
+    }
+
+    pub(super) fn id(self) -> &'a str {
+        match self {
+            Self::Source(item) | Self::Target(item) | Self::OtherTake(item) => &item.id,
+            Self::Edit(row) => &row.id,
+        }
+    }
+
+    pub(super) fn motion(self) -> Result<Motion, Error> {
+        let motion = match self {
+            Self::Source(item) => item.source(),
+            Self::Target(item) => item.target(),
+            Self::OtherTake(item) => match item.other_take() {
+                Ok(Some(motion)) => Ok(motion),
+                Ok(None) => item.target(),
+                Err(error) => Err(error),
+            },
+            Self::Edit(row) => row.motion(),
+        };
+        motion.map_err(|source| self.not_a_motion(source))
+    }
+
+    pub(super) fn not_a_motion(self, source: datasets_spec::Error) -> Error {
+        Error::Motion {
+            system: self.system().to_owned(),
+            id: self.id().to_owned(),
+            source: Box::new(source),
+        }
+    }
+
+    /// The windows the motion was generated by, where it was.
+    pub(super) fn windows(self) -> Option<Windows> {
+        Windows::of(self.edit()?)
+    }
+
+    /// The edit, where the motion is one.
+    pub(super) fn edit(self) -> Option<&'a EditRow> {
+        match self {
+            Self::Edit(row) => Some(row),
+            Self::Source(_) | Self::Target(_) | Self::OtherTake(_) => None,
+        }
+    }
+}
+
+/// Length of the windows a motion was generated by, and their frame rate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Windows {
+    pub(super) frames: usize,
+    pub(super) fps: Fps,
+}
+
+impl Windows {
+    /// The windows recorded in the settings of a system.
+    fn of(row: &EditRow) -> Option<Self> {
+        let settings: serde_json::Value = serde_json::from_str(&row.settings).ok()?;
+        let frames = usize::try_from(settings.get("window")?.as_u64()?).ok()?;
+        let fps = match settings.get("fps").and_then(serde_json::Value::as_f64) {
+            Some(fps) => Fps::new(fps).ok()?,
+            None => Fps::MODEL,
+        };
+        Some(Self { frames, fps })
+    }
+}
+
+/// Orders the rows of a system by item and take. Takes are told apart by their seed.
+fn takes<'a>(
+    system: &str,
+    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
+    ids: &[&'a str],
+) -> Result<Vec<Vec<&'a EditRow>>, Error> {
+    let missing: Vec<&str> = ids
+        .iter()
+        .copied()
+        .filter(|id| !rows.contains_key(id))
+        .collect();
+    if !missing.is_empty() {
+        return Err(Error::MissingItems {
+            system: system.to_owned(),
+            count: missing.len(),
+            total: ids.len(),
+            ids: listed(&missing),
+        });
+    }
+    let unknown: Vec<&str> = rows
+        .keys()
+        .copied()
+        .filter(|id| ids.binary_search(id).is_err())
+        .collect();
+    if !unknown.is_empty() {
+        return Err(Error::UnknownItems {
+            system: system.to_owned(),
+            count: unknown.len(),
+            ids: listed(&unknown),
+        });
+    }
+    let num_takes = rows.values().next().map_or(0, Vec::len);
+    let mut takes = vec![Vec::with_capacity(ids.len()); num_takes];
+    for (id, mut rows) in rows {
+        if rows.len() != num_takes {
+            return Err(Error::UnevenTakes {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                found: rows.len(),
+                expected: num_takes,
+            });
+        }
+        rows.sort_by_key(|row| row.seed);
+        if let Some(twice) = rows.windows(2).find(|pair| pair[0].seed == pair[1].seed) {
+            return Err(Error::SameTake {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                seed: twice[0].seed,
+            });
+        }
+        for (take, row) in takes.iter_mut().zip(rows) {
+            take.push(row);
+        }
+    }
+    Ok(takes)
+}
+
+fn listed(ids: &[&str]) -> String {
+    let mut text = ids[..ids.len().min(MAX_IDS_SHOWN)].join(", ");
+    if ids.len() > MAX_IDS_SHOWN {
+        text.push_str(", …");
+    }
+    text
+}

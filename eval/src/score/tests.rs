@@ -1,0 +1,491 @@
+use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Seed, Skeleton, Split};
+use glam::DQuat;
+use rand::RngExt;
+
+use super::*;
+use crate::error::EncoderError;
+use crate::evaluators::MotionEncoder;
+use crate::metric::composed::COMPOSED;
+use crate::metric::fid::{FID, FID_RAW};
+use crate::metric::fit_error::{BONE_DRIFT, FIT_ERROR};
+use crate::metric::foot_score::FOOT_SCORE;
+use crate::metric::motion_quality::{CONTACT_SLIDE, INSIDE_ACCELERATION, JERK, SEAM_ACCELERATION};
+use crate::metric::multimodality::MULTIMODALITY;
+use crate::metric::position_error::POSITION_ERROR;
+use crate::metric::retrieval;
+use crate::names::{ALL_TASKS, IDENTITY, REAL_DATA};
+use crate::protocol::{FidSample, Gallery, Queries};
+
+/// Latents that are a fixed function of the first frame: enough to tell motions apart.
+struct FirstFrame;
+
+impl MotionEncoder for FirstFrame {
+    fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+        Ok(motions
+            .iter()
+            .map(|motion| {
+                motion.body_pose()[0]
+                    .iter()
+                    .take(12)
+                    .map(|&value| f64::from(value))
+                    .collect()
+            })
+            .collect())
+    }
+
+    fn hash(&self) -> String {
+        "00ff".to_owned()
+    }
+
+    fn recipe(&self) -> String {
+        "first frame".to_owned()
+    }
+}
+
+/// A posture that follows from the name and the number.
+fn motion(index: usize, name: &str) -> Motion {
+    let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
+    let mut pose = Pose::REST;
+    for rotation in &mut pose.rotations[1..] {
+        *rotation = DQuat::from_rotation_x(rng.random_range(-1.0..1.0))
+            * DQuat::from_rotation_z(rng.random_range(-1.0..1.0));
+    }
+    Motion::from_poses(Fps::STORE, &[pose; 4]).expect("valid")
+}
+
+fn item(index: usize, task: &str) -> ItemRow {
+    let name = |side: &str| MotionId::parse(&format!("{side}{index:03}")).expect("valid");
+    let mut row = ItemRow {
+        task: task.to_owned(),
+        instruction: "wave".to_owned(),
+        source_id: name("source"),
+        ..ItemRow::blank(&name("target"), Split::Test)
+    };
+    let (source, target) = (motion(index, "source"), motion(index, "target"));
+    row.set_motions(&source, Some(&target), None);
+    row.id = row.content_id();
+    row
+}
+
+/// What a system made of an item.
+fn answer(system: &str, item: &ItemRow, motion: &Motion) -> EditRow {
+    EditRow {
+        id: item.id.clone(),
+        split: item.split,
+        system: system.to_owned(),
+        checkpoint_hash: String::new(),
+        settings_hash: String::new(),
+        settings: String::new(),
+        source_id: String::new(),
+        target_id: String::new(),
+        instruction: item.instruction.clone(),
+        kind: item.task.clone(),
+        seed: 0,
+        fps: motion.fps().get() as f32,
+        n_frames: 4,
+        transl: motion.transl().to_vec(),
+        global_orient: motion.global_orient().to_vec(),
+        body_pose: motion.body_pose().to_vec(),
+        fit_error_m: None,
+        bone_drift_m: None,
+    }
+}
+
+/// `num_items` items, alternating between two kinds.
+fn questions(num_items: usize) -> Vec<ItemRow> {
+    (0..num_items)
+        .map(|index| item(index, ["semantic", "style"][index % 2]))
+        .collect()
+}
+
+/// A system that returns the targets.
+fn perfect(system: &str, items: &[ItemRow]) -> Vec<EditRow> {
+    let of = |item| answer(system, item, &ItemRow::target(item).expect("valid"));
+    items.iter().map(of).collect()
+}
+
+/// A system that returns the sources.
+fn lazy(system: &str, items: &[ItemRow]) -> Vec<EditRow> {
+    let of = |item| answer(system, item, &ItemRow::source(item).expect("valid"));
+    items.iter().map(of).collect()
+}
+
+fn scored(
+    items: &[ItemRow],
+    edits: &[EditRow],
+    protocol: &Protocol,
+) -> Result<Vec<ScoreRow>, Error> {
+    let evaluators = Evaluators {
+        encoder: &FirstFrame,
+        classifier: None,
+        skeleton: &Skeleton::smplx_neutral(),
+    };
+    score(items, edits, evaluators, protocol, &NoProgress)
+}
+
+fn value(scores: &[ScoreRow], task: &str, system: &str, metric: &Metric) -> f64 {
+    scores
+        .iter()
+        .find(|row| row.task == task && row.system == system && row.metric == metric.name)
+        .unwrap_or_else(|| panic!("{task} {system} {metric}"))
+        .mean
+}
+
+#[test]
+fn other_takes_make_a_task_with_a_noise_floor() {
+    let mut items = questions(40);
+    for index in (0..40).step_by(4) {
+        let (source, target) = (motion(index, "source"), motion(index, "target"));
+        let row = &mut items[index];
+        row.set_motions(&source, Some(&target), Some(&motion(index, "other")));
+        row.id = row.content_id();
+    }
+    let edits = perfect("perfect", &items);
+    let scores = scored(&items, &edits, &Protocol::default()).expect("scores");
+    let of = |task: &str, system: &str| value(&scores, task, system, &POSITION_ERROR);
+    assert_eq!(of(RECAPTURED, "perfect"), 0.0);
+    assert!(of(RECAPTURED, NOISE_FLOOR) > 0.0);
+    let systems = |task: &str| -> Vec<&str> {
+        let rows = scores.iter().filter(|row| row.task == task);
+        let mut names: Vec<&str> = rows.map(|row| row.system.as_str()).collect();
+        names.dedup();
+        names
+    };
+    assert_eq!(
+        systems(RECAPTURED),
+        [REAL_DATA, IDENTITY, NOISE_FLOOR, "perfect"]
+    );
+    assert_eq!(systems(ALL_TASKS), [REAL_DATA, IDENTITY, "perfect"]);
+    let n = scores.iter().find(|row| row.task == RECAPTURED);
+    assert_eq!(n.map(|row| row.n), Some(10));
+}
+
+#[test]
+fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
+    let items = questions(80);
+    let edits = [perfect("perfect", &items), lazy("lazy", &items)].concat();
+    let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
+    let tasks = ["all", "semantic", "style"];
+    // Neither generated keypoints, nor a classifier, nor several takes.
+    let absent = [
+        &FIT_ERROR,
+        &BONE_DRIFT,
+        &COMPOSED,
+        &MULTIMODALITY,
+        // No system says where its seams are.
+        &SEAM_ACCELERATION,
+    ];
+    let metrics = || {
+        metric::ALL
+            .into_iter()
+            .filter(|metric| !absent.contains(metric))
+    };
+    // Three tasks, four systems.
+    assert_eq!(scores.len(), 3 * 4 * metrics().count());
+    for task in tasks {
+        for metric in metrics() {
+            for (system, row) in [("perfect", REAL_DATA), ("lazy", IDENTITY)] {
+                assert_eq!(
+                    value(&scores, task, system, metric),
+                    value(&scores, task, row, metric),
+                    "{task} {metric}"
+                );
+            }
+        }
+        assert_eq!(
+            value(&scores, task, REAL_DATA, &retrieval::E2T_RECALL_1),
+            100.0
+        );
+        assert_eq!(value(&scores, task, REAL_DATA, &POSITION_ERROR), 0.0);
+        assert_eq!(
+            value(&scores, task, IDENTITY, &retrieval::E2S_RECALL_1),
+            100.0
+        );
+        assert_eq!(
+            value(&scores, task, IDENTITY, &retrieval::E2S_AVERAGE_RANK),
+            1.0
+        );
+        // Nothing moves, so every foot is planted.
+        assert_eq!(value(&scores, task, IDENTITY, &FOOT_SCORE), 1.0);
+        assert!(value(&scores, task, REAL_DATA, &FID) > 0.0);
+    }
+    assert_eq!(scores[0].task, "all");
+    assert_eq!((scores[0].n, scores[0].repeats), (80, 10));
+    assert_eq!(scores[0].encoder_hash, "00ff");
+}
+
+#[test]
+fn a_pop_at_a_seam_shows_there_and_real_data_are_looked_at_in_the_same_frames() {
+    let mut item = item(0, "style");
+    let long = |name: &str| {
+        let pose = motion(0, name).pose(0);
+        Motion::from_poses(Fps::STORE, &[pose; 59]).expect("valid")
+    };
+    item.set_motions(&long("source"), Some(&long("target")), None);
+    item.id = item.content_id();
+    let mut row = answer("pops", &item, &long("target"));
+    // Windows of 16 frames at 10 fps: the second begins with frame 32 at 20 fps.
+    row.settings = r#"{"window": 16}"#.to_owned();
+    for place in &mut row.transl[32..] {
+        place[0] += 0.1;
+    }
+    let items = [item];
+    let scores = scored(&items, &[row], &Protocol::default()).expect("valid");
+    let of = |system: &str, metric| value(&scores, "style", system, metric);
+    // 0.1 m * (20/s)^2 in two of the seam's three frames.
+    let expected = 2.0 / 3.0 * 40.0;
+    let found = of("pops", &SEAM_ACCELERATION);
+    assert!((found - expected).abs() < 1e-3, "{found}");
+    assert!(of("pops", &INSIDE_ACCELERATION) < 1e-3);
+    assert!(of(REAL_DATA, &SEAM_ACCELERATION) < 1e-3);
+    assert!(of(IDENTITY, &SEAM_ACCELERATION) < 1e-3);
+    assert!(of("pops", &JERK) > 1.0 && of("pops", &CONTACT_SLIDE) > 0.01);
+}
+
+#[test]
+fn order_of_rows_and_threads_do_not_change_a_bit() {
+    let mut items = questions(40);
+    let mut edits = perfect("copy", &items);
+    let protocol = Protocol::default();
+    let scores = scored(&items, &edits, &protocol).expect("valid");
+    items.reverse();
+    edits.reverse();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .expect("a pool");
+    let again = pool
+        .install(|| scored(&items, &edits, &protocol))
+        .expect("valid");
+    assert_eq!(scores, again);
+    let other = Protocol {
+        seed: Seed(1),
+        ..protocol
+    };
+    assert_ne!(scored(&items, &edits, &other).expect("valid"), scores);
+}
+
+#[test]
+fn whole_sets_are_at_no_distance_from_themselves() {
+    let protocol = Protocol {
+        fid_sample: FidSample::All,
+        gallery: Gallery::Full,
+        ..Protocol::default()
+    };
+    let scores = scored(&questions(30), &[], &protocol).expect("valid");
+    // Rounding of a trace of order one.
+    assert!(value(&scores, "all", REAL_DATA, &FID_RAW) < 1e-11);
+    assert_eq!(
+        value(&scores, "all", REAL_DATA, &retrieval::E2T_AVERAGE_RANK),
+        1.0
+    );
+}
+
+#[test]
+fn asking_the_other_way_round_transposes_the_ranks() {
+    let items = questions(48);
+    let real = Protocol {
+        gallery: Gallery::Full,
+        ..Protocol::default()
+    };
+    let edited = Protocol {
+        queries: Queries::Edited,
+        ..real
+    };
+    let by_real = scored(&items, &[], &real).expect("valid");
+    let by_edited = scored(&items, &[], &edited).expect("valid");
+    // The originals asking the targets is the targets, taken as edits, asked by the originals.
+    assert_eq!(
+        value(&by_real, "all", REAL_DATA, &retrieval::E2S_AVERAGE_RANK),
+        value(&by_edited, "all", IDENTITY, &retrieval::E2T_AVERAGE_RANK),
+    );
+}
+
+#[test]
+fn takes_are_scored_in_turn() {
+    let items = questions(20);
+    let mut edits = perfect("sampler", &items);
+    edits.extend(
+        lazy("sampler", &items)
+            .into_iter()
+            .map(|row| EditRow { seed: 1, ..row }),
+    );
+    let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
+    let error = value(&scores, "all", "sampler", &POSITION_ERROR);
+    let lazy = value(&scores, "all", IDENTITY, &POSITION_ERROR);
+    // Half of the ten repeats score the perfect take.
+    assert!((error - lazy / 2.0).abs() < 1e-12, "{error} {lazy}");
+    edits.pop();
+    assert!(matches!(
+        scored(&items, &edits, &Protocol::default()),
+        Err(Error::UnevenTakes { .. })
+    ));
+}
+
+#[test]
+fn a_task_of_one_item_keeps_the_metrics_that_mean_something() {
+    let scores = scored(&questions(1), &[], &Protocol::default()).expect("valid");
+    let metrics: Vec<&str> = scores
+        .iter()
+        .filter(|row| row.system == REAL_DATA)
+        .map(|row| row.metric.as_str())
+        .collect();
+    assert!(!metrics.contains(&"FID") && !metrics.contains(&"Diversity"));
+    assert!(metrics.contains(&"FS") && metrics.contains(&"E2T R@1"));
+    assert!(scores.iter().all(|row| row.task == "semantic"));
+}
+
+#[test]
+fn long_edits_are_cut_to_their_target_on_request() {
+    let items = questions(8);
+    let mut edits = perfect("slow", &items);
+    for row in &mut edits {
+        // Surplus frames that hover would cost foot score if they were looked at.
+        for _ in 0..4 {
+            row.transl.push([0.0, 5.0, 0.0]);
+            row.global_orient.push([0.0; 3]);
+            row.body_pose.push([0.0; 63]);
+        }
+    }
+    let whole = scored(&items, &edits, &Protocol::default()).expect("valid");
+    assert!(value(&whole, "all", "slow", &FOOT_SCORE) < 1.0);
+    let protocol = Protocol {
+        truncate_to_target: true,
+        ..Protocol::default()
+    };
+    let cut = scored(&items, &edits, &protocol).expect("valid");
+    assert_eq!(value(&cut, "all", "slow", &FOOT_SCORE), 1.0);
+    assert_eq!(value(&cut, "all", "slow", &POSITION_ERROR), 0.0);
+}
+
+#[test]
+fn broken_tables_are_refused_with_the_items_named() {
+    let default = Protocol::default();
+    assert!(matches!(scored(&[], &[], &default), Err(Error::NoItems)));
+
+    let items = questions(8);
+    let mut edits = perfect("partial", &items);
+    let lost = edits.remove(3).id;
+    let error = scored(&items, &edits, &default).expect_err("an item is missing");
+    assert_eq!(
+        error.to_string(),
+        format!("system \"partial\" lacks 1 of 8 items: {lost}; edit them or leave the system out")
+    );
+
+    let mut edits = perfect("stray", &items);
+    let foreign = item(99, "style");
+    edits.extend(perfect("stray", std::slice::from_ref(&foreign)));
+    let error = scored(&items, &edits, &default).expect_err("an item is unknown");
+    assert!(error.to_string().contains(&foreign.id), "{error}");
+
+    assert!(matches!(
+        scored(&items, &lazy(IDENTITY, &items), &default),
+        Err(Error::ReservedSystem { .. })
+    ));
+
+    let mut changed = items.clone();
+    changed[2].instruction = "kick".to_owned();
+    assert!(matches!(
+        scored(&changed, &[], &default),
+        Err(Error::Item { .. })
+    ));
+
+    let mut unaimed = items.clone();
+    unaimed[2].target_frames = 0;
+    unaimed[2].id = unaimed[2].content_id();
+    assert!(matches!(
+        scored(&unaimed, &[], &default),
+        Err(Error::NoTarget { .. })
+    ));
+
+    let mut edits = perfect("slow", &items);
+    edits[0].fps = 30.0;
+    assert!(matches!(
+        scored(&items, &edits, &default),
+        Err(Error::FrameRate {
+            found: 30.0,
+            expected: 20.0,
+            ..
+        })
+    ));
+
+    let mut edits = perfect("broken", &items);
+    edits[3].transl[0][1] = f32::NAN;
+    assert!(matches!(
+        scored(&items, &edits, &default),
+        Err(Error::Motion { .. })
+    ));
+
+    let mut edits = perfect("short", &items);
+    for row in &mut edits {
+        row.transl.truncate(2);
+        row.global_orient.truncate(2);
+        row.body_pose.truncate(2);
+    }
+    assert!(matches!(
+        scored(&items, &edits, &default),
+        Err(Error::TooShort { frames: 2, .. })
+    ));
+}
+
+/// An encoder that returns the same thing whatever it is given.
+struct Constant(Vec<Vec<f64>>);
+
+impl MotionEncoder for Constant {
+    fn encode(&self, _motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+        if self.0.is_empty() {
+            return Err("no weights".into());
+        }
+        Ok(self.0.clone())
+    }
+
+    fn hash(&self) -> String {
+        String::new()
+    }
+
+    fn recipe(&self) -> String {
+        String::new()
+    }
+}
+
+#[test]
+fn broken_latents_are_refused() {
+    let items = questions(2);
+    let skeleton = Skeleton::smplx_neutral();
+    for (latents, expected) in [
+        (vec![], "cannot encode the motions of system \"source\""),
+        (
+            vec![vec![1.0]],
+            "the encoder returned 1 latents for 2 motions of system \"source\"",
+        ),
+        (
+            vec![vec![1.0, 2.0], vec![1.0]],
+            "system \"source\", item \"ITEM1\": the latent has another width than the others",
+        ),
+        (
+            vec![vec![f64::NAN], vec![1.0]],
+            "system \"source\", item \"ITEM0\": the latent is not finite",
+        ),
+        (
+            vec![vec![1.0], vec![0.0]],
+            "system \"source\", item \"ITEM1\": the latent is zero, so it has no direction to compare",
+        ),
+    ] {
+        let evaluators = Evaluators {
+            encoder: &Constant(latents),
+            classifier: None,
+            skeleton: &skeleton,
+        };
+        let error = score(&items, &[], evaluators, &Protocol::default(), &NoProgress)
+            .expect_err("broken latents");
+        let sorted = {
+            let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
+            ids.sort_unstable();
+            ids
+        };
+        let expected = expected
+            .replace("ITEM0", sorted[0])
+            .replace("ITEM1", sorted[1]);
+        assert_eq!(error.to_string(), expected);
+    }
+}
