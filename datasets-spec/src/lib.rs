@@ -21,7 +21,6 @@ pub mod lanes;
 pub mod manifest;
 pub mod motion;
 pub mod normalise;
-pub mod product;
 mod progress;
 pub mod quantile;
 pub mod record;

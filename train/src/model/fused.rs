@@ -14,7 +14,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use datasets_spec::product::{Matrix, Packed, Write, multiply};
+use kernels::product::{Matrix, Packed, Write, multiply};
 
 use crate::compute::attention::{self, Heads};
 use crate::compute::on_workers;
