@@ -9,9 +9,7 @@ use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
-use datasets_spec::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use datasets_spec::dataset::{Commit, commit_made, commit_rows};
-use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{
     EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, ScoreRow, TripletRow, WindowRow,
 };
@@ -27,6 +25,8 @@ use eval::metric::matching::{CrossRetrieval, cross_retrieval};
 use eval::metric::retrieval::unit_rows;
 use eval::protocol::Protocol;
 use eval::times::WindowTimes;
+use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use kinematics::normalise::Normalizer;
 use pipeline::catalogue::other_than_motions;
 use pipeline::compose::{
     ComposeConfig, EditKind, ItemConfig, ItemCount, Library, ReadOrder, Stream, WindowLoader,

@@ -9,13 +9,13 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::rotation::yaw;
-use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::table::{Row as _, ShardReader, read_column};
 use datasets_spec::{
     BlendMask, BodyPart, Dataset, Joint, MASK_DEF_VERSION, Motion, Resample, Skeleton,
 };
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::yaw;
+use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::{SlerpRule, blend_motion};
 use rayon::prelude::*;
 
@@ -524,8 +524,8 @@ pub fn skeleton_info() -> SkeletonInfo {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::rotation::from_axis_angle;
     use datasets_spec::{Fps, Pose};
+    use kinematics::rotation::from_axis_angle;
 
     use super::*;
 

@@ -771,7 +771,7 @@ mod tests {
             .map(|frame| {
                 let mut pose = Pose::REST;
                 pose.transl.x = frame as f64 * 0.01 + index as f64;
-                pose.rotations[5] = crate::rotation::from_axis_angle(glam::DVec3::X * 0.1);
+                pose.rotations[5] = kinematics::rotation::from_axis_angle(glam::DVec3::X * 0.1);
                 pose
             })
             .collect();

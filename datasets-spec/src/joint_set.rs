@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::skeleton::{Joint, NUM_BODY_JOINTS};
+use kinematics::skeleton::{Joint, NUM_BODY_JOINTS};
 
 /// The version of the body-part membership below. The release names the parts but publishes
 /// neither their joints nor their soft rings; a change of either is a new version, and every

@@ -6,37 +6,22 @@
 //!
 //! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
 
-mod adam;
-mod blocks;
-pub mod canonical;
 mod card;
 mod croissant;
 pub mod dataset;
 mod error;
-pub mod fit;
 mod ids;
 mod joint_set;
-pub mod kinematics;
-pub mod lanes;
 pub mod manifest;
-pub mod motion;
-pub mod normalise;
 mod progress;
 pub mod quantile;
 pub mod record;
-pub mod resample;
-pub mod rotation;
-pub mod skeleton;
 pub mod store;
 pub mod table;
-mod units;
 
 pub use dataset::{Dataset, Transaction};
 pub use error::Error;
 pub use ids::{MotionId, Rng, Seed, Split};
 pub use joint_set::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION};
-pub use motion::{Keypoints, Motion, Pose};
+pub use kinematics::{Fps, Joint, Keypoints, Motion, Pose, Resample, Skeleton};
 pub use progress::{NoProgress, Progress};
-pub use resample::Resample;
-pub use skeleton::{Joint, Skeleton};
-pub use units::Fps;

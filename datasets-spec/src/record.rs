@@ -1,10 +1,10 @@
 //! The rows of every table. A struct is declared once; its columns, their types, units and meaning
 //! follow from it, and `datasets-spec/README.md` is held equal to them by a test.
 
-use crate::motion::BODY_POSE_WIDTH;
-use crate::normalise::{FRAME_WIDTH, Normalizer};
 use crate::table::{Caption, PartCaption, Quality, Row, table};
 use crate::{Error, Fps, Motion, MotionId, Split};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 
 /// Features of a frame by the HumanML3D recipe.
 pub const HUMANML3D_WIDTH: usize = 263;

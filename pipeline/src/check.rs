@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::table::Quality;
 use datasets_spec::{Motion, Skeleton};
 use glam::DVec3;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use crate::source::Rejected;
 
@@ -188,7 +188,7 @@ impl Jump {
             "E-TELEPORT",
             format!(
                 "found {} moving at {:.1} m/s into frame {}, expected at most {TELEPORT_SPEED} m/s",
-                datasets_spec::skeleton::JOINT_NAMES[self.joint],
+                kinematics::skeleton::JOINT_NAMES[self.joint],
                 self.speed,
                 self.frame
             ),

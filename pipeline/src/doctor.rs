@@ -6,10 +6,10 @@ use std::fmt;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
 use datasets_spec::record::HUMANML3D_WIDTH;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Dataset, Fps};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -7,8 +7,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{MaskRow, MotionRow};
-use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split, rotation};
+use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -274,9 +275,9 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::rotation::from_axis_angle;
     use datasets_spec::table::PartCaption;
     use datasets_spec::{Fps, Pose};
+    use kinematics::rotation::from_axis_angle;
 
     use super::*;
     use crate::compose::fixture;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::ValueEnum;
-use datasets_spec::normalise::Normalizer;
 use datasets_spec::{Progress, Seed, Skeleton};
+use kinematics::normalise::Normalizer;
 use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
 use train::config::TrainConfig;

@@ -17,7 +17,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Skeleton;
-use datasets_spec::normalise::Normalizer;
+use kinematics::normalise::Normalizer;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

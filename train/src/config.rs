@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::diffusion::{FixedFrames, Loss, Prediction, ScheduleName};
-use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
-use datasets_spec::normalise::FRAME_WIDTH;
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
+use kinematics::normalise::FRAME_WIDTH;
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
 
 /// Settings of the editor's training.

@@ -4,8 +4,8 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
 use datasets_spec::Seed;
-use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::normalise::FRAME_WIDTH;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::FRAME_WIDTH;
 pub use pipeline::compose::WindowBatch;
 use pipeline::compose::{Stream, WindowLoader};
 use rand::RngExt;

@@ -1,8 +1,8 @@
 //! Noise schedule, forward noising, reverse step, guidance and loss.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::normalise::FRAME_WIDTH;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;

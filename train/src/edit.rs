@@ -4,11 +4,11 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 use burn::tensor::Device;
-use datasets_spec::canonical::KeypointFrame;
-use datasets_spec::fit::{AdamFit, FitOptions, fit_motion_from};
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Skeleton};
+use kinematics::KeypointFrame;
+use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
+use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
-use datasets_spec::normalise::Normalizer;
+use kinematics::normalise::Normalizer;
 use pipeline::source::pickle::{self, Value};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
 use datasets_spec::{Seed, Skeleton};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};

@@ -1,8 +1,8 @@
 //! The history of an interactive edit: every result is the original of the next instruction, and
 //! every step can be taken back.
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
 use datasets_spec::{Fps, Motion};
+use kinematics::motion::BODY_POSE_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;

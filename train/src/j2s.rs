@@ -5,12 +5,12 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
-use datasets_spec::canonical::KeypointFrame;
-use datasets_spec::fit::{AdamFit, FitOptions, Parameters, fit_pose};
-use datasets_spec::rotation::{from_axis_angle, from_six_d_rows, to_axis_angle, to_six_d_rows};
-use datasets_spec::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::KeypointFrame;
+use kinematics::fit::{AdamFit, FitOptions, Parameters, fit_pose};
+use kinematics::rotation::{from_axis_angle, from_six_d_rows, to_axis_angle, to_six_d_rows};
+use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
@@ -571,7 +571,7 @@ fn measure(
                 a.rotations
                     .into_iter()
                     .zip(b.rotations)
-                    .map(|(a, b)| datasets_spec::rotation::angle_between(a, b))
+                    .map(|(a, b)| kinematics::rotation::angle_between(a, b))
             });
             WayBack {
                 name,

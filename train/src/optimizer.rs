@@ -9,7 +9,7 @@ use burn::optim::{
     AdamW, AdamWConfig, AdamWState, AdaptiveMomentumState, LearningRate, ModuleOptimizer, Optimizer,
 };
 use burn::tensor::{DType, Device, Tensor};
-use datasets_spec::lanes::{Kernel, vectorised};
+use kinematics::simd::lanes::{Kernel, vectorised};
 use rayon::prelude::*;
 
 use crate::compute::on_workers;

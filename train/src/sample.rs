@@ -6,13 +6,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::canonical::{
-    FIXED_FRAMES, GroundTransform, KeypointFrame, Stitcher, canonicalise, motion_from_segment,
-};
-use datasets_spec::normalise::{FRAME_WIDTH, NormalizedFrame, Normalizer};
-use datasets_spec::resample::{grid, interpolate, interpolate_all};
-use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use datasets_spec::{Fps, Motion, Pose, Resample, Rng, Seed, Skeleton};
+use kinematics::KeypointFrame;
+use kinematics::canonical::{
+    FIXED_FRAMES, GroundTransform, Stitcher, canonicalise, motion_from_segment,
+};
+use kinematics::normalise::{FRAME_WIDTH, NormalizedFrame, Normalizer};
+use kinematics::resample::{grid, interpolate, interpolate_all};
+use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};

@@ -10,9 +10,10 @@ use std::path::Path;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
-use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::{Fps, Motion, Pose, Seed, rotation};
+use datasets_spec::{Fps, Motion, Pose, Seed};
 use glam::DVec3;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::rotation;
 use safetensors::SafeTensors;
 use train::compose::ComposeRecord;
 use train::config::{
@@ -199,7 +200,7 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
 
 #[test]
 fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
-    use datasets_spec::normalise::Normalizer;
+    use kinematics::normalise::Normalizer;
     use train::checkpoint::Slot;
     use train::exchange::{export, import_editor};
     use train::fit::{EditorRecord, TextRecord};
@@ -628,8 +629,9 @@ fn golden_guided_step() {
 
 #[test]
 fn golden_autoregressive() {
-    use datasets_spec::canonical::{GroundTransform, KeypointFrame, Stitcher};
-    use datasets_spec::normalise::Normalizer;
+    use kinematics::KeypointFrame;
+    use kinematics::canonical::{GroundTransform, Stitcher};
+    use kinematics::normalise::Normalizer;
 
     let golden = Golden::read("motionrefit_autoregressive");
     let [num_windows, draws, window, width] = golden.values("in.noise").1[..] else {
@@ -918,9 +920,9 @@ fn golden_j2s_mlp() {
 #[test]
 fn golden_j2s_pipeline() {
     use datasets_spec::Skeleton;
-    use datasets_spec::fit::AdamFit;
-    use datasets_spec::skeleton::{FIT_KEYPOINTS, NUM_JOINTS, NUM_KEYPOINTS};
     use glam::DMat3;
+    use kinematics::fit::AdamFit;
+    use kinematics::skeleton::{FIT_KEYPOINTS, NUM_JOINTS, NUM_KEYPOINTS};
 
     let golden = Golden::read("j2s_pipeline");
     let net = pose_net(&Golden::read("j2s_mlp"), J2sPreset::Official);

@@ -16,10 +16,10 @@ use annotate::wire::{
 };
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::rotation::from_axis_angle;
 use datasets_spec::table::{Caption, Quality};
 use datasets_spec::{BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Skeleton, Split};
 use glam::DVec3;
+use kinematics::rotation::from_axis_angle;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

@@ -4,13 +4,13 @@
 
 use std::hint::black_box;
 
-use datasets_spec::fit::{AdamFit, FitOptions, fit_motion};
 use datasets_spec::kinematics::{PlaneKinematics, parameter_planes};
-use datasets_spec::rotation::from_axis_angle;
 use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use glam::DVec3;
+use kinematics::fit::{AdamFit, FitOptions, fit_motion};
+use kinematics::rotation::from_axis_angle;
 use rand::RngExt;
 
 const NUM_FRAMES: usize = 4096;

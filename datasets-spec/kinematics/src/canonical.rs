@@ -3,9 +3,9 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::motion::Pose;
+use crate::pose::{KeypointFrame, Pose};
 use crate::rotation;
-use crate::skeleton::{NUM_KEYPOINTS, Skeleton};
+use crate::skeleton::Skeleton;
 
 /// Frames of a window, the fixed ones included (paper Sec. 5; released configuration).
 pub const WINDOW_FRAMES: usize = 16;
@@ -13,9 +13,6 @@ pub const WINDOW_FRAMES: usize = 16;
 pub const FIXED_FRAMES: usize = 2;
 /// Frames a window adds to the motion.
 pub const WINDOW_ADVANCE: usize = WINDOW_FRAMES - FIXED_FRAMES;
-
-/// The keypoints of one frame, in metres.
-pub type KeypointFrame = [DVec3; NUM_KEYPOINTS];
 
 /// A turn about the vertical and a shift on the ground: what places a canonical segment in the
 /// world. The height is never touched.

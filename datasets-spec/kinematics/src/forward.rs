@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec3};
 
-use crate::blocks::{self, Rest};
-use crate::motion::{Keypoints, Motion, Pose};
+use crate::motion::{Keypoints, Motion};
+use crate::pose::Pose;
+use crate::simd::blocks::{self, Rest};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
 };

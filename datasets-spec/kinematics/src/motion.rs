@@ -2,15 +2,14 @@
 
 use std::ops::Range;
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
-use crate::blocks::{self, Columns, WideColumns};
+pub use crate::pose::BODY_POSE_WIDTH;
+use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::from_axis_angle;
-use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use crate::simd::blocks::{self, Columns, WideColumns};
+use crate::skeleton::NUM_BODY_JOINTS;
 use crate::{Error, Fps};
-
-/// Numbers of `body_pose` in a frame: 21 joints times 3.
-pub const BODY_POSE_WIDTH: usize = 3 * (NUM_BODY_JOINTS - 1);
 
 /// Numbers turned into bytes at a time.
 const HASHED_AT_ONCE: usize = 4096;
@@ -26,24 +25,6 @@ pub struct Motion {
     transl: Vec<[f32; 3]>,
     global_orient: Vec<[f32; 3]>,
     body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
-}
-
-/// One frame of a motion in working precision: translation in metres and the 22 local rotations,
-/// that of the pelvis being `global_orient`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Translation of the body in metres.
-    pub transl: DVec3,
-    /// Rotation of each body joint relative to its parent, `[22]`.
-    pub rotations: [DQuat; NUM_BODY_JOINTS],
-}
-
-impl Pose {
-    /// The T-pose at the model's origin.
-    pub const REST: Pose = Pose {
-        transl: DVec3::ZERO,
-        rotations: [DQuat::IDENTITY; NUM_BODY_JOINTS],
-    };
 }
 
 impl Motion {
@@ -253,7 +234,7 @@ pub struct Keypoints {
     /// The frame rate.
     pub fps: Fps,
     /// Positions, `[L, 28]`.
-    pub points: Vec<[DVec3; NUM_KEYPOINTS]>,
+    pub points: Vec<KeypointFrame>,
 }
 
 fn check_finite<const D: usize>(column: &'static str, frames: &[[f32; D]]) -> Result<(), Error> {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::canonical::KeypointFrame;
+use crate::pose::KeypointFrame;
 use crate::skeleton::NUM_KEYPOINTS;
 
 /// Numbers of a normalised frame: 28 keypoints times 3.

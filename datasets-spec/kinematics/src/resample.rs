@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::blocks;
-use crate::motion::{Motion, Pose};
+use crate::motion::Motion;
+use crate::pose::Pose;
 use crate::rotation::slerp;
+use crate::simd::blocks;
 use crate::{Error, Fps};
 
 /// Slack on the time of the last frame, in output frames: rates are rounded in files, and a frame

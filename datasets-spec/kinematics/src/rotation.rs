@@ -5,7 +5,7 @@
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
-use crate::lanes::{self, Real};
+use crate::simd::lanes::{self, Real};
 
 /// Longest rotation vector that is taken as it is.
 pub(crate) const MAX_TURN: f64 = 2.0 * <f64 as Real>::MAX_ANGLE;

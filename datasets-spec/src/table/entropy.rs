@@ -170,9 +170,9 @@ mod tests {
     use proptest::prelude::*;
 
     use crate::Split;
-    use crate::normalise::FRAME_WIDTH;
     use crate::record::{Frames, WindowRow};
     use crate::table::{FramePages, read_rows, write_rows};
+    use kinematics::normalise::FRAME_WIDTH;
 
     /// Rows of windows of some frames, smooth enough that exponents repeat and mantissas do not.
     fn rows(count: usize, frames: usize) -> Vec<WindowRow> {

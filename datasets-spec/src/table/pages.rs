@@ -19,9 +19,9 @@ use parquet::file::serialized_reader::SerializedPageReader;
 
 use super::positioned::Positioned;
 use super::shard::{check_version, read_column};
-use crate::lanes::{self, Kernel};
 use crate::record::MotionRow;
 use crate::{Error, Fps, Motion, MotionId};
+use kinematics::simd::lanes::{self, Kernel};
 
 /// The pages of some frame columns of a file, all of which must break at the same rows.
 #[derive(Debug)]

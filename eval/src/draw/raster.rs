@@ -136,9 +136,8 @@ mod tests {
         let poses: Vec<Pose> = (0..11)
             .map(|frame| {
                 let mut pose = Pose::REST;
-                pose.rotations[16] = datasets_spec::rotation::from_axis_angle(
-                    glam::DVec3::Z * 0.1 * f64::from(frame),
-                );
+                pose.rotations[16] =
+                    kinematics::rotation::from_axis_angle(glam::DVec3::Z * 0.1 * f64::from(frame));
                 pose
             })
             .collect();

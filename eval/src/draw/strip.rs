@@ -1,8 +1,8 @@
 //! Motions as a row of stick figures, one row for each clip, time running to the right.
 
-use datasets_spec::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 use datasets_spec::{Joint, JointSet, Keypoints, Motion, Skeleton};
 use glam::{DVec2, DVec3};
+use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 
 use super::{FAINT, Rgb, line, open, text};
 

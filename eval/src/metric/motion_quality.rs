@@ -221,6 +221,7 @@ mod tests {
     use datasets_spec::Skeleton;
     use datasets_spec::rotation::from_axis_angle;
     use glam::DVec3;
+    use kinematics::rotation::from_axis_angle;
 
     use super::*;
 

@@ -3,8 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use datasets_spec::Keypoints;
-use datasets_spec::skeleton::KEYPOINT_PARENTS;
 use glam::DVec3;
+use kinematics::skeleton::KEYPOINT_PARENTS;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
-use datasets_spec::rotation::{from_six_d_rows, to_axis_angle};
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::rotation::{from_six_d_rows, to_axis_angle};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::recorded::{Recorded, VECTORS_WIDTH};
 use super::{AnswerOptions, Place, Up};

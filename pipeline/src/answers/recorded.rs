@@ -1,11 +1,12 @@
 //! A motion as a foreign file has it, and how it is brought into the frame of an item.
 
-use datasets_spec::motion::{self, BODY_POSE_WIDTH};
 use datasets_spec::record::ItemRow;
-use datasets_spec::rotation::{self, to_axis_angle};
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
-use datasets_spec::{Fps, Motion, Pose, Skeleton, resample};
+use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::motion::{self, BODY_POSE_WIDTH};
+use kinematics::resample;
+use kinematics::rotation::{self, to_axis_angle};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{AnswerOptions, Place, Up};
 use crate::source::{MAX_FPS, MIN_FPS, Rejected, floor, smpl};

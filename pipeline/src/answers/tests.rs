@@ -152,7 +152,7 @@ fn motionfix_poses(motion: &Motion) -> Vec<datasets_spec::Pose> {
 fn motionfix_pose(motion: &Motion) -> Value {
     let numbers = motionfix_poses(motion).into_iter().flat_map(|pose| {
         let rows = pose.rotations.map(|rotation| {
-            datasets_spec::rotation::to_six_d_rows(DMat3::from_quat(rotation)).map(|v| v as f32)
+            kinematics::rotation::to_six_d_rows(DMat3::from_quat(rotation)).map(|v| v as f32)
         });
         let transl = pose.transl.as_vec3().to_array();
         transl
@@ -167,7 +167,7 @@ fn motionfix_pose(motion: &Motion) -> Value {
 fn motionfix_rots(motion: &Motion) -> Value {
     let poses = motionfix_poses(motion);
     let vector = |rotation: DQuat| {
-        datasets_spec::rotation::to_axis_angle(rotation)
+        kinematics::rotation::to_axis_angle(rotation)
             .as_vec3()
             .to_array()
     };

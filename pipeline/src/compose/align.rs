@@ -1,9 +1,10 @@
 //! Bringing two captures of one action into step.
 
-use datasets_spec::rotation::yaw;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
-use datasets_spec::{Motion, Skeleton, resample};
+use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::resample;
+use kinematics::rotation::yaw;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 /// Farthest the warp may lead from the straight line between the two motions, as a share of the
 /// longer: captures of one action differ in tempo, not in the order of what happens.

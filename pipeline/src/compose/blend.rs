@@ -1,9 +1,9 @@
 //! Spatial blending: a source motion that takes some joints of a target.
 
-use datasets_spec::rotation::{from_axis_angle, slerp, slerp_official, to_axis_angle};
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{BlendMask, Motion, Pose};
 use glam::Vec3;
+use kinematics::rotation::{from_axis_angle, slerp, slerp_official, to_axis_angle};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{Error, SlerpRule};
 
@@ -104,9 +104,9 @@ fn blend_axis_angle(from: [f32; 3], to: [f32; 3], alpha: f64, rule: SlerpRule) -
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::motion::BODY_POSE_WIDTH;
     use datasets_spec::{BodyPart, Fps, Joint, JointSet};
     use glam::DVec3;
+    use kinematics::motion::BODY_POSE_WIDTH;
     use proptest::prelude::*;
 
     use super::*;
@@ -200,7 +200,7 @@ mod tests {
                     &source.pose(frame), &target.pose(frame), mask, &[alpha; NUM_BODY_JOINTS],
                 );
                 for joint in 0..NUM_BODY_JOINTS {
-                    let angle = datasets_spec::rotation::angle_between(
+                    let angle = kinematics::rotation::angle_between(
                         pose.rotations[joint], blended.pose(frame).rotations[joint],
                     );
                     // Three roundings to f32 of angles up to pi.

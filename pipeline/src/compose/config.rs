@@ -1,7 +1,7 @@
 //! Settings of the composer.
 
 use datasets_spec::Fps;
-use datasets_spec::canonical::{Anchor, FIXED_FRAMES, WINDOW_ADVANCE, WINDOW_FRAMES};
+use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_ADVANCE, WINDOW_FRAMES};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 

@@ -1,13 +1,13 @@
 //! Synthetic motions and masks for the tests of the composer.
 
-use datasets_spec::canonical::WINDOW_FRAMES;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::rotation::from_axis_angle;
 use datasets_spec::table::Quality;
 use datasets_spec::{
     BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Seed, Skeleton, Split,
 };
 use glam::DVec3;
+use kinematics::canonical::WINDOW_FRAMES;
+use kinematics::rotation::from_axis_angle;
 use rand::RngExt;
 
 use super::Library;

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use datasets_spec::canonical::{KeypointFrame, canonicalise, window_starts};
-use datasets_spec::normalise::Normalizer;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Pose, Skeleton, Split};
+use kinematics::KeypointFrame;
+use kinematics::canonical::{canonicalise, window_starts};
+use kinematics::normalise::Normalizer;
 use rayon::prelude::*;
 
 use super::config::{Alignment, EditKind, RangeRule};

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Motion, Skeleton, Split};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 use serde::Serialize;
 

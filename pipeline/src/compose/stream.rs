@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
 use datasets_spec::record::WindowRow;
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rayon::prelude::*;
 
@@ -764,8 +764,8 @@ impl Library {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::canonical::WINDOW_FRAMES;
     use datasets_spec::{BodyPart, Split};
+    use kinematics::canonical::WINDOW_FRAMES;
 
     use super::*;
     use crate::compose::{BaseFilter, fixture};
@@ -849,7 +849,7 @@ mod tests {
         for windows in [&batch.original, &batch.edited] {
             for window in windows.chunks_exact(WINDOW_FRAMES * FRAME_WIDTH) {
                 let first = normalizer.denormalize(&window[..FRAME_WIDTH]);
-                let placed = datasets_spec::canonical::ground_transform_of(
+                let placed = kinematics::canonical::ground_transform_of(
                     &[first[0], first[1], first[2]],
                     &triangle,
                 );

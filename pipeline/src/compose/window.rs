@@ -8,14 +8,15 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use datasets_spec::canonical::Anchor;
-use datasets_spec::lanes::{self, Kernel};
-use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
-use datasets_spec::skeleton::{
+use datasets_spec::{BlendMask, Motion};
+use glam::{DMat3, Quat};
+use kinematics::canonical::Anchor;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::rotation;
+use kinematics::simd::lanes::{self, Kernel};
+use kinematics::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
 };
-use datasets_spec::{BlendMask, Motion, rotation};
-use glam::{DMat3, Quat};
 
 use super::SlerpRule;
 
@@ -540,9 +541,9 @@ fn sinc_of_square(square: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::canonical::{WINDOW_FRAMES, canonicalise};
     use datasets_spec::{BodyPart, Pose};
     use glam::{DQuat, DVec3};
+    use kinematics::canonical::{WINDOW_FRAMES, canonicalise};
     use proptest::prelude::*;
 
     use super::*;
@@ -645,7 +646,7 @@ mod tests {
             near in any::<bool>(),
             alpha in 0.0..=1.0f32,
         ) {
-            use datasets_spec::rotation::{angle_between, from_axis_angle, slerp as exact};
+            use kinematics::rotation::{angle_between, from_axis_angle, slerp as exact};
             let a = from_axis_angle(DVec3::from_array(a));
             let b = from_axis_angle(DVec3::from_array(b) * if near { 1e-4 } else { 1.0 });
             let b = if near { a * b } else { b };

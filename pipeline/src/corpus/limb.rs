@@ -1,8 +1,8 @@
 //! Two bones and a hinge: arms and legs.
 
-use datasets_spec::rotation::arc;
 use datasets_spec::{Joint, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::arc;
 
 /// A limb of two bones whose middle joint is a hinge, so that a knee or an elbow can only bend the
 /// way it does on a body.
@@ -100,7 +100,7 @@ impl Limb {
     /// wrong way.
     #[cfg(test)]
     pub(super) fn bend_of(&self, hinge: DQuat) -> f64 {
-        let axis_angle = datasets_spec::rotation::to_axis_angle(hinge);
+        let axis_angle = kinematics::rotation::to_axis_angle(hinge);
         axis_angle.dot(self.hinge) - self.straight
     }
 }

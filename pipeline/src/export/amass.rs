@@ -6,11 +6,11 @@ use std::io::{self, Cursor};
 use std::path::Path;
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::rotation::to_axis_angle;
-use datasets_spec::skeleton::NUM_KEYPOINTS;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use glam::DQuat;
+use kinematics::rotation::to_axis_angle;
+use kinematics::skeleton::NUM_KEYPOINTS;
 use rayon::prelude::*;
 use zip::ZipWriter;
 
@@ -179,8 +179,8 @@ mod tests {
     use std::path::PathBuf;
 
     use datasets_spec::NoProgress;
-    use datasets_spec::rotation::{angle_between, from_axis_angle};
     use glam::DVec3;
+    use kinematics::rotation::{angle_between, from_axis_angle};
 
     use super::*;
     use crate::ingest::{IngestOptions, ingest};

@@ -6,9 +6,9 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{HUMANML3D_WIDTH, MotionRow};
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::table::{Caption, Row, read_rows};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 use polars::prelude::{ParquetReader, SerReader};
 use rayon::prelude::*;
 

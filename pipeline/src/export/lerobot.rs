@@ -274,7 +274,7 @@ fn state_names() -> Vec<String> {
     let mut names: Vec<String> = ["x", "y", "z"]
         .map(|axis| format!("transl.{axis}"))
         .to_vec();
-    for joint in datasets_spec::skeleton::JOINT_NAMES
+    for joint in kinematics::skeleton::JOINT_NAMES
         .iter()
         .take(STATE_WIDTH / 3 - 1)
     {

@@ -21,9 +21,9 @@ mod blocks;
 mod headings;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use self::blocks::{Clip, Placement};
 use self::headings::Headings;
@@ -145,7 +145,7 @@ pub enum FeatureError {
     /// A joint is at no place, or a bone has no length.
     #[error(
         "joint {} has no finite position or no bone in frame {frame}",
-        datasets_spec::skeleton::JOINT_NAMES[*joint]
+        kinematics::skeleton::JOINT_NAMES[*joint]
     )]
     NoDirection {
         /// The joint.
@@ -376,7 +376,7 @@ fn globals_of(frame: &Features, heading: Heading) -> [DMat3; NUM_BODY_JOINTS] {
     let mut rotations = [DMat3::from_quat(heading.quaternion()); NUM_BODY_JOINTS];
     for joint in 1..NUM_BODY_JOINTS {
         let six_d: [f64; 6] = std::array::from_fn(|k| frame[67 + 6 * (joint - 1) + k].into());
-        let local = datasets_spec::rotation::from_six_d_columns(six_d);
+        let local = kinematics::rotation::from_six_d_columns(six_d);
         rotations[joint] = rotations[RELATIVE_TO[joint]] * local;
     }
     rotations

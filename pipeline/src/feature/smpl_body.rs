@@ -1,8 +1,8 @@
 //! The body that HumanML3D's joints are those of, for motions of another one.
 
 use datasets_spec::Skeleton;
-use datasets_spec::skeleton::{NUM_JOINTS, PARENTS};
 use glam::DVec3;
+use kinematics::skeleton::{NUM_JOINTS, PARENTS};
 
 use super::to_motion::SMPL_REST_BONES;
 

@@ -6,12 +6,12 @@
 //! leaves no choice: the pelvis and the chest are turned as the bones that leave them say, and
 //! thighs and upper arms so that knees and elbows bend about their hinges.
 
-use datasets_spec::canonical::KeypointFrame;
-use datasets_spec::fit::{FitOptions, fit_motion};
-use datasets_spec::rotation::arc;
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, PARENTS};
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::KeypointFrame;
+use kinematics::fit::{FitOptions, fit_motion};
+use kinematics::rotation::arc;
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, PARENTS};
 
 use super::humanml3d::{
     FeatureError, Features, Joints, UNIFORM_BONES, directions_of_joints, recover_directions,

@@ -9,10 +9,10 @@
 //! The alternation is that of MoSh (Loper et al. 2014) without body shape: the store has one body,
 //! so the capture is scaled to it instead.
 
-use datasets_spec::rotation::{from_axis_angle, slerp, to_axis_angle};
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, PARENTS};
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
+use kinematics::skeleton::{NUM_BODY_JOINTS, PARENTS};
 
 use super::placement::{MARKER_SETS, bare_label, placement};
 use crate::source::{Markers, floor};

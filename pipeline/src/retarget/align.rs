@@ -8,9 +8,9 @@
 use std::f64::consts::FRAC_PI_2;
 
 use datasets_spec::Skeleton;
-use datasets_spec::rotation::{arc, slerp};
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
+use kinematics::rotation::{arc, slerp};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::track::{Track, TrackRest};
 use crate::source::floor::percentile;
@@ -99,7 +99,7 @@ fn heading(direction: DVec3) -> f64 {
 }
 
 fn parent(joint: usize) -> usize {
-    usize::try_from(datasets_spec::skeleton::PARENTS[joint]).unwrap_or(0)
+    usize::try_from(kinematics::skeleton::PARENTS[joint]).unwrap_or(0)
 }
 
 /// The orientation of the torso in a zero pose that shows a standing person; none if it does not.
@@ -496,7 +496,7 @@ pub(super) fn axis_name(axis: DVec3) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::rotation::{angle_between, from_axis_angle};
+    use kinematics::rotation::{angle_between, from_axis_angle};
     use proptest::prelude::*;
 
     use super::*;

@@ -1,7 +1,7 @@
 //! How far a guessed skeleton map can be trusted.
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::DVec3;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::joint_map::{Mapping, Origin, hangs_from};
 use super::rig::Bone;

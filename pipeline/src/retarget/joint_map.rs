@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::Joint;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::rig::{Bone, Rest};
 use super::topology;

@@ -16,10 +16,10 @@ pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
 pub use rig::{Bone, Placed, Rest, Rig};
 pub use user_map::{UserMap, UserMapError};
 
-use datasets_spec::rotation::slerp;
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, PARENTS};
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
+use kinematics::rotation::slerp;
+use kinematics::skeleton::{NUM_BODY_JOINTS, PARENTS};
 
 use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
@@ -399,9 +399,9 @@ fn parent(joint: usize) -> usize {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use datasets_spec::rotation::{angle_between, from_axis_angle};
     use datasets_spec::{Fps, Pose};
     use glam::EulerRot;
+    use kinematics::rotation::{angle_between, from_axis_angle};
     use proptest::prelude::*;
 
     use super::*;

@@ -1,7 +1,7 @@
 //! Finding the body in a skeleton whose names say nothing, from how its bones hang together.
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::DVec3;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::rig::{Bone, Placed};
 

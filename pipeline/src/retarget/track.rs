@@ -1,7 +1,7 @@
 //! The joints of a source that matter to the body, frame by frame.
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DQuat, DVec3};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::joint_map::Mapping;
 use super::rig::{Bone, Placed, Rest, Rig};

@@ -3,10 +3,11 @@
 use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
-use datasets_spec::rotation::to_axis_angle;
-use datasets_spec::{Fps, Motion, Skeleton, motion, resample};
+use datasets_spec::{Fps, Motion, Skeleton};
 use glam::{DQuat, DVec3};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::rotation::to_axis_angle;
+use kinematics::{motion, resample};
 
 use super::npy::{self, Rows};
 use super::npz::Archive;
@@ -584,7 +585,7 @@ fn expect_columns(key: &str, rows: &Rows<'_>, expected: usize) -> Result<(), Rej
 pub(crate) mod tests {
     use std::io::{Cursor, Write};
 
-    use datasets_spec::rotation::angle_between;
+    use kinematics::rotation::angle_between;
     use proptest::prelude::*;
     use zip::ZipWriter;
     use zip::write::SimpleFileOptions;

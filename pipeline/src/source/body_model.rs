@@ -5,8 +5,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Skeleton;
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 use glam::DVec3;
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
 use super::Rejected;
 use super::npy::{self, Array};

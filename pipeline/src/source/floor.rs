@@ -1,8 +1,8 @@
 //! Where the floor is: files put it anywhere, the store has it at y = 0.
 
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::{Fps, Pose, Skeleton};
 use glam::DVec3;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 /// The joints that meet the floor: both ankles and both feet.
 pub(crate) const FOOT_JOINTS: [usize; 4] = [7, 8, 10, 11];

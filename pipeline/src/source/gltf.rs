@@ -11,12 +11,12 @@ use std::ops::Range;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use datasets_spec::Fps;
-use datasets_spec::rotation::slerp;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::animation::{Interpolation, Property};
 use gltf::json::validation::Checked;
+use kinematics::rotation::slerp;
 
 use super::{MAX_FPS, MIN_FPS, ReadOptions, Rejected, SourceClip, UTF8_BOM};
 use crate::retarget::{self, Bone, Placed, Rest, Rig};
@@ -1191,7 +1191,7 @@ mod tests {
         let turned = clip_of(&turned.embedded());
         let heading = |clip: &SourceClip| {
             let pelvis = clip.motion.pose(0).rotations[0];
-            datasets_spec::rotation::yaw(DMat3::from_quat(pelvis))
+            kinematics::rotation::yaw(DMat3::from_quat(pelvis))
         };
         let quarter = heading(&turned) - heading(&plain);
         assert!(

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use datasets_spec::table::Caption;
 use datasets_spec::{Fps, Skeleton, Split};
 use glam::DVec3;
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::npy::{self, Array, Header};
 use super::{

@@ -8,10 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS};
 use datasets_spec::table::Caption;
 use datasets_spec::{Fps, Joint, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS};
 
 use super::amass::{self, Parameters, Parsed};
 use super::amass_catalogue::{Recording, Subset};
@@ -802,7 +802,7 @@ mod tests {
             }));
             let mut pose = datasets_spec::Pose::REST;
             for (rotation, angles) in pose.rotations.iter_mut().zip(angles) {
-                *rotation = datasets_spec::rotation::from_axis_angle(DVec3::from_array(angles));
+                *rotation = kinematics::rotation::from_axis_angle(DVec3::from_array(angles));
             }
             let motion = Motion::from_poses(Fps::STORE, &[pose]).expect("valid");
             let joints = body.keypoints(&motion.pose(0));

@@ -1,9 +1,9 @@
 //! SMPL parameters of files without a layout of their own, brought to the store's axes.
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
-use datasets_spec::rotation::to_axis_angle;
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::rotation::to_axis_angle;
 
 use super::pickle::{Array, Value};
 use super::{Rejected, floor};
@@ -134,7 +134,7 @@ pub(crate) fn y_up_from_z_up() -> DQuat {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::rotation::from_axis_angle;
+    use kinematics::rotation::from_axis_angle;
 
     use super::*;
 

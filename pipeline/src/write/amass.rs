@@ -2,9 +2,9 @@
 
 use std::io::{self, Cursor, Seek, Write};
 
-use datasets_spec::rotation::to_axis_angle;
 use datasets_spec::{Motion, Skeleton};
 use glam::{DQuat, DVec3};
+use kinematics::rotation::to_axis_angle;
 use npyz::WriterBuilder;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, System, ZipWriter};
@@ -164,8 +164,8 @@ mod tests {
         let upright = DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2);
         for (frame, pose) in motion.poses().into_iter().enumerate() {
             let root = DVec3::from_slice(&poses[156 * frame..]);
-            let root = upright * datasets_spec::rotation::from_axis_angle(root);
-            assert!(datasets_spec::rotation::angle_between(root, pose.rotations[0]) < 1e-9);
+            let root = upright * kinematics::rotation::from_axis_angle(root);
+            assert!(kinematics::rotation::angle_between(root, pose.rotations[0]) < 1e-9);
             let t = DVec3::from_slice(&trans[3 * frame..]);
             let t = upright * (t + skeleton.rest(0)) - skeleton.rest(0);
             assert!((t - pose.transl).length() < 1e-12);
@@ -178,7 +178,7 @@ mod tests {
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST]).expect("valid");
         let bytes = encode(&motion, &skeleton).expect("encoded");
         let (_, poses) = member(&bytes, "poses");
-        let root = datasets_spec::rotation::from_axis_angle(DVec3::from_slice(&poses));
+        let root = kinematics::rotation::from_axis_angle(DVec3::from_slice(&poses));
         assert!(
             (root * DVec3::Y - DVec3::Z).length() < 1e-9,
             "the head is up"

@@ -197,8 +197,8 @@ fn euler_zyx(rotation: DQuat) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::rotation::{angle_between, from_axis_angle};
     use datasets_spec::{Fps, Pose};
+    use kinematics::rotation::{angle_between, from_axis_angle};
     use proptest::prelude::*;
 
     use super::*;

@@ -3,9 +3,9 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::io;
 
-use datasets_spec::skeleton::{JOINT_NAMES, NUM_BODY_JOINTS, PARENTS};
 use datasets_spec::{Motion, Skeleton};
 use glam::{DQuat, DVec3, Vec3, Vec4};
+use kinematics::skeleton::{JOINT_NAMES, NUM_BODY_JOINTS, PARENTS};
 use serde_json::{Value, json};
 
 /// Encodes a motion as GLB: metres, y up, the 22 body joints by their SMPL-X names, each with a
@@ -244,7 +244,7 @@ fn joint_rotations(motion: &Motion, joint: usize) -> Vec<f32> {
     (0..motion.len())
         .flat_map(|frame| {
             let axis_angle = DVec3::from_array(motion.axis_angle(frame, joint).map(f64::from));
-            let rotation = datasets_spec::rotation::from_axis_angle(axis_angle);
+            let rotation = kinematics::rotation::from_axis_angle(axis_angle);
             previous = if rotation.dot(previous) < 0.0 {
                 -rotation
             } else {

@@ -1,10 +1,10 @@
 //! Blending and fitting against scipy and the released code.
 
-use datasets_spec::fit::{AdamFit, FitOptions, Parameters, fit_motion};
-use datasets_spec::rotation::from_axis_angle;
-use datasets_spec::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{BlendMask, Fps, Joint, JointSet, Pose, Skeleton};
 use glam::{DMat3, DVec3};
+use kinematics::fit::{AdamFit, FitOptions, Parameters, fit_motion};
+use kinematics::rotation::from_axis_angle;
+use kinematics::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::blend_pose;
 
 use super::{Golden, row_major};

@@ -1,12 +1,13 @@
 //! The contract crate against the released code, SMPL-X and scipy.
 
-use datasets_spec::canonical::{self, Anchor, GroundTransform, KeypointFrame, Stitcher};
 use datasets_spec::kinematics;
-use datasets_spec::normalise::{FRAME_WIDTH, Normalizer};
-use datasets_spec::rotation;
-use datasets_spec::skeleton::{FIT_KEYPOINTS, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS};
 use datasets_spec::{Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3, Quat};
+use kinematics::KeypointFrame;
+use kinematics::canonical::{self, Anchor, GroundTransform, Stitcher};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::rotation;
+use kinematics::skeleton::{FIT_KEYPOINTS, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS};
 
 use super::{Golden, quaternion, row_major};
 
@@ -27,7 +28,7 @@ fn golden_smplx_fk() {
         .iter()
         .map(|&p| p as i8)
         .collect();
-    assert_eq!(parents, datasets_spec::skeleton::PARENTS);
+    assert_eq!(parents, kinematics::skeleton::PARENTS);
     let poses = golden.get("in.pose").points();
     let transl = golden.get("in.transl").points();
     let skeleton = recorded_skeleton(&golden);

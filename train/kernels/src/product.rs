@@ -14,7 +14,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use datasets_spec::lanes::{Aligned, fetch, transpose};
+use kinematics::simd::lanes::{Aligned, fetch, transpose};
 
 /// Columns of a panel: two vectors of AVX2, one of AVX-512.
 const PANEL: usize = 16;

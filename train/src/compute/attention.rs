@@ -1,6 +1,6 @@
 //! Self-attention of short sequences, from the joint projection of queries, keys and values.
 
-use datasets_spec::lanes::{Kernel, LANES, vectorised};
+use kinematics::simd::lanes::{Kernel, LANES, vectorised};
 use rayon::prelude::*;
 
 use super::rows::{Mask, exp};

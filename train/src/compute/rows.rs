@@ -1,6 +1,6 @@
 //! Steps that work on rows of numbers: dropout, GELU and layer norm, with their gradients.
 
-use datasets_spec::lanes::{Kernel, LANES, vectorised};
+use kinematics::simd::lanes::{Kernel, LANES, vectorised};
 use rayon::prelude::*;
 
 /// Rows a task works on. It is fixed, so that sums over rows do not depend on the threads.

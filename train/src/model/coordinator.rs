@@ -4,7 +4,7 @@ use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::{sigmoid, silu};
 use burn::tensor::{Device, Tensor};
-use datasets_spec::normalise::FRAME_WIDTH;
+use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::IndexEmbedding;
 use super::dropout::drop_out;

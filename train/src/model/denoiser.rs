@@ -4,8 +4,8 @@ use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor};
-use datasets_spec::canonical::FIXED_FRAMES;
-use datasets_spec::normalise::FRAME_WIDTH;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::FRAME_WIDTH;
 
 use super::dropout::drop_out;
 use super::fused::PreparedEncoder;

@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::normalise::FRAME_WIDTH;
+use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
 use super::text::LearnedText;

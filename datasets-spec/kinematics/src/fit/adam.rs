@@ -2,8 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::canonical::KeypointFrame;
-use crate::motion::Pose;
+use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{from_axis_angle, to_axis_angle};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,

@@ -10,13 +10,15 @@
 //! anatomy (see [`fit_pose`]); the damped steps never move them.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-pub use crate::adam::{AdamFit, AdamFitted, Parameters};
+mod adam;
 
-use crate::canonical::{KeypointFrame, kabsch_near};
-use crate::motion::{Motion, Pose};
+pub use adam::{AdamFit, AdamFitted, Parameters};
+
+use crate::canonical::kabsch_near;
+use crate::motion::Motion;
+use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{arc, from_axis_angle, slerp, to_axis_angle};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
@@ -221,26 +223,6 @@ fn fit_frames<'a>(
         motion: Motion::from_poses(fps, &poses)?,
         error_m,
     })
-}
-
-/// Fits motions to many keypoint sequences, each as [`fit_motion`] does, on all threads.
-///
-/// # Errors
-/// That of the first sequence, in their order, that cannot be fitted.
-///
-/// # Panics
-/// As [`fit_motion`].
-pub fn fit_motions(
-    skeleton: &Skeleton,
-    clips: &[&[KeypointFrame]],
-    fps: Fps,
-    options: &FitOptions,
-) -> Result<Vec<FittedMotion>, Error> {
-    let fitted: Vec<Result<FittedMotion, Error>> = clips
-        .par_iter()
-        .map(|frames| fit_motion(skeleton, frames, fps, options))
-        .collect();
-    fitted.into_iter().collect()
 }
 
 /// The keypoint tree by joint.
@@ -817,10 +799,10 @@ fn cross_matrix(v: DVec3) -> DMat3 {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use rand::RngExt;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::Seed;
     use crate::rotation::angle_between;
 
     fn vector(size: f64) -> impl Strategy<Value = DVec3> {
@@ -840,7 +822,7 @@ mod tests {
 
     /// Points displaced by independent Gaussian-like noise of the given standard deviation per axis.
     fn noisy(points: &KeypointFrame, sigma_m: f64, seed: u64) -> KeypointFrame {
-        let mut rng = Seed(seed).rng(&["noise"]);
+        let mut rng = Pcg64::seed_from_u64(seed);
         // Twelve uniform numbers minus six have mean 0 and variance 1.
         let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
         points.map(|point| point + DVec3::new(normal(), normal(), normal()) * sigma_m)
@@ -965,7 +947,7 @@ mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let options = FitOptions::default();
         let fitter = Fitter::new(&skeleton, &options);
-        let mut rng = Seed(3).rng(&["step"]);
+        let mut rng = Pcg64::seed_from_u64(3);
         let mut pose = Pose::REST;
         for rotation in &mut pose.rotations {
             *rotation = from_axis_angle(DVec3::from_array(std::array::from_fn(|_| {

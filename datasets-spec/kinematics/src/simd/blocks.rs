@@ -3,8 +3,8 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::lanes::{self, Kernel, LANES, Real};
-use crate::motion::{BODY_POSE_WIDTH, Pose};
+use super::lanes::{self, Kernel, LANES, Real};
+use crate::pose::{BODY_POSE_WIDTH, Pose};
 use crate::rotation::{MAX_TURN, from_axis_angle};
 use crate::skeleton::{
     KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,

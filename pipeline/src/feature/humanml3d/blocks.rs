@@ -4,10 +4,10 @@
 //! Positions are computed in `f64`. The rotations among the features depend on bone directions
 //! alone, which `f32` holds to 1e-7, and the features are stored in `f32`.
 
-use datasets_spec::lanes::{self, Kernel};
 use datasets_spec::record::HUMANML3D_WIDTH;
-use datasets_spec::skeleton::NUM_BODY_JOINTS;
 use glam::{DVec2, DVec3};
+use kinematics::simd::lanes::{self, Kernel};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::headings::Headings;
 use super::{

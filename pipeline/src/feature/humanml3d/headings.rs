@@ -1,6 +1,6 @@
 //! Where the root is taken to face in every frame.
 
-use datasets_spec::lanes::{self, Kernel};
+use kinematics::simd::lanes::{self, Kernel};
 
 use super::blocks::LANES;
 

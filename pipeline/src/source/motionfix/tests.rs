@@ -11,7 +11,7 @@ use crate::source::stance::tests::{files_under, put};
 fn motion(frames: usize, split_rotations: bool) -> Value {
     let upright = glam::DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4)
         * glam::DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
-    let root = datasets_spec::rotation::to_axis_angle(upright)
+    let root = kinematics::rotation::to_axis_angle(upright)
         .as_vec3()
         .to_array();
     let rots = (0..frames).flat_map(|_| {

@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use datasets_spec::motion::BODY_POSE_WIDTH;
 use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
+use kinematics::motion::BODY_POSE_WIDTH;
 
 use crate::source::joblib;
 use crate::source::pickle::{Array, Value};

@@ -1,0 +1,27 @@
+//! A body in motion: the skeleton, motions as SMPL-X parameters, rotations, forward kinematics,
+//! resampling, canonical segments, fitting a body to keypoints, and the normaliser.
+//!
+//! Everything is y up, in metres, radians and seconds; the character's left is +x at rest and it
+//! faces +z. This crate reads and writes no file.
+//!
+//! Read [`Motion`] and [`Skeleton`] first.
+
+pub mod canonical;
+mod error;
+pub mod fit;
+mod forward;
+pub mod motion;
+pub mod normalise;
+mod pose;
+pub mod resample;
+pub mod rotation;
+pub mod simd;
+pub mod skeleton;
+mod units;
+
+pub use error::Error;
+pub use motion::{Keypoints, Motion};
+pub use pose::{KeypointFrame, Pose};
+pub use resample::Resample;
+pub use skeleton::{Joint, Skeleton};
+pub use units::Fps;

@@ -1,0 +1,29 @@
+//! One frame of a motion.
+
+use glam::{DQuat, DVec3};
+
+use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+
+/// Numbers of `body_pose` in a frame: 21 joints times 3.
+pub const BODY_POSE_WIDTH: usize = 3 * (NUM_BODY_JOINTS - 1);
+
+/// The 28 keypoints of one frame, in metres.
+pub type KeypointFrame = [DVec3; NUM_KEYPOINTS];
+
+/// One frame of a motion in working precision: translation in metres and the 22 local rotations,
+/// that of the pelvis being `global_orient`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Translation of the body in metres.
+    pub transl: DVec3,
+    /// Rotation of each body joint relative to its parent, `[22]`.
+    pub rotations: [DQuat; NUM_BODY_JOINTS],
+}
+
+impl Pose {
+    /// The T-pose at the model's origin.
+    pub const REST: Pose = Pose {
+        transl: DVec3::ZERO,
+        rotations: [DQuat::IDENTITY; NUM_BODY_JOINTS],
+    };
+}
