@@ -6,7 +6,7 @@
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par, Side};
-use kinematics::simd::lanes::{Kernel, vectorised};
+use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;
 
 /// Rows of a result that one thread computes at a time: a covariance of 512 dimensions makes eight

@@ -9,7 +9,7 @@ use burn::optim::{
     AdamW, AdamWConfig, AdamWState, AdaptiveMomentumState, LearningRate, ModuleOptimizer, Optimizer,
 };
 use burn::tensor::{DType, Device, Tensor};
-use kinematics::simd::lanes::{Kernel, vectorised};
+use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;
 
 use crate::compute::on_workers;
@@ -91,7 +91,7 @@ impl Optimizer for OnePass {
                 .zip(of_first.par_chunks_mut(PART))
                 .zip(second.storage_mut::<f32>().par_chunks_mut(PART))
                 .for_each(|(((values, gradients), first), second)| {
-                    vectorised(Step {
+                    dispatch(Step {
                         values,
                         gradients,
                         first,

@@ -6,55 +6,16 @@ use glam::{DQuat, DVec3};
 
 use crate::motion::{Keypoints, Motion};
 use crate::pose::Pose;
-use crate::simd::blocks::{self, Rest};
-use crate::skeleton::{
-    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
-};
-
-/// Global positions of a chain of joints.
-///
-/// # Shapes
-/// `rest_joints`, `parents` and `rotations` are `[J]`; the result is `[J]`. A root has parent -1,
-/// and every parent precedes its children.
-///
-/// # Panics
-/// If the slices differ in length or a parent follows its child.
-///
-/// # Source
-/// SMPL-X: `p_0 = J_0 + transl`, `p_i = p_k + R_k (J_i - J_k)` with `k` the parent of `i` and `R`
-/// the global rotations; the root turns about its own rest position.
-pub fn forward(
-    rest_joints: &[DVec3],
-    parents: &[i8],
-    rotations: &[DQuat],
-    transl: DVec3,
-) -> Vec<DVec3> {
-    assert_eq!(rest_joints.len(), parents.len());
-    assert_eq!(rest_joints.len(), rotations.len());
-    let mut global: Vec<DQuat> = Vec::with_capacity(parents.len());
-    let mut points: Vec<DVec3> = Vec::with_capacity(parents.len());
-    for (joint, &parent) in parents.iter().enumerate() {
-        match usize::try_from(parent) {
-            Ok(parent) => {
-                let offset = rest_joints[joint] - rest_joints[parent];
-                points.push(points[parent] + global[parent] * offset);
-                global.push(global[parent] * rotations[joint]);
-            }
-            Err(_) => {
-                points.push(rest_joints[joint] + transl);
-                global.push(rotations[joint]);
-            }
-        }
-    }
-    points
-}
+use crate::simd::blocks::{Frames, Quaternions, Vectors, frame_of, lane, set};
+use crate::simd::lanes::{self, Kernel, LANES};
+use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
 impl Skeleton {
     /// Global rotations of the 22 body joints of a pose.
     pub fn global_rotations(&self, pose: &Pose) -> [DQuat; NUM_BODY_JOINTS] {
         let mut global = pose.rotations;
         for joint in 1..NUM_BODY_JOINTS {
-            let parent = usize::try_from(KEYPOINT_PARENTS[joint]).unwrap_or(0);
+            let parent = parent_of(joint);
             global[joint] = global[parent] * pose.rotations[joint];
         }
         global
@@ -63,15 +24,15 @@ impl Skeleton {
     /// The 28 keypoints of a pose in metres.
     ///
     /// # Source
-    /// Paper App. B.1. The eyes turn with the head and the knuckles with the wrist, so the 22 body
-    /// rotations determine all of them.
+    /// SMPL-X: `p_0 = J_0 + transl`, `p_i = p_k + R_k (J_i - J_k)` with `k` the parent of `i` and `R`
+    /// the global rotations. The keypoints are those of the paper's App. B.1; eyes rotate with the
+    /// head and knuckles with the wrist, so the 22 body rotations determine all of them.
     pub fn keypoints(&self, pose: &Pose) -> [DVec3; NUM_KEYPOINTS] {
         let global = self.global_rotations(pose);
         let mut points = [self.rest(0) + pose.transl; NUM_KEYPOINTS];
         for slot in 1..NUM_KEYPOINTS {
-            let parent = usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0);
-            let offset = self.rest(KEYPOINT_JOINTS[slot]) - self.rest(KEYPOINT_JOINTS[parent]);
-            points[slot] = points[parent] + global[parent] * offset;
+            let parent = parent_of(slot);
+            points[slot] = points[parent] + global[parent] * self.offset(KEYPOINT_JOINTS[slot]);
         }
         points
     }
@@ -97,7 +58,7 @@ impl Skeleton {
         motion: &Motion,
         frames: Range<usize>,
     ) -> Vec<[DVec3; K]> {
-        blocks::keypoints_of(self, motion.columns(frames))
+        keypoints_of(self, motion.columns(frames))
     }
 
     /// The first `K` of the 28 keypoints of poses, in metres.
@@ -108,59 +69,123 @@ impl Skeleton {
     /// # Panics
     /// If `K` is 0 or more than 28.
     pub fn points_of_poses<const K: usize>(&self, poses: &[Pose]) -> Vec<[DVec3; K]> {
-        blocks::keypoints_of(self, poses)
+        keypoints_of(self, poses)
     }
 }
 
-/// Forward kinematics of many frames in single precision, with a plane for every number: the form
-/// networks are trained in.
-///
-/// Over a chain of eight joints the error is about a micrometre.
-#[derive(Clone, Debug)]
-pub struct PlaneKinematics {
-    rest: Rest<f32>,
+/// Rest offsets of the keypoints from their parents, and the rest position of the pelvis.
+struct Rest {
+    pelvis: [f64; 3],
+    offsets: [[f64; 3]; NUM_KEYPOINTS],
 }
 
-impl PlaneKinematics {
-    /// Numbers of a frame of parameters: translation, root and 21 body rotations.
-    pub const PARAMETERS: usize = blocks::PARAMETERS;
-    /// Numbers of a frame of keypoints.
-    pub const POINTS: usize = 3 * NUM_KEYPOINTS;
-
-    /// Kinematics of a body.
-    pub fn new(skeleton: &Skeleton) -> Self {
+impl Rest {
+    fn of(skeleton: &Skeleton) -> Self {
+        let mut offsets = [[0.0; 3]; NUM_KEYPOINTS];
+        for slot in 1..NUM_KEYPOINTS {
+            offsets[slot] = skeleton.offset(KEYPOINT_JOINTS[slot]).to_array();
+        }
         Self {
-            rest: Rest::of(skeleton),
+            pelvis: skeleton.rest(0).to_array(),
+            offsets,
         }
     }
 
-    /// The keypoints in metres of parameters in metres and radians.
-    ///
-    /// # Shapes
-    /// `parameters` is `[69, T]`: x, y and z of the translation, then of the rotation vector of each
-    /// of the 22 body joints. `points` becomes `[84, T]`.
-    ///
-    /// # Panics
-    /// If the slices do not have these lengths.
-    pub fn keypoints(&self, num_frames: usize, parameters: &[f32], points: &mut [f32]) {
-        blocks::keypoint_planes(&self.rest, num_frames, parameters, points);
+    /// The first `K` keypoints of a block of frames, given their translations and local rotations,
+    /// which become global.
+    #[inline(always)]
+    fn place<const K: usize>(
+        &self,
+        transl: &Vectors,
+        turns: &mut [Quaternions; NUM_BODY_JOINTS],
+        points: &mut [Vectors; K],
+    ) {
+        for axis in 0..3 {
+            for at in 0..LANES {
+                points[0][axis][at] = self.pelvis[axis] + transl[axis][at];
+            }
+        }
+        for (slot, &first_child) in FIRST_CHILD.iter().enumerate().take(K).skip(1) {
+            let parent = parent_of(slot);
+            let (above, below) = points.split_at_mut(slot);
+            let offset = self.offsets[slot];
+            for at in 0..LANES {
+                let moved = lanes::rotated(lane(&turns[parent], at), offset);
+                for axis in 0..3 {
+                    below[0][axis][at] = above[parent][axis][at] + moved[axis];
+                }
+            }
+            // Leaves need no global rotation.
+            if first_child < K {
+                let (above, below) = turns.split_at_mut(slot);
+                for at in 0..LANES {
+                    let turn = lanes::product(lane(&above[parent], at), lane(&below[0], at));
+                    set(&mut below[0], at, turn);
+                }
+            }
+        }
     }
 }
 
-/// The frames of a motion as planes, `[69, T]`, for [`PlaneKinematics::keypoints`].
-pub fn parameter_planes(motion: &Motion) -> Vec<f32> {
-    let num_frames = motion.len();
-    let mut planes = vec![0.0; PlaneKinematics::PARAMETERS * num_frames];
-    for frame in 0..num_frames {
-        let columns = motion.transl()[frame]
-            .iter()
-            .chain(&motion.global_orient()[frame])
-            .chain(&motion.body_pose()[frame]);
-        for (plane, value) in columns.enumerate() {
-            planes[plane * num_frames + frame] = *value;
+/// First child of each keypoint; `NUM_KEYPOINTS` for a leaf.
+const FIRST_CHILD: [usize; NUM_KEYPOINTS] = {
+    let mut first = [NUM_KEYPOINTS; NUM_KEYPOINTS];
+    let mut slot = NUM_KEYPOINTS - 1;
+    while slot > 0 {
+        first[parent_of(slot)] = slot;
+        slot -= 1;
+    }
+    first
+};
+
+/// The first `K` keypoints of frames in metres.
+fn keypoints_of<const K: usize>(skeleton: &Skeleton, frames: impl Frames) -> Vec<[DVec3; K]> {
+    struct Place<'a, F, const K: usize> {
+        rest: Rest,
+        frames: F,
+        out: &'a mut [[DVec3; K]],
+    }
+
+    impl<F: Frames, const K: usize> Kernel for Place<'_, F, K> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let Self { rest, frames, out } = self;
+            let mut points = [[[0.0; LANES]; 3]; K];
+            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
+            for first in (0..frames.len()).step_by(LANES) {
+                let mut transl = [[0.0; LANES]; 3];
+                for at in 0..LANES {
+                    set(
+                        &mut transl,
+                        at,
+                        frames.transl(frame_of(first, at, frames.len())),
+                    );
+                }
+                for (joint, turns) in turns.iter_mut().enumerate() {
+                    if FIRST_CHILD[joint] < K {
+                        *turns = frames.turns(first, joint);
+                    }
+                }
+                rest.place(&transl, &mut turns, &mut points);
+                let block = &mut out[first..frames.len().min(first + LANES)];
+                for (at, frame) in block.iter_mut().enumerate() {
+                    for (slot, point) in frame.iter_mut().enumerate() {
+                        *point = DVec3::from_array(lane(&points[slot], at));
+                    }
+                }
+            }
         }
     }
-    planes
+
+    let mut out = vec![[DVec3::ZERO; K]; frames.len()];
+    lanes::dispatch(Place {
+        rest: Rest::of(skeleton),
+        frames,
+        out: &mut out,
+    });
+    out
 }
 
 #[cfg(test)]
@@ -171,7 +196,6 @@ mod tests {
 
     use super::*;
     use crate::rotation::from_axis_angle;
-    use crate::skeleton::PARENTS;
 
     #[test]
     fn the_rest_pose_is_the_rest_table() {
@@ -182,13 +206,18 @@ mod tests {
     }
 
     #[test]
-    fn a_two_bone_chain_bends_by_hand() {
-        let rest = [DVec3::ZERO, DVec3::X, DVec3::X * 2.0];
-        let quarter = from_axis_angle(DVec3::Z * FRAC_PI_2);
-        let rotations = [quarter, quarter, DQuat::IDENTITY];
-        let points = forward(&rest, &[-1, 0, 1], &rotations, DVec3::Z);
-        assert!((points[1] - DVec3::new(0.0, 1.0, 1.0)).length() < 1e-15);
-        assert!((points[2] - DVec3::new(-1.0, 1.0, 1.0)).length() < 1e-15);
+    fn a_leg_bends_by_hand() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut pose = Pose::REST;
+        let quarter = from_axis_angle(DVec3::X * FRAC_PI_2);
+        pose.rotations[1] = quarter;
+        pose.rotations[4] = quarter;
+        let points = skeleton.keypoints(&pose);
+        let (thigh, shin) = (skeleton.offset(4), skeleton.offset(7));
+        let knee = skeleton.rest(1) + DVec3::new(thigh.x, -thigh.z, thigh.y);
+        let ankle = knee + DVec3::new(shin.x, -shin.y, -shin.z);
+        assert!((points[4] - knee).length() < 1e-15);
+        assert!((points[7] - ankle).length() < 1e-15);
     }
 
     fn pose() -> impl Strategy<Value = Pose> {
@@ -203,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_agree_with_frames() {
+    fn blocks_agree_with_single_poses() {
         let skeleton = Skeleton::smplx_neutral();
         for num_frames in [1, 15, 16, 17, 50] {
             let poses: Vec<Pose> = (0..num_frames)
@@ -216,22 +245,11 @@ mod tests {
                 })
                 .collect();
             let motion = Motion::from_poses(crate::Fps::STORE, &poses).expect("finite");
-            let num_frames = motion.len();
-            let mut points = vec![0.0; PlaneKinematics::POINTS * num_frames];
-            let planes = parameter_planes(&motion);
-            PlaneKinematics::new(&skeleton).keypoints(num_frames, &planes, &mut points);
-            let expected = skeleton.motion_keypoints(&motion);
-            for (frame, expected) in expected.points.iter().enumerate() {
+            let blocks = skeleton.motion_keypoints(&motion);
+            for (frame, points) in blocks.points.iter().enumerate() {
                 let single = skeleton.keypoints(&motion.pose(frame));
-                for (a, b) in expected.iter().zip(&single) {
+                for (a, b) in points.iter().zip(&single) {
                     assert!((*a - *b).length() < 1e-12);
-                }
-                for (slot, expected) in expected.iter().enumerate() {
-                    for axis in 0..3 {
-                        let found = points[(3 * slot + axis) * num_frames + frame];
-                        // A chain of eight rotations in f32, up to 50 m from the origin.
-                        assert!((f64::from(found) - expected[axis]).abs() < 2e-5);
-                    }
                 }
             }
         }
@@ -243,21 +261,9 @@ mod tests {
             let skeleton = Skeleton::smplx_neutral();
             let points = skeleton.keypoints(&pose);
             for slot in 1..NUM_KEYPOINTS {
-                let parent = KEYPOINT_PARENTS[slot] as usize;
+                let parent = parent_of(slot);
                 let bone = (points[slot] - points[parent]).length();
                 prop_assert!((bone - skeleton.offset(KEYPOINT_JOINTS[slot]).length()).abs() < 1e-12);
-            }
-        }
-
-        #[test]
-        fn keypoints_agree_with_the_whole_tree(pose in pose()) {
-            let skeleton = Skeleton::smplx_neutral();
-            let rest: Vec<DVec3> = (0..PARENTS.len()).map(|joint| skeleton.rest(joint)).collect();
-            let mut rotations = vec![DQuat::IDENTITY; PARENTS.len()];
-            rotations[..NUM_BODY_JOINTS].copy_from_slice(&pose.rotations);
-            let whole = forward(&rest, &PARENTS, &rotations, pose.transl);
-            for (slot, point) in skeleton.keypoints(&pose).into_iter().enumerate() {
-                prop_assert!((point - whole[KEYPOINT_JOINTS[slot]]).length() < 1e-12);
             }
         }
     }

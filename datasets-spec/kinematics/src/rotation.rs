@@ -5,10 +5,10 @@
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
-use crate::simd::lanes::{self, Real};
+use crate::simd::lanes;
 
 /// Longest rotation vector that is taken as it is.
-pub(crate) const MAX_TURN: f64 = 2.0 * <f64 as Real>::MAX_ANGLE;
+pub(crate) const MAX_TURN: f64 = 2.0 * lanes::MAX_ANGLE;
 /// Half-angle sine below which the released code replaces spherical interpolation by a plain
 /// average (`algorithms`: official slerp).
 const OFFICIAL_SLERP_EPS: f32 = 1e-3;
@@ -16,7 +16,7 @@ const OFFICIAL_SLERP_EPS: f32 = 1e-3;
 /// The rotation by `|v|` radians about `v`.
 pub fn from_axis_angle(v: DVec3) -> DQuat {
     let length = v.length();
-    // Whole turns of a number nobody turns by, before it loses its digits.
+    // Reduce very large angles modulo 2 pi to keep precision.
     let v = if length > MAX_TURN {
         v * (length % std::f64::consts::TAU / length)
     } else {

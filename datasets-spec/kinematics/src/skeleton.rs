@@ -30,11 +30,29 @@ pub const KEYPOINT_JOINTS: [usize; NUM_KEYPOINTS] = [
     40, 49,
 ];
 
-/// Parent of each keypoint within the keypoint set; the root's is -1.
-pub const KEYPOINT_PARENTS: [i8; NUM_KEYPOINTS] = [
-    -1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 15, 15, 20, 20, 21,
-    21,
-];
+/// Parent of each keypoint within the keypoint set; the root's is -1. The parent joint of every
+/// keypoint is one of the first 22, whose places in both lists are the same.
+pub const KEYPOINT_PARENTS: [i8; NUM_KEYPOINTS] = {
+    let mut parents = [0; NUM_KEYPOINTS];
+    let mut slot = 0;
+    while slot < NUM_KEYPOINTS {
+        parents[slot] = PARENTS[KEYPOINT_JOINTS[slot]];
+        slot += 1;
+    }
+    parents
+};
+
+/// Parent of a keypoint, which for the first 22 is that of the body joint; the pelvis is its own.
+///
+/// # Panics
+/// If `slot` is not below [`NUM_KEYPOINTS`].
+pub const fn parent_of(slot: usize) -> usize {
+    if KEYPOINT_PARENTS[slot] < 0 {
+        0
+    } else {
+        KEYPOINT_PARENTS[slot] as usize
+    }
+}
 
 /// The keypoints that are the 24 joints the released code fits a body to: the body joints and the
 /// two index knuckles.

@@ -159,7 +159,7 @@ impl FramePages {
             for (row, room) in rows.iter_mut().enumerate() {
                 if let Some(room) = room {
                     let at = |stream: usize| &values[stream * count + row * row_len..][..row_len];
-                    lanes::vectorised(PutTogether {
+                    lanes::dispatch(PutTogether {
                         bytes: [0, 1, 2, 3].map(at),
                         out: room,
                     });
@@ -188,7 +188,7 @@ impl FramePages {
         self.with_page(page, column, |values| {
             let count = values.len() / 4;
             let mut numbers = vec![0.0; count];
-            lanes::vectorised(PutTogether {
+            lanes::dispatch(PutTogether {
                 bytes: [0, 1, 2, 3].map(|stream| &values[stream * count..][..count]),
                 out: &mut numbers,
             });

@@ -244,7 +244,7 @@ impl Composer {
 
     /// Writes the canonical, normalised keypoints of frames, `[W, 84]`.
     pub(super) fn original(&self, frames: &[Frame], out: &mut [f32]) {
-        lanes::vectorised(Compose {
+        lanes::dispatch(Compose {
             composer: self,
             source: frames,
             blend: None,
@@ -262,7 +262,7 @@ impl Composer {
         alpha: f32,
         out: &mut [f32],
     ) {
-        lanes::vectorised(Compose {
+        lanes::dispatch(Compose {
             composer: self,
             source,
             blend: Some((target, plan, alpha)),

@@ -14,7 +14,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use kinematics::simd::lanes::{Aligned, fetch, transpose};
+use kinematics::simd::lanes::{Aligned, prefetch, transpose};
 
 /// Columns of a panel: two vectors of AVX2, one of AVX-512.
 const PANEL: usize = 16;
@@ -264,7 +264,7 @@ impl Block<'_> {
             let height = ROWS.min(num_rows - first);
             for row in first..first + height {
                 for at in 0..PANELS {
-                    fetch(out, row * b.columns + (panel + at) * PANEL);
+                    prefetch(out, row * b.columns + (panel + at) * PANEL);
                 }
             }
             let next: [_; PANELS] = std::array::from_fn(|at| {
@@ -427,7 +427,7 @@ impl<const ROWS: usize, const USED: usize, const PANELS: usize> Tile<'_, ROWS, U
             let first = block * LOOK_AHEAD;
             for line in block * self.at_a_time..(block + 1) * self.at_a_time {
                 for next in self.next {
-                    fetch(next, line);
+                    prefetch(next, line);
                 }
             }
             let panels: [&[_; LOOK_AHEAD]; PANELS] = panels.map(|panel| {

@@ -1,6 +1,6 @@
 //! Self-attention of short sequences, from the joint projection of queries, keys and values.
 
-use kinematics::simd::lanes::{Kernel, LANES, vectorised};
+use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
 use super::rows::{Mask, exp};
@@ -240,7 +240,7 @@ pub(crate) fn forward(
         .zip(out.par_chunks_mut(size))
         .enumerate()
         .for_each(|(index, ((joint, weights), out))| {
-            vectorised(Sequence {
+            dispatch(Sequence {
                 heads,
                 index,
                 joint,
@@ -344,7 +344,7 @@ pub(crate) fn backward(
         .zip(of_joint.par_chunks_mut(3 * size))
         .enumerate()
         .for_each(|(index, (((joint, weights), grad), of_joint))| {
-            vectorised(Sequence {
+            dispatch(Sequence {
                 heads,
                 index,
                 joint,

@@ -1,6 +1,6 @@
 //! Steps that work on rows of numbers: dropout, GELU and layer norm, with their gradients.
 
-use kinematics::simd::lanes::{Kernel, LANES, vectorised};
+use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
 /// Rows a task works on. It is fixed, so that sums over rows do not depend on the threads.
@@ -76,7 +76,7 @@ pub(crate) fn factors(mask: Mask, count: usize) -> Vec<f32> {
     let parts = factors.par_chunks_mut(PART).enumerate();
     parts.for_each(|(part, out)| {
         let first = part * PART;
-        vectorised(Part { mask, first, out });
+        dispatch(Part { mask, first, out });
     });
     factors
 }
@@ -243,7 +243,7 @@ pub(crate) fn gelu_dropout(
         .zip(out.par_chunks_mut(task))
         .enumerate()
         .for_each(|(index, (hidden, out))| {
-            vectorised(Rows {
+            dispatch(Rows {
                 hidden,
                 out,
                 bias,
@@ -349,7 +349,7 @@ pub(crate) fn residual_norm(
         .zip(scales.par_chunks_mut(TASK_ROWS))
         .enumerate()
         .for_each(|(index, (((branch, residual), out), scales))| {
-            vectorised(Rows {
+            dispatch(Rows {
                 branch,
                 residual,
                 out,
@@ -457,7 +457,7 @@ pub(crate) fn residual_norm_backward(
         .zip(branches)
         .enumerate()
         .map(|(index, (((grad, normalised), scales), branch))| {
-            vectorised(Rows {
+            dispatch(Rows {
                 grad,
                 normalised,
                 scales,

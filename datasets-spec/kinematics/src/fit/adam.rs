@@ -4,9 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{from_axis_angle, to_axis_angle};
-use crate::skeleton::{
-    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
-};
+use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
 /// Numbers of a frame: translation and 22 rotation vectors.
 const PARAMETERS: usize = 3 + 3 * NUM_BODY_JOINTS;
@@ -216,10 +214,6 @@ impl Body {
         }
         squares
     }
-}
-
-fn parent_of(slot: usize) -> usize {
-    usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }
 
 /// The transpose of the left Jacobian of the rotation by `v`, times `x`.

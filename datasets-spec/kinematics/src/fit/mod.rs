@@ -20,9 +20,7 @@ use crate::canonical::kabsch_near;
 use crate::motion::Motion;
 use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{arc, from_axis_angle, slerp, to_axis_angle};
-use crate::skeleton::{
-    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
-};
+use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 use crate::{Error, Fps};
 
 /// Most keypoint children of a joint: pelvis and spine3 have three.
@@ -249,7 +247,7 @@ impl Tree {
         };
         let mut slot = 1;
         while slot < NUM_KEYPOINTS {
-            let parent = KEYPOINT_PARENTS[slot] as usize;
+            let parent = parent_of(slot);
             tree.children[parent][tree.num_children[parent]] = slot;
             tree.num_children[parent] += 1;
             if slot < NUM_BODY_JOINTS {
@@ -264,10 +262,6 @@ impl Tree {
 
     fn children(&self, joint: usize) -> &[usize] {
         &self.children[joint][..self.num_children[joint]]
-    }
-
-    fn parent(slot: usize) -> usize {
-        usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
     }
 }
 
@@ -364,7 +358,7 @@ impl<'a> Fitter<'a> {
         );
         let mut subtree_weights = *weights;
         for slot in (1..NUM_KEYPOINTS).rev() {
-            subtree_weights[Tree::parent(slot)] += subtree_weights[slot];
+            subtree_weights[parent_of(slot)] += subtree_weights[slot];
         }
         Self {
             options,
@@ -380,7 +374,7 @@ impl<'a> Fitter<'a> {
     fn squared_drift(&self, target: &KeypointFrame) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);
         for slot in 1..NUM_KEYPOINTS {
-            let parent = Tree::parent(slot);
+            let parent = parent_of(slot);
             if self.options.weights[slot] > 0.0 && self.options.weights[parent] > 0.0 {
                 let length = target[slot].distance(target[parent]);
                 sum += (length - self.offsets[slot].length()).powi(2);
@@ -404,7 +398,7 @@ impl<'a> Fitter<'a> {
         let mut pose = self.pose_of(&body, None);
         for joint in 1..NUM_BODY_JOINTS {
             pose.rotations[joint] =
-                (body.global[Tree::parent(joint)].inverse() * body.global[joint]).normalize();
+                (body.global[parent_of(joint)].inverse() * body.global[joint]).normalize();
         }
         pose
     }
@@ -474,7 +468,7 @@ impl<'a> Fitter<'a> {
     fn body_of(&self, pose: &Pose) -> Body {
         let mut global = pose.rotations;
         for joint in 1..NUM_BODY_JOINTS {
-            global[joint] = global[Tree::parent(joint)] * pose.rotations[joint];
+            global[joint] = global[parent_of(joint)] * pose.rotations[joint];
         }
         Body {
             pelvis: pose.transl + self.pelvis_rest,
@@ -489,7 +483,7 @@ impl<'a> Fitter<'a> {
             _ if TREE.num_children[joint] == 0 => {
                 init.map_or(DQuat::IDENTITY, |pose| pose.rotations[joint])
             }
-            _ => (body.global[Tree::parent(joint)].inverse() * body.global[joint]).normalize(),
+            _ => (body.global[parent_of(joint)].inverse() * body.global[joint]).normalize(),
         });
         Pose {
             transl: body.pelvis - self.pelvis_rest,
@@ -541,7 +535,7 @@ impl<'a> Fitter<'a> {
         let mut global = init.rotations;
         for joint in 0..NUM_BODY_JOINTS {
             if joint > 0 {
-                global[joint] = global[Tree::parent(joint)] * init.rotations[joint];
+                global[joint] = global[parent_of(joint)] * init.rotations[joint];
             }
             global[joint] = self
                 .aligned_near(target, joint, global[joint], held)
@@ -654,7 +648,7 @@ impl<'a> Fitter<'a> {
         let mut cost = 0.0;
         for slot in 0..NUM_KEYPOINTS {
             if slot > 0 {
-                let parent = Tree::parent(slot);
+                let parent = parent_of(slot);
                 bones[slot] = body.global[parent] * self.offsets[slot];
                 points[slot] = points[parent] + bones[slot];
             }
@@ -664,7 +658,7 @@ impl<'a> Fitter<'a> {
         }
         for slot in (1..NUM_KEYPOINTS).rev() {
             let pull = pulls[slot];
-            pulls[Tree::parent(slot)] += pull;
+            pulls[parent_of(slot)] += pull;
         }
         let mut drift = [DVec3::ZERO; NUM_BODY_JOINTS];
         if let Some(prior) = prior {
@@ -964,7 +958,7 @@ mod tests {
         let moved = |step: &Step| -> f64 {
             let mut delta = [step.shift; NUM_KEYPOINTS];
             for slot in 1..NUM_KEYPOINTS {
-                let parent = Tree::parent(slot);
+                let parent = parent_of(slot);
                 delta[slot] = delta[parent] + step.turns[parent].cross(now.bones[slot]);
             }
             let residual: f64 = (0..NUM_KEYPOINTS)

@@ -1,28 +1,27 @@
-//! Poses in blocks of frames: an array over the frames for every component, so that one instruction
-//! works on several frames.
+//! Blocks of frames with a plane for every component, so that one instruction works on several
+//! frames; and poses gathered into them.
 
 use glam::{DQuat, DVec3};
 
-use super::lanes::{self, Kernel, LANES, Real};
+use super::lanes::{self, Kernel, LANES};
 use crate::pose::{BODY_POSE_WIDTH, Pose};
 use crate::rotation::{MAX_TURN, from_axis_angle};
-use crate::skeleton::{
-    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
-};
+use crate::skeleton::NUM_BODY_JOINTS;
 
 /// A vector in every frame of a block.
-pub(crate) type Vectors<T> = [[T; LANES]; 3];
+pub type Vectors = [[f64; LANES]; 3];
 /// A quaternion in every frame of a block, by x, y, z, w.
-pub(crate) type Quaternions<T> = [[T; LANES]; 4];
+pub type Quaternions = [[f64; LANES]; 4];
 
 /// One lane of some planes.
 #[inline(always)]
-pub(crate) fn lane<T: Copy, const N: usize>(planes: &[[T; LANES]; N], lane: usize) -> [T; N] {
+pub fn lane<T: Copy, const N: usize>(planes: &[[T; LANES]; N], lane: usize) -> [T; N] {
     std::array::from_fn(|component| planes[component][lane])
 }
 
+/// Writes one lane of some planes.
 #[inline(always)]
-pub(crate) fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, value: [T; N]) {
+pub fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, value: [T; N]) {
     for (plane, value) in planes.iter_mut().zip(value) {
         plane[lane] = value;
     }
@@ -30,8 +29,8 @@ pub(crate) fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, 
 
 /// The quaternions of a block of rotation vectors.
 #[inline(always)]
-pub(crate) fn quaternions<T: Real>(vectors: &Vectors<T>) -> Quaternions<T> {
-    let mut out = [[T::ZERO; LANES]; 4];
+pub(crate) fn quaternions(vectors: &Vectors) -> Quaternions {
+    let mut out = [[0.0; LANES]; 4];
     for at in 0..LANES {
         set(&mut out, at, lanes::quaternion(lane(vectors, at)));
     }
@@ -40,7 +39,7 @@ pub(crate) fn quaternions<T: Real>(vectors: &Vectors<T>) -> Quaternions<T> {
 
 /// The quaternions of a block, whatever the lengths of its vectors.
 #[inline(always)]
-fn quaternions_of_any(vectors: &Vectors<f64>) -> Quaternions<f64> {
+fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
     let mut longest = 0.0f64;
     for at in 0..LANES {
         let [x, y, z] = lane(vectors, at);
@@ -58,20 +57,20 @@ fn quaternions_of_any(vectors: &Vectors<f64>) -> Quaternions<f64> {
     out
 }
 
-/// Frames of a block, the last of them repeated.
+/// Frame in a lane of the block that begins with frame `first`; past the end, the last one.
 #[inline(always)]
-fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
+pub(crate) fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
     (first + at).min(num_frames - 1)
 }
 
-/// The frames of a motion as a block sees them.
+/// Frames in any storage that blocks can be gathered from.
 pub(crate) trait Frames: Copy {
     /// Number of frames.
     fn len(self) -> usize;
     /// The translation in a frame.
     fn transl(self, frame: usize) -> [f64; 3];
     /// The local rotations of a joint in the frames from `first` on.
-    fn turns(self, first: usize, joint: usize) -> Quaternions<f64>;
+    fn turns(self, first: usize, joint: usize) -> Quaternions;
 }
 
 impl Frames for &[Pose] {
@@ -86,7 +85,7 @@ impl Frames for &[Pose] {
     }
 
     #[inline(always)]
-    fn turns(self, first: usize, joint: usize) -> Quaternions<f64> {
+    fn turns(self, first: usize, joint: usize) -> Quaternions {
         let mut turns = [[0.0; LANES]; 4];
         for at in 0..LANES {
             let pose = &self[frame_of(first, at, self.len())];
@@ -116,7 +115,7 @@ impl Frames for Columns<'_> {
     }
 
     #[inline(always)]
-    fn turns(self, first: usize, joint: usize) -> Quaternions<f64> {
+    fn turns(self, first: usize, joint: usize) -> Quaternions {
         let mut vectors = [[0.0; LANES]; 3];
         for at in 0..LANES {
             let frame = frame_of(first, at, self.len());
@@ -152,7 +151,7 @@ impl Frames for WideColumns<'_> {
     }
 
     #[inline(always)]
-    fn turns(self, first: usize, joint: usize) -> Quaternions<f64> {
+    fn turns(self, first: usize, joint: usize) -> Quaternions {
         let mut vectors = [[0.0; LANES]; 3];
         for at in 0..LANES {
             let vector = &self.vectors[frame_of(first, at, self.len())][3 * joint..][..3];
@@ -191,7 +190,7 @@ pub(crate) fn poses_of(frames: impl Frames) -> Vec<Pose> {
     }
 
     let mut poses = vec![Pose::REST; frames.len()];
-    lanes::vectorised(Gather {
+    lanes::dispatch(Gather {
         frames,
         poses: &mut poses,
     });
@@ -234,7 +233,7 @@ pub(crate) fn rotation_vectors(poses: &[Pose]) -> (Vec<[f32; 3]>, Vec<[f32; BODY
 
     let mut root = vec![[0.0; 3]; poses.len()];
     let mut body = vec![[0.0; BODY_POSE_WIDTH]; poses.len()];
-    lanes::vectorised(Round {
+    lanes::dispatch(Round {
         poses,
         root: &mut root,
         body: &mut body,
@@ -294,213 +293,11 @@ pub(crate) fn interpolate(poses: &[Pose], at: &[(usize, f64)]) -> Vec<Pose> {
         })
         .collect();
     let places: Vec<usize> = (0..at.len()).filter(|&i| at[i].1 != 0.0).collect();
-    lanes::vectorised(Between {
+    lanes::dispatch(Between {
         poses,
         at,
         places: &places,
         out: &mut out,
     });
     out
-}
-
-/// Rest offsets of the keypoints from their parents, and the rest position of the pelvis.
-#[derive(Clone, Debug)]
-pub(crate) struct Rest<T> {
-    pelvis: [T; 3],
-    offsets: [[T; 3]; NUM_KEYPOINTS],
-}
-
-impl<T: Real> Rest<T> {
-    pub(crate) fn of(skeleton: &Skeleton) -> Self {
-        let numbers = |v: DVec3| v.to_array().map(T::of);
-        let mut offsets = [[T::ZERO; 3]; NUM_KEYPOINTS];
-        for slot in 1..NUM_KEYPOINTS {
-            let parent = KEYPOINT_JOINTS[parent_of(slot)];
-            let offset = skeleton.rest(KEYPOINT_JOINTS[slot]) - skeleton.rest(parent);
-            offsets[slot] = numbers(offset);
-        }
-        Self {
-            pelvis: numbers(skeleton.rest(0)),
-            offsets,
-        }
-    }
-
-    /// The first `K` keypoints of a block of frames, given their translations and local rotations,
-    /// which become global.
-    #[inline(always)]
-    pub(crate) fn place<const K: usize>(
-        &self,
-        transl: &Vectors<T>,
-        turns: &mut [Quaternions<T>; NUM_BODY_JOINTS],
-        points: &mut [Vectors<T>; K],
-    ) {
-        for axis in 0..3 {
-            for at in 0..LANES {
-                points[0][axis][at] = self.pelvis[axis] + transl[axis][at];
-            }
-        }
-        for (slot, &first_child) in FIRST_CHILD.iter().enumerate().take(K).skip(1) {
-            let parent = parent_of(slot);
-            let (above, below) = points.split_at_mut(slot);
-            let offset = self.offsets[slot];
-            for at in 0..LANES {
-                let moved = lanes::turned(lane(&turns[parent], at), offset);
-                for axis in 0..3 {
-                    below[0][axis][at] = above[parent][axis][at] + moved[axis];
-                }
-            }
-            // Rotations of joints that nothing hangs from are of no use here.
-            if first_child < K {
-                let (above, below) = turns.split_at_mut(slot);
-                for at in 0..LANES {
-                    let turn = lanes::product(lane(&above[parent], at), lane(&below[0], at));
-                    set(&mut below[0], at, turn);
-                }
-            }
-        }
-    }
-}
-
-/// The parent of a keypoint; the pelvis is its own.
-pub(crate) const fn parent_of(slot: usize) -> usize {
-    if KEYPOINT_PARENTS[slot] < 0 {
-        0
-    } else {
-        KEYPOINT_PARENTS[slot] as usize
-    }
-}
-
-/// The first keypoint that hangs from each; none comes before all of them.
-const FIRST_CHILD: [usize; NUM_KEYPOINTS] = {
-    let mut first = [NUM_KEYPOINTS; NUM_KEYPOINTS];
-    let mut slot = NUM_KEYPOINTS - 1;
-    while slot > 0 {
-        first[parent_of(slot)] = slot;
-        slot -= 1;
-    }
-    first
-};
-
-/// The first `K` keypoints of frames in metres.
-pub(crate) fn keypoints_of<const K: usize>(
-    skeleton: &Skeleton,
-    frames: impl Frames,
-) -> Vec<[DVec3; K]> {
-    struct Place<'a, F, const K: usize> {
-        rest: Rest<f64>,
-        frames: F,
-        out: &'a mut [[DVec3; K]],
-    }
-
-    impl<F: Frames, const K: usize> Kernel for Place<'_, F, K> {
-        type Output = ();
-
-        #[inline(always)]
-        fn run(self) {
-            let Self { rest, frames, out } = self;
-            let mut points = [[[0.0; LANES]; 3]; K];
-            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
-            for first in (0..frames.len()).step_by(LANES) {
-                let mut transl = [[0.0; LANES]; 3];
-                for at in 0..LANES {
-                    set(
-                        &mut transl,
-                        at,
-                        frames.transl(frame_of(first, at, frames.len())),
-                    );
-                }
-                for (joint, turns) in turns.iter_mut().enumerate() {
-                    if FIRST_CHILD[joint] < K {
-                        *turns = frames.turns(first, joint);
-                    }
-                }
-                rest.place(&transl, &mut turns, &mut points);
-                let block = &mut out[first..frames.len().min(first + LANES)];
-                for (at, frame) in block.iter_mut().enumerate() {
-                    for (slot, point) in frame.iter_mut().enumerate() {
-                        *point = DVec3::from_array(lane(&points[slot], at));
-                    }
-                }
-            }
-        }
-    }
-
-    let mut out = vec![[DVec3::ZERO; K]; frames.len()];
-    lanes::vectorised(Place {
-        rest: Rest::of(skeleton),
-        frames,
-        out: &mut out,
-    });
-    out
-}
-
-/// Numbers of a frame as planes: translation and 22 rotation vectors.
-pub(crate) const PARAMETERS: usize = 3 + 3 * NUM_BODY_JOINTS;
-
-/// The keypoints of frames whose numbers lie in planes: `parameters` is `[69, T]`, `points` becomes
-/// `[84, T]`.
-pub(crate) fn keypoint_planes(
-    rest: &Rest<f32>,
-    num_frames: usize,
-    parameters: &[f32],
-    points: &mut [f32],
-) {
-    struct Place<'a> {
-        rest: &'a Rest<f32>,
-        num_frames: usize,
-        parameters: &'a [f32],
-        points: &'a mut [f32],
-    }
-
-    impl Place<'_> {
-        /// A vector of 16 frames, of which the last `first` to `num_frames` may be fewer.
-        #[inline(always)]
-        fn vector(&self, plane: usize, first: usize) -> Vectors<f32> {
-            let mut out = [[0.0; LANES]; 3];
-            for (axis, out) in out.iter_mut().enumerate() {
-                let row = &self.parameters[(plane + axis) * self.num_frames..][..self.num_frames];
-                match row[first..].first_chunk::<LANES>() {
-                    Some(whole) => *out = *whole,
-                    None => out[..row.len() - first].copy_from_slice(&row[first..]),
-                }
-            }
-            out
-        }
-    }
-
-    impl Kernel for Place<'_> {
-        type Output = ();
-
-        #[inline(always)]
-        fn run(self) {
-            let mut placed = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
-            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
-            for first in (0..self.num_frames).step_by(LANES) {
-                for (joint, turns) in turns.iter_mut().enumerate() {
-                    if FIRST_CHILD[joint] < NUM_KEYPOINTS {
-                        *turns = quaternions(&self.vector(3 + 3 * joint, first));
-                    }
-                }
-                self.rest
-                    .place(&self.vector(0, first), &mut turns, &mut placed);
-                let len = LANES.min(self.num_frames - first);
-                for (plane, values) in placed.as_flattened().iter().enumerate() {
-                    let row = &mut self.points[plane * self.num_frames + first..];
-                    match row.first_chunk_mut::<LANES>() {
-                        Some(whole) if len == LANES => *whole = *values,
-                        _ => row[..len].copy_from_slice(&values[..len]),
-                    }
-                }
-            }
-        }
-    }
-
-    assert_eq!(parameters.len(), PARAMETERS * num_frames);
-    assert_eq!(points.len(), 3 * NUM_KEYPOINTS * num_frames);
-    lanes::vectorised(Place {
-        rest,
-        num_frames,
-        parameters,
-        points,
-    });
 }

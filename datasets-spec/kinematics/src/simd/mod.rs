@@ -1,5 +1,5 @@
-//! The one vector vocabulary: elementary functions without branches, blocks of frames, and the
+//! The vector vocabulary of the project: elementary functions without branches, blocks of frames, and
 //! dispatch to the widest vector instructions of the machine.
 
-pub(crate) mod blocks;
+pub mod blocks;
 pub mod lanes;

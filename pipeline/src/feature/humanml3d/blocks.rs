@@ -113,7 +113,7 @@ impl Clip {
     ) -> Result<(), FeatureError> {
         for (index, block) in self.blocks.iter_mut().enumerate() {
             let source = *block;
-            let sound = lanes::vectorised(LayBones {
+            let sound = lanes::dispatch(LayBones {
                 source: &source,
                 bones,
                 scale,
@@ -188,7 +188,7 @@ impl Clip {
     /// The features of the clip where it is put, one frame fewer than it has.
     pub(super) fn features(&self, placement: Placement, headings: &Headings) -> Vec<Features> {
         let mut rows = vec![[0.0; HUMANML3D_WIDTH]; self.frames - 1];
-        lanes::vectorised(WriteFeatures {
+        lanes::dispatch(WriteFeatures {
             clip: self,
             placement,
             headings,

@@ -86,7 +86,7 @@ fn smoothed(values: &[[f64; 2]], coordinate: usize, count: usize) -> Vec<f64> {
         .map(|index| values[index.saturating_sub(SMOOTHING_REACH).min(last)][coordinate])
         .collect();
     let mut smoothed = vec![[0.0; SMOOTHED_AT_ONCE]; chunks];
-    lanes::vectorised(Smooth {
+    lanes::dispatch(Smooth {
         padded: &padded,
         weights: &weights(),
         smoothed: &mut smoothed,
