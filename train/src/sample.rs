@@ -706,7 +706,7 @@ pub fn edit_windows(
                 let frames: Vec<KeypointFrame> = frames
                     .chunks_exact(FRAME_WIDTH)
                     .take(request.window.used)
-                    .map(|frame| normalizer.denormalize(frame))
+                    .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
                     .collect();
                 stitchers[request.item].push(&frames);
             }
@@ -745,7 +745,7 @@ impl WindowModel for Generator<'_> {
         };
         let original: Vec<f32> = requests
             .iter()
-            .flat_map(|request| request.window.original.as_flattened().iter().copied())
+            .flat_map(|request| request.window.original.iter().copied().flatten())
             .collect();
         let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
             requests.iter().map(|request| request.fixed).collect();
@@ -758,7 +758,7 @@ impl WindowModel for Generator<'_> {
         let condition = Condition {
             original: window(narrowed(original, keypoints), frames),
             fixed: fixed.map(|fixed| {
-                let numbers = fixed.as_flattened().as_flattened().to_vec();
+                let numbers = fixed.into_iter().flatten().flatten().collect();
                 window(narrowed(numbers, keypoints), FIXED_FRAMES)
             }),
             text: editor.model.text_vectors(&texts, num_rows, &editor.device),

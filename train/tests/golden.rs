@@ -631,7 +631,7 @@ fn golden_guided_step() {
 fn golden_autoregressive() {
     use kinematics::KeypointFrame;
     use kinematics::canonical::{GroundTransform, Stitcher};
-    use kinematics::normalise::Normalizer;
+    use kinematics::normalise::{NormalizedFrame, Normalizer};
 
     let golden = Golden::read("motionrefit_autoregressive");
     let [num_windows, draws, window, width] = golden.values("in.noise").1[..] else {
@@ -716,7 +716,7 @@ fn golden_autoregressive() {
         assert!(difference <= 1e-4, "window {index}: {difference}");
         let frames: Vec<KeypointFrame> = x
             .chunks_exact(width)
-            .map(|frame| normalizer.denormalize(frame))
+            .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
             .collect();
         stitcher.push(&frames);
     }

@@ -1,4 +1,4 @@
-//! The range keypoints are scaled to before a network sees them.
+//! The normaliser: scales canonical keypoints to the range a network works in.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,15 +8,36 @@ use crate::skeleton::NUM_KEYPOINTS;
 /// Numbers of a normalised frame: 28 keypoints times 3.
 pub const FRAME_WIDTH: usize = 3 * NUM_KEYPOINTS;
 
-/// A frame of canonical keypoints scaled to the model's range, `[84]`. It is a type of its own so
-/// that metres are never fed to a network.
-pub type NormalizedFrame = [f32; FRAME_WIDTH];
+/// A frame of canonical keypoints in model units, `[84]`: x, y and z of each keypoint.
+///
+/// Metres are a [`KeypointFrame`], so they cannot be passed to a network by mistake.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NormalizedFrame([f32; FRAME_WIDTH]);
+
+impl NormalizedFrame {
+    /// Takes the output of a network, or a frame of a recorded window.
+    ///
+    /// # Panics
+    /// If there are not 84 numbers.
+    pub fn from_model_units(values: &[f32]) -> Self {
+        Self(values.try_into().expect("a frame has 84 numbers"))
+    }
+}
+
+impl IntoIterator for NormalizedFrame {
+    type Item = f32;
+    type IntoIter = std::array::IntoIter<f32, FRAME_WIDTH>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.0.into_iter()
+    }
+}
 
 /// Scales each axis linearly so that `min` becomes -1 and `max` becomes 1, alike for all joints
 /// and frames. Metres in, model units out.
 ///
 /// # Source
-/// Paper App. B.1; `algorithms` section 4.
+/// Paper App. B.2.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Normalizer {
     /// Lower end per axis in metres.
@@ -79,15 +100,11 @@ impl Normalizer {
                 slot[axis] = (-1.0 + 2.0 * (value - self.min[axis]) / range) as f32;
             }
         }
-        out
+        NormalizedFrame(out)
     }
 
     /// Model units to metres.
-    ///
-    /// # Panics
-    /// If the slice does not hold 84 numbers.
-    pub fn denormalize(&self, frame: &[f32]) -> KeypointFrame {
-        assert_eq!(frame.len(), FRAME_WIDTH);
+    pub fn denormalize(&self, NormalizedFrame(frame): &NormalizedFrame) -> KeypointFrame {
         std::array::from_fn(|slot| {
             glam::DVec3::from_array(std::array::from_fn(|axis| {
                 let value = f64::from(frame[3 * slot + axis]);

@@ -848,7 +848,8 @@ mod tests {
         let triangle = skeleton.rest_triangle();
         for windows in [&batch.original, &batch.edited] {
             for window in windows.chunks_exact(WINDOW_FRAMES * FRAME_WIDTH) {
-                let first = normalizer.denormalize(&window[..FRAME_WIDTH]);
+                let first = NormalizedFrame::from_model_units(&window[..FRAME_WIDTH]);
+                let first = normalizer.denormalize(&first);
                 let placed = kinematics::canonical::ground_transform_of(
                     &[first[0], first[1], first[2]],
                     &triangle,

@@ -13,15 +13,12 @@ use glam::{DMat3, Quat};
 use kinematics::canonical::Anchor;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
-use kinematics::simd::lanes::{self, Kernel};
-use kinematics::skeleton::{
-    KEYPOINT_JOINTS, KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton,
-};
+use kinematics::simd::blocks::{Quaternions, Vectors, lane as lane_of, set};
+use kinematics::simd::lanes::{self, Kernel, LANES};
+use kinematics::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
 use super::SlerpRule;
 
-/// Frames processed together: a window of the published length.
-const LANES: usize = 16;
 /// Components of a quaternion.
 const QUAT: usize = 4;
 /// Zeros before and after the points of a frame, so that every number has neighbours two places
@@ -30,9 +27,8 @@ const MARGIN: usize = 2;
 /// The points of a frame with their margins.
 type PaddedPoints = [f32; FRAME_WIDTH + 2 * MARGIN];
 
-type Lanes = [f32; LANES];
-type Points = [Lanes; 3];
-type Quats = [Lanes; QUAT];
+type Points = Vectors<f32>;
+type Quats = Quaternions<f32>;
 
 /// A frame: world positions `[28, 3]` in metres and local rotations `[22]` as x, y, z, w.
 #[derive(Clone, Debug)]
@@ -104,10 +100,8 @@ fn place(slot: usize) -> usize {
 fn rotations(frames: &[Frame], joint: usize) -> Quats {
     let mut out = [[0.0; LANES]; QUAT];
     for lane in 0..LANES {
-        let rotation = &frames[lane.min(frames.len() - 1)].rotations[joint];
-        for component in 0..QUAT {
-            out[component][lane] = rotation[component];
-        }
+        let frame = &frames[lane.min(frames.len() - 1)];
+        set(&mut out, lane, frame.rotations[joint]);
     }
     out
 }
@@ -205,12 +199,6 @@ impl BlendPlan {
             SlerpRule::Official => official(from, to, alpha),
         }
     }
-}
-
-/// The parent of a keypoint; the pelvis is its own.
-#[inline(always)]
-fn parent_of(slot: usize) -> usize {
-    usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }
 
 /// Turns frames into windows of model units.
@@ -495,11 +483,9 @@ fn slerp(from: &Quats, to: &Quats, alpha: f32) -> Quats {
 fn official(from: &Quats, to: &Quats, alpha: f32) -> Quats {
     let mut out = [[0.0; LANES]; QUAT];
     for lane in 0..LANES {
-        let at = |planes: &Quats| Quat::from_array(planes.map(|plane| plane[lane]));
+        let at = |planes: &Quats| Quat::from_array(lane_of(planes, lane));
         let mixed = rotation::slerp_official(at(from), at(to), alpha).normalize();
-        for (plane, value) in out.iter_mut().zip(mixed.to_array()) {
-            plane[lane] = value;
-        }
+        set(&mut out, lane, mixed.to_array());
     }
     out
 }

@@ -19,147 +19,19 @@
 
 mod blocks;
 mod headings;
+mod recipe;
 
-use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
-use kinematics::skeleton::NUM_BODY_JOINTS;
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use self::blocks::{Clip, Placement};
 use self::headings::Headings;
-
-/// Name and version of the recipe. Any change of its numbers is a new version.
-pub const RECIPE: &str = "humanml3d@1";
-/// Rate the recipe is made for, in 1/s: contacts and smoothing count frames, not seconds.
-pub const FPS: f64 = 20.0;
-
-/// Positions of the 22 body joints in metres, y up.
-pub type Joints = [DVec3; NUM_BODY_JOINTS];
-/// The features of a frame.
-pub type Features = [f32; HUMANML3D_WIDTH];
-
-/// Where each group of features lies in a frame, by the names used in reports.
-pub const GROUPS: [(&str, std::ops::Range<usize>); 7] = [
-    ("root yaw velocity", 0..1),
-    ("root velocity", 1..3),
-    ("root height", 3..4),
-    ("joint positions", 4..67),
-    ("joint rotations", 67..193),
-    ("joint velocities", 193..259),
-    ("foot contacts", 259..263),
-];
-
-/// Bone lengths of the uniform skeleton in metres, by the joint at the bone's end: those of clip
-/// `000021`, frame 0, in the `f32` they were published in. The root has none.
-pub const UNIFORM_BONES: [f64; NUM_BODY_JOINTS] = [
-    0.0,
-    0.103073969,
-    0.109883368,
-    0.131568238,
-    0.393623203,
-    0.390188217,
-    0.14319022,
-    0.432433069,
-    0.425643325,
-    0.0573647358,
-    0.143381819,
-    0.149419069,
-    0.219360054,
-    0.137486771,
-    0.143382832,
-    0.103039227,
-    0.131614044,
-    0.12298438,
-    0.256839991,
-    0.263091743,
-    0.266011715,
-    0.269876391,
-];
-
-/// Rest directions of the bones that end in each joint: unit axes.
-const REST_AXES: [DVec3; NUM_BODY_JOINTS] = {
-    let (left, up, front) = (DVec3::X, DVec3::Y, DVec3::Z);
-    let (right, down) = (DVec3::NEG_X, DVec3::NEG_Y);
-    [
-        DVec3::ZERO,
-        left,
-        right,
-        up,
-        down,
-        down,
-        up,
-        down,
-        down,
-        up,
-        front,
-        front,
-        up,
-        left,
-        right,
-        front,
-        down,
-        down,
-        down,
-        down,
-        down,
-        down,
-    ]
+pub use self::recipe::{FPS, FeatureError, Features, GROUPS, Joints, RECIPE, UNIFORM_BONES};
+use self::recipe::{
+    LEFT_HIP, LEFT_SHOULDER, RELATIVE_TO, REST_AXES, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE,
+    RIGHT_SHOULDER, SHORTEST_BONE_M,
 };
-
-/// The joint each joint hangs from, as in SMPL.
-const PARENTS: [usize; NUM_BODY_JOINTS] = [
-    0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19,
-];
-
-/// The joint whose rotation each joint's is relative to: its parent, but for the joints that begin
-/// a chain, whose rotations are relative to the root's.
-const RELATIVE_TO: [usize; NUM_BODY_JOINTS] = {
-    let mut relative_to = PARENTS;
-    relative_to[13] = 0;
-    relative_to[14] = 0;
-    relative_to
-};
-
-const LEFT_HIP: usize = 1;
-const RIGHT_HIP: usize = 2;
-const RIGHT_KNEE: usize = 5;
-const RIGHT_ANKLE: usize = 8;
-const LEFT_SHOULDER: usize = 16;
-const RIGHT_SHOULDER: usize = 17;
-/// Left ankle and toe, right ankle and toe, in the order of the contacts.
-const FEET: [usize; 4] = [7, 10, 8, 11];
-/// Squared displacement in m² in a frame below which a foot joint is in contact.
-const CONTACT_THRESHOLD: f64 = 0.002;
-/// Length in metres below which a bone has no direction.
-const SHORTEST_BONE_M: f64 = 1e-8;
-
-/// Why joints have no features.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FeatureError {
-    /// A velocity needs two frames.
-    #[error("{frames} frames have no features; at least 2 are needed")]
-    TooShort {
-        /// Frames there are.
-        frames: usize,
-    },
-    /// A joint is at no place, or a bone has no length.
-    #[error(
-        "joint {} has no finite position or no bone in frame {frame}",
-        kinematics::skeleton::JOINT_NAMES[*joint]
-    )]
-    NoDirection {
-        /// The joint.
-        joint: usize,
-        /// The frame.
-        frame: usize,
-    },
-    /// The joints of recovered features are no motion of a body.
-    #[error("the joints make no motion: {reason}")]
-    NoMotion {
-        /// What is wrong.
-        reason: String,
-    },
-}
 
 /// The 22 body joints of a motion.
 pub fn joints_of_motion(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
@@ -196,40 +68,13 @@ pub fn process_joints(
     Ok(clip.placed(start(&clip)))
 }
 
-/// Gives every bone the length it has in the uniform skeleton and keeps its direction; the path of
-/// the root is scaled by the ratio of the leg lengths.
-///
-/// # Errors
-/// There is no frame, or a bone without a direction.
-pub fn unify(
-    joints: &[Joints],
-    bones: &[f64; NUM_BODY_JOINTS],
-) -> Result<Vec<Joints>, FeatureError> {
-    Ok(unified(joints, bones)?.placed(Placement::IDENTITY))
-}
-
-/// The features of joints that are already on the uniform skeleton, on the floor and facing +z,
-/// such as those of a published `new_joints` file.
-///
-/// # Errors
-/// As [`features_of_joints`].
-pub fn features_of_processed(joints: &[Joints]) -> Result<Vec<Features>, FeatureError> {
-    if joints.len() < 2 {
-        return Err(FeatureError::TooShort {
-            frames: joints.len(),
-        });
-    }
-    let clip = Clip::gather(joints);
-    clip.check_bones()?;
-    Ok(features_of(&clip, Placement::IDENTITY))
-}
-
-/// A clip on the skeleton of the given bone lengths.
+/// Gives every bone its length in `bones` and keeps its direction; scales the path of the root by
+/// the ratio of the leg lengths.
 fn unified(joints: &[Joints], bones: &[f64; NUM_BODY_JOINTS]) -> Result<Clip, FeatureError> {
     let Some(first) = joints.first() else {
         return Err(FeatureError::TooShort { frames: 0 });
     };
-    let leg = |joint: usize| (first[joint] - first[PARENTS[joint]]).length();
+    let leg = |joint: usize| (first[joint] - first[parent_of(joint)]).length();
     let scale = (bones[RIGHT_KNEE] + bones[RIGHT_ANKLE]) / (leg(RIGHT_KNEE) + leg(RIGHT_ANKLE));
     let mut clip = Clip::gather(joints);
     clip.unify(bones, scale)?;
@@ -329,44 +174,9 @@ pub fn recover_joints_from_rotations(
             let directions = directions_of(frame, heading);
             let mut joints = [root; NUM_BODY_JOINTS];
             for joint in 1..NUM_BODY_JOINTS {
-                joints[joint] = joints[PARENTS[joint]] + directions[joint] * bones[joint];
+                joints[joint] = joints[parent_of(joint)] + directions[joint] * bones[joint];
             }
             joints
-        })
-        .collect()
-}
-
-/// The rotations of a frame, as the features tell them.
-///
-/// They are not those of a posed body: each takes the unit axis that its bone lies along at rest to
-/// where the bone points, by the shortest way.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Rotations {
-    /// Position of the root in metres.
-    pub root: DVec3,
-    /// The first is the turn that takes where the root faces to +z; the others are relative to the
-    /// joint before in the chain, the arms' to the root.
-    pub local: [DQuat; NUM_BODY_JOINTS],
-    /// The same in the world.
-    pub global: [DQuat; NUM_BODY_JOINTS],
-}
-
-/// Root and rotations of every frame, from the rotations of the features.
-pub fn recover_rotations(features: &[Features]) -> Vec<Rotations> {
-    recover_root(features)
-        .into_iter()
-        .zip(features)
-        .map(|((heading, root), frame)| {
-            let global = globals_of(frame, heading).map(|turn| DQuat::from_mat3(&turn));
-            let local = std::array::from_fn(|joint| match joint {
-                0 => global[0],
-                _ => global[RELATIVE_TO[joint]].conjugate() * global[joint],
-            });
-            Rotations {
-                root,
-                local,
-                global,
-            }
         })
         .collect()
 }
@@ -410,7 +220,7 @@ pub(crate) fn directions_of_joints(
         .map(|(frame, points)| {
             let mut directions = [DVec3::ZERO; NUM_BODY_JOINTS];
             for joint in 1..NUM_BODY_JOINTS {
-                let bone = points[joint] - points[PARENTS[joint]];
+                let bone = points[joint] - points[parent_of(joint)];
                 let length = bone.length();
                 if !(length > SHORTEST_BONE_M && length.is_finite()) {
                     return Err(FeatureError::NoDirection { joint, frame });
@@ -487,7 +297,8 @@ mod tests {
         for case in CASES {
             let recorded = read(case);
             let source = joints(&recorded, "in.joints");
-            let uniform = unify(&source, &bones(&recorded)).expect("every bone has a length");
+            let uniform = unified(&source, &bones(&recorded)).expect("every bone has a length");
+            let uniform = uniform.placed(Placement::IDENTITY);
             // The published code goes through f32 quaternions.
             let difference = largest_distance(&uniform, &joints(&recorded, "out.uniform"));
             assert!(difference < 1e-5, "{case}: {difference}");
@@ -504,7 +315,7 @@ mod tests {
             let recorded = read(case);
             let source = joints(&recorded, "in.joints");
             let processed = process_joints(&source, &bones(&recorded)).expect("a clip");
-            let found = features_of_processed(&processed).expect("a clip");
+            let found = features_of_processed(&processed);
             let expected = features(&recorded, "out.features");
             assert_eq!(found.len(), expected.len(), "{case}");
             for (frame, (found, expected)) in found.iter().zip(&expected).enumerate() {
@@ -551,19 +362,24 @@ mod tests {
         for case in CASES {
             let recorded = read(case);
             let processed = joints(&recorded, "out.global_positions");
-            let recovered = recover_rotations(&features(&recorded, "out.features"));
-            for (rotations, points) in recovered.iter().zip(&processed) {
+            let found = features(&recorded, "out.features");
+            let headings = recover_root(&found).into_iter().map(|(heading, _)| heading);
+            for ((frame, heading), points) in found.iter().zip(headings).zip(&processed) {
+                let directions = directions_of(frame, heading);
                 for joint in 1..NUM_BODY_JOINTS {
-                    let bone = (points[joint] - points[PARENTS[joint]]).normalize();
-                    let pointed = rotations.global[joint] * REST_AXES[joint];
+                    let bone = (points[joint] - points[parent_of(joint)]).normalize();
                     // Eight rotations of f32 numbers follow one another.
-                    assert!(pointed.distance(bone) < 2e-5, "{case}: {joint}");
-                    let before = rotations.global[RELATIVE_TO[joint]];
-                    let composed = before * rotations.local[joint] * REST_AXES[joint];
-                    assert!(composed.distance(pointed) < 1e-12, "{case}: {joint}");
+                    assert!(directions[joint].distance(bone) < 2e-5, "{case}: {joint}");
                 }
             }
         }
+    }
+
+    /// Features of joints that are on the uniform skeleton, on the floor and facing +z already.
+    fn features_of_processed(joints: &[Joints]) -> Vec<Features> {
+        let clip = Clip::gather(joints);
+        clip.check_bones().expect("every bone has a direction");
+        features_of(&clip, Placement::IDENTITY)
     }
 
     #[expect(
@@ -598,7 +414,7 @@ mod tests {
         // end is smoothed into are not quite the same.
         let untouched = joints.len() - 80;
         for found in [
-            features_of_processed(&joints).expect("a clip"),
+            features_of_processed(&joints),
             features_of_joints(&joints).expect("a clip"),
         ] {
             let pairs = found.iter().zip(&features).take(untouched);
@@ -626,8 +442,7 @@ mod tests {
                     })
                 })
                 .collect();
-            let found = [features_of_joints(&joints), features_of_processed(&joints)];
-            for features in found.into_iter().flatten() {
+            if let Ok(features) = features_of_joints(&joints) {
                 prop_assert_eq!(features.len() + 1, joints.len());
                 prop_assert!(features.as_flattened().iter().all(|value| value.is_finite()));
             }
@@ -715,7 +530,7 @@ mod tests {
                 let bone = -REST_AXES[joint] * UNIFORM_BONES[joint];
                 move_bone(&mut frame, joint, bone);
             }
-            let features = features_of_processed(&[frame; 3]).expect("a clip");
+            let features = features_of_processed(&[frame; 3]);
             let directions = recover_directions(&features);
             for &joint in joints {
                 // A direction within 1e-12 of the opposite, in f32.
@@ -730,7 +545,7 @@ mod tests {
     fn standing() -> Joints {
         let mut joints = [DVec3::Y; NUM_BODY_JOINTS];
         for joint in 1..NUM_BODY_JOINTS {
-            joints[joint] = joints[PARENTS[joint]] + REST_AXES[joint] * UNIFORM_BONES[joint];
+            joints[joint] = joints[parent_of(joint)] + REST_AXES[joint] * UNIFORM_BONES[joint];
         }
         joints
     }
@@ -738,9 +553,9 @@ mod tests {
     /// Replaces the bone that ends in a joint; what hangs from it follows.
     fn move_bone(joints: &mut Joints, moved: usize, bone: DVec3) {
         let before = *joints;
-        joints[moved] = joints[PARENTS[moved]] + bone;
+        joints[moved] = joints[parent_of(moved)] + bone;
         for joint in moved + 1..NUM_BODY_JOINTS {
-            joints[joint] = joints[PARENTS[joint]] + before[joint] - before[PARENTS[joint]];
+            joints[joint] = joints[parent_of(joint)] + before[joint] - before[parent_of(joint)];
         }
     }
 

@@ -2,9 +2,38 @@
 
 use datasets_spec::Skeleton;
 use glam::DVec3;
-use kinematics::skeleton::{NUM_JOINTS, PARENTS};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
-use super::to_motion::SMPL_REST_BONES;
+/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. The joints of
+/// HumanML3D are those of this body, whose spine and shoulders lie elsewhere than SMPL-X's; bone
+/// directions are compared with these, and the rotations found drive either body.
+///
+/// # Source
+/// Stanford-TML/EDGE, the offset table of its visualisation.
+pub(crate) const SMPL_REST_BONES: [[f64; 3]; NUM_BODY_JOINTS] = [
+    [0.0, 0.0, 0.0],
+    [0.05858135, -0.08228004, -0.01766408],
+    [-0.06030973, -0.09051332, -0.01354254],
+    [0.00443945, 0.12440352, -0.03838522],
+    [0.04345142, -0.38646945, 0.008037],
+    [-0.04325663, -0.38368791, -0.00484304],
+    [0.00448844, 0.1379564, 0.02682033],
+    [-0.01479032, -0.42687458, -0.037428],
+    [0.01905555, -0.4200455, -0.03456167],
+    [-0.00226458, 0.05603239, 0.00285505],
+    [0.04105436, -0.06028581, 0.12204243],
+    [-0.03483987, -0.06210566, 0.13032329],
+    [-0.0133902, 0.21163553, -0.03346758],
+    [0.07170245, 0.11399969, -0.01889817],
+    [-0.08295366, 0.11247234, -0.02370739],
+    [0.01011321, 0.08893734, 0.05040987],
+    [0.12292141, 0.04520509, -0.019046],
+    [-0.11322832, 0.04685326, -0.00847207],
+    [0.2553319, -0.01564902, -0.02294649],
+    [-0.26012748, -0.01436928, -0.03126873],
+    [0.26570925, 0.01269811, -0.00737473],
+    [-0.26910836, 0.00679372, -0.00602676],
+];
 
 /// A body whose bones point at rest as those of SMPL and have the lengths of another body's.
 ///

@@ -11,44 +11,13 @@ use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
 use kinematics::fit::{FitOptions, fit_motion};
 use kinematics::rotation::arc;
-use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, PARENTS};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 
 use super::humanml3d::{
     FeatureError, Features, Joints, UNIFORM_BONES, directions_of_joints, recover_directions,
 };
-use super::smpl_body;
+use super::smpl_body::{SMPL_REST_BONES, smpl_body};
 use crate::source::floor;
-
-/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. The joints of
-/// HumanML3D are those of this body, whose spine and shoulders lie elsewhere than SMPL-X's; bone
-/// directions are compared with these, and the rotations found drive either body.
-///
-/// # Source
-/// Stanford-TML/EDGE, the offset table of its visualisation.
-pub(crate) const SMPL_REST_BONES: [[f64; 3]; NUM_BODY_JOINTS] = [
-    [0.0, 0.0, 0.0],
-    [0.05858135, -0.08228004, -0.01766408],
-    [-0.06030973, -0.09051332, -0.01354254],
-    [0.00443945, 0.12440352, -0.03838522],
-    [0.04345142, -0.38646945, 0.008037],
-    [-0.04325663, -0.38368791, -0.00484304],
-    [0.00448844, 0.1379564, 0.02682033],
-    [-0.01479032, -0.42687458, -0.037428],
-    [0.01905555, -0.4200455, -0.03456167],
-    [-0.00226458, 0.05603239, 0.00285505],
-    [0.04105436, -0.06028581, 0.12204243],
-    [-0.03483987, -0.06210566, 0.13032329],
-    [-0.0133902, 0.21163553, -0.03346758],
-    [0.07170245, 0.11399969, -0.01889817],
-    [-0.08295366, 0.11247234, -0.02370739],
-    [0.01011321, 0.08893734, 0.05040987],
-    [0.12292141, 0.04520509, -0.019046],
-    [-0.11322832, 0.04685326, -0.00847207],
-    [0.2553319, -0.01564902, -0.02294649],
-    [-0.26012748, -0.01436928, -0.03126873],
-    [0.26570925, 0.01269811, -0.00737473],
-    [-0.26910836, 0.00679372, -0.00602676],
-];
 
 /// A limb of two bones: the joint it hangs from, the joint between its bones, the joint at its end,
 /// and the axis at rest about which it bends.
@@ -120,7 +89,7 @@ pub fn motion_of_joints(
             let mut target = [*root * scale; NUM_KEYPOINTS];
             for joint in 1..NUM_BODY_JOINTS {
                 let bone = directions[joint] * skeleton.offset(joint).length();
-                target[joint] = target[parent(joint)] + bone;
+                target[joint] = target[parent_of(joint)] + bone;
             }
             target
         })
@@ -191,14 +160,10 @@ fn body_leg(skeleton: &Skeleton) -> f64 {
     skeleton.offset(5).length() + skeleton.offset(8).length()
 }
 
-fn parent(joint: usize) -> usize {
-    usize::try_from(PARENTS[joint]).unwrap_or(0)
-}
-
 fn locals(globals: &[DQuat; NUM_BODY_JOINTS]) -> [DQuat; NUM_BODY_JOINTS] {
     std::array::from_fn(|joint| match joint {
         0 => globals[0],
-        _ => (globals[parent(joint)].conjugate() * globals[joint]).normalize(),
+        _ => (globals[parent_of(joint)].conjugate() * globals[joint]).normalize(),
     })
 }
 
@@ -207,7 +172,7 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
     let mut globals = [DQuat::IDENTITY; NUM_BODY_JOINTS];
     globals[0] = frame_turn(directions, [1, 2, 3]);
     for (joint, bone) in [(3, 6), (6, 9)] {
-        globals[joint] = swing(globals[parent(joint)], bone, directions);
+        globals[joint] = swing(globals[parent_of(joint)], bone, directions);
     }
     globals[9] = frame_turn(directions, [13, 14, 12]);
     globals[12] = swing(globals[9], 15, directions);
@@ -216,7 +181,7 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
         globals[joint] = swing(globals[9], bone, directions);
     }
     for limb in &LIMBS {
-        let above = globals[parent(limb.upper)];
+        let above = globals[parent_of(limb.upper)];
         let swung = swing(above, limb.middle, directions);
         globals[limb.upper] = limb.twist(swung, directions) * swung;
         globals[limb.middle] = swing(globals[limb.upper], limb.end, directions);
@@ -278,7 +243,7 @@ fn distance(directions: &Joints, globals: &[DQuat; NUM_BODY_JOINTS]) -> f64 {
     let mut posed = [DVec3::ZERO; NUM_BODY_JOINTS];
     let mut sum = 0.0;
     for joint in 1..NUM_BODY_JOINTS {
-        let (above, bone) = (parent(joint), rest_bone(joint));
+        let (above, bone) = (parent_of(joint), rest_bone(joint));
         seen[joint] = seen[above] + directions[joint] * bone.length();
         posed[joint] = posed[above] + globals[above] * bone;
         sum += (seen[joint] - posed[joint]).length();
@@ -300,7 +265,7 @@ mod tests {
                 let mut globals = pose.rotations;
                 let mut joints = [pose.transl; NUM_BODY_JOINTS];
                 for joint in 1..NUM_BODY_JOINTS {
-                    let above = parent(joint);
+                    let above = parent_of(joint);
                     joints[joint] = joints[above] + globals[above] * rest_bone(joint);
                     globals[joint] = globals[above] * pose.rotations[joint];
                 }
@@ -321,7 +286,7 @@ mod tests {
         for (a, b) in smpl_joints(&found).iter().zip(&joints) {
             for joint in 1..NUM_BODY_JOINTS {
                 let direction =
-                    |points: &Joints| (points[joint] - points[parent(joint)]).normalize();
+                    |points: &Joints| (points[joint] - points[parent_of(joint)]).normalize();
                 assert!(direction(a).angle_between(direction(b)) < 1e-3, "{joint}");
             }
         }

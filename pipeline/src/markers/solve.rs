@@ -12,7 +12,7 @@
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
-use kinematics::skeleton::{NUM_BODY_JOINTS, PARENTS};
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::placement::{MARKER_SETS, bare_label, placement};
 use crate::source::{Markers, floor};
@@ -286,10 +286,6 @@ fn up_turn(markers: &Markers, worn: &Worn) -> Option<(DQuat, &'static str)> {
     })
 }
 
-fn parent(joint: usize) -> usize {
-    usize::try_from(PARENTS[joint]).unwrap_or(0)
-}
-
 struct Solver<'a> {
     skeleton: &'a Skeleton,
     /// Joint that carries each marker.
@@ -315,7 +311,7 @@ impl Body {
         let mut globals = locals;
         let mut points = [pelvis; NUM_BODY_JOINTS];
         for joint in 1..NUM_BODY_JOINTS {
-            let above = parent(joint);
+            let above = parent_of(joint);
             globals[joint] = (globals[above] * locals[joint]).normalize();
             points[joint] = points[above] + globals[above] * skeleton.offset(joint);
         }
@@ -570,7 +566,7 @@ impl Solver<'_> {
             // A turn about world axes, seen from the joint above.
             let above = match joint {
                 0 => DQuat::IDENTITY,
-                _ => body.globals[parent(joint)],
+                _ => body.globals[parent_of(joint)],
             };
             let local = from_axis_angle(above.inverse() * turn);
             locals[joint] = (local * body.locals[joint]).normalize();
@@ -644,7 +640,7 @@ impl Solver<'_> {
                 if joint == 0 {
                     break;
                 }
-                joint = parent(joint);
+                joint = parent_of(joint);
             }
             for (row, a) in &columns {
                 let pull = a.transpose() * residual * weight;
@@ -662,7 +658,7 @@ impl Solver<'_> {
             }
         }
         for joint in 1..NUM_BODY_JOINTS {
-            let above = body.globals[parent(joint)];
+            let above = body.globals[parent_of(joint)];
             let at = 3 + 3 * joint;
             let mut hold = |weight: f64, from_held: DQuat| {
                 let angle = above * to_axis_angle(from_held);

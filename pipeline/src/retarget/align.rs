@@ -10,7 +10,7 @@ use std::f64::consts::FRAC_PI_2;
 use datasets_spec::Skeleton;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 use kinematics::rotation::{arc, slerp};
-use kinematics::skeleton::NUM_BODY_JOINTS;
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
 use crate::source::floor::percentile;
@@ -60,7 +60,7 @@ pub(super) fn by_rest_pose(
         // Hips and shoulders start from the torso; knees and elbows from the bone above, so that
         // a limb that rests at an angle turns as a whole.
         let from = if matches!(joint, 4 | 5 | 18 | 19) {
-            alignment[parent(joint)]
+            alignment[parent_of(joint)]
         } else {
             torso
         };
@@ -96,10 +96,6 @@ pub(super) fn by_rest_pose(
 
 fn heading(direction: DVec3) -> f64 {
     direction.x.atan2(direction.z)
-}
-
-fn parent(joint: usize) -> usize {
-    usize::try_from(kinematics::skeleton::PARENTS[joint]).unwrap_or(0)
 }
 
 /// The orientation of the torso in a zero pose that shows a standing person; none if it does not.

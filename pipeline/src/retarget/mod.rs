@@ -19,7 +19,7 @@ pub use user_map::{UserMap, UserMapError};
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use kinematics::rotation::slerp;
-use kinematics::skeleton::{NUM_BODY_JOINTS, PARENTS};
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
@@ -275,7 +275,7 @@ impl Carrier<'_> {
                 transl: body[0] - self.skeleton.rest(0),
                 rotations: std::array::from_fn(|joint| match joint {
                     0 => global[0],
-                    _ => global[parent(joint)].conjugate() * global[joint],
+                    _ => global[parent_of(joint)].conjugate() * global[joint],
                 }),
             });
         }
@@ -314,7 +314,7 @@ impl Carrier<'_> {
         source: &[DQuat; NUM_BODY_JOINTS],
         joint: usize,
     ) -> DQuat {
-        let below = parent(joint);
+        let below = parent_of(joint);
         let above = match joint {
             12 => Some(15),
             _ => SPINE
@@ -347,7 +347,7 @@ impl Carrier<'_> {
         let pelvis = hips_middle - global[0] * offsets[1].midpoint(offsets[2]);
         let mut body = [pelvis; NUM_BODY_JOINTS];
         for joint in 1..NUM_BODY_JOINTS {
-            let above = parent(joint);
+            let above = parent_of(joint);
             body[joint] = body[above] + global[above] * offsets[joint];
         }
         body
@@ -358,9 +358,9 @@ impl Carrier<'_> {
         (3..NUM_BODY_JOINTS)
             .filter(|&joint| self.track.is_located(joint))
             .map(|joint| {
-                let mut from = parent(joint);
+                let mut from = parent_of(joint);
                 while !is_placed(from) {
-                    from = parent(from);
+                    from = parent_of(from);
                 }
                 let length = self.skeleton.rest(joint).distance(self.skeleton.rest(from));
                 Compared {
@@ -391,10 +391,6 @@ impl Carrier<'_> {
         }
         sum
     }
-}
-
-fn parent(joint: usize) -> usize {
-    usize::try_from(PARENTS[joint]).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -452,7 +448,7 @@ pub(crate) mod tests {
                 for joint in joint_order(0) {
                     let outer = match joint {
                         0 => self.source_from_y_up,
-                        _ => self.joint_frames[parent(joint)].inverse(),
+                        _ => self.joint_frames[parent_of(joint)].inverse(),
                     };
                     let local = outer * pose.rotations[joint] * self.joint_frames[joint];
                     let (z, x, y) = local.to_euler(EulerRot::ZXY);
@@ -475,7 +471,7 @@ pub(crate) mod tests {
             let (keyword, offset, positions) = match joint {
                 0 => ("ROOT", DVec3::ZERO, "6 Xposition Yposition Zposition"),
                 _ => {
-                    let in_parent = self.joint_frames[parent(joint)].inverse();
+                    let in_parent = self.joint_frames[parent_of(joint)].inverse();
                     (
                         "JOINT",
                         in_parent * skeleton.offset(joint) / self.metres,
@@ -488,7 +484,7 @@ pub(crate) mod tests {
                  CHANNELS {positions} Zrotation Xrotation Yrotation\n",
                 names[joint], offset.x, offset.y, offset.z
             );
-            for child in (1..NUM_BODY_JOINTS).filter(|&child| parent(child) == joint) {
+            for child in (1..NUM_BODY_JOINTS).filter(|&child| parent_of(child) == joint) {
                 self.write_joint(child, skeleton, names, text);
             }
             *text += "}\n";
@@ -498,7 +494,7 @@ pub(crate) mod tests {
     /// The joints depth first, the order a hierarchy lists them in.
     fn joint_order(joint: usize) -> Vec<usize> {
         let mut order = vec![joint];
-        for child in (1..NUM_BODY_JOINTS).filter(|&child| parent(child) == joint) {
+        for child in (1..NUM_BODY_JOINTS).filter(|&child| parent_of(child) == joint) {
             order.extend(joint_order(child));
         }
         order

@@ -5,7 +5,7 @@ use datasets_spec::{Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3, Quat};
 use kinematics::KeypointFrame;
 use kinematics::canonical::{self, Anchor, GroundTransform, Stitcher};
-use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::normalise::{FRAME_WIDTH, NormalizedFrame, Normalizer};
 use kinematics::rotation;
 use kinematics::skeleton::{FIT_KEYPOINTS, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS};
 
@@ -288,7 +288,7 @@ fn golden_motionrefit_merge() {
                 let frames: Vec<f32> = window.iter().map(|&v| v as f32).collect();
                 frames
                     .chunks_exact(FRAME_WIDTH)
-                    .map(|frame| normalizer.denormalize(frame))
+                    .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
                     .collect()
             })
             .collect()

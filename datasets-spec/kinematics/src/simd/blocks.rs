@@ -9,9 +9,9 @@ use crate::rotation::{MAX_TURN, from_axis_angle};
 use crate::skeleton::NUM_BODY_JOINTS;
 
 /// A vector in every frame of a block.
-pub type Vectors = [[f64; LANES]; 3];
+pub type Vectors<T = f64> = [[T; LANES]; 3];
 /// A quaternion in every frame of a block, by x, y, z, w.
-pub type Quaternions = [[f64; LANES]; 4];
+pub type Quaternions<T = f64> = [[T; LANES]; 4];
 
 /// One lane of some planes.
 #[inline(always)]

@@ -6,20 +6,16 @@
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use glam::{DVec2, DVec3};
-use kinematics::simd::lanes::{self, Kernel};
-use kinematics::skeleton::NUM_BODY_JOINTS;
+use kinematics::simd::blocks::Vectors;
+use kinematics::simd::lanes::{self, Kernel, LANES};
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::headings::Headings;
-use super::{
-    CONTACT_THRESHOLD, FEET, FeatureError, Features, Joints, LEFT_HIP, LEFT_SHOULDER, PARENTS,
-    RELATIVE_TO, REST_AXES, RIGHT_HIP, RIGHT_SHOULDER, SHORTEST_BONE_M,
+use super::recipe::{
+    CONTACT_THRESHOLD, FEET, FeatureError, Features, Joints, LEFT_HIP, LEFT_SHOULDER, RELATIVE_TO,
+    REST_AXES, RIGHT_HIP, RIGHT_SHOULDER, SHORTEST_BONE_M,
 };
 
-/// Frames of a block: the features of so many fit the first-level cache.
-pub(super) const LANES: usize = 16;
-
-/// A vector in every frame of a block, by axis.
-type Vectors<T> = [[T; LANES]; 3];
 /// A rotation matrix in every frame of a block, by column.
 type Turns = [Vectors<f32>; 3];
 /// The joints of a block.
@@ -132,7 +128,7 @@ impl Clip {
         for (index, block) in self.blocks.iter().enumerate() {
             let mut sound = [u64::MAX; LANES];
             for joint in 1..NUM_BODY_JOINTS {
-                let (parent, child) = (&block[PARENTS[joint]], &block[joint]);
+                let (parent, child) = (&block[parent_of(joint)], &block[joint]);
                 for lane in 0..LANES {
                     let bone = [0, 1, 2].map(|axis| child[axis][lane] - parent[axis][lane]);
                     sound[lane] &= is_sound(square(bone));
@@ -232,7 +228,8 @@ impl Kernel for LayBones<'_> {
     fn run(self) -> [u64; LANES] {
         let mut sound = [u64::MAX; LANES];
         scale_by(&mut self.block[0], self.scale);
-        for (joint, &parent) in PARENTS.iter().enumerate().skip(1) {
+        for joint in 1..NUM_BODY_JOINTS {
+            let parent = parent_of(joint);
             let (above, below) = self.block.split_at_mut(joint);
             lay_bone(
                 [&self.source[parent], &self.source[joint]],
@@ -316,7 +313,7 @@ fn check(sound: &[u64; LANES], block: &Block, start: usize) -> Result<(), Featur
     let joint = (1..NUM_BODY_JOINTS)
         .filter(|_| !is_root_lost)
         .find(|&joint| {
-            let (child, parent) = (at(joint), at(PARENTS[joint]));
+            let (child, parent) = (at(joint), at(parent_of(joint)));
             is_sound(square([0, 1, 2].map(|axis| child[axis] - parent[axis]))) == 0
         });
     Err(FeatureError::NoDirection {
@@ -460,7 +457,7 @@ fn write_rotations(run: &Run, turns: &mut [Turns; NUM_BODY_JOINTS], columns: &mu
     for joint in 1..NUM_BODY_JOINTS {
         let rest = REST_AXES[joint];
         let sign = (rest.x + rest.y + rest.z) as f32;
-        let bone = bone_directions(&run[PARENTS[joint]], &run[joint]);
+        let bone = bone_directions(&run[parent_of(joint)], &run[joint]);
         let (above, below) = turns.split_at_mut(joint);
         match rest.abs().max_position() {
             0 => turn_from_axis::<0>(sign, &bone, &mut below[0]),
