@@ -60,6 +60,9 @@ pub enum Error {
     /// The dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] datasets_spec::Error),
+    /// A motion cannot be made.
+    #[error(transparent)]
+    Motion(#[from] kinematics::Error),
     /// Motions cannot be blended.
     #[error(transparent)]
     Compose(#[from] pipeline::compose::Error),

@@ -97,7 +97,8 @@ impl TryFrom<Vec<String>> for JointSet {
     type Error = Error;
 
     fn try_from(names: Vec<String>) -> Result<Self, Error> {
-        names.iter().map(|name| Joint::from_str(name)).collect()
+        let joints = names.iter().map(|name| Joint::from_str(name));
+        Ok(joints.collect::<Result<_, _>>()?)
     }
 }
 

@@ -704,12 +704,12 @@ fn motion_of(
     global_orient: &[[f32; 3]],
     body_pose: &[[f32; BODY_POSE_WIDTH]],
 ) -> Result<Motion, Error> {
-    Motion::new(
+    Ok(Motion::new(
         Fps::new(fps.into())?,
         transl.to_vec(),
         global_orient.to_vec(),
         body_pose.to_vec(),
-    )
+    )?)
 }
 
 /// Name, columns and key of every table, for documents and tools.

@@ -7,12 +7,11 @@ use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Quality, write_rows};
-use datasets_spec::{Fps, Motion, MotionId, Resample, Split};
+use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
 use pipeline::check::check;
 use pipeline::retarget;
-use pipeline::source::ReadOptions;
 use pipeline::source::bvh::Bvh;
 
 /// Frames of the synthetic file: a clip of half a minute.
@@ -96,7 +95,7 @@ fn parse(bencher: Bencher) {
 
 fn motion_of(text: &str) -> Motion {
     let bvh = Bvh::parse(text.as_bytes()).expect("valid");
-    let clip = retarget::clip(&bvh, &ReadOptions::default()).expect("a body");
+    let clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None).expect("a body");
     clip.motion
 }
 
@@ -142,7 +141,7 @@ fn to_parquet(bencher: Bencher) {
 }
 
 fn row(motion: &Motion) -> MotionRow {
-    let skeleton = ReadOptions::default().skeleton;
+    let skeleton = Skeleton::smplx_neutral();
     // The synthetic joints whirl faster than any body, which the check says; its work is done.
     let quality = check(motion, &skeleton).unwrap_or(Quality {
         flags: 0,

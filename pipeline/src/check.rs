@@ -7,7 +7,7 @@ use datasets_spec::{Motion, Skeleton};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use crate::source::Rejected;
+use crate::clip::Rejected;
 
 /// A joint is more than 5 cm below the floor.
 pub const FLAG_FLOOR_PENETRATION: u32 = 1 << 0;

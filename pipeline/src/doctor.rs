@@ -1003,8 +1003,9 @@ impl fmt::Display for IndexFindings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::source::amass::tests::{clip_members, npz};
-    use crate::source::npy::tests::npy_f8;
+    use crate::fixture::npy_f8;
+    use crate::fixture::npz;
+    use crate::source::amass::tests::clip_members;
 
     fn write(folder: &Path, name: &str, bytes: &[u8]) {
         let path = folder.join(name);

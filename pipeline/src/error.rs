@@ -107,6 +107,9 @@ pub enum Error {
     /// The dataset could not be read or written.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
+    /// A motion is not one.
+    #[error(transparent)]
+    Motion(#[from] kinematics::Error),
     /// The built-in corpus could not be written.
     #[error(transparent)]
     Corpus(#[from] crate::corpus::Error),

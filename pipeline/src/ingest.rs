@@ -25,11 +25,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::check::{FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, Teleports, check_with};
+use crate::clip::{EditOf, Markers, Outcome, Rejected, SourceClip, SourceMask};
 use crate::feature::{humanml3d, smpl_body};
 use crate::pairs::{ListedPairs, PairList, RefusedLine, names_of, originals, style_group};
 use crate::source::{
-    EditOf, Entry, Files, Format, Markers, Outcome, ReadOptions, Recognised, Rejected, Release,
-    SourceClip, SourceMask, find_releases, keys_in, labels, read_clip, recognise, refuse_pointer,
+    Entry, Files, Format, ReadOptions, Recognised, Release, find_releases, keys_in, labels,
+    read_clip, recognise, refuse_pointer,
 };
 
 /// Version of the rules by which files become rows. It is part of every plan, so a dataset made by

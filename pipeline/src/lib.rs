@@ -10,12 +10,16 @@
 pub mod answers;
 pub mod catalogue;
 pub mod check;
+pub mod clip;
 pub mod compose;
 pub mod corpus;
 pub mod doctor;
 mod error;
 pub mod export;
 pub mod feature;
+#[cfg(test)]
+mod fixture;
+pub mod floor;
 #[cfg(test)]
 mod golden;
 pub mod ingest;

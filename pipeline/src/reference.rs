@@ -11,11 +11,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::clip::Rejected;
 use crate::feature::humanml3d::{
     Features, GROUPS, Joints, RECIPE, features_of_joints, joints_of_motion, recover_joints,
 };
 use crate::feature::smpl_body;
-use crate::source::{self, Rejected, npy};
+use crate::source::{self};
+use pickle::npy;
 
 /// Where a published folder has its vectors and its joints.
 const VECTORS: &str = "new_joint_vecs";
@@ -291,7 +293,7 @@ fn read<T>(
         .map_err(|error| error.to_string())
         .and_then(|bytes| {
             source::refuse_pointer(&bytes)
-                .and_then(|()| npy::read_numbers("array", &bytes))
+                .and_then(|()| Ok(npy::read_numbers("array", &bytes)?))
                 .and_then(|array| parse(&array))
                 .map_err(|rejected| format!("{}: {}", rejected.code, rejected.reason))
         });
@@ -535,7 +537,7 @@ mod tests {
 
     use super::*;
     use crate::compose::fixture::{motion_row, wandering};
-    use crate::write::npy::encode;
+    use pickle::npy::encode;
 
     const CONTACTS: &str = "foot contacts";
     const IDS: [&str; 3] = ["000000", "000001", "M000000"];
@@ -579,9 +581,9 @@ mod tests {
             .flatten()
             .flat_map(|joint| joint.as_vec3().to_array())
             .collect();
-        let frames = features.len() as u64;
-        let vector = encode(&[frames, 263], features.as_flattened()).expect("encoded");
-        let joints = encode(&[frames, 22, 3], &joints).expect("encoded");
+        let frames = features.len();
+        let vector = encode(&[frames, 263], features.as_flattened());
+        let joints = encode(&[frames, 22, 3], &joints);
         for (name, bytes) in [(VECTORS, vector), (JOINTS, joints)] {
             fs::create_dir_all(folder.join(name)).expect("made");
             fs::write(folder.join(name).join(format!("{id}.npy")), bytes).expect("written");

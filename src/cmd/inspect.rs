@@ -10,8 +10,9 @@ use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
 use pipeline::check::FLAG_NAMES;
+use pipeline::clip::{Outcome, SourceClip};
 use pipeline::ingest::REMARKS_FACT;
-use pipeline::source::{Outcome, ReadOptions, SourceClip};
+use pipeline::source::ReadOptions;
 use serde::Serialize;
 
 use crate::cli::Global;

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::{Dataset, MotionId, Split};
+use pickle::{Array, Value};
 use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions};
-use pipeline::source::pickle::{Array, Value};
 use serde_json::Value as Json;
 
 use crate::train::Workshop;
@@ -362,7 +362,7 @@ fn put_motionfix(folder: &Path, file: &str, count: usize) {
         ]);
         (Value::text(&format!("{number:06}")), pair)
     });
-    let dump = pipeline::write::pickle::encode(&Value::Dict(pairs.collect()));
+    let dump = pickle::encode(&Value::Dict(pairs.collect()));
     fs::create_dir_all(folder).expect("made");
     fs::write(folder.join(file), dump).expect("writes");
 }

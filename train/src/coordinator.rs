@@ -487,9 +487,9 @@ impl TrainedCoordinator {
     /// # Errors
     /// The motion is shorter than a window.
     pub fn composed_share(&self, motion: &Motion, skeleton: &Skeleton) -> Result<f64, Error> {
-        let no_motion = |source| Error::Motion {
+        let no_motion = |source: kinematics::Error| Error::Motion {
             id: "a motion to judge".to_owned(),
-            source,
+            source: source.into(),
         };
         let window = self.record.config.train.window;
         let compose = &self.record.config.compose.config;
@@ -499,7 +499,7 @@ impl TrainedCoordinator {
             .poses();
         let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
         if starts.is_empty() {
-            return Err(no_motion(datasets_spec::Error::TooShort {
+            return Err(no_motion(kinematics::Error::TooShort {
                 frames: poses.len(),
                 fps: compose.fps.get(),
                 needed: window,

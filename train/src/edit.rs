@@ -314,10 +314,10 @@ fn complete(
     Ok(())
 }
 
-fn motion_error(id: &str) -> impl Fn(datasets_spec::Error) -> Error {
+fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
     move |source| Error::Motion {
         id: id.to_owned(),
-        source,
+        source: source.into(),
     }
 }
 

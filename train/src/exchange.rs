@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
 use kinematics::normalise::Normalizer;
-use pipeline::source::pickle::{self, Value};
+use pickle::{self, Value};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 
@@ -191,7 +191,7 @@ pub fn import_motion_encoder(
 /// # Errors
 /// The file is malformed, or holds something else.
 pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
-    let value = pickle::read_torch(bytes).map_err(|rejected| {
+    let value = pickle::torch::read(bytes).map_err(|rejected| {
         Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
     })?;
     value
@@ -326,7 +326,7 @@ fn axes(value: &Value) -> Option<[f64; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use pipeline::write::pickle::encode;
+    use pickle::encode;
 
     use super::*;
 

@@ -129,7 +129,7 @@ impl Prepared {
             .apply(motion, recipe.fps())
             .map_err(|source| Error::Motion {
                 id: id.to_owned(),
-                source,
+                source: source.into(),
             })?;
         if recipe == FeatureRecipe::HumanMl3d {
             let joints = joints_of_motion(&motion, &Skeleton::smplx_neutral());

@@ -75,7 +75,7 @@ impl StoredMotion {
             .map_err(|_| damaged("a frame has not 63 body rotations"))?;
         let fps = Fps::new(self.fps).map_err(|source| Error::Motion {
             id: id.to_owned(),
-            source,
+            source: source.into(),
         })?;
         Motion::new(
             fps,
@@ -85,7 +85,7 @@ impl StoredMotion {
         )
         .map_err(|source| Error::Motion {
             id: id.to_owned(),
-            source,
+            source: source.into(),
         })
     }
 }

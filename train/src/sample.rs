@@ -151,7 +151,7 @@ impl EditItem {
             .apply(motion, fps)
             .map_err(|source| Error::Motion {
                 id: id.clone(),
-                source,
+                source: source.into(),
             })?
             .poses();
         let mut poses = covering(motion, model_fps);

@@ -157,7 +157,9 @@ impl WindowModel for Oracle<'_> {
         let mut made = Vec::new();
         for request in requests {
             let clean = self.clean(request.window);
-            let fixed = request.fixed.map(|fixed| fixed.as_flattened().to_vec());
+            let fixed = request
+                .fixed
+                .map(|fixed| fixed.into_iter().flatten().collect::<Vec<f32>>());
             if let Some(fixed) = &fixed
                 && request.window.start > 0
                 && self.is_continued

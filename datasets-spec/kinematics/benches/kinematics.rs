@@ -4,14 +4,14 @@
 
 use std::hint::black_box;
 
-use datasets_spec::kinematics::{PlaneKinematics, parameter_planes};
-use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use glam::DVec3;
 use kinematics::fit::{AdamFit, FitOptions, fit_motion};
 use kinematics::rotation::from_axis_angle;
-use rand::RngExt;
+use kinematics::{Fps, Motion, Pose, Skeleton};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 const NUM_FRAMES: usize = 4096;
 
@@ -21,7 +21,7 @@ fn main() {
 
 /// A body whose joints all swing at rates of their own, as far as those of people do.
 fn motion(num_frames: usize) -> Motion {
-    let mut rng = Seed(1).rng(&["bench", "kinematics"]);
+    let mut rng = Pcg64::seed_from_u64(1);
     let mut vector = |size: f64| DVec3::from_array([0; 3].map(|_| rng.random_range(-size..size)));
     let swings: Vec<[DVec3; 2]> = (0..22).map(|_| [vector(0.6), vector(5.0)]).collect();
     let poses: Vec<Pose> = (0..num_frames)
@@ -38,20 +38,7 @@ fn motion(num_frames: usize) -> Motion {
 }
 
 #[divan::bench]
-fn keypoints_in_planes(bencher: Bencher) {
-    let planes = parameter_planes(&motion(NUM_FRAMES));
-    let kinematics = PlaneKinematics::new(&Skeleton::smplx_neutral());
-    let mut points = vec![0.0; PlaneKinematics::POINTS * NUM_FRAMES];
-    bencher
-        .counter(ItemsCount::new(NUM_FRAMES))
-        .bench_local(|| {
-            kinematics.keypoints(NUM_FRAMES, black_box(&planes), &mut points);
-            black_box(&points);
-        });
-}
-
-#[divan::bench]
-fn keypoints_in_f64(bencher: Bencher) {
+fn keypoints(bencher: Bencher) {
     let (motion, skeleton) = (motion(NUM_FRAMES), Skeleton::smplx_neutral());
     bencher
         .counter(ItemsCount::new(NUM_FRAMES))

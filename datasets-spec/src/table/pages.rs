@@ -328,12 +328,12 @@ impl ClipReader {
         }
         let [transl, orient, body] = [0, 1, 2].map(|column| self.pages.numbers(row, column));
         let (transl, orient, body) = (transl?, orient?, body?);
-        Motion::new(
+        Ok(Motion::new(
             Fps::new(f64::from(self.fps[row]))?,
             transl.as_chunks().0.to_vec(),
             orient.as_chunks().0.to_vec(),
             body.as_chunks().0.to_vec(),
-        )
+        )?)
     }
 }
 

@@ -3,11 +3,11 @@
 
 use libfuzzer_sys::fuzz_target;
 use pipeline::retarget;
-use pipeline::source::ReadOptions;
+use datasets_spec::Skeleton;
 use pipeline::source::bvh::Bvh;
 
 fuzz_target!(|bytes: &[u8]| {
     if let Ok(bvh) = Bvh::parse(bytes) {
-        let _clip = retarget::clip(&bvh, &ReadOptions::default());
+        let _clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None);
     }
 });

@@ -4,7 +4,8 @@
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use pipeline::source::{ReadOptions, amass, npy};
+use pickle::npy;
+use pipeline::source::{ReadOptions, amass};
 
 fuzz_target!(|bytes: &[u8]| {
     let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());

@@ -3,7 +3,8 @@
 
 use datasets_spec::Skeleton;
 use libfuzzer_sys::fuzz_target;
-use pipeline::source::{joblib, pickle, stance};
+use pickle::joblib;
+use pipeline::source::stance;
 
 fuzz_target!(|bytes: &[u8]| {
     let _value = pickle::read(bytes);

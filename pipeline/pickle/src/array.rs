@@ -59,15 +59,15 @@ impl fmt::Display for Dtype {
 
 /// A type as a pickle states it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct ItemType {
+pub(crate) struct ItemType {
     /// None for objects.
-    pub(super) dtype: Option<Dtype>,
-    pub(super) big_endian: bool,
+    pub(crate) dtype: Option<Dtype>,
+    pub(crate) big_endian: bool,
 }
 
 impl ItemType {
     /// Parses a type such as `f4`, `<f8`, `|b1`, `U7` or `O8`.
-    pub(super) fn parse(text: &str) -> Option<Self> {
+    pub(crate) fn parse(text: &str) -> Option<Self> {
         let big_endian = text.starts_with('>');
         let text = text.trim_start_matches(['<', '>', '|', '=']);
         let mut chars = text.chars();
@@ -129,7 +129,7 @@ impl Array {
     }
 
     /// Brings raw items into row-major order and little-endian bytes.
-    pub(super) fn from_raw(
+    pub(crate) fn from_raw(
         item: ItemType,
         shape: Vec<usize>,
         raw: Arc<[u8]>,
@@ -167,7 +167,7 @@ impl Array {
     }
 
     /// Takes items out of a storage by offset and strides, all counted in items.
-    pub(super) fn from_strides(
+    pub(crate) fn from_strides(
         dtype: Dtype,
         storage: &Arc<[u8]>,
         offset: usize,
@@ -222,7 +222,7 @@ impl Array {
     }
 
     /// The same array with numbers of double precision rounded to single precision.
-    pub(super) fn in_single_precision(self) -> Self {
+    pub(crate) fn in_single_precision(self) -> Self {
         if self.dtype != Dtype::Float(8) {
             return self;
         }
@@ -296,7 +296,7 @@ impl Array {
     }
 
     /// The first item as a whole number; none for other types.
-    pub(super) fn first_int(&self) -> Option<i128> {
+    pub(crate) fn first_int(&self) -> Option<i128> {
         let item = self.data.get(..self.dtype.item_len())?;
         let mut bytes = [0; 16];
         bytes[..item.len().min(16)].copy_from_slice(&item[..item.len().min(16)]);
@@ -312,7 +312,7 @@ impl Array {
 }
 
 /// Number of items of a shape; none if it cannot be that of an array.
-pub(super) fn count(shape: &[usize]) -> Option<usize> {
+pub(crate) fn count(shape: &[usize]) -> Option<usize> {
     if shape.len() > MAX_DIMENSIONS {
         return None;
     }
@@ -325,7 +325,7 @@ pub(super) fn count(shape: &[usize]) -> Option<usize> {
 }
 
 /// Bytes of an array; none if there can be no such array.
-pub(super) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
+pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }
 

@@ -1,6 +1,7 @@
 //! Python pickles of plain values and NumPy arrays.
 
-use crate::source::pickle::{Array, Dtype, Value};
+use crate::array::{Array, Dtype};
+use crate::value::Value;
 
 /// The oldest protocol with lengths of 64 bits; Python 3.4 and later read it.
 const PROTOCOL: u8 = 4;
@@ -151,7 +152,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::source::pickle::read;
+    use crate::read;
 
     #[test]
     fn what_is_written_is_read_back() {

@@ -2,16 +2,16 @@
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 
-use crate::source::Rejected;
+use crate::error::Error;
 
 /// The bytes of a pickle.
-pub(super) struct Input<'a> {
+pub(crate) struct Input<'a> {
     reader: BufReader<Box<dyn Read + 'a>>,
     position: usize,
 }
 
 impl<'a> Input<'a> {
-    pub(super) fn new(reader: impl Read + 'a) -> Self {
+    pub(crate) fn new(reader: impl Read + 'a) -> Self {
         Self {
             reader: BufReader::new(Box::new(reader)),
             position: 0,
@@ -19,15 +19,15 @@ impl<'a> Input<'a> {
     }
 
     /// Bytes read so far; in a packed file those of the unpacked stream.
-    pub(super) fn position(&self) -> usize {
+    pub(crate) fn position(&self) -> usize {
         self.position
     }
 
-    pub(super) fn byte(&mut self) -> Result<u8, Rejected> {
+    pub(crate) fn byte(&mut self) -> Result<u8, Error> {
         self.array::<1>().map(|[byte]| byte)
     }
 
-    pub(super) fn array<const N: usize>(&mut self) -> Result<[u8; N], Rejected> {
+    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], Error> {
         let mut bytes = [0; N];
         self.reader
             .read_exact(&mut bytes)
@@ -37,7 +37,7 @@ impl<'a> Input<'a> {
     }
 
     /// The next `len` bytes. Memory grows with what is there, not with `len`.
-    pub(super) fn bytes(&mut self, len: u64) -> Result<Vec<u8>, Rejected> {
+    pub(crate) fn bytes(&mut self, len: u64) -> Result<Vec<u8>, Error> {
         let mut bytes = Vec::new();
         let read = self.reader.by_ref().take(len).read_to_end(&mut bytes);
         read.map_err(|error| self.failed(&error, len))?;
@@ -49,7 +49,7 @@ impl<'a> Input<'a> {
     }
 
     /// A line without its end.
-    pub(super) fn line(&mut self) -> Result<Vec<u8>, Rejected> {
+    pub(crate) fn line(&mut self) -> Result<Vec<u8>, Error> {
         let mut line = Vec::new();
         let read = self.reader.read_until(b'\n', &mut line);
         read.map_err(|error| self.failed(&error, 1))?;
@@ -60,15 +60,15 @@ impl<'a> Input<'a> {
         Ok(line)
     }
 
-    fn truncated(&self, needed: u64) -> Rejected {
-        Rejected::read(
+    fn truncated(&self, needed: u64) -> Error {
+        Error::new(
             "E-PICKLE-TRUNCATED",
             format!("the pickle ends within an element, expected {needed} more bytes"),
         )
         .at(self.position)
     }
 
-    fn failed(&self, error: &std::io::Error, needed: u64) -> Rejected {
+    fn failed(&self, error: &std::io::Error, needed: u64) -> Error {
         let code = match error.kind() {
             ErrorKind::UnexpectedEof => return self.truncated(needed),
             ErrorKind::FileTooLarge => "E-PICKLE-LIMIT",
@@ -78,6 +78,6 @@ impl<'a> Input<'a> {
             | ErrorKind::Other => "E-PICKLE-UNPACK",
             _ => "E-IO",
         };
-        Rejected::read(code, format!("the pickle cannot be read on ({error})")).at(self.position)
+        Error::new(code, format!("the pickle cannot be read on ({error})")).at(self.position)
     }
 }

@@ -7,8 +7,9 @@ use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use lz4_flex::frame::FrameDecoder;
 use lzma_rust2::{LzmaReader, XzReader};
 
-use super::Rejected;
-use super::pickle::{self, Options, Value};
+use crate::error::Error;
+use crate::read::{self, read_with_wrapped_arrays};
+use crate::value::{Options, Value};
 
 /// Most bytes a dump may unpack to, and how many times its packed size. The dump of MotionFix, the
 /// largest known, unpacks to about 2 GB and by less than 10 times.
@@ -39,7 +40,7 @@ impl Packing {
     ///
     /// # Source
     /// The prefixes in joblib's `compressor.py`.
-    fn of(head: &[u8]) -> Result<Self, Rejected> {
+    fn of(head: &[u8]) -> Result<Self, Error> {
         Ok(match head {
             [0x78, ..] => Self::Zlib,
             [0x1f, 0x8b, ..] => Self::Gzip,
@@ -48,7 +49,7 @@ impl Packing {
             [0x5d, 0x00, ..] => Self::Lzma,
             [0x04, 0x22, 0x4d, 0x18, ..] => Self::Lz4,
             [b'Z', b'F', ..] => {
-                return Err(Rejected::read(
+                return Err(Error::new(
                     "E-JOBLIB-OLD",
                     "found a dump of joblib before 0.10, expected one of a newer version; load it \
                      there and dump it again",
@@ -75,15 +76,15 @@ impl Packing {
 /// Whether the first bytes are those of a packed dump or of a pickle.
 pub fn has_magic(head: &[u8]) -> bool {
     let head = &head[..head.len().min(MAGIC_LEN)];
-    pickle::has_magic(head) || Packing::of(head).is_ok_and(|packing| packing != Packing::None)
+    read::has_magic(head) || Packing::of(head).is_ok_and(|packing| packing != Packing::None)
 }
 
 /// Reads a dump, packed or not. A plain pickle is one without arrays.
 ///
 /// # Errors
-/// `E-JOBLIB-OLD` for the layout before joblib 0.10, and those of [`pickle::read_from`]; byte
+/// `E-JOBLIB-OLD` for the layout before joblib 0.10, and those of [`crate::read_from`]; byte
 /// offsets count in the unpacked stream.
-pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
+pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     read_from(bytes, bytes.len() as u64, &Options::default())
 }
 
@@ -95,20 +96,20 @@ pub fn read_from<'a>(
     mut packed: impl Read + 'a,
     packed_len: u64,
     options: &Options<'a>,
-) -> Result<Value, Rejected> {
+) -> Result<Value, Error> {
     let mut head = Vec::new();
     packed
         .by_ref()
         .take(MAGIC_LEN as u64)
         .read_to_end(&mut head)
-        .map_err(|error| Rejected::read("E-IO", format!("cannot read the dump ({error})")))?;
+        .map_err(|error| Error::new("E-IO", format!("cannot read the dump ({error})")))?;
     let packing = Packing::of(&head)?;
     let whole = io::Cursor::new(head).chain(packed);
     let limit = packed_len
         .saturating_mul(MAX_RATIO)
         .clamp(SMALL_LEN, MAX_UNPACKED_LEN);
     let unpacked = packing.unpacked(whole).map_err(|error| {
-        Rejected::read(
+        Error::new(
             "E-PICKLE-UNPACK",
             format!("found a damaged {packing:?} stream ({error})"),
         )
@@ -119,7 +120,7 @@ pub fn read_from<'a>(
         limit,
         left: limit,
     };
-    pickle::read_with_wrapped_arrays(capped, options)
+    read_with_wrapped_arrays(capped, options)
 }
 
 /// A stream that fails beyond a length instead of going on.
@@ -143,7 +144,7 @@ impl<R: Read> Read for Capped<R> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use std::io::Write;
 
     use flate2::Compression;
@@ -151,66 +152,9 @@ pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::source::pickle::fixture::{DUMPS, decoded};
-    use crate::source::pickle::{Array, Dtype};
-    use crate::write::pickle::encode;
+    use crate::fixture::{DUMPS, decoded};
 
-    /// A dump of dictionaries, texts and arrays as joblib writes one: arrays lie behind wrappers,
-    /// aligned to 16 bytes.
-    pub(crate) fn dump(value: &Value) -> Vec<u8> {
-        let mut out = vec![0x80, 4];
-        put(&mut out, value);
-        out.push(b'.');
-        out
-    }
-
-    fn put(out: &mut Vec<u8>, value: &Value) {
-        match value {
-            Value::Dict(entries) => {
-                out.push(b'}');
-                for (key, value) in entries {
-                    put(out, key);
-                    put(out, value);
-                    out.push(b's');
-                }
-            }
-            Value::Array(array) => put_array(out, array),
-            // The pickle of a plain value, without its protocol and its end.
-            other => {
-                let pickle = encode(other);
-                out.extend(&pickle[2..pickle.len() - 1]);
-            }
-        }
-    }
-
-    fn put_array(out: &mut Vec<u8>, array: &Array) {
-        const ALIGNMENT: usize = 16;
-        assert_eq!(array.dtype(), Dtype::Float(4));
-        out.extend(b"cjoblib.numpy_pickle\nNumpyArrayWrapper\n)\x81}(");
-        put(out, &Value::text("shape"));
-        let shape = array
-            .shape()
-            .iter()
-            .map(|&extent| Value::Int(extent as i128));
-        put(out, &Value::Tuple(shape.collect()));
-        for (key, state) in [
-            ("subclass", &b"cnumpy\nndarray\n"[..]),
-            ("order", b"\x8c\x01C"),
-            ("dtype", b"cnumpy\ndtype\n\x8c\x02f4\x89\x88\x87R(K\x03\x8c\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"),
-            ("allow_mmap", b"\x88"),
-            ("numpy_array_alignment_bytes", b"K\x10"),
-        ] {
-            put(out, &Value::text(key));
-            out.extend(state);
-        }
-        out.extend(b"ub");
-        let padding = ALIGNMENT - (out.len() + 1) % ALIGNMENT;
-        out.push(padding as u8);
-        out.extend(vec![0xff; padding]);
-        out.extend(array.data());
-    }
-
-    pub(crate) fn zlib(bytes: &[u8]) -> Vec<u8> {
+    fn zlib(bytes: &[u8]) -> Vec<u8> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
         encoder.write_all(bytes).expect("in memory");
         encoder.finish().expect("in memory")
@@ -268,7 +212,7 @@ pub(crate) mod tests {
         );
         // Outside a dump no bytes follow a wrapper.
         let (_, plain) = DUMPS[0];
-        let rejected = pickle::read(&decoded(plain)).expect_err("a wrapper");
+        let rejected = crate::read(&decoded(plain)).expect_err("a wrapper");
         assert_eq!(rejected.code, "E-PICKLE-FORMAT");
     }
 

@@ -7,14 +7,14 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::sync::Arc;
 
-use super::array::{self, Array, ItemType};
-use super::input::Input;
-use super::object::{Global, Id, Node, Storage, StorageData, Tensor};
-use super::{Options, Value, torch};
-use crate::source::Rejected;
+use crate::array::{self, Array, ItemType};
+use crate::error::Error;
+use crate::input::Input;
+use crate::object::{Global, Id, Node, Storage, StorageData, Tensor};
+use crate::value::{Options, Value};
 
 /// Newest protocol there is.
-pub(super) const MAX_PROTOCOL: u8 = 5;
+pub(crate) const MAX_PROTOCOL: u8 = 5;
 /// Most objects, and most places on the stack over a whole run: a pickle of MotionFix has about
 /// a million, and the bound keeps what hostile bytes can make of themselves below a gigabyte.
 const MAX_OBJECTS: usize = 1 << 23;
@@ -32,10 +32,15 @@ const NONE: Id = 0;
 const TRUE: Id = 1;
 const FALSE: Id = 2;
 
+/// Reads the storage in a file of `torch.save`.
+type ReadStorage = fn(&[u8]) -> Result<Storage, Error>;
+
 /// The machine, on its way through a pickle.
-pub(super) struct Machine<'a> {
+pub(crate) struct Machine<'a> {
     input: Input<'a>,
     options: Options<'a>,
+    /// Reads a storage that is given by the bytes of a file of `torch.save`.
+    read_storage: ReadStorage,
     /// Bytes of arrays follow joblib's wrappers.
     wrapped_arrays: bool,
     /// Storages may be named that are kept outside the pickle.
@@ -52,10 +57,15 @@ pub(super) struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    pub(super) fn new(reader: impl Read + 'a, options: Options<'a>) -> Self {
+    pub(crate) fn new(
+        reader: impl Read + 'a,
+        options: Options<'a>,
+        read_storage: ReadStorage,
+    ) -> Self {
         Self {
             input: Input::new(reader),
             options,
+            read_storage,
             wrapped_arrays: false,
             outside_storages: false,
             inner_files: true,
@@ -72,7 +82,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    pub(super) fn with_wrapped_arrays(self) -> Self {
+    pub(crate) fn with_wrapped_arrays(self) -> Self {
         Self {
             wrapped_arrays: true,
             ..self
@@ -80,7 +90,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Accepts names of storages, and no files within the pickle.
-    pub(super) fn with_outside_storages(self) -> Self {
+    pub(crate) fn with_outside_storages(self) -> Self {
         Self {
             outside_storages: true,
             inner_files: false,
@@ -89,23 +99,23 @@ impl<'a> Machine<'a> {
     }
 
     /// Reads a pickle to its end.
-    pub(super) fn read(mut self) -> Result<Value, Rejected> {
+    pub(crate) fn read(mut self) -> Result<Value, Error> {
         let root = self.run()?;
         self.value(root, &BTreeMap::new())
     }
 
     /// The object at a place.
-    pub(super) fn node(&self, id: Id) -> &Node {
+    pub(crate) fn node(&self, id: Id) -> &Node {
         &self.nodes[id as usize]
     }
 
     /// The input behind the last pickle that was run.
-    pub(super) fn input(&mut self) -> &mut Input<'a> {
+    pub(crate) fn input(&mut self) -> &mut Input<'a> {
         &mut self.input
     }
 
     /// Types of the storages that are kept outside the pickle, by name.
-    pub(super) fn outside_storages(&self) -> BTreeMap<String, array::Dtype> {
+    pub(crate) fn outside_storages(&self) -> BTreeMap<String, array::Dtype> {
         self.nodes
             .iter()
             .filter_map(|node| match node {
@@ -119,7 +129,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Runs one pickle and returns the place of its object.
-    pub(super) fn run(&mut self) -> Result<Id, Rejected> {
+    pub(crate) fn run(&mut self) -> Result<Id, Error> {
         self.stack.clear();
         self.marks.clear();
         self.memo.clear();
@@ -133,7 +143,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn step(&mut self, op: u8) -> Result<(), Rejected> {
+    fn step(&mut self, op: u8) -> Result<(), Error> {
         match op {
             0x80 => {
                 let version = self.input.byte()?;
@@ -190,7 +200,7 @@ impl<'a> Machine<'a> {
     }
 
     /// The length an opcode of text or bytes states.
-    fn length(&mut self, op: u8) -> Result<u64, Rejected> {
+    fn length(&mut self, op: u8) -> Result<u64, Error> {
         Ok(match op {
             b'U' | b'C' | 0x8c => self.input.byte()?.into(),
             b'T' | b'X' | b'B' => u32::from_le_bytes(self.input.array()?).into(),
@@ -198,7 +208,7 @@ impl<'a> Machine<'a> {
         })
     }
 
-    fn number(&mut self, op: u8) -> Result<Value, Rejected> {
+    fn number(&mut self, op: u8) -> Result<Value, Error> {
         Ok(match op {
             b'J' => Value::Int(i32::from_le_bytes(self.input.array()?).into()),
             b'K' => Value::Int(self.input.byte()?.into()),
@@ -233,7 +243,7 @@ impl<'a> Machine<'a> {
     }
 
     /// A whole number of so many bytes, in two's complement.
-    fn long(&mut self, len: u64) -> Result<Value, Rejected> {
+    fn long(&mut self, len: u64) -> Result<Value, Error> {
         let bytes = self.input.bytes(len)?;
         let negative = bytes.last().is_some_and(|last| last >> 7 == 1);
         let fill = if negative { 0xff } else { 0 };
@@ -249,7 +259,7 @@ impl<'a> Machine<'a> {
         Ok(Value::Int(i128::from_le_bytes(wide)))
     }
 
-    fn text(&mut self, op: u8) -> Result<String, Rejected> {
+    fn text(&mut self, op: u8) -> Result<String, Error> {
         match op {
             b'S' => {
                 let line = self.input.line()?;
@@ -272,7 +282,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn container(&mut self, op: u8) -> Result<Node, Rejected> {
+    fn container(&mut self, op: u8) -> Result<Node, Error> {
         Ok(match op {
             b']' => Node::List(Vec::new()),
             b'}' => Node::Dict(Vec::new()),
@@ -297,7 +307,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Adds items to the container below them.
-    fn fill(&mut self, op: u8) -> Result<(), Rejected> {
+    fn fill(&mut self, op: u8) -> Result<(), Error> {
         let items = match op {
             b'a' => vec![self.pop()?],
             b's' => {
@@ -324,7 +334,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Keys and values in turn as entries; values of dropped keys are let go here.
-    fn entries(&mut self, items: &[Id]) -> Result<Vec<(Id, Id)>, Rejected> {
+    fn entries(&mut self, items: &[Id]) -> Result<Vec<(Id, Id)>, Error> {
         let (pairs, rest) = items.as_chunks::<2>();
         if !rest.is_empty() {
             return Err(self.malformed("found a key without a value".to_owned()));
@@ -343,7 +353,7 @@ impl<'a> Machine<'a> {
         Ok(entries)
     }
 
-    fn memoize(&mut self, op: u8) -> Result<(), Rejected> {
+    fn memoize(&mut self, op: u8) -> Result<(), Error> {
         let key = match op {
             0x94 => self.memo.len() as u64,
             b'q' | b'h' => self.input.byte()?.into(),
@@ -369,7 +379,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Names, calls and states.
-    fn object(&mut self, op: u8) -> Result<(), Rejected> {
+    fn object(&mut self, op: u8) -> Result<(), Error> {
         match op {
             b'c' | b'i' => {
                 let module = self.input.line()?;
@@ -414,7 +424,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn global(&mut self, module: &str, name: &str) -> Result<(), Rejected> {
+    fn global(&mut self, module: &str, name: &str) -> Result<(), Error> {
         match Global::find(module, name) {
             Some(global) => self.push_node(Node::Global(global)),
             None => {
@@ -425,7 +435,7 @@ impl<'a> Machine<'a> {
     }
 
     /// Does what a known name stands for with the arguments on the stack.
-    fn call(&mut self) -> Result<(), Rejected> {
+    fn call(&mut self) -> Result<(), Error> {
         let arguments = self.pop()?;
         let callee = self.pop()?;
         let (Node::Global(global), Node::Tuple(arguments)) =
@@ -467,13 +477,13 @@ impl<'a> Machine<'a> {
         self.push_node(node)
     }
 
-    fn item_type(&self, arguments: &[Id]) -> Result<ItemType, Rejected> {
+    fn item_type(&self, arguments: &[Id]) -> Result<ItemType, Error> {
         let name = match arguments.first().map(|&name| self.node(name)) {
             Some(Node::Leaf(Value::Str(name))) => &**name,
             _ => "",
         };
         ItemType::parse(name).ok_or_else(|| {
-            Rejected::read(
+            Error::new(
                 "E-PICKLE-DTYPE",
                 format!(
                     "found an array type \"{}\", expected one such as f4, f8, i8 or U6",
@@ -485,7 +495,7 @@ impl<'a> Machine<'a> {
     }
 
     /// A scalar, or the place of the object it wraps.
-    fn scalar(&mut self, arguments: &[Id]) -> Result<Result<Value, Id>, Rejected> {
+    fn scalar(&mut self, arguments: &[Id]) -> Result<Result<Value, Id>, Error> {
         let &[item, data] = arguments else {
             return Err(self.malformed(format!(
                 "found a scalar of {} arguments, expected a type and its bytes",
@@ -507,7 +517,7 @@ impl<'a> Machine<'a> {
         }))
     }
 
-    fn array_over_buffer(&mut self, arguments: &[Id]) -> Result<Node, Rejected> {
+    fn array_over_buffer(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let &[buffer, item, shape, order] = arguments else {
             return Err(self.malformed(format!(
                 "found an array of {} arguments, expected buffer, type, shape and order",
@@ -520,7 +530,7 @@ impl<'a> Machine<'a> {
         Ok(Node::Leaf(Value::Array(Arc::new(array))))
     }
 
-    fn dict(&mut self, arguments: &[Id]) -> Result<Node, Rejected> {
+    fn dict(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let mut entries = Vec::new();
         for item in self.items_of(arguments)? {
             match self.node(item) {
@@ -532,7 +542,7 @@ impl<'a> Machine<'a> {
     }
 
     /// The items of the one container among the arguments of a container's class.
-    fn items_of(&self, arguments: &[Id]) -> Result<Vec<Id>, Rejected> {
+    fn items_of(&self, arguments: &[Id]) -> Result<Vec<Id>, Error> {
         match arguments.first().map(|&items| self.node(items)) {
             None => Ok(Vec::new()),
             Some(Node::List(items) | Node::Tuple(items) | Node::Set(items)) => Ok(items.clone()),
@@ -540,7 +550,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn encoded(&self, arguments: &[Id]) -> Result<Node, Rejected> {
+    fn encoded(&self, arguments: &[Id]) -> Result<Node, Error> {
         let encoding = match arguments.get(1).map(|&name| self.node(name)) {
             Some(Node::Leaf(Value::Str(name))) => Some(&**name),
             _ => None,
@@ -563,7 +573,7 @@ impl<'a> Machine<'a> {
         Ok(Node::Leaf(Value::Bytes(bytes)))
     }
 
-    fn tensor(&mut self, arguments: &[Id]) -> Result<Node, Rejected> {
+    fn tensor(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let &[storage, offset, shape, strides, ..] = arguments else {
             return Err(self.malformed(format!(
                 "found a tensor of {} arguments, expected storage, offset, shape and strides",
@@ -596,7 +606,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn inner_storage(&mut self, arguments: &[Id]) -> Result<Node, Rejected> {
+    fn inner_storage(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let Some(&data) = arguments.first() else {
             return Err(self.malformed("found a storage without bytes".to_owned()));
         };
@@ -604,11 +614,11 @@ impl<'a> Machine<'a> {
             return Err(self.refused("a file within a file", "one within a pickle is the most"));
         }
         let bytes = self.take_bytes(data)?;
-        torch::read_storage(&bytes).map(Node::Storage)
+        (self.read_storage)(&bytes).map(Node::Storage)
     }
 
     /// A storage by the tuple that names it: a word, its class, its key, a device and a length.
-    fn outside_storage(&mut self, id: Id) -> Result<(), Rejected> {
+    fn outside_storage(&mut self, id: Id) -> Result<(), Error> {
         if !self.outside_storages {
             return Err(self.refused("an object by its name", "it is kept outside the pickle"));
         }
@@ -630,7 +640,7 @@ impl<'a> Machine<'a> {
         self.push_node(Node::Storage(storage))
     }
 
-    fn set_state(&mut self, target: Id, state: Id) -> Result<(), Rejected> {
+    fn set_state(&mut self, target: Id, state: Id) -> Result<(), Error> {
         let parts = match self.node(state) {
             Node::Tuple(parts) => parts.clone(),
             _ => Vec::new(),
@@ -675,7 +685,7 @@ impl<'a> Machine<'a> {
         item: Id,
         fortran: Id,
         data: Id,
-    ) -> Result<Node, Rejected> {
+    ) -> Result<Node, Error> {
         let (item, shape) = (self.as_item_type(item)?, self.as_shape(shape)?);
         let fortran = match self.node(fortran) {
             Node::Leaf(Value::Bool(fortran)) => *fortran,
@@ -698,7 +708,7 @@ impl<'a> Machine<'a> {
     }
 
     /// A type with the byte order of its state: version, order, inner type, field names, …
-    fn ordered(&self, item: ItemType, state: &[Id]) -> Result<ItemType, Rejected> {
+    fn ordered(&self, item: ItemType, state: &[Id]) -> Result<ItemType, Error> {
         let order = match state.get(1).map(|&order| self.node(order)) {
             Some(Node::Leaf(Value::Str(order))) => order.clone(),
             _ => return Err(self.malformed("found a type without a byte order".to_owned())),
@@ -709,7 +719,7 @@ impl<'a> Machine<'a> {
                 .all(|&part| matches!(self.node(part), Node::Leaf(Value::None)))
         });
         if !plain {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-PICKLE-DTYPE",
                 "found an array type with named fields, expected plain numbers",
             )
@@ -726,7 +736,7 @@ impl<'a> Machine<'a> {
     /// # Source
     /// `NumpyArrayWrapper` of joblib: the wrapper's attributes, then, where it has an alignment, a
     /// byte that counts the padding and the padding, then the items.
-    fn wrapped_array(&mut self, state: Id) -> Result<Node, Rejected> {
+    fn wrapped_array(&mut self, state: Id) -> Result<Node, Error> {
         if !self.wrapped_arrays {
             return Err(self.malformed("found a joblib array outside a joblib dump".to_owned()));
         }
@@ -765,7 +775,7 @@ impl<'a> Machine<'a> {
     }
 
     /// An array of objects, which joblib writes as a pickle within the pickle.
-    fn wrapped_objects(&mut self) -> Result<Node, Rejected> {
+    fn wrapped_objects(&mut self) -> Result<Node, Error> {
         let outer = (
             std::mem::take(&mut self.stack),
             std::mem::take(&mut self.marks),
@@ -785,7 +795,7 @@ impl<'a> Machine<'a> {
         shape: Vec<usize>,
         data: Id,
         fortran: bool,
-    ) -> Result<Array, Rejected> {
+    ) -> Result<Array, Error> {
         let raw = self.take_bytes(data)?;
         let array = Array::from_raw(item, shape, raw, fortran)
             .map_err(|reason| self.wrong_shape(reason))?;
@@ -801,7 +811,7 @@ impl<'a> Machine<'a> {
     }
 
     /// The bytes of an object; large ones are taken away from it.
-    fn take_bytes(&mut self, id: Id) -> Result<Arc<[u8]>, Rejected> {
+    fn take_bytes(&mut self, id: Id) -> Result<Arc<[u8]>, Error> {
         let bytes = match self.node(id) {
             Node::Leaf(Value::Bytes(bytes)) => bytes.clone(),
             Node::Leaf(Value::Str(text)) => self.latin_1_bytes(text)?,
@@ -816,7 +826,7 @@ impl<'a> Machine<'a> {
         Ok(bytes)
     }
 
-    fn latin_1_bytes(&self, text: &str) -> Result<Arc<[u8]>, Rejected> {
+    fn latin_1_bytes(&self, text: &str) -> Result<Arc<[u8]>, Error> {
         let bytes: Result<Vec<u8>, _> = text.chars().map(u8::try_from).collect();
         let bytes = bytes.map_err(|_| {
             self.malformed("found text beyond latin1 where bytes were expected".to_owned())
@@ -824,14 +834,14 @@ impl<'a> Machine<'a> {
         Ok(bytes.into())
     }
 
-    fn as_item_type(&self, id: Id) -> Result<ItemType, Rejected> {
+    fn as_item_type(&self, id: Id) -> Result<ItemType, Error> {
         match self.node(id) {
             Node::ItemType(item) => Ok(*item),
             other => Err(self.malformed(format!("found {}, expected a type", other.kind()))),
         }
     }
 
-    fn as_shape(&self, id: Id) -> Result<Vec<usize>, Rejected> {
+    fn as_shape(&self, id: Id) -> Result<Vec<usize>, Error> {
         let extent = |id: Id| match self.node(id) {
             Node::Leaf(Value::Int(extent)) => usize::try_from(*extent).ok(),
             _ => None,
@@ -846,11 +856,11 @@ impl<'a> Machine<'a> {
     }
 
     /// Unfolds an object to a value. `storages` holds those kept outside the pickle.
-    pub(super) fn value(
+    pub(crate) fn value(
         &self,
         root: Id,
         storages: &BTreeMap<String, Arc<[u8]>>,
-    ) -> Result<Value, Rejected> {
+    ) -> Result<Value, Error> {
         let mut left = self.nodes.len().saturating_mul(MAX_SHARING);
         self.unfold(root, 0, &mut left, storages)
     }
@@ -861,7 +871,7 @@ impl<'a> Machine<'a> {
         depth: usize,
         left: &mut usize,
         storages: &BTreeMap<String, Arc<[u8]>>,
-    ) -> Result<Value, Rejected> {
+    ) -> Result<Value, Error> {
         if depth > MAX_DEPTH {
             return Err(self.limit(format!(
                 "found containers nested deeper than {MAX_DEPTH}, or one within itself"
@@ -870,7 +880,7 @@ impl<'a> Machine<'a> {
         *left = left.checked_sub(1).ok_or_else(|| {
             self.limit("found objects shared so often that they unfold without end".to_owned())
         })?;
-        let mut all = |items: &[Id]| -> Result<Vec<Value>, Rejected> {
+        let mut all = |items: &[Id]| -> Result<Vec<Value>, Error> {
             items
                 .iter()
                 .map(|&item| self.unfold(item, depth + 1, left, storages))
@@ -919,7 +929,7 @@ impl<'a> Machine<'a> {
         })
     }
 
-    fn top(&self) -> Result<Id, Rejected> {
+    fn top(&self) -> Result<Id, Error> {
         let bottom = self.marks.last().copied().unwrap_or(0);
         match self.stack.last() {
             Some(&top) if self.stack.len() > bottom => Ok(top),
@@ -927,26 +937,26 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn pop(&mut self) -> Result<Id, Rejected> {
+    fn pop(&mut self) -> Result<Id, Error> {
         let top = self.top()?;
         self.stack.pop();
         Ok(top)
     }
 
-    fn items_from_mark(&mut self) -> Result<Vec<Id>, Rejected> {
+    fn items_from_mark(&mut self) -> Result<Vec<Id>, Error> {
         match self.marks.pop() {
             Some(mark) if mark <= self.stack.len() => Ok(self.stack.split_off(mark)),
             _ => Err(self.malformed("found an opcode without its mark".to_owned())),
         }
     }
 
-    fn push(&mut self, id: Id) -> Result<(), Rejected> {
+    fn push(&mut self, id: Id) -> Result<(), Error> {
         self.count_push()?;
         self.stack.push(id);
         Ok(())
     }
 
-    fn count_push(&mut self) -> Result<(), Rejected> {
+    fn count_push(&mut self) -> Result<(), Error> {
         self.pushes += 1;
         if self.pushes > MAX_PUSHES {
             return Err(self.limit(format!("found more than {MAX_PUSHES} operands")));
@@ -954,7 +964,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    fn push_node(&mut self, node: Node) -> Result<(), Rejected> {
+    fn push_node(&mut self, node: Node) -> Result<(), Error> {
         let id = Id::try_from(self.nodes.len())
             .ok()
             .filter(|_| self.nodes.len() < MAX_OBJECTS);
@@ -963,24 +973,24 @@ impl<'a> Machine<'a> {
         self.push(id)
     }
 
-    fn refused(&self, what: &str, why: &str) -> Rejected {
-        Rejected::read(
+    fn refused(&self, what: &str, why: &str) -> Error {
+        Error::new(
             "E-PICKLE-REFUSED",
             format!("the pickle asks for {what}: {why}"),
         )
         .at(self.op_at)
     }
 
-    fn malformed(&self, reason: String) -> Rejected {
-        Rejected::read("E-PICKLE-FORMAT", reason).at(self.op_at)
+    fn malformed(&self, reason: String) -> Error {
+        Error::new("E-PICKLE-FORMAT", reason).at(self.op_at)
     }
 
-    fn wrong_shape(&self, reason: String) -> Rejected {
-        Rejected::read("E-PICKLE-SHAPE", reason).at(self.op_at)
+    fn wrong_shape(&self, reason: String) -> Error {
+        Error::new("E-PICKLE-SHAPE", reason).at(self.op_at)
     }
 
-    fn limit(&self, reason: String) -> Rejected {
-        Rejected::read("E-PICKLE-LIMIT", reason).at(self.op_at)
+    fn limit(&self, reason: String) -> Error {
+        Error::new("E-PICKLE-LIMIT", reason).at(self.op_at)
     }
 }
 

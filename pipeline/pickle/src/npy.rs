@@ -1,10 +1,11 @@
-//! Arrays of NumPy's npy format, within bounds: the header is read by a grammar of its own and
-//! never evaluated, pickled objects are refused, and a shape is held against the bytes that are
-//! there before anything is allocated.
+//! Arrays in NumPy's npy format, read and written.
+//!
+//! The header is parsed by a grammar of its own and never evaluated, pickled objects are refused, and
+//! a shape is checked against the bytes that are there before memory is allocated.
 
 use std::borrow::Cow;
 
-use super::Rejected;
+use crate::error::Error;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header read, in bytes. NumPy's own limit is 10,000 for files it does not trust.
@@ -49,7 +50,7 @@ impl Header {
     /// # Errors
     /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes,
     /// `E-NPY-DTYPE` for types without a use here, `E-NPY-HEADER` for anything unreadable.
-    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Rejected> {
+    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Error> {
         let (header, descr) = Self::parse_text(name, bytes)?;
         let found = bytes.len() - header.data_start;
         let needed = header
@@ -59,7 +60,7 @@ impl Header {
                 product.checked_mul(extent)
             });
         if needed != Some(found) {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPY-SHAPE",
                 format!(
                     "{name}: found {found} bytes of data, expected {} for shape {:?} of {descr}",
@@ -76,12 +77,12 @@ impl Header {
     ///
     /// # Errors
     /// As [`Header::parse`], `E-NPY-SHAPE` excepted.
-    pub(crate) fn peek_shape(name: &str, head: &[u8]) -> Result<Vec<usize>, Rejected> {
+    pub fn peek_shape(name: &str, head: &[u8]) -> Result<Vec<usize>, Error> {
         Self::parse_text(name, head).map(|(header, _)| header.shape)
     }
 
     /// Parses the header alone, and returns the type as it is written too.
-    fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Rejected> {
+    fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Error> {
         let (literal, data_start) = Self::parse_literal(name, bytes)?;
         let (kind, big_endian, item_len) = parse_descr(name, &literal.descr)?;
         let header = Self {
@@ -96,9 +97,9 @@ impl Header {
     }
 
     /// Parses the dictionary of the header, and returns where the data starts too.
-    fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Rejected> {
+    fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Error> {
         let bad = |reason: String, at: usize| {
-            Rejected::read("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
+            Error::new("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
         };
         let version_at = MAGIC.len();
         if !bytes.starts_with(MAGIC) || bytes.len() < version_at + 4 {
@@ -153,10 +154,7 @@ impl Header {
 ///
 /// # Errors
 /// `E-NPY-HEADER`.
-pub(crate) fn pickled<'a>(
-    name: &str,
-    bytes: &'a [u8],
-) -> Result<Option<(&'a [u8], usize)>, Rejected> {
+pub fn pickled<'a>(name: &str, bytes: &'a [u8]) -> Result<Option<(&'a [u8], usize)>, Error> {
     let (literal, data_start) = Header::parse_literal(name, bytes)?;
     let is_objects = literal.descr.trim_start_matches(['|', '<', '>', '=']) == "O";
     Ok(is_objects.then(|| (&bytes[data_start..], data_start)))
@@ -166,7 +164,7 @@ pub(crate) fn pickled<'a>(
 ///
 /// # Errors
 /// As [`Header::parse`]; `E-NPY-DTYPE` also for text.
-pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Rejected> {
+pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     let header = Header::parse(name, bytes)?;
     let decode: fn([u8; 8]) -> f64 = match (header.kind, header.item_len) {
         (Kind::Float, 8) => f64::from_le_bytes,
@@ -178,7 +176,7 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Rejected> {
         (Kind::Unsigned, 8) => |b| u64::from_le_bytes(b) as f64,
         (Kind::Unsigned, 4 | 2 | 1) => |b| u64::from_le_bytes(b) as f64,
         (kind, len) => {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPY-DTYPE",
                 format!("{name}: found {kind:?} of {len} bytes, expected f4, f8 or an integer"),
             ));
@@ -208,7 +206,7 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Rejected> {
 
 /// The rows of an array of two dimensions, read where they lie.
 #[derive(Clone, Debug)]
-pub(crate) struct Rows<'a> {
+pub struct Rows<'a> {
     bytes: Cow<'a, [u8]>,
     data_start: usize,
     kind: RowKind,
@@ -228,10 +226,7 @@ impl<'a> Rows<'a> {
     ///
     /// # Errors
     /// As [`read_numbers`]; the shape where it is not of two dimensions.
-    pub(crate) fn new(
-        name: &str,
-        bytes: Cow<'a, [u8]>,
-    ) -> Result<Result<Self, Vec<usize>>, Rejected> {
+    pub fn new(name: &str, bytes: Cow<'a, [u8]>) -> Result<Result<Self, Vec<usize>>, Error> {
         let header = Header::parse(name, &bytes)?;
         let [num_rows, width] = header.shape[..] else {
             return Ok(Err(header.shape));
@@ -266,12 +261,12 @@ impl<'a> Rows<'a> {
     }
 
     /// Number of rows.
-    pub(crate) fn len(&self) -> usize {
+    pub fn len(&self) -> usize {
         self.num_rows
     }
 
     /// Numbers of a row.
-    pub(crate) fn width(&self) -> usize {
+    pub fn width(&self) -> usize {
         self.width
     }
 
@@ -279,7 +274,7 @@ impl<'a> Rows<'a> {
     ///
     /// # Panics
     /// If they do not exist.
-    pub(crate) fn is_finite(&self, row: usize, column: usize, len: usize) -> bool {
+    pub fn is_finite(&self, row: usize, column: usize, len: usize) -> bool {
         assert!(
             column + len <= self.width,
             "columns {column}.. of {}",
@@ -309,7 +304,7 @@ impl<'a> Rows<'a> {
     ///
     /// # Panics
     /// If they do not exist.
-    pub(crate) fn get<const N: usize>(&self, row: usize, column: usize) -> [f64; N] {
+    pub fn get<const N: usize>(&self, row: usize, column: usize) -> [f64; N] {
         assert!(
             column + N <= self.width,
             "columns {column}.. of {}",
@@ -334,7 +329,7 @@ impl<'a> Rows<'a> {
 ///
 /// # Errors
 /// As [`Header::parse`]; `E-NPY-DTYPE` for numbers.
-pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Rejected> {
+pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Error> {
     let header = Header::parse(name, bytes)?;
     let first = if header.num_items() == 0 {
         0
@@ -356,13 +351,74 @@ pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Rejected> {
             })
             .collect(),
         kind => {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPY-DTYPE",
                 format!("{name}: found {kind:?}, expected text"),
             ));
         }
     };
     Ok(text.trim_end_matches('\0').to_owned())
+}
+
+/// Numbers that [`encode`] writes.
+pub trait Number: Copy {
+    /// NumPy's name of the type.
+    const DESCR: &str;
+
+    /// Appends the number in little-endian bytes.
+    fn put(self, out: &mut Vec<u8>);
+}
+
+macro_rules! number {
+    ($($type:ty: $descr:literal),*) => {$(
+        impl Number for $type {
+            const DESCR: &str = $descr;
+
+            fn put(self, out: &mut Vec<u8>) {
+                out.extend(self.to_le_bytes());
+            }
+        }
+    )*};
+}
+
+number!(f32: "<f4", f64: "<f8", i64: "<i8");
+
+/// Encodes an array of numbers, the last index running fastest.
+///
+/// # Panics
+/// If the shape does not fit the numbers.
+pub fn encode<T: Number>(shape: &[usize], values: &[T]) -> Vec<u8> {
+    assert_eq!(shape.iter().product::<usize>(), values.len());
+    let mut out = header(T::DESCR, shape);
+    for &value in values {
+        value.put(&mut out);
+    }
+    out
+}
+
+/// Encodes text as NumPy does: an array without dimensions, of UTF-32.
+pub(crate) fn encode_text(text: &str) -> Vec<u8> {
+    let mut out = header(&format!("<U{}", text.chars().count()), &[]);
+    out.extend(text.chars().flat_map(|c| u32::from(c).to_le_bytes()));
+    out
+}
+
+/// Magic number, version 1.0 and the dictionary, padded so that the data begins at a multiple of 64.
+fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
+    const ALIGNMENT: usize = 64;
+    let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
+    let mut text =
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({extents}), }}");
+    let before = MAGIC.len() + 4;
+    let len = (before + text.len() + 1).next_multiple_of(ALIGNMENT) - before;
+    text.extend(std::iter::repeat_n(' ', len - 1 - text.len()));
+    text.push('\n');
+    let mut out = MAGIC.to_vec();
+    out.extend([1, 0]);
+    // At most 64 dimensions of 20 digits.
+    out.extend((len as u16).to_le_bytes());
+    out.extend(text.into_bytes());
+    out
 }
 
 /// Reorders column-major values.
@@ -393,9 +449,9 @@ fn row_major(values: &[f64], shape: &[usize]) -> Vec<f64> {
 }
 
 /// Splits a type such as `<f8` into kind, byte order and item length.
-fn parse_descr(name: &str, descr: &str) -> Result<(Kind, bool, usize), Rejected> {
+fn parse_descr(name: &str, descr: &str) -> Result<(Kind, bool, usize), Error> {
     let unknown = || {
-        Rejected::read(
+        Error::new(
             "E-NPY-DTYPE",
             format!("{name}: found type \"{descr}\", expected one such as <f4, <f8, <i8 or <U6"),
         )
@@ -407,7 +463,7 @@ fn parse_descr(name: &str, descr: &str) -> Result<(Kind, bool, usize), Rejected>
         first = chars.next().ok_or_else(unknown)?;
     }
     if first == 'O' {
-        return Err(Rejected::read(
+        return Err(Error::new(
             "E-PICKLE-REFUSED",
             format!(
                 "{name}: holds pickled objects, which are code and are never executed; save it as \
@@ -569,13 +625,13 @@ impl<'a> Scanner<'a> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
     /// An npy file with this dictionary and data.
-    pub(crate) fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
+    fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend([1, 0]);
         bytes.extend((dictionary.len() as u16).to_le_bytes());
@@ -584,16 +640,20 @@ pub(crate) mod tests {
         bytes
     }
 
-    /// A row-major array of f8.
-    pub(crate) fn npy_f8(shape: &[usize], values: &[f64]) -> Vec<u8> {
-        let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
-        let dictionary =
-            format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({extents}), }}\n");
-        let data: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
-        npy(&dictionary, &data)
+    #[test]
+    fn what_is_written_is_read_back_and_aligned() {
+        let bytes = encode(&[2, 3], &[1.0f32, 2.0, 3.0, -4.0, 5.0, 6e30]);
+        assert_eq!(&bytes[..10], b"\x93NUMPY\x01\x00\x76\x00");
+        let dictionary = b"{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3, ), }  ";
+        assert!(bytes[10..].starts_with(dictionary));
+        assert_eq!((bytes[127], bytes.len()), (b'\n', 128 + 24));
+        let array = read_numbers("array", &bytes).expect("an array");
+        assert_eq!(array.shape, [2, 3]);
+        assert_eq!(array.values[3], -4.0);
+        let scalar = read_numbers("n", &encode(&[], &[-7i64])).expect("a number");
+        assert_eq!((scalar.shape, scalar.values), (vec![], vec![-7.0]));
+        let text = read_text("gender", &encode_text("näutral")).expect("text");
+        assert_eq!(text, "näutral");
     }
 
     #[test]
@@ -698,7 +758,7 @@ pub(crate) mod tests {
             bytes in prop::collection::vec(any::<u8>(), 0..200),
             at in 0usize..120,
         ) {
-            let mut mutated = npy_f8(&[2, 2], &[1.0, 2.0, 3.0, 4.0]);
+            let mut mutated = encode::<f64>(&[2, 2], &[1.0, 2.0, 3.0, 4.0]);
             for (offset, byte) in bytes.iter().enumerate().take(4) {
                 if let Some(slot) = mutated.get_mut(at + offset) {
                     *slot = *byte;

@@ -1,14 +1,17 @@
-//! Archives of NumPy's npz format, within bounds: nothing is unpacked further than its stated and
-//! allowed length, and nothing but the arrays asked for is unpacked at all.
+//! Archives in NumPy's npz format, read and written.
+//!
+//! No member is unpacked beyond its stated and allowed length, and only the arrays that are asked
+//! for are unpacked.
 
 use std::borrow::Cow;
-use std::io::{Cursor, Read, Seek};
+use std::io::{self, Cursor, Read, Seek, Write};
 
 use zip::result::ZipError;
-use zip::{CompressionMethod, ZipArchive};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, DateTime, System, ZipArchive, ZipWriter};
 
-use super::Rejected;
-use super::npy::{self, Array, Header};
+use crate::error::Error;
+use crate::npy::{self, Array, Header, Number};
 
 /// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
 /// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
@@ -23,7 +26,7 @@ const MAX_MEMBERS: usize = 10_000;
 const HEADER_LEN: u64 = 10_016;
 
 /// An npz archive.
-pub(crate) struct Archive<R> {
+pub struct Archive<R> {
     zip: ZipArchive<R>,
     /// Names of the arrays, sorted.
     keys: Vec<String>,
@@ -34,7 +37,7 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
     ///
     /// # Errors
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
-    pub(crate) fn in_memory(bytes: &'a [u8]) -> Result<Self, Rejected> {
+    pub fn in_memory(bytes: &'a [u8]) -> Result<Self, Error> {
         Self::open(Cursor::new(bytes))
     }
 
@@ -43,11 +46,7 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
     ///
     /// # Errors
     /// As [`Archive::member`].
-    pub(crate) fn borrowed(
-        &mut self,
-        bytes: &'a [u8],
-        key: &str,
-    ) -> Result<Cow<'a, [u8]>, Rejected> {
+    pub fn borrowed(&mut self, bytes: &'a [u8], key: &str) -> Result<Cow<'a, [u8]>, Error> {
         let name = format!("{key}.npy");
         let file = self
             .zip
@@ -72,7 +71,7 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
         };
         let found = crc32fast::hash(member);
         if found != expected {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPZ-TRUNCATED",
                 format!(
                     "{name} has the checksum {:08x}, expected {expected:08x}; it is damaged",
@@ -91,17 +90,17 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, or `E-ARCHIVE-PATH` if a name leads out of the archive or
     /// differs from another in case alone.
-    pub(crate) fn open(mut reader: R) -> Result<Self, Rejected> {
+    pub fn open(mut reader: R) -> Result<Self, Error> {
         let len = reader.seek(std::io::SeekFrom::End(0)).unwrap_or(0);
         let zip = ZipArchive::new(reader).map_err(|error| {
-            Rejected::read(
+            Error::new(
                 "E-NPZ-TRUNCATED",
                 format!("found no complete zip archive in {len} bytes ({error})"),
             )
             .at(usize::try_from(len).unwrap_or(usize::MAX))
         })?;
         if zip.len() > MAX_MEMBERS {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPZ-LIMIT",
                 format!(
                     "found {} members, expected at most {MAX_MEMBERS}",
@@ -120,12 +119,12 @@ impl<R: Read + Seek> Archive<R> {
     }
 
     /// Names of the arrays, sorted.
-    pub(crate) fn keys(&self) -> &[String] {
+    pub fn keys(&self) -> &[String] {
         &self.keys
     }
 
     /// Whether there is an array of this name.
-    pub(crate) fn has(&self, key: &str) -> bool {
+    pub fn has(&self, key: &str) -> bool {
         self.keys.iter().any(|found| found == key)
     }
 
@@ -133,7 +132,7 @@ impl<R: Read + Seek> Archive<R> {
     ///
     /// # Errors
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
-    pub(crate) fn member(&mut self, key: &str) -> Result<Vec<u8>, Rejected> {
+    pub fn member(&mut self, key: &str) -> Result<Vec<u8>, Error> {
         self.member_within(key, MAX_MEMBER_LEN)
     }
 
@@ -141,7 +140,7 @@ impl<R: Read + Seek> Archive<R> {
     ///
     /// # Errors
     /// As [`Archive::member`].
-    pub(crate) fn member_within(&mut self, key: &str, max_len: u64) -> Result<Vec<u8>, Rejected> {
+    pub fn member_within(&mut self, key: &str, max_len: u64) -> Result<Vec<u8>, Error> {
         let name = format!("{key}.npy");
         let mut file = self
             .zip
@@ -150,7 +149,7 @@ impl<R: Read + Seek> Archive<R> {
         let (len, compressed_len) = (file.size(), file.compressed_size());
         let start = file.data_start().unwrap_or_else(|| file.header_start());
         if len > max_len || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > compressed_len.max(1)) {
-            return Err(Rejected::read(
+            return Err(Error::new(
                 "E-NPZ-LIMIT",
                 format!(
                     "{name} unpacks from {compressed_len} to {len} bytes, expected at most \
@@ -173,7 +172,7 @@ impl<R: Read + Seek> Archive<R> {
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy::read_numbers`].
-    pub(crate) fn numbers(&mut self, key: &str) -> Result<Array, Rejected> {
+    pub fn numbers(&mut self, key: &str) -> Result<Array, Error> {
         let bytes = self.member(key)?;
         npy::read_numbers(key, &bytes)
     }
@@ -182,7 +181,7 @@ impl<R: Read + Seek> Archive<R> {
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy`] for a header.
-    pub(crate) fn shape(&mut self, key: &str) -> Result<Vec<usize>, Rejected> {
+    pub fn shape(&mut self, key: &str) -> Result<Vec<usize>, Error> {
         let name = format!("{key}.npy");
         let file = self
             .zip
@@ -196,15 +195,15 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-fn member_error(name: &str, error: &ZipError) -> Rejected {
-    Rejected::read(
+fn member_error(name: &str, error: &ZipError) -> Error {
+    Error::new(
         "E-NPZ-TRUNCATED",
         format!("{name} cannot be unpacked ({error})"),
     )
 }
 /// Refuses names that mean something to a file system. Archives are read in memory and never
 /// unpacked, so they could do no harm here; what made them is not to be believed in anything else.
-fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Rejected> {
+fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {
         let name = String::from_utf8_lossy(name);
@@ -219,10 +218,69 @@ fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Rejected
         } else {
             continue;
         };
-        return Err(Rejected::read(
+        return Err(Error::new(
             "E-ARCHIVE-PATH",
             format!("found a member {name:?}, which {problem}"),
         ));
     }
     Ok(())
+}
+
+/// Writes an archive in memory.
+///
+/// Members are stored, not compressed: compressors choose code paths by processor, and equal arrays
+/// are to give equal bytes everywhere. Their time stamps are the earliest a zip can hold.
+pub struct Writer {
+    zip: ZipWriter<Cursor<Vec<u8>>>,
+}
+
+impl Default for Writer {
+    fn default() -> Self {
+        Self {
+            zip: ZipWriter::new(Cursor::new(Vec::new())),
+        }
+    }
+}
+
+impl Writer {
+    /// Adds an array of numbers, the last index running fastest.
+    ///
+    /// # Errors
+    /// The archive exceeds what a zip without 64-bit extensions can hold (4 GiB).
+    ///
+    /// # Panics
+    /// If the shape does not fit the numbers.
+    pub fn numbers<T: Number>(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+        values: &[T],
+    ) -> io::Result<()> {
+        self.member(name, &npy::encode(shape, values))
+    }
+
+    /// Adds text as an array without dimensions.
+    ///
+    /// # Errors
+    /// As [`Writer::numbers`].
+    pub fn text(&mut self, name: &str, text: &str) -> io::Result<()> {
+        self.member(name, &npy::encode_text(text))
+    }
+
+    fn member(&mut self, name: &str, npy: &[u8]) -> io::Result<()> {
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default())
+            .system(System::Unix);
+        self.zip.start_file(format!("{name}.npy"), options)?;
+        self.zip.write_all(npy)
+    }
+
+    /// The bytes of the archive.
+    ///
+    /// # Errors
+    /// As [`Writer::numbers`].
+    pub fn finish(self) -> io::Result<Vec<u8>> {
+        Ok(self.zip.finish()?.into_inner())
+    }
 }

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use super::Value;
-use super::array::{Dtype, ItemType};
+use crate::array::{Dtype, ItemType};
+use crate::value::Value;
 
 /// The place of an object in the machine's store.
-pub(super) type Id = u32;
+pub(crate) type Id = u32;
 
 /// A name whose meaning this reader knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Global {
+pub(crate) enum Global {
     /// Makes an empty NumPy array that is filled by its state.
     Reconstruct,
     /// The class of NumPy arrays.
@@ -47,7 +47,7 @@ impl Global {
     /// # Source
     /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py`
     /// write.
-    pub(super) fn find(module: &str, name: &str) -> Option<Self> {
+    pub(crate) fn find(module: &str, name: &str) -> Option<Self> {
         let numpy_core = module
             .strip_prefix("numpy.core")
             .or_else(|| module.strip_prefix("numpy._core"));
@@ -78,7 +78,7 @@ impl Global {
     }
 
     /// Why a name that is not in the list is refused, beyond its being code.
-    pub(super) fn refusal(module: &str, name: &str) -> &'static str {
+    pub(crate) fn refusal(module: &str, name: &str) -> &'static str {
         match (module, name) {
             (_, "NDArrayWrapper" | "ZNDArrayWrapper") if module.starts_with("joblib") => {
                 "joblib before 0.10 keeps arrays in files beside the dump; load it there and dump it \
@@ -106,13 +106,13 @@ fn storage_type(class: &str) -> Option<Dtype> {
 
 /// Memory that tensors are views of.
 #[derive(Clone, Debug)]
-pub(super) struct Storage {
-    pub(super) dtype: Dtype,
-    pub(super) data: StorageData,
+pub(crate) struct Storage {
+    pub(crate) dtype: Dtype,
+    pub(crate) data: StorageData,
 }
 
 #[derive(Clone, Debug)]
-pub(super) enum StorageData {
+pub(crate) enum StorageData {
     /// The bytes themselves.
     Present(Arc<[u8]>),
     /// The name of bytes that are kept outside the pickle.
@@ -121,18 +121,18 @@ pub(super) enum StorageData {
 
 /// A tensor whose storage is outside the pickle.
 #[derive(Clone, Debug)]
-pub(super) struct Tensor {
-    pub(super) dtype: Dtype,
-    pub(super) key: String,
-    pub(super) offset: usize,
-    pub(super) shape: Vec<usize>,
-    pub(super) strides: Vec<usize>,
+pub(crate) struct Tensor {
+    pub(crate) dtype: Dtype,
+    pub(crate) key: String,
+    pub(crate) offset: usize,
+    pub(crate) shape: Vec<usize>,
+    pub(crate) strides: Vec<usize>,
 }
 
 /// An object of the machine. Containers name their items by place, so that what is shared in the
 /// pickle is stored once and can be filled after it was named.
 #[derive(Clone, Debug)]
-pub(super) enum Node {
+pub(crate) enum Node {
     /// A value without items.
     Leaf(Value),
     List(Vec<Id>),
@@ -153,7 +153,7 @@ pub(super) enum Node {
 
 impl Node {
     /// What a message says the object is.
-    pub(super) fn kind(&self) -> &'static str {
+    pub(crate) fn kind(&self) -> &'static str {
         match self {
             Self::Leaf(Value::Str(_)) => "text",
             Self::Leaf(Value::Bytes(_)) => "bytes",

@@ -1,16 +1,16 @@
 use std::io::Write;
+use std::sync::Arc;
 
 use proptest::prelude::*;
 use zip::write::SimpleFileOptions;
 
 use super::fixture::{PICKLES, decoded};
 use super::*;
-use crate::write::pickle::encode;
 
 fn code(bytes: &[u8]) -> &'static str {
     match read(bytes) {
         Ok(_) => "accepted",
-        Err(rejected) => rejected.code,
+        Err(error) => error.code,
     }
 }
 
@@ -106,10 +106,10 @@ fn what_would_be_code_is_refused_by_name_and_never_run() {
         ("os.system", 14, stacked),
         ("os.system", 1, b"(ios\nsystem\n.".to_vec()),
     ] {
-        let rejected = read(&bytes).expect_err(name);
-        assert_eq!(rejected.code, "E-PICKLE-REFUSED", "{name}");
-        assert!(rejected.reason.contains(name), "{}", rejected.reason);
-        assert_eq!(rejected.byte_offset, Some(at), "{name}");
+        let error = read(&bytes).expect_err(name);
+        assert_eq!(error.code, "E-PICKLE-REFUSED", "{name}");
+        assert!(error.reason.contains(name), "{}", error.reason);
+        assert_eq!(error.byte_offset, Some(at), "{name}");
     }
     for bytes in [
         &b"(cnumpy\nndarray\no."[..],
@@ -275,8 +275,8 @@ fn tensors_are_read_from_every_container_of_torch() {
     };
     let pickle = [b"\x80\x02", object.as_slice(), b"."].concat();
     for (name, value) in [
-        ("legacy", read_torch(&legacy_file(&object))),
-        ("zip", read_torch(&zip_file(&pickle, &storage_bytes()))),
+        ("legacy", torch::read(&legacy_file(&object))),
+        ("zip", torch::read(&zip_file(&pickle, &storage_bytes()))),
         ("pickle", read(&within)),
     ] {
         let value = value.unwrap_or_else(|r| panic!("{name}: {r:?}"));
@@ -303,8 +303,8 @@ fn tensors_are_read_from_every_container_of_torch() {
             "E-TORCH-FORMAT",
         ),
     ] {
-        let rejected = read_torch(&file).expect_err(name);
-        assert_eq!(rejected.code, code, "{name}: {}", rejected.reason);
+        let error = torch::read(&file).expect_err(name);
+        assert_eq!(error.code, code, "{name}: {}", error.reason);
     }
 }
 
@@ -399,9 +399,9 @@ proptest! {
             mutated[at] = byte;
         }
         for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
-            for read in [read(candidate), read_torch(candidate)] {
-                if let Err(rejected) = read {
-                    prop_assert!(rejected.code.starts_with("E-"), "{:?}", rejected);
+            for read in [read(candidate), torch::read(candidate)] {
+                if let Err(error) = read {
+                    prop_assert!(error.code.starts_with("E-"), "{:?}", error);
                 }
             }
         }

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use zip::ZipArchive;
 
-use super::machine::Machine;
-use super::object::{Node, Storage, StorageData};
-use super::{Options, Value};
-use crate::source::Rejected;
+use crate::error::Error;
+use crate::machine::Machine;
+use crate::object::{Node, Storage, StorageData};
+use crate::value::{Options, Value};
 
 /// What a file before PyTorch 1.6 begins with: a pickle of this number, then one of the version.
 const LEGACY_MAGIC: i128 = 0x1950_a86a_20f9_469c_fc6c;
@@ -24,12 +24,12 @@ const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 /// Reads a file of `torch.save`, old or new, tensors as arrays.
 ///
 /// # Errors
-/// `E-TORCH-FORMAT` if it is neither, and those of [`super::read`].
+/// `E-TORCH-FORMAT` if it is neither, and those of [`crate::read`].
 ///
 /// # Source
 /// `torch/serialization.py`: a zip with `data.pkl` and `data/<key>`, or five pickles (number,
 /// version, system, object, keys) followed by the storages, each behind its length.
-pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
+pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     if !bytes.starts_with(ZIP_MAGIC) {
         let legacy = Legacy::read(bytes)?;
         return legacy.machine.value(legacy.root, &legacy.storages);
@@ -50,7 +50,8 @@ pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
         return Err(wrong("found a byte order other than little".to_owned()));
     }
     let pickle = member(&mut archive, name)?;
-    let mut machine = Machine::new(&pickle[..], Options::default()).with_outside_storages();
+    let mut machine =
+        Machine::new(&pickle[..], Options::default(), read_storage).with_outside_storages();
     let root = machine.run()?;
     let mut storages = BTreeMap::new();
     for key in machine.outside_storages().into_keys() {
@@ -60,12 +61,12 @@ pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
     machine.value(root, &storages)
 }
 
-fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>, Rejected> {
+fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>, Error> {
     let failed = |error: &dyn std::fmt::Display| wrong(format!("cannot unpack {name} ({error})"));
     let file = archive.by_name(name).map_err(|error| failed(&error))?;
     let (len, packed_len) = (file.size(), file.compressed_size());
     if len > MAX_MEMBER_LEN || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > packed_len.max(1)) {
-        return Err(Rejected::read(
+        return Err(Error::new(
             "E-PICKLE-LIMIT",
             format!(
                 "{name} unpacks from {packed_len} to {len} bytes, expected at most \
@@ -81,7 +82,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
 }
 
 /// The storage in a file of its own, as tensors carry it in an ordinary pickle.
-pub(super) fn read_storage(bytes: &[u8]) -> Result<Storage, Rejected> {
+pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
     let legacy = Legacy::read(bytes)?;
     let Node::Storage(Storage {
         dtype,
@@ -105,8 +106,9 @@ struct Legacy<'a> {
 }
 
 impl<'a> Legacy<'a> {
-    fn read(bytes: &'a [u8]) -> Result<Self, Rejected> {
-        let mut machine = Machine::new(bytes, Options::default()).with_outside_storages();
+    fn read(bytes: &'a [u8]) -> Result<Self, Error> {
+        let mut machine =
+            Machine::new(bytes, Options::default(), read_storage).with_outside_storages();
         for (what, expected) in [("number", LEGACY_MAGIC), ("version", LEGACY_VERSION)] {
             let id = machine.run()?;
             if !matches!(machine.node(id), Node::Leaf(Value::Int(found)) if *found == expected) {
@@ -145,6 +147,6 @@ impl<'a> Legacy<'a> {
     }
 }
 
-fn wrong(reason: String) -> Rejected {
-    Rejected::read("E-TORCH-FORMAT", reason)
+fn wrong(reason: String) -> Error {
+    Error::new("E-TORCH-FORMAT", reason)
 }

@@ -1,27 +1,8 @@
-//! Python pickles, read as data and never executed.
-//!
-//! A pickle is a program for a small stack machine, and most of what it can ask for is code. Here
-//! the machine knows values (numbers, text, bytes, lists, tuples, sets, dictionaries) and a closed
-//! list of names whose meaning is written out in this module: NumPy's arrays, scalars and types,
-//! ordered dictionaries, tensors of PyTorch and the array wrappers of joblib. Any other name is
-//! refused where it stands, with the name and its place; nothing is ever imported or called.
-//!
-//! Lengths and shapes are held against the bytes that are there before anything is allocated by
-//! them; depth, number of objects and sharing are bounded.
+//! Values that pickles hold.
 
-mod array;
-mod input;
-mod machine;
-mod object;
-mod torch;
-
-use std::io::Read;
 use std::sync::Arc;
 
-pub use array::{Array, Dtype};
-use machine::Machine;
-
-use super::Rejected;
+use crate::array::Array;
 
 /// A value of a pickle.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,49 +137,3 @@ pub struct Options<'a> {
     /// Keep arrays of double precision in single precision.
     pub single_precision: bool,
 }
-
-/// The first bytes of a pickle of any protocol: a protocol mark, or a container of protocols 0
-/// and 1.
-pub fn has_magic(head: &[u8]) -> bool {
-    match head {
-        [0x80, version, ..] => *version <= machine::MAX_PROTOCOL,
-        [b'(', b'd' | b'l' | b't', ..] | [b'}' | b']', b'q' | b'.', ..] => true,
-        _ => false,
-    }
-}
-
-/// Reads a pickle.
-///
-/// # Errors
-/// `E-PICKLE-REFUSED` for anything that would be code, `E-PICKLE-TRUNCATED` if the bytes end too
-/// early, `E-PICKLE-LIMIT` where a bound is exceeded, `E-PICKLE-DTYPE` and `E-PICKLE-SHAPE` for
-/// arrays, `E-PICKLE-FORMAT` for anything that is no pickle.
-pub fn read(bytes: &[u8]) -> Result<Value, Rejected> {
-    read_from(bytes, &Options::default())
-}
-
-/// Reads a pickle from a stream.
-///
-/// # Errors
-/// As [`read`]; `E-PICKLE-UNPACK` if the stream is packed and damaged, `E-IO` if it fails.
-pub fn read_from<'a>(reader: impl Read + 'a, options: &Options<'a>) -> Result<Value, Rejected> {
-    Machine::new(reader, *options).read()
-}
-
-/// Reads a pickle in which joblib's array wrappers are followed by the arrays' bytes.
-///
-/// # Errors
-/// As [`read_from`].
-pub(super) fn read_with_wrapped_arrays<'a>(
-    reader: impl Read + 'a,
-    options: &Options<'a>,
-) -> Result<Value, Rejected> {
-    Machine::new(reader, *options).with_wrapped_arrays().read()
-}
-
-pub use torch::read as read_torch;
-
-#[cfg(test)]
-pub(crate) mod fixture;
-#[cfg(test)]
-mod tests;

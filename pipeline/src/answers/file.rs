@@ -10,10 +10,13 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::recorded::{Recorded, VECTORS_WIDTH};
 use super::{AnswerOptions, Place, Up};
-use crate::source::npz::Archive;
-use crate::source::pickle::{self, Value};
+use crate::clip::Rejected;
 use crate::source::smpl::column;
-use crate::source::{Rejected, amass, humanml3d, joblib, npy};
+use crate::source::{amass, humanml3d};
+use pickle::joblib;
+use pickle::npy;
+use pickle::npz::Archive;
+use pickle::{self, Value};
 
 /// What the name of a file says it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,9 +141,9 @@ fn of_amass(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected>
 
 fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
     if let Some((dump, start)) = npy::pickled("array", bytes)? {
-        let at = |rejected: Rejected| Rejected {
-            byte_offset: rejected.byte_offset.map(|at| at + start as u64),
-            ..rejected
+        let at = |error: pickle::Error| pickle::Error {
+            byte_offset: error.byte_offset.map(|at| at + start as u64),
+            ..error
         };
         let value = pickle::read(dump).map_err(at)?;
         // NumPy pickles the array, whose one item is the dictionary.

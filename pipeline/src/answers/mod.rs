@@ -20,9 +20,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::clip::Rejected;
 use crate::export::item_stem;
 use crate::ingest::list_files;
-use crate::source::Rejected;
 use file::Kind;
 use recorded::Recorded;
 

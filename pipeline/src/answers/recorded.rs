@@ -9,7 +9,9 @@ use kinematics::rotation::{self, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{AnswerOptions, Place, Up};
-use crate::source::{MAX_FPS, MIN_FPS, Rejected, floor, smpl};
+use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
+use crate::floor;
+use crate::source::smpl;
 
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -186,7 +188,7 @@ impl Recorded {
     }
 }
 
-fn bad(error: &datasets_spec::Error) -> Rejected {
+fn bad(error: &dyn std::fmt::Display) -> Rejected {
     Rejected::read("E-NOT-FINITE", error.to_string())
 }
 

@@ -19,7 +19,7 @@ use parquet::arrow::arrow_reader::{
 };
 
 use super::recorded::Recorded;
-use crate::source::Rejected;
+use crate::clip::Rejected;
 
 /// Columns that may hold the id of the item, the first that is there.
 const ID_COLUMNS: [&str; 2] = ["id", "item"];

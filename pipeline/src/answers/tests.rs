@@ -15,10 +15,11 @@ use parquet::file::properties::WriterProperties;
 use super::*;
 use crate::compose::fixture::wandering;
 use crate::export::export_items;
-use crate::source::amass::tests::{clip_members, npz};
-use crate::source::npy::tests::{npy, npy_f8};
-use crate::source::pickle::{Array as PickleArray, Value};
+use crate::fixture::npz;
+use crate::fixture::{npy, npy_f8};
+use crate::source::amass::tests::clip_members;
 use crate::verify::verify;
+use pickle::{Array as PickleArray, Value};
 
 /// A question about a wandering body.
 pub(super) fn item(number: usize) -> ItemRow {
@@ -130,7 +131,7 @@ fn store_npz(motion: &Motion, fps: f64) -> Vec<u8> {
 
 /// What `numpy.save` makes of a dictionary: an array of one object, pickled.
 fn npy_of(value: Value) -> Vec<u8> {
-    let pickled = crate::write::pickle::encode(&Value::List(vec![value]));
+    let pickled = pickle::encode(&Value::List(vec![value]));
     npy(
         "{'descr': '|O', 'fortran_order': False, 'shape': (), }",
         &pickled,
@@ -238,7 +239,7 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     put(
         dir.path(),
         &format!("{}.pkl", id(5)),
-        crate::write::pickle::encode(&release),
+        pickle::encode(&release),
     );
 
     let answers = answers(dir.path(), &items, &options());

@@ -766,6 +766,7 @@ impl Library {
 mod tests {
     use datasets_spec::{BodyPart, Split};
     use kinematics::canonical::WINDOW_FRAMES;
+    use kinematics::normalise::NormalizedFrame;
 
     use super::*;
     use crate::compose::{BaseFilter, fixture};

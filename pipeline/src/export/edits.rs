@@ -72,7 +72,7 @@ pub fn export_edits(
     };
     let skeleton = dataset.skeleton()?;
     let encode = |motion: &Motion, skeleton: &Skeleton| match layout {
-        Layout::Amass => amass::encode(motion, skeleton),
+        Layout::Amass => crate::write::amass::encode_smplx(motion, skeleton),
         Layout::Bvh => Ok(write::bvh::encode(motion, skeleton).into_bytes()),
         _ => write::gltf::encode(motion, skeleton),
     };

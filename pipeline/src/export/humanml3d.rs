@@ -16,7 +16,7 @@ use crate::Error;
 use crate::feature::humanml3d::{Features, features_of_joints, joints_of_motion, recover_joints};
 use crate::feature::{Statistics, smpl_body};
 use crate::source::humanml3d::is_id;
-use crate::write::npy;
+use pickle::npy;
 
 /// Writes a HumanML3D folder, and returns how many clips are in it.
 ///
@@ -184,9 +184,9 @@ impl Writer {
             .flatten()
             .flat_map(|joint| joint.as_vec3().to_array())
             .collect();
-        let frames = features.len() as u64;
-        let (vectors, width) = (features.as_flattened(), HUMANML3D_WIDTH as u64);
-        let shape = [frames, NUM_BODY_JOINTS as u64, 3];
+        let frames = features.len();
+        let (vectors, width) = (features.as_flattened(), HUMANML3D_WIDTH);
+        let shape = [frames, NUM_BODY_JOINTS, 3];
         self.array(
             &format!("new_joint_vecs/{name}.npy"),
             &[frames, width],
@@ -221,7 +221,7 @@ impl Writer {
             let lines: String = names.iter().flat_map(|name| [*name, "\n"]).collect();
             self.file(file, lines.as_bytes())?;
         }
-        let width = [HUMANML3D_WIDTH as u64];
+        let width = [HUMANML3D_WIDTH];
         self.array("Mean.npy", &width, &self.statistics.mean())?;
         self.array("Std.npy", &width, &self.statistics.group_std())?;
         Ok(self.clips)
@@ -235,9 +235,8 @@ impl Writer {
             .map_err(Error::io("write", self.root.join("ids.csv")))
     }
 
-    fn array(&self, name: &str, shape: &[u64], values: &[f32]) -> Result<(), Error> {
-        let bytes = npy::encode(shape, values).map_err(Error::io("encode", name))?;
-        self.file(name, &bytes)
+    fn array(&self, name: &str, shape: &[usize], values: &[f32]) -> Result<(), Error> {
+        self.file(name, &npy::encode(shape, values))
     }
 
     fn file(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
@@ -275,8 +274,8 @@ mod tests {
     use crate::feature::humanml3d::{UNIFORM_BONES, process_joints};
     use crate::ingest::{IngestOptions, ingest};
     use crate::retarget::tests::walk;
-    use crate::source::npy::read_numbers;
     use datasets_spec::{Motion, NoProgress};
+    use pickle::npy::read_numbers;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
         let sources = [PathBuf::from(source)];
@@ -373,7 +372,7 @@ mod tests {
         let motion = Motion::from_poses(Fps::STORE, &walk(30)).expect("valid");
         let features =
             features_of_joints(&joints_of_motion(&motion, &skeleton)).expect("long enough");
-        let vector = npy::encode(&[29, 263], features.as_flattened()).expect("encoded");
+        let vector = npy::encode(&[29, 263], features.as_flattened());
         for id in ["000000", "M000000", "M000001", "walk"] {
             fs::write(at("in/new_joint_vecs").join(format!("{id}.npy")), &vector).expect("written");
         }

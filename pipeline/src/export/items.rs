@@ -8,7 +8,7 @@ use datasets_spec::{Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Staging, amass};
+use super::Staging;
 use crate::Error;
 
 const LIST: &str = "items.json";
@@ -85,7 +85,7 @@ pub fn export_items(
             let put = |side: &str, motion: &Motion| -> Result<File, Error> {
                 let file = format!("{side}/{}.npz", item_stem(&item.id));
                 let path = folder.path.join(&file);
-                let bytes = amass::encode_with_keypoints(motion, skeleton)
+                let bytes = crate::write::amass::encode_with_keypoints(motion, skeleton)
                     .map_err(Error::io("encode", &path))?;
                 fs::write(&path, bytes).map_err(Error::io("write", &path))?;
                 let frames = motion.len();

@@ -16,12 +16,11 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::Error;
-use crate::source::pickle::{Array, Value};
 use crate::source::stance::origin::{self, Origin, Origins};
 use crate::source::stance::{
     ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
 };
-use crate::write::pickle;
+use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder, and returns how many
 /// motions there are.

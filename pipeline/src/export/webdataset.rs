@@ -14,7 +14,7 @@ use datasets_spec::{Dataset, Progress, Split};
 use serde_json::json;
 
 use crate::Error;
-use crate::write::npy;
+use pickle::npy;
 
 /// Clips and bytes of a shard, whichever is reached first.
 const SHARD_CLIPS: usize = 1000;
@@ -91,10 +91,8 @@ impl Shards<'_> {
             return Ok(());
         };
         let key = key(row.id.as_str());
-        let array = |frames: &[f32], width: usize| {
-            let shape = [(frames.len() / width) as u64, width as u64];
-            npy::encode(&shape, frames)
-        };
+        let array =
+            |frames: &[f32], width: usize| npy::encode(&[frames.len() / width, width], frames);
         let members = [
             ("transl.npy", array(row.transl.as_flattened(), 3)),
             (
@@ -104,7 +102,6 @@ impl Shards<'_> {
             ("body_pose.npy", array(row.body_pose.as_flattened(), 63)),
         ];
         for (name, bytes) in members {
-            let bytes = bytes.map_err(Error::io("encode", &path))?;
             shard
                 .append(&format!("{key}.{name}"), &bytes)
                 .map_err(Error::io("write", &path))?;

@@ -236,11 +236,12 @@ pub(crate) fn directions_of_joints(
 mod tests {
     use std::path::{Path, PathBuf};
 
+    use datasets_spec::record::HUMANML3D_WIDTH;
     use proptest::prelude::*;
 
     use super::*;
     use crate::golden::{Recorded, read};
-    use crate::source::npy::{Array, read_numbers};
+    use pickle::npy::{Array, read_numbers};
 
     const CASES: [&str; 4] = [
         "humanml3d_random0",
@@ -298,7 +299,7 @@ mod tests {
             let recorded = read(case);
             let source = joints(&recorded, "in.joints");
             let uniform = unified(&source, &bones(&recorded)).expect("every bone has a length");
-            let uniform = uniform.placed(Placement::IDENTITY);
+            let uniform = uniform.placed(Placement::new(DVec3::ZERO, DVec3::Z));
             // The published code goes through f32 quaternions.
             let difference = largest_distance(&uniform, &joints(&recorded, "out.uniform"));
             assert!(difference < 1e-5, "{case}: {difference}");
@@ -378,8 +379,7 @@ mod tests {
     /// Features of joints that are on the uniform skeleton, on the floor and facing +z already.
     fn features_of_processed(joints: &[Joints]) -> Vec<Features> {
         let clip = Clip::gather(joints);
-        clip.check_bones().expect("every bone has a direction");
-        features_of(&clip, Placement::IDENTITY)
+        features_of(&clip, Placement::new(DVec3::ZERO, DVec3::Z))
     }
 
     #[expect(

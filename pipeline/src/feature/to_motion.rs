@@ -17,7 +17,7 @@ use super::humanml3d::{
     FeatureError, Features, Joints, UNIFORM_BONES, directions_of_joints, recover_directions,
 };
 use super::smpl_body::{SMPL_REST_BONES, smpl_body};
-use crate::source::floor;
+use crate::floor;
 
 /// A limb of two bones: the joint it hangs from, the joint between its bones, the joint at its end,
 /// and the axis at rest about which it bends.
@@ -94,7 +94,7 @@ pub fn motion_of_joints(
             target
         })
         .collect();
-    let no_motion = |error: datasets_spec::Error| FeatureError::NoMotion {
+    let no_motion = |error: kinematics::Error| FeatureError::NoMotion {
         reason: error.to_string(),
     };
     let options = FitOptions::body_joints();

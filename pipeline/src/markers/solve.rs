@@ -15,7 +15,8 @@ use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::placement::{MARKER_SETS, bare_label, placement};
-use crate::source::{Markers, floor};
+use crate::clip::Markers;
+use crate::floor;
 
 /// Share of a set's labels that must be there for the set to be recognised.
 const MIN_SHARE: f64 = 0.7;

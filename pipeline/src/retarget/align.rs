@@ -13,7 +13,7 @@ use kinematics::rotation::{arc, slerp};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
-use crate::source::floor::percentile;
+use crate::floor::percentile;
 
 /// The constant rotation of each body joint; the identity where the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];

@@ -25,7 +25,8 @@ use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
 use self::track::{Track, TrackRest, leg_length};
 use self::user_map::{RestPose, Up};
-use crate::source::{ReadOptions, Rejected, RotationSource, SourceClip, floor};
+use crate::clip::{Rejected, RotationSource, SourceClip};
+use crate::floor;
 
 /// Units that motion files are written in, in metres. The CMU unit is 1/0.45 inch, the scale of the
 /// original ASF files, which their conversions kept.
@@ -37,22 +38,23 @@ const UNITS: [(&str, f64); 5] = [
     ("millimetres", 0.001),
 ];
 
-/// Retargets a parsed file to the body.
+/// Retargets a parsed file to the body. `joint_map` is that of the user, which wins over those that
+/// are known wherever its joints are there.
 ///
 /// # Errors
 /// The rig's code for skeletons if its skeleton is no body, `E-NOT-FINITE` if its joints leave the
 /// numbers.
-pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
-    let skeleton = &options.skeleton;
+pub fn clip(
+    rig: &impl Rig,
+    skeleton: &Skeleton,
+    joint_map: Option<&UserMap>,
+) -> Result<SourceClip, Rejected> {
     let bones = rig.bones();
     let rests = rig.rests();
     let reject = |reason: String| Rejected::retarget(rig.skeleton_code(), reason);
-    let mapping = Mapping::find(&bones, &rests, options.user_map.as_ref()).map_err(reject)?;
+    let mapping = Mapping::find(&bones, &rests, joint_map).map_err(reject)?;
     // What the user says of unit, axes and rest belongs to the files the map fits.
-    let user_map = options
-        .user_map
-        .as_ref()
-        .filter(|_| mapping.origin == Origin::User);
+    let user_map = joint_map.filter(|_| mapping.origin == Origin::User);
     let mut track = Track::follow(rig, &bones, &rests, &mapping)?;
     let from_rest = by_rest(&track, user_map.and_then(UserMap::rest), skeleton);
     let mut notes = vec![if mapping.is_guess() {
@@ -65,7 +67,7 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     if !absent.is_empty() {
         notes.push(format!("not in the source: {}", absent.join(", ")));
     }
-    if let Some(map) = options.user_map.as_ref().filter(|_| user_map.is_none()) {
+    if let Some(map) = joint_map.filter(|_| user_map.is_none()) {
         notes.push(format!(
             "the joint map {} does not fit the file",
             map.name()
@@ -537,7 +539,7 @@ pub(crate) mod tests {
 
     fn retarget(text: &str) -> SourceClip {
         let bvh = Bvh::parse(text.as_bytes()).expect("the test writes valid files");
-        clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
+        clip(&bvh, &Skeleton::smplx_neutral(), None).expect("the test writes bodies")
     }
 
     fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
@@ -662,7 +664,7 @@ pub(crate) mod tests {
 
     fn rejected(text: &str) -> Rejected {
         let bvh = Bvh::parse(text.as_bytes()).expect("a valid file");
-        clip(&bvh, &ReadOptions::default()).expect_err("no body")
+        clip(&bvh, &Skeleton::smplx_neutral(), None).expect_err("no body")
     }
 
     #[test]
@@ -732,13 +734,10 @@ pub(crate) mod tests {
             "{{\"name\": \"mine\", \"joints\": {{{}}}, \"unit\": 1.0, \"up\": \"z\"}}",
             joints.join(", ")
         );
-        let options = ReadOptions {
-            user_map: Some(UserMap::parse(&map).expect("a map")),
-            ..ReadOptions::default()
-        };
+        let map = UserMap::parse(&map).expect("a map");
         let read = |text: &str| {
             let bvh = Bvh::parse(text.as_bytes()).expect("valid");
-            clip(&bvh, &options).expect("a body")
+            clip(&bvh, &skeleton, Some(&map)).expect("a body")
         };
         let found = read(&text);
         assert_same_motion(&found, &poses);
@@ -775,12 +774,9 @@ pub(crate) mod tests {
             "{{\"name\": \"mine\", \"joints\": {{{}}}, \"rest\": \"first-frame\"}}",
             joints.join(", ")
         );
-        let options = ReadOptions {
-            user_map: Some(UserMap::parse(&map).expect("a map")),
-            ..ReadOptions::default()
-        };
+        let map = UserMap::parse(&map).expect("a map");
         let bvh = Bvh::parse(text.as_bytes()).expect("valid");
-        let clip = clip(&bvh, &options).expect("a body");
+        let clip = clip(&bvh, &skeleton, Some(&map)).expect("a body");
         assert!(
             clip.notes
                 .iter()
@@ -895,7 +891,7 @@ pub(crate) mod tests {
                     bytes[at] = b'e';
                 }
             }
-            if let Ok(clip) = Bvh::parse(&bytes).and_then(|bvh| clip(&bvh, &ReadOptions::default())) {
+            if let Ok(clip) = Bvh::parse(&bytes).and_then(|bvh| clip(&bvh, &Skeleton::smplx_neutral(), None)) {
                 prop_assert!(clip.motion.fps() <= Fps::new(1e4).expect("valid"));
                 prop_assert!(clip.fit_error_m.is_some());
             }

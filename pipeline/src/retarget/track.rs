@@ -5,7 +5,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::joint_map::Mapping;
 use super::rig::{Bone, Placed, Rest, Rig};
-use crate::source::Rejected;
+use crate::clip::Rejected;
 
 /// Global rotations and positions of the mapped joints of a source, in its own unit.
 pub(super) struct Track {

@@ -9,13 +9,13 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::to_axis_angle;
 use kinematics::{motion, resample};
 
-use super::npy::{self, Rows};
-use super::npz::Archive;
-use super::{
-    MAX_FPS, MIN_FPS, ReadOptions, Rejected, RotationSource, SourceClip, amass_catalogue, floor,
-};
+use super::{ReadOptions, amass_catalogue};
 use crate::check::FLAG_FPS_DOUBTFUL;
+use crate::clip::{MAX_FPS, MIN_FPS, Rejected, RotationSource, SourceClip};
 use crate::feature::smpl_body;
+use crate::floor;
+use pickle::npy::{self, Rows};
+use pickle::npz::Archive;
 
 /// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
@@ -381,7 +381,7 @@ impl Parameters<'_> {
         fps: Fps,
         skeleton: &Skeleton,
     ) -> Result<Motion, Rejected> {
-        let bad = |error: datasets_spec::Error| Rejected::read("E-NOT-FINITE", error.to_string());
+        let bad = |error: kinematics::Error| Rejected::read("E-NOT-FINITE", error.to_string());
         // The frames that are needed, each followed by the next where a place lies between.
         let mut needed = Vec::with_capacity(grid.len());
         let among_needed: Vec<(usize, f64)> = grid
@@ -591,19 +591,7 @@ pub(crate) mod tests {
     use zip::write::SimpleFileOptions;
 
     use super::*;
-    use crate::source::npy::tests::{npy, npy_f8};
-
-    /// An npz archive of these members.
-    pub(crate) fn npz(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
-        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
-        for (key, bytes) in members {
-            writer
-                .start_file(format!("{key}.npy"), SimpleFileOptions::default())
-                .expect("in memory");
-            writer.write_all(bytes).expect("in memory");
-        }
-        writer.finish().expect("in memory").into_inner()
-    }
+    use crate::fixture::{npy, npy_f8, npz};
 
     /// Members of a clip of `frames` frames and `width` pose columns in which everything differs.
     pub(crate) fn clip_members(frames: usize, width: usize) -> Vec<(&'static str, Vec<u8>)> {

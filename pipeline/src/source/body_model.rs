@@ -8,10 +8,10 @@ use datasets_spec::Skeleton;
 use glam::DVec3;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
-use super::Rejected;
-use super::npy::{self, Array};
-use super::npz::Archive;
 use crate::Error;
+use crate::clip::Rejected;
+use pickle::npy::{self, Array};
+use pickle::npz::Archive;
 
 /// Largest array read of a model, in bytes, but for its shapes. The joint regressor of SMPL-X takes
 /// 4.6 MB; pose blend shapes, which take hundreds, are never unpacked.
@@ -283,7 +283,10 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
         )),
         "npy" => {
             let bytes = fs::read(path).map_err(Error::io("read", path))?;
-            npy::read_numbers("joints", &bytes).and_then(|array| points("joints", &array))
+            let array = npy::read_numbers("joints", &bytes);
+            array
+                .map_err(Rejected::from)
+                .and_then(|array| points("joints", &array))
         }
         "pkl" | "pickle" => Err(Rejected::read(
             "E-PICKLE-REFUSED",
@@ -472,8 +475,8 @@ pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::source::amass::tests::npz;
-    use crate::source::npy::tests::{npy, npy_f8};
+    use crate::fixture::npz;
+    use crate::fixture::{npy, npy_f8};
 
     /// A model whose vertices are the neutral joints, twice each at equal distances.
     fn model(joints: &[usize], parents: &[f64]) -> Vec<(&'static str, Vec<u8>)> {

@@ -10,7 +10,8 @@ use std::ops::Range;
 use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
-use super::{MAX_FPS, MIN_FPS, Rejected, UTF8_BOM};
+use super::UTF8_BOM;
+use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
 use crate::retarget::{Bone, Placed, Rest, Rig};
 
 /// Most joints read from one file. Full-body rigs with fingers and face have some 200.

@@ -14,10 +14,9 @@ use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::Parameters;
-use super::{
-    MAX_FPS, MIN_FPS, Markers, Outcome, ReadOptions, Rejected, RotationSource, SourceClip,
-};
+use super::ReadOptions;
 use crate::check::FLAG_GAPS_FILLED;
+use crate::clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected, RotationSource, SourceClip};
 use crate::markers::{self, is_model_output};
 
 /// Bytes of a block.

@@ -18,7 +18,8 @@ use gltf::json::animation::{Interpolation, Property};
 use gltf::json::validation::Checked;
 use kinematics::rotation::slerp;
 
-use super::{MAX_FPS, MIN_FPS, ReadOptions, Rejected, SourceClip, UTF8_BOM};
+use super::{ReadOptions, UTF8_BOM};
+use crate::clip::{MAX_FPS, MIN_FPS, Rejected, SourceClip};
 use crate::retarget::{self, Bone, Placed, Rest, Rig};
 
 /// What a file or one of its animations holds.
@@ -100,7 +101,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Content, R
     let Some(performance) = skeleton.perform(&document, &document.root.animations[index])? else {
         return no_motion("the animation moves no joint of the skin");
     };
-    let mut clip = retarget::clip(&performance, options)?;
+    let mut clip = retarget::clip(&performance, &options.skeleton, options.user_map.as_ref())?;
     clip.notes.push(format!("animation {}", names[index]));
     if !performance.on_keys {
         clip.notes.push(format!(

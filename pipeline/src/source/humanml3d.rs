@@ -10,14 +10,12 @@ use datasets_spec::{Fps, Skeleton, Split};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::npy::{self, Array, Header};
-use super::{
-    Entry, Files, Format, Outcome, ReadOptions, Recognised, Rejected, Release, RotationSource,
-    SourceClip, labels,
-};
+use super::{Entry, Files, Format, ReadOptions, Recognised, Release, labels};
 use crate::check::FLAG_POOR_FIT;
+use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
 use crate::feature::humanml3d::recover_joints;
 use crate::feature::{motion_of_features, motion_of_joints};
+use pickle::npy::{self, Array, Header};
 
 /// Rate of the published clips.
 pub(crate) const FPS: Fps = Fps::STORE;
@@ -491,7 +489,9 @@ fn compare(files: &Files, vector: &[u8], joints_file: &str, clip: &mut SourceCli
     let stored = files
         .read(joints_file)
         .and_then(|bytes| joints(&npy::read_numbers("joints", &bytes)?));
-    let own = npy::read_numbers("features", vector).and_then(|array| features(&array));
+    let own = npy::read_numbers("features", vector)
+        .map_err(Rejected::from)
+        .and_then(|array| features(&array));
     let (stored, own) = match (stored, own) {
         (Ok(stored), Ok(own)) => (stored, recover_joints(&own)),
         (Err(rejected), _) | (_, Err(rejected)) => {
@@ -657,8 +657,8 @@ mod tests {
 
     use super::*;
     use crate::feature::humanml3d::{features_of_joints, joints_of_motion};
+    use crate::fixture::{npy, npy_f8};
     use crate::retarget::tests::walk;
-    use crate::source::npy::tests::{npy, npy_f8};
 
     /// Files in a temporary folder.
     struct Source {

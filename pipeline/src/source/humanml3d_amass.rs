@@ -16,12 +16,11 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS};
 use super::amass::{self, Parameters, Parsed};
 use super::amass_catalogue::{Recording, Subset};
 use super::humanml3d::{self, IndexRow, Splits};
-use super::{
-    Entry, Files, Format, Outcome, ReadOptions, Rejected, Release, RotationSource, SourceClip,
-    floor,
-};
+use super::{Entry, Files, Format, ReadOptions, Release};
 use crate::Error;
 use crate::check::FLAG_FPS_DOUBTFUL;
+use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
+use crate::floor;
 
 /// Part of the path of the rows that were not made of AMASS but of HumanAct12's joints.
 const HUMANACT12: &str = "humanact12";
@@ -500,9 +499,10 @@ mod tests {
 
     use super::*;
     use crate::feature::smpl_body;
-    use crate::source::amass::tests::{clip_members, npz};
+    use crate::fixture::npy_f8;
+    use crate::fixture::npz;
+    use crate::source::amass::tests::clip_members;
     use crate::source::body_model::tests::subjects;
-    use crate::source::npy::tests::npy_f8;
 
     fn row(start: usize, end: Option<usize>) -> IndexRow {
         IndexRow {

@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::table::Caption;
 use serde::Deserialize;
 
-use super::{Rejected, SourceClip};
+use crate::clip::{Rejected, SourceClip};
 use crate::sidecar::Sidecar;
 
 /// Reads what lies beside a motion file into its clip.
@@ -215,7 +215,7 @@ mod tests {
     use datasets_spec::{Fps, Motion, Pose};
 
     use super::*;
-    use crate::source::RotationSource;
+    use crate::clip::RotationSource;
 
     fn bare_clip() -> SourceClip {
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid");

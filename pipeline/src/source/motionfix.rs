@@ -11,12 +11,11 @@ use std::fs::File;
 use datasets_spec::{BodyPart, Fps, Seed, Split};
 use serde_json::Value as Json;
 
-use super::pickle::{Options, Value};
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use super::{
-    EditOf, Entry, Files, Format, LFS_POINTER, Outcome, ReadOptions, Rejected, Release,
-    RotationSource, SourceClip, joblib, refuse_pointer,
-};
+use super::{Entry, Files, Format, LFS_POINTER, ReadOptions, Release, refuse_pointer};
+use crate::clip::{EditOf, Outcome, Rejected, RotationSource, SourceClip};
+use pickle::joblib;
+use pickle::{Options, Value};
 
 /// Rate of every motion of the release, in 1/s.
 const RELEASE_FPS: f64 = 30.0;

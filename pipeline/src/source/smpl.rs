@@ -5,8 +5,9 @@ use glam::{DQuat, DVec3};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::to_axis_angle;
 
-use super::pickle::{Array, Value};
-use super::{Rejected, floor};
+use crate::clip::Rejected;
+use crate::floor;
+use pickle::{Array, Value};
 
 /// Parameters of a motion as a file has them, in single precision.
 ///

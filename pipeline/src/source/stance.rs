@@ -12,7 +12,8 @@ pub(crate) mod origin;
 mod release;
 mod split;
 
-use super::{Files, Rejected, Release};
+use super::{Files, Release};
+use crate::clip::Rejected;
 
 pub use motion::read_pickle_motion;
 pub(crate) use name::{FIRST_FREE_NUMBER, file_stem};

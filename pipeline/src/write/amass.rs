@@ -1,126 +1,160 @@
-//! AMASS archives in the SMPL-H layout (`*_poses.npz`).
+//! AMASS archives: the SMPL-H layout (`*_poses.npz`) and that of the SMPL-X N release
+//! (`*_stageii.npz`).
+//!
+//! AMASS is z up. The reader's rule `p' = (x, z, -y)`, a rotation `Q` by -90 degrees about x with
+//! `R' = Q R` and `t' = Q (t + J0) - J0`, is inverted here; `J0` is the rest pelvis of the skeleton.
+//! The body rotations are written as they are, for the skeleton the motion belongs to.
+//!
+//! # Source
+//! The key lists of the SMPL+H G and SMPL-X N releases of AMASS.
 
-use std::io::{self, Cursor, Seek, Write};
+use std::io;
 
 use datasets_spec::{Motion, Skeleton};
-use glam::{DQuat, DVec3};
+use glam::DQuat;
 use kinematics::rotation::to_axis_angle;
-use npyz::WriterBuilder;
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, DateTime, System, ZipWriter};
+use pickle::npz::Writer;
 
-/// Numbers of a row of `poses`: 52 joints of SMPL-H times 3.
-pub const POSES_WIDTH: usize = 156;
+/// Joints of a row of `poses` in the SMPL-H layout.
+const SMPLH_JOINTS: usize = 52;
+/// Joints of a row of `poses` in the SMPL-X layout.
+const SMPLX_JOINTS: usize = 55;
 /// Numbers of `betas`.
 const NUM_BETAS: usize = 16;
 /// Numbers of a row of `dmpls`, the soft-tissue coefficients.
 const NUM_DMPLS: usize = 8;
 
-/// Encodes a motion as an AMASS archive: `poses` `[L, 156]` (root, 21 body joints, flat hands),
+/// Parameters of a motion in the axes of AMASS, row-major.
+struct Parameters {
+    num_frames: usize,
+    /// Root orientations `[L, 3]`, axis-angle.
+    root: Vec<f64>,
+    /// Body rotations `[L, 63]`, axis-angle.
+    body: Vec<f64>,
+    /// Translations `[L, 3]` in metres.
+    trans: Vec<f64>,
+}
+
+impl Parameters {
+    fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
+        let file_from_motion = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
+        let rest_pelvis = skeleton.rest(0);
+        let (mut root, mut trans) = (Vec::new(), Vec::new());
+        for pose in motion.poses() {
+            root.extend(to_axis_angle(file_from_motion * pose.rotations[0]).to_array());
+            let shifted = file_from_motion * (pose.transl + rest_pelvis) - rest_pelvis;
+            trans.extend(shifted.to_array());
+        }
+        let body = motion.body_pose().as_flattened().iter();
+        Self {
+            num_frames: motion.len(),
+            root,
+            body: body.map(|&value| f64::from(value)).collect(),
+            trans,
+        }
+    }
+
+    /// Rows of `poses`: root, body, and the remaining joints at rest.
+    fn poses(&self, num_joints: usize) -> Vec<f64> {
+        let width = 3 * num_joints;
+        let mut poses = Vec::with_capacity(self.num_frames * width);
+        let bodies = self.body.chunks_exact(self.body.len() / self.num_frames);
+        for (frame, (root, body)) in self.root.chunks_exact(3).zip(bodies).enumerate() {
+            poses.extend_from_slice(root);
+            poses.extend_from_slice(body);
+            poses.resize((frame + 1) * width, 0.0);
+        }
+        poses
+    }
+}
+
+/// Encodes a motion in the SMPL-H layout: `poses` `[L, 156]` (root, 21 body joints, flat hands),
 /// `trans` `[L, 3]`, `betas` and `dmpls` zero, `gender` "neutral", `mocap_framerate`.
-///
-/// AMASS is z up. The reader's rule `p' = (x, z, -y)`, a rotation Q by -90 degrees about x with
-/// `R' = Q R` and `t' = Q (t + J0) - J0`, is inverted here; J0 is the rest pelvis of the skeleton.
-/// The 22 body rotations are written as they are, for the skeleton the motion belongs to.
-///
-/// Members are stored, not compressed: compressors choose code paths by processor, and equal
-/// motions shall give equal bytes everywhere. Their time stamps are the earliest a zip can hold.
 ///
 /// # Errors
 /// The archive exceeds what a zip without 64-bit extensions can hold (4 GiB).
-///
-/// # Source
-/// The key list of the SMPL+H G release of AMASS.
 pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
-    let file_from_motion = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
-    let rest_pelvis = skeleton.rest(0);
+    let parameters = Parameters::of(motion, skeleton);
     let num_frames = motion.len();
-    let mut poses = Vec::with_capacity(num_frames * POSES_WIDTH);
-    let mut trans = Vec::with_capacity(num_frames * 3);
-    for (frame, pose) in motion.poses().into_iter().enumerate() {
-        let root = to_axis_angle(file_from_motion * pose.rotations[0]);
-        poses.extend(root.to_array());
-        poses.extend(motion.body_pose()[frame].map(f64::from));
-        poses.resize((frame + 1) * POSES_WIDTH, 0.0);
-        let t: DVec3 = file_from_motion * (pose.transl + rest_pelvis) - rest_pelvis;
-        trans.extend(t.to_array());
-    }
-
-    let frames = num_frames as u64;
-    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    array(&mut archive, "poses", &[frames, POSES_WIDTH as u64], &poses)?;
-    array(&mut archive, "trans", &[frames, 3], &trans)?;
-    array(
-        &mut archive,
-        "betas",
-        &[NUM_BETAS as u64],
-        &[0.0; NUM_BETAS],
-    )?;
+    let mut archive = Writer::default();
+    let poses = parameters.poses(SMPLH_JOINTS);
+    archive.numbers("poses", &[num_frames, 3 * SMPLH_JOINTS], &poses)?;
+    archive.numbers("trans", &[num_frames, 3], &parameters.trans)?;
+    archive.numbers("betas", &[NUM_BETAS], &[0.0; NUM_BETAS])?;
     let dmpls = vec![0.0; num_frames * NUM_DMPLS];
-    array(&mut archive, "dmpls", &[frames, NUM_DMPLS as u64], &dmpls)?;
-    array(&mut archive, "mocap_framerate", &[], &[motion.fps().get()])?;
-    text(&mut archive, "gender", "neutral")?;
-    Ok(archive.finish()?.into_inner())
+    archive.numbers("dmpls", &[num_frames, NUM_DMPLS], &dmpls)?;
+    archive.numbers("mocap_framerate", &[], &[motion.fps().get()])?;
+    archive.text("gender", "neutral")?;
+    archive.finish()
 }
 
-fn start(archive: &mut ZipWriter<impl Write + Seek>, name: &str) -> io::Result<()> {
-    let options = SimpleFileOptions::default()
-        .compression_method(CompressionMethod::Stored)
-        .last_modified_time(DateTime::default())
-        .system(System::Unix);
-    Ok(archive.start_file(npyz::npz::file_name_from_array_name(name), options)?)
+/// Encodes a motion in the layout of the SMPL-X N release: `poses` `[L, 165]` (root, body, jaw, eyes,
+/// hands) and the same in parts, `trans` `[L, 3]`, `betas` zero, gender neutral. Hands, jaw and eyes
+/// are at rest.
+///
+/// # Errors
+/// As [`encode`].
+pub(crate) fn encode_smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+    smplx(motion, skeleton)?.finish()
 }
 
-/// Adds an array of numbers.
-pub(crate) fn array<T: npyz::AutoSerialize>(
-    archive: &mut ZipWriter<impl Write + Seek>,
-    name: &str,
-    shape: &[u64],
-    values: &[T],
-) -> io::Result<()> {
-    start(archive, name)?;
-    super::npy::write(archive, shape, values)
+/// [`encode_smplx`], with the 28 keypoints in the same axes: `keypoints` `[L, 28, 3]` in metres.
+///
+/// # Errors
+/// As [`encode`].
+pub(crate) fn encode_with_keypoints(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+    let mut archive = smplx(motion, skeleton)?;
+    let points = skeleton.motion_keypoints(motion).points;
+    // The rotation from y up written out, so that its numbers are exact.
+    let z_up: Vec<f64> = points
+        .iter()
+        .flatten()
+        .flat_map(|point| [point.x, -point.z, point.y])
+        .collect();
+    let num_points = z_up.len() / 3 / points.len();
+    archive.numbers("keypoints", &[points.len(), num_points, 3], &z_up)?;
+    archive.finish()
 }
 
-/// A string is a 0-d array of UTF-32 text, as numpy writes one.
-pub(crate) fn text(
-    archive: &mut ZipWriter<impl Write + Seek>,
-    name: &str,
-    value: &str,
-) -> io::Result<()> {
-    start(archive, name)?;
-    let dtype = format!("<U{}", value.chars().count())
-        .parse()
-        .map_err(io::Error::other)?;
-    let mut writer = npyz::WriteOptions::<str>::new()
-        .dtype(npyz::DType::new_scalar(dtype))
-        .shape(&[])
-        .writer(archive)
-        .begin_nd()?;
-    writer.push(value)?;
-    writer.finish()
+fn smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Writer> {
+    let parameters = Parameters::of(motion, skeleton);
+    let (num_frames, fps) = (motion.len(), motion.fps().get());
+    let mut archive = Writer::default();
+    archive.text("gender", "neutral")?;
+    archive.text("surface_model_type", "smplx")?;
+    archive.numbers("mocap_frame_rate", &[], &[fps])?;
+    archive.numbers("mocap_time_length", &[], &[num_frames as f64 / fps])?;
+    archive.numbers("betas", &[NUM_BETAS], &[0.0; NUM_BETAS])?;
+    archive.numbers("num_betas", &[], &[NUM_BETAS as i64])?;
+    let at_rest = |num_joints: usize| vec![0.0; num_frames * 3 * num_joints];
+    for (name, values) in [
+        ("trans", &parameters.trans),
+        ("poses", &parameters.poses(SMPLX_JOINTS)),
+        ("root_orient", &parameters.root),
+        ("pose_body", &parameters.body),
+        ("pose_hand", &at_rest(30)),
+        ("pose_jaw", &at_rest(1)),
+        ("pose_eye", &at_rest(2)),
+    ] {
+        archive.numbers(name, &[num_frames, values.len() / num_frames], values)?;
+    }
+    Ok(archive)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::io::Read;
+    use std::io::Cursor;
 
     use datasets_spec::{Fps, Pose};
-    use npyz::NpyFile;
+    use glam::DVec3;
+    use pickle::npz::Archive;
 
     use super::*;
 
-    fn member(bytes: &[u8], name: &str) -> (Vec<u64>, Vec<f64>) {
-        let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).expect("a zip");
-        let mut content = Vec::new();
-        archive
-            .by_name(&format!("{name}.npy"))
-            .expect("the member")
-            .read_to_end(&mut content)
-            .expect("readable");
-        let array = NpyFile::new(&content[..]).expect("an npy");
-        let shape = array.shape().to_vec();
-        (shape, array.into_vec().expect("numbers"))
+    fn member(bytes: &[u8], name: &str) -> (Vec<usize>, Vec<f64>) {
+        let mut archive = Archive::open(Cursor::new(bytes)).expect("an archive");
+        let array = archive.numbers(name).expect("numbers");
+        (array.shape, array.values)
     }
 
     fn motion() -> Motion {

@@ -274,11 +274,10 @@ mod tests {
     fn reading_a_written_file_returns_the_motion() {
         let skeleton = Skeleton::smplx_neutral();
         let mut poses = crate::retarget::tests::walk(50);
-        crate::source::floor::put_on_floor(&mut poses, Fps::STORE, &skeleton);
+        crate::floor::put_on_floor(&mut poses, Fps::STORE, &skeleton);
         let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
         let bvh = crate::source::bvh::Bvh::parse(encode(&motion, &skeleton).as_bytes());
-        let options = crate::source::ReadOptions::default();
-        let clip = crate::retarget::clip(&bvh.expect("valid"), &options).expect("a body");
+        let clip = crate::retarget::clip(&bvh.expect("valid"), &skeleton, None).expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
         let (found, expected) = (
             skeleton.motion_keypoints(&clip.motion),

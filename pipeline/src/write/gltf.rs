@@ -381,9 +381,10 @@ mod tests {
     use datasets_spec::Fps;
 
     use super::*;
+    use crate::floor;
     use crate::retarget::tests::walk;
+    use crate::source::ReadOptions;
     use crate::source::gltf::{Content, keys, read};
-    use crate::source::{ReadOptions, floor};
 
     #[test]
     fn the_crate_for_the_format_finds_nothing_wrong() {

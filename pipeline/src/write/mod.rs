@@ -4,8 +4,6 @@
 pub mod amass;
 pub mod bvh;
 pub mod gltf;
-pub(crate) mod npy;
-pub mod pickle;
 
 use std::io;
 use std::path::Path;

@@ -1,6 +1,5 @@
 //! The contract crate against the released code, SMPL-X and scipy.
 
-use datasets_spec::kinematics;
 use datasets_spec::{Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3, Quat};
 use kinematics::KeypointFrame;
@@ -308,7 +307,7 @@ fn golden_motionrefit_merge() {
             .next_fixed()
             .unwrap_or([originals[0][0], originals[0][1]]);
         for frame in &frames {
-            fixed.extend(normalizer.normalize(frame).map(f64::from));
+            fixed.extend(normalizer.normalize(frame).into_iter().map(f64::from));
         }
         stitcher.push(window);
     }

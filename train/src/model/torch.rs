@@ -1,14 +1,14 @@
 //! Weights that PyTorch saved, as safetensors.
 //!
 //! The pickle in such a file is a program; it is read by the allow-list of
-//! [`pipeline::source::pickle`] and never executed.
+//! [`pickle`] and never executed.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::tensor::{DType, TensorData};
-use pipeline::source::pickle::{self, Array, Value};
+use pickle::{self, Array, Value};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, View};
 
@@ -52,7 +52,7 @@ pub fn state_dict_from_torch(
     path: &Path,
     options: &StateDictOptions<'_>,
 ) -> Result<Vec<u8>, Error> {
-    let root = pickle::read_torch(bytes).map_err(|rejected| {
+    let root = pickle::torch::read(bytes).map_err(|rejected| {
         Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
     })?;
     let mut found = &root;
@@ -141,7 +141,7 @@ impl StoredTensor {
 }
 
 fn stored(array: &Array) -> Option<StoredTensor> {
-    use pipeline::source::pickle::Dtype as Pickled;
+    use pickle::Dtype as Pickled;
     let dtype = match array.dtype() {
         Pickled::Float(_) => {
             return Some(StoredTensor::f32(array.shape().to_vec(), &array.to_f32()?));

@@ -40,12 +40,6 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Leaves everything in place.
-    pub(super) const IDENTITY: Self = Self {
-        origin: DVec3::ZERO,
-        turn: DVec2::Y,
-    };
-
     /// Puts `origin` at zero and turns a direction on the ground to +z; one without length is
     /// taken for +z.
     pub(super) fn new(origin: DVec3, forward: DVec3) -> Self {
@@ -116,25 +110,6 @@ impl Clip {
                 block,
             });
             check(&sound, &source, index * LANES)?;
-        }
-        Ok(())
-    }
-
-    /// Whether every bone has a direction.
-    ///
-    /// # Errors
-    /// One has none.
-    pub(super) fn check_bones(&self) -> Result<(), FeatureError> {
-        for (index, block) in self.blocks.iter().enumerate() {
-            let mut sound = [u64::MAX; LANES];
-            for joint in 1..NUM_BODY_JOINTS {
-                let (parent, child) = (&block[parent_of(joint)], &block[joint]);
-                for lane in 0..LANES {
-                    let bone = [0, 1, 2].map(|axis| child[axis][lane] - parent[axis][lane]);
-                    sound[lane] &= is_sound(square(bone));
-                }
-            }
-            check(&sound, block, index * LANES)?;
         }
         Ok(())
     }

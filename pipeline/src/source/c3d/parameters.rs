@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Processor;
-use crate::source::Rejected;
+use crate::clip::Rejected;
 
 /// Groups whose labels name points that are no markers.
 const MODEL_OUTPUTS: [&str; 6] = [

@@ -1,10 +1,13 @@
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+
 use super::*;
-use crate::source::joblib::tests::{dump, zlib};
-use crate::source::pickle::Array;
 use crate::source::stance::tests::{files_under, put};
+use pickle::{Array, encode};
 
 /// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
 /// along x.
@@ -51,8 +54,14 @@ fn put_dump(folder: &Path, file: &str, pairs: &[(&str, Value)], packed: bool) {
     let entries = pairs
         .iter()
         .map(|(id, pair)| (Value::text(id), pair.clone()));
-    let bytes = dump(&Value::Dict(entries.collect()));
+    let bytes = encode(&Value::Dict(entries.collect()));
     put(folder, file, if packed { zlib(&bytes) } else { bytes });
+}
+
+fn zlib(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).expect("in memory");
+    encoder.finish().expect("in memory")
 }
 
 fn only_release(files: &Files) -> Box<dyn Release> {

@@ -7,7 +7,7 @@ use datasets_spec::table::PartCaption;
 use serde_json::Value;
 
 use super::name::{listed_name, motion_id};
-use crate::source::{SourceClip, SourceMask};
+use crate::clip::{SourceClip, SourceMask};
 
 /// What the release says of the body parts of its motions.
 #[derive(Clone, Debug, Default)]

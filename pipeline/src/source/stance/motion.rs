@@ -6,10 +6,10 @@ use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
 use kinematics::motion::BODY_POSE_WIDTH;
 
-use crate::source::joblib;
-use crate::source::pickle::{Array, Value};
+use crate::clip::{Rejected, RotationSource, SourceClip};
 use crate::source::smpl::{Parameters, column};
-use crate::source::{Rejected, RotationSource, SourceClip};
+use pickle::joblib;
+use pickle::{Array, Value};
 
 /// Rate of every motion of the release, in 1/s.
 pub(super) const RELEASE_FPS: Fps = Fps::STORE;

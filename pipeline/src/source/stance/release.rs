@@ -10,11 +10,10 @@ use super::name::{listed_name, motion_id, original_of};
 use super::origin::{self, Origin, Origins};
 use super::rejected_json;
 use super::split::{ClipSplits, Lists};
-use crate::source::pickle::Value;
-use crate::source::{
-    EditOf, Entry, Files, Format, Outcome, ReadOptions, Rejected, Release, SourceClip, joblib,
-    refuse_pointer,
-};
+use crate::clip::{EditOf, Outcome, Rejected, SourceClip};
+use crate::source::{Entry, Files, Format, ReadOptions, Release, refuse_pointer};
+use pickle::Value;
+use pickle::joblib;
 
 /// The folders of the release.
 pub(crate) const BASE_MOTION: &str = "base_motion";
@@ -221,7 +220,7 @@ fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
     }
     let bytes = files.read(file)?;
     refuse_pointer(&bytes)?;
-    joblib::read(&bytes)
+    Ok(joblib::read(&bytes)?)
 }
 
 fn of_pair<'a>(value: &'a Value, key: &str) -> Result<&'a Value, Rejected> {

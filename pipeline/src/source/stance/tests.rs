@@ -9,9 +9,10 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::check::check;
-use crate::source::pickle::{Array, Value};
-use crate::source::{Entry, Outcome, ReadOptions, SourceClip};
-use crate::write::pickle::encode;
+use crate::clip::{Outcome, SourceClip};
+use crate::source::{Entry, ReadOptions};
+use pickle::encode;
+use pickle::{Array, Value};
 
 /// A walk whose every frame and joint differs, and from one `seed` to another too.
 pub(crate) fn motion(seed: usize, frames: usize) -> Motion {

@@ -1,0 +1,30 @@
+//! Why a container cannot be read.
+
+/// What is wrong with a container, and where.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{code}: {reason}")]
+pub struct Error {
+    /// Code that scripts may rely on, such as `E-PICKLE-REFUSED`.
+    pub code: &'static str,
+    /// What is wrong, with the numbers found and expected.
+    pub reason: String,
+    /// Byte offset in the file, if there is such a place; in a packed file, in the unpacked stream.
+    pub byte_offset: Option<u64>,
+}
+
+impl Error {
+    pub(crate) fn new(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            code,
+            reason: reason.into(),
+            byte_offset: None,
+        }
+    }
+
+    pub(crate) fn at(self, byte_offset: usize) -> Self {
+        Self {
+            byte_offset: Some(byte_offset as u64),
+            ..self
+        }
+    }
+}

@@ -1,0 +1,48 @@
+//! Containers of the Python world, read as data and never executed: pickles, dumps of joblib
+//! ([`joblib`]), files of `torch.save` ([`torch`]), arrays of NumPy ([`npy`]) and archives of them
+//! ([`npz`]); and their writers.
+//!
+//! A pickle is a program for a small stack machine, and most of what it can ask for is code. Here
+//! the machine knows values (numbers, text, bytes, lists, tuples, sets, dictionaries) and a closed
+//! list of names whose meaning is written out in this crate: NumPy's arrays, scalars and types,
+//! ordered dictionaries, tensors of PyTorch and the array wrappers of joblib. Any other name is
+//! refused with the name and its byte offset; nothing is ever imported or called.
+//!
+//! Lengths and shapes are checked against the bytes that are there before memory is allocated for
+//! them; depth, number of objects and sharing are bounded.
+//!
+//! ```
+//! use pickle::Value;
+//!
+//! let value = Value::Dict(vec![(Value::text("fps"), Value::Float(20.0))]);
+//! let bytes = pickle::encode(&value);
+//! assert_eq!(pickle::read(&bytes)?, value);
+//!
+//! let error = pickle::read(b"cos\nsystem\n.").expect_err("code is refused");
+//! assert_eq!(error.code, "E-PICKLE-REFUSED");
+//! # Ok::<(), pickle::Error>(())
+//! ```
+
+mod array;
+mod encode;
+mod error;
+mod input;
+pub mod joblib;
+mod machine;
+pub mod npy;
+pub mod npz;
+mod object;
+mod read;
+pub mod torch;
+mod value;
+
+pub use array::{Array, Dtype};
+pub use encode::encode;
+pub use error::Error;
+pub use read::{has_magic, read, read_from};
+pub use value::{Options, Value};
+
+#[cfg(test)]
+mod fixture;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,230 @@
+//! A motion as a reader gives it, and why a file has none.
+
+use std::ops::Range;
+
+use datasets_spec::table::{Caption, PartCaption};
+use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
+
+/// Where the rotations of a clip come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RotationSource {
+    /// The file holds them for this body.
+    Native,
+    /// The file holds them for another skeleton.
+    Retargeted,
+    /// They were recovered from positions.
+    Fitted,
+}
+
+impl RotationSource {
+    /// The name used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Native => "native",
+            Self::Retargeted => "retargeted",
+            Self::Fitted => "fitted",
+        }
+    }
+}
+
+/// A clip as read from one file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceClip {
+    /// The motion: SMPL-X parameters, y up, metres, floor at y = 0. At the file's own rate, or at
+    /// that of [`crate::source::ReadOptions::rate`].
+    pub motion: Motion,
+    /// The rate of the file.
+    pub source_fps: Fps,
+    /// Where its rotations come from.
+    pub rotation_source: RotationSource,
+    /// Mean distance in metres between the joints of the motion and those of the file, the latter
+    /// with their bones brought to this body's lengths; none for native rotations.
+    pub fit_error_m: Option<f32>,
+    /// Frames of the file the motion was made of.
+    pub source_frames: Range<usize>,
+    /// What the clip is said to show.
+    pub captions: Vec<Caption>,
+    /// What single body parts are said to do.
+    pub part_captions: Vec<PartCaption>,
+    /// Action label.
+    pub action: Option<String>,
+    /// Style label.
+    pub style: Option<String>,
+    /// Licence tag.
+    pub license: Option<String>,
+    /// Decisions a reader may want to check, such as the unit that was assumed.
+    pub notes: Vec<String>,
+    /// Quality flags that only the reader can see, such as [`crate::check::FLAG_CAPTION_OUTSIDE`].
+    pub flags: u32,
+    /// The captured markers the motion was solved from.
+    pub markers: Option<Markers>,
+    /// The motion this one is an edit of.
+    pub edit_of: Option<EditOf>,
+    /// Body-part masks the source comes with.
+    pub masks: Vec<SourceMask>,
+    /// The body features are computed on, where it is not the store's.
+    pub body: Option<Skeleton>,
+}
+
+impl SourceClip {
+    /// A clip of a whole file, with nothing said about it.
+    pub fn new(motion: Motion, rotation_source: RotationSource) -> Self {
+        let (num_frames, source_fps) = (motion.len(), motion.fps());
+        Self {
+            motion,
+            rotation_source,
+            fit_error_m: None,
+            source_fps,
+            source_frames: 0..num_frames,
+            captions: Vec::new(),
+            part_captions: Vec::new(),
+            action: None,
+            style: None,
+            license: None,
+            notes: Vec::new(),
+            flags: 0,
+            markers: None,
+            edit_of: None,
+            masks: Vec::new(),
+            body: None,
+        }
+    }
+}
+
+/// Markers of an optical capture, y up and in metres.
+///
+/// # Shapes
+/// `T` frames of `M = labels.len()` markers, frame by frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Markers {
+    /// Frame rate of the capture.
+    pub fps: Fps,
+    /// Names, `[M]`.
+    pub labels: Vec<String>,
+    /// Positions in metres, `[T * M]`; zero where the residual is negative.
+    pub positions: Vec<[f32; 3]>,
+    /// Reconstruction residuals in metres, `[T * M]`; negative where a marker was not seen.
+    pub residuals: Vec<f32>,
+    /// The known set the labels belong to.
+    pub set: Option<&'static str>,
+    /// Root-mean-square distance in metres between the markers seen in a frame and those of the
+    /// solved body, `[T]`; empty if no body was solved.
+    pub fit_residuals: Vec<f32>,
+}
+
+/// What makes a clip the edit of another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EditOf {
+    /// Id of the motion before the edit.
+    pub source_id: String,
+    /// semantic, style or fine-grained.
+    pub kind: &'static str,
+    /// Style of the edit.
+    pub style: Option<String>,
+    /// Body parts the edit is said to change.
+    pub parts: Vec<BodyPart>,
+    /// What turns the one into the other; empty where the source gives no words.
+    pub instruction: String,
+}
+
+/// A body-part mask that a source comes with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SourceMask {
+    /// The parts it is made of.
+    pub parts: Vec<BodyPart>,
+    /// What the masked parts do; empty where the source does not say.
+    pub text: String,
+}
+
+/// What became of a source item.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// It is a clip.
+    Clip(Box<SourceClip>),
+    /// It is a capture whose markers no known set explains, so that no body could be solved.
+    Markers {
+        /// The capture.
+        markers: Box<Markers>,
+        /// Why it has no motion.
+        reason: String,
+    },
+    /// It is no motion, though it looked like one.
+    Skipped {
+        /// Why.
+        reason: String,
+    },
+    /// It is a motion that cannot be used.
+    Rejected(Rejected),
+}
+
+/// Why a file was put into quarantine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rejected {
+    /// Code that scripts may rely on, such as `E-BVH-FRAMES`.
+    pub code: &'static str,
+    /// What is wrong, with the numbers found and expected.
+    pub reason: String,
+    /// Where in the file, if there is such a place.
+    pub byte_offset: Option<u64>,
+    /// What was being done: [`Rejected::READ`], [`Rejected::RETARGET`] or [`Rejected::CHECK`].
+    pub stage: &'static str,
+}
+
+impl Rejected {
+    /// Stage of parsing the file.
+    pub const READ: &'static str = "read";
+    /// Stage of carrying the motion over to the body.
+    pub const RETARGET: &'static str = "retarget";
+    /// Stage of judging the finished motion.
+    pub const CHECK: &'static str = "check";
+
+    /// Rejects a file for something found while reading it.
+    pub fn read(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            code,
+            reason: reason.into(),
+            byte_offset: None,
+            stage: Self::READ,
+        }
+    }
+
+    /// Rejects a file for something found while retargeting it.
+    pub fn retarget(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            stage: Self::RETARGET,
+            ..Self::read(code, reason)
+        }
+    }
+
+    /// Rejects a motion for something the checks found.
+    pub fn check(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            stage: Self::CHECK,
+            ..Self::read(code, reason)
+        }
+    }
+
+    /// The same finding at a place in the file.
+    #[must_use]
+    pub fn at(self, byte_offset: usize) -> Self {
+        Self {
+            byte_offset: Some(byte_offset as u64),
+            ..self
+        }
+    }
+}
+
+impl From<pickle::Error> for Rejected {
+    fn from(error: pickle::Error) -> Self {
+        Self {
+            byte_offset: error.byte_offset,
+            ..Self::read(error.code, error.reason)
+        }
+    }
+}
+
+/// Slowest frame rate believed, in 1/s. A wrong rate of once a day would make a stored clip of
+/// a few frames grow to millions.
+pub(crate) const MIN_FPS: f64 = 1.0;
+/// Fastest frame rate believed, in 1/s; optical capture ends near 2000.
+pub(crate) const MAX_FPS: f64 = 10_000.0;
