@@ -6,7 +6,6 @@
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par, Side};
-use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;
 
 /// Rows of a result that one thread computes at a time: a covariance of 512 dimensions makes eight

@@ -1,7 +1,7 @@
 //! How a table of scores is measured: galleries, repeats, and what varies between repeats.
 
-use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use datasets_spec::{Rng, Seed};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 

@@ -4,8 +4,8 @@ use std::fmt;
 use std::ops::RangeInclusive;
 
 use datasets_spec::Motion;
-use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::record::EditRow;
+use kinematics::KeypointFrame;
 
 use crate::Error;
 use crate::linalg::Matrix;

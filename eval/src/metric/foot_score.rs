@@ -1,8 +1,8 @@
 //! Whether feet stand still on the ground when they should.
 
-use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::{Fps, Joint};
 use glam::DVec3;
+use kinematics::KeypointFrame;
 
 use super::definition::{Better, Measure, Metric, Part};
 use crate::protocol::Floor;

@@ -3,10 +3,11 @@
 
 use std::ops::RangeInclusive;
 
-use datasets_spec::canonical::{FIXED_FRAMES, KeypointFrame};
-use datasets_spec::rotation::angle_between;
-use datasets_spec::skeleton::NUM_KEYPOINTS;
 use datasets_spec::{Fps, Pose};
+use kinematics::KeypointFrame;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::rotation::angle_between;
+use kinematics::skeleton::NUM_KEYPOINTS;
 
 use super::definition::{Better, Measure, Metric, Part};
 
@@ -219,7 +220,6 @@ impl Mean {
 #[cfg(test)]
 mod tests {
     use datasets_spec::Skeleton;
-    use datasets_spec::rotation::from_axis_angle;
     use glam::DVec3;
     use kinematics::rotation::from_axis_angle;
 

@@ -1,6 +1,6 @@
 //! How far a motion is from another, joint by joint.
 
-use datasets_spec::canonical::KeypointFrame;
+use kinematics::KeypointFrame;
 
 use super::definition::{Better, Measure, Metric, Part};
 
@@ -49,8 +49,8 @@ pub fn mean_position_error(
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
     use glam::DVec3;
+    use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
     use super::*;
     use crate::protocol::Keypoints;

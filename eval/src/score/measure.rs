@@ -1,7 +1,7 @@
 //! From motions to numbers: latents of every motion, and the metrics of single motions.
 
-use datasets_spec::canonical::KeypointFrame;
 use datasets_spec::{Motion, Progress};
+use kinematics::KeypointFrame;
 use rayon::prelude::*;
 
 use super::test_set::{Side, TestSet, Windows};
@@ -291,7 +291,7 @@ fn decoded(row: Side<'_>, target: Side<'_>, cut: bool) -> Result<(Motion, Motion
     if cut && motion.len() > target.len() {
         motion = motion
             .crop(0..target.len())
-            .map_err(|source| row.not_a_motion(source))?;
+            .map_err(|source| row.not_a_motion(source.into()))?;
     }
     if motion.len() < MIN_FRAMES {
         return Err(Error::TooShort {

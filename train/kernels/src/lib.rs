@@ -3,4 +3,5 @@
 //! [`product`] multiplies matrices in single precision. Weights that do not change, as while sampling,
 //! are packed once ([`product::Packed`]).
 
+mod memory;
 pub mod product;

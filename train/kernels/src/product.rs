@@ -14,7 +14,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use kinematics::simd::lanes::{Aligned, prefetch, transpose};
+use crate::memory::{Aligned, prefetch, transpose};
 
 /// Columns of a panel: two vectors of AVX2, one of AVX-512.
 const PANEL: usize = 16;

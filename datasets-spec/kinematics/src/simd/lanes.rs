@@ -39,83 +39,6 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     Arch::new().dispatch(Dispatched(kernel))
 }
 
-/// Bytes of a cache line.
-pub const CACHE_LINE: usize = 64;
-
-/// Numbers aligned to a cache line, so that a vector as wide as a line never straddles two.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C, align(64))]
-pub struct Aligned<T>(pub T);
-
-/// Prefetches the cache line of a number; past the end of the list it does nothing.
-///
-/// Hardware prefetch alone halves throughput on slow sequential reads.
-#[inline(always)]
-pub fn prefetch<T>(numbers: &[T], at: usize) {
-    #[cfg(target_arch = "x86_64")]
-    if let (Some(number), Some(sse)) = (numbers.get(at), pulp::core_arch::x86::Sse::try_new()) {
-        use std::arch::x86_64::_MM_HINT_T0;
-        sse._mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(number).cast());
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (numbers, at);
-}
-
-/// The transpose of a small matrix.
-#[inline(always)]
-pub fn transpose(rows: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(sse) = pulp::core_arch::x86::Sse::try_new() {
-        let [mut a, mut b, mut c, mut d] = rows.map(pulp::cast);
-        sse._MM_TRANSPOSE4_PS(&mut a, &mut b, &mut c, &mut d);
-        return [pulp::cast(a), pulp::cast(b), pulp::cast(c), pulp::cast(d)];
-    }
-    std::array::from_fn(|column| std::array::from_fn(|row| rows[row][column]))
-}
-
-/// The exponential, correct to 2 units in the last place for arguments in [-708, 709]; smaller ones
-/// count as -708.
-///
-/// # Source
-/// `e^x = 2^n e^r` with `r` at most half of ln 2, and the Taylor series of `e^r` to the 13th power: the
-/// next term is below 5e-18.
-#[inline(always)]
-pub fn exp(x: f64) -> f64 {
-    /// Added and taken off again, it rounds to a whole number and leaves that number in the last bits.
-    const SHIFT: f64 = 6_755_399_441_055_744.0;
-    /// ln 2 in two parts, the first so short that its products with `n` are exact.
-    const LN_2: [f64; 2] = [
-        f64::from_bits(0x3fe6_2e42_fefa_3800),
-        f64::from_bits(0x3d2e_f357_93c7_6730),
-    ];
-    const BIAS: u64 = 1023;
-    /// 1 / k!
-    const COEFFICIENTS: [f64; 14] = {
-        let mut coefficients = [1.0; 14];
-        let mut factorial = 1.0;
-        let mut power = 1;
-        while power < 14 {
-            factorial *= power as f64;
-            coefficients[power] = 1.0 / factorial;
-            power += 1;
-        }
-        coefficients
-    };
-
-    let x = if x < -708.0 { -708.0 } else { x };
-    let shifted = x * std::f64::consts::LOG2_E + SHIFT;
-    let n = shifted - SHIFT;
-    let r = (x - n * LN_2[0]) - n * LN_2[1];
-    // By halves (Estrin): one term after the other would wait thirteen times for the one before.
-    let r2 = r * r;
-    let r4 = r2 * r2;
-    let r8 = r4 * r4;
-    let two = |low: usize| COEFFICIENTS[low] + COEFFICIENTS[low + 1] * r;
-    let four = |low: usize| two(low) + two(low + 2) * r2;
-    let sum = (four(0) + four(4) * r4) + (four(8) + two(12) * r4) * r8;
-    sum * f64::from_bits((shifted.to_bits().wrapping_add(BIAS)) << 52)
-}
-
 /// Largest angle in radians that [`sin_cos`] reduces without loss.
 pub const MAX_ANGLE: f64 = 1e6;
 
@@ -340,18 +263,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn rows_of_a_transpose_are_columns() {
-        let rows: [[f32; 4]; 4] =
-            std::array::from_fn(|row| std::array::from_fn(|column| (4 * row + column) as f32));
-        let columns = transpose(rows);
-        for row in 0..4 {
-            for column in 0..4 {
-                assert_eq!(columns[column][row], rows[row][column]);
-            }
-        }
-    }
-
     proptest! {
         #[test]
         fn sines_and_cosines_are_those_of_the_library(x in -1e3f64..1e3, far in -1e6f64..1e6) {
@@ -359,14 +270,6 @@ mod tests {
                 let (sine, cosine) = sin_cos(x);
                 prop_assert!((sine - x.sin()).abs() <= 2.0 * f64::EPSILON, "{x}: {sine}");
                 prop_assert!((cosine - x.cos()).abs() <= 2.0 * f64::EPSILON, "{x}: {cosine}");
-            }
-        }
-
-        #[test]
-        fn exponentials_are_those_of_the_library(x in -708.0f64..709.0, near in -1.0f64..1.0) {
-            for x in [x, near] {
-                let ratio = exp(x) / x.exp();
-                prop_assert!((ratio - 1.0).abs() <= 2.0 * f64::EPSILON, "{x}: {ratio}");
             }
         }
 
@@ -397,8 +300,6 @@ mod tests {
 
     #[test]
     fn the_ends_of_the_range_are_exact() {
-        assert_eq!(exp(0.0), 1.0);
-        assert!(exp(f64::NEG_INFINITY) < 1e-300);
         assert_eq!(sin_cos(0.0), (0.0, 1.0));
         assert_eq!(angle_of(0.0, 0.0), 0.0);
         assert_eq!(angle_of(0.0, 1.0), 0.0);
