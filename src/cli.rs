@@ -2,9 +2,10 @@
 
 use clap::{Parser, Subcommand};
 use datasets_spec::Seed;
+use pipeline::stage::Context;
+use train::config::Preset;
 
 use crate::cmd;
-use crate::device;
 use crate::progress::Bars;
 
 /// Human-motion data from raw files to a published result table, for text-guided motion editing.
@@ -24,12 +25,6 @@ pub(crate) struct Global {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// What models run on
-    #[arg(long, global = true, value_enum, default_value_t)]
-    device: device::Kind,
-    /// Cards to train on together
-    #[arg(long, global = true, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
-    devices: u16,
     /// Seed of every draw, in place of those in files of settings [default: 0]
     #[arg(long, global = true)]
     seed: Option<u64>,
@@ -47,7 +42,6 @@ pub(crate) struct Global {
 impl Global {
     /// Applies the options that concern the whole process.
     pub(crate) fn start(&self) -> anyhow::Result<()> {
-        device::choose(self.device, self.devices.into())?;
         if let Some(threads) = self.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads.into())
@@ -60,10 +54,15 @@ impl Global {
         self.seed_or(None)
     }
 
-    /// The option of a command line that gives the same seed; empty where none was given.
+    /// The `--seed` option as it was given, for commands printed in reports; empty without one.
     pub(crate) fn seed_option(&self) -> String {
         self.seed
             .map_or(String::new(), |seed| format!(" --seed {seed}"))
+    }
+
+    /// `--seed`, if it is given.
+    pub(crate) fn given_seed(&self) -> Option<u64> {
+        self.seed
     }
 
     /// `--seed` if it is given, else a seed of the settings' own.
@@ -71,11 +70,22 @@ impl Global {
         Seed(self.seed.or(own).unwrap_or(0))
     }
 
+    /// Runs a stage of `pipeline`.
+    pub(crate) fn stage<T>(
+        &self,
+        act: impl FnOnce(&Context<'_>) -> Result<T, pipeline::Error>,
+    ) -> Result<T, pipeline::Error> {
+        act(&Context {
+            progress: &self.bars(),
+            holder: &self.holder(),
+        })
+    }
+
     pub(crate) fn bars(&self) -> Bars {
         Bars::new(self.no_progress, self.quiet)
     }
 
-    /// What a locked-out run is told about this one.
+    /// Names this run to another one that finds a folder locked.
     pub(crate) fn holder(&self) -> String {
         let started = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)
@@ -84,6 +94,28 @@ impl Global {
             "process {} since second {started} of the epoch",
             std::process::id()
         )
+    }
+}
+
+/// Named settings of models.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum PresetArg {
+    /// Small: minutes on two cores
+    #[default]
+    Tiny,
+    /// What the paper says
+    Paper,
+    /// The released configuration
+    Official,
+}
+
+impl From<PresetArg> for Preset {
+    fn from(preset: PresetArg) -> Self {
+        match preset {
+            PresetArg::Tiny => Self::Tiny,
+            PresetArg::Paper => Self::Paper,
+            PresetArg::Official => Self::Official,
+        }
     }
 }
 

@@ -19,8 +19,41 @@ pub(crate) enum Kind {
 
 static CHOSEN: OnceLock<Vec<Device>> = OnceLock::new();
 
-/// Chooses the devices of this process.
-pub(crate) fn choose(kind: Kind, count: usize) -> anyhow::Result<()> {
+/// Options of verbs that run a model.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "Model options")]
+pub(crate) struct DeviceArgs {
+    /// Device that models run on
+    #[arg(long, value_enum, default_value_t)]
+    device: Kind,
+}
+
+impl DeviceArgs {
+    /// Chooses the device of this process.
+    pub(crate) fn choose(&self) -> anyhow::Result<()> {
+        choose(self.device, 1)
+    }
+}
+
+/// Options of verbs that train a model.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "Model options")]
+pub(crate) struct TrainDeviceArgs {
+    #[command(flatten)]
+    one: DeviceArgs,
+    /// Number of GPUs to train on together
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    devices: u16,
+}
+
+impl TrainDeviceArgs {
+    /// Chooses the devices of this process.
+    pub(crate) fn choose(&self) -> anyhow::Result<()> {
+        choose(self.one.device, self.devices.into())
+    }
+}
+
+fn choose(kind: Kind, count: usize) -> anyhow::Result<()> {
     let devices = match kind {
         // A second copy of the processor would share its cores with the first.
         Kind::Cpu if count > 1 => bail!("--devices counts cards; the processor is one device"),

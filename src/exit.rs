@@ -20,14 +20,22 @@ pub(crate) enum Exit {
 impl Exit {
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
+        fn is_lock(error: &datasets_spec::Error) -> bool {
+            matches!(error, datasets_spec::Error::Locked { .. })
+        }
+        fn is_pipeline_lock(error: &pipeline::Error) -> bool {
+            matches!(error, pipeline::Error::Spec(error) if is_lock(error))
+        }
+        // The wrappers of other crates are transparent, so that the chain leaves out what they wrap.
         let locked = error.chain().any(|cause| {
-            matches!(
-                cause.downcast_ref::<datasets_spec::Error>(),
-                Some(datasets_spec::Error::Locked { .. })
-            ) || matches!(
-                cause.downcast_ref::<pipeline::Error>(),
-                Some(pipeline::Error::Spec(datasets_spec::Error::Locked { .. }))
-            )
+            cause.downcast_ref().is_some_and(is_lock)
+                || cause.downcast_ref().is_some_and(is_pipeline_lock)
+                || match cause.downcast_ref() {
+                    Some(train::Error::Spec(error)) => is_lock(error),
+                    Some(train::Error::Pipeline(error)) => is_pipeline_lock(error),
+                    _ => false,
+                }
+                || matches!(cause.downcast_ref(), Some(eval::Error::Spec(error)) if is_lock(error))
         });
         let stopped = error.chain().any(|cause| {
             matches!(

@@ -1,13 +1,16 @@
-//! The `stance` command: parse, dispatch, render. What it does lives in the library crates.
+//! The `stance` command: parse, dispatch, render. The work is done by the library crates.
 
-mod chain;
 mod cli;
 mod cmd;
 mod device;
+mod evaluators;
 mod exit;
 mod progress;
 mod report;
 mod seeds;
+mod session;
+mod settings;
+mod stages;
 
 use std::process::ExitCode;
 

@@ -2,6 +2,7 @@
 
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use crate::cli::Global;
 
@@ -49,7 +50,12 @@ impl Seeds {
 
     /// The seed of a model whose own settings may hold one; `resolved` is that of its settings with
     /// the preset's in place of what they leave out.
-    pub(crate) fn of_model(&self, resolved: u64, own: &toml::Table, global: &Global) -> Seed {
+    pub(crate) fn of_model(
+        &self,
+        resolved: u64,
+        own: &Map<String, Value>,
+        global: &Global,
+    ) -> Seed {
         let own = own.contains_key("seed").then_some(resolved);
         global.seed_or(own.or(self.train))
     }

@@ -17,6 +17,7 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
+use crate::record::ItemRow;
 use crate::store::{Disk, Store, write_atomically};
 use crate::table::{self, Row, SCHEMA_VERSION};
 use crate::{Error, Skeleton, Split, card, croissant};
@@ -138,6 +139,26 @@ impl Dataset {
             .map(|(path, _)| table::read_rows(path))
             .collect::<Result<_, _>>()?;
         Ok(shards.into_iter().flatten().collect())
+    }
+
+    /// The test questions of the folder, each checked against its id.
+    ///
+    /// # Errors
+    /// There are none, one was changed after it was drawn, or a file cannot be read.
+    pub fn items(&self) -> Result<Vec<ItemRow>, Error> {
+        let rows: Vec<ItemRow> = self.read(None)?;
+        if rows.is_empty() {
+            return Err(Error::NoItems {
+                path: self.root.clone(),
+            });
+        }
+        for row in &rows {
+            row.check().map_err(|source| Error::ItemOf {
+                path: self.root.clone(),
+                source: Box::new(source),
+            })?;
+        }
+        Ok(rows)
     }
 }
 

@@ -23,6 +23,23 @@ pub enum Error {
         /// The text found.
         got: String,
     },
+    /// A folder holds no test questions.
+    #[error(
+        "{} holds no items; draw them: stance items DATASET --out ITEMS",
+        path.display()
+    )]
+    NoItems {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A test question of a folder cannot be used.
+    #[error("in {}", path.display())]
+    ItemOf {
+        /// The folder.
+        path: PathBuf,
+        /// The cause.
+        source: Box<Error>,
+    },
     /// A body part name is unknown.
     #[error("unknown body part {name:?}; known: {known}")]
     BodyPart {

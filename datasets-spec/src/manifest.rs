@@ -77,7 +77,21 @@ impl Accounting {
     }
 }
 
+/// Hash of what a stage depends on, recorded with the table it writes: a stage whose plan is recorded
+/// already does nothing.
+pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
+    let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))
+        .expect("settings are plain numbers, texts and lists of them");
+    blake3::hash(text.as_bytes()).to_hex().to_string()
+}
+
 impl Manifest {
+    /// Hash of the plan that made a table; empty if it is not recorded. What depends on the table alone
+    /// is not redone when another table of the dataset changes.
+    pub fn plan(&self, table: &str) -> &str {
+        self.plans.get(table).map_or("", String::as_str)
+    }
+
     /// The hash over all files.
     pub fn compute_root_hash(tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
         let mut hasher = blake3::Hasher::new();

@@ -1,5 +1,7 @@
 //! What can go wrong while measuring.
 
+use std::path::PathBuf;
+
 /// What a caller's encoder may fail with.
 pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 
@@ -7,6 +9,107 @@ pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// A table of edits cannot be opened, read or written.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// No table was given.
+    #[error("no table of edits was given")]
+    NoTables,
+    /// Two tables of edits are on different bodies.
+    #[error(
+        "{} is posed on skeleton {first_skeleton}, {} on {other_skeleton}; tables of edits are \
+         compared on one body",
+        first.display(),
+        other.display()
+    )]
+    OtherSkeleton {
+        /// The first table.
+        first: PathBuf,
+        /// Its skeleton.
+        first_skeleton: String,
+        /// The other table.
+        other: PathBuf,
+        /// Its skeleton.
+        other_skeleton: String,
+    },
+    /// Two tables of edits are of different items.
+    #[error(
+        "{} and {} answer different items: {} of {} are in {} alone, {} of {} in {} alone; edit the \
+         same items: stance edit RUN --items ITEMS",
+        first.display(),
+        other.display(),
+        first_alone[0],
+        first_alone[1],
+        first.display(),
+        other_alone[0],
+        other_alone[1],
+        other.display()
+    )]
+    OtherItems {
+        /// The first table.
+        first: PathBuf,
+        /// Its items that the other lacks, and all of its items.
+        first_alone: [usize; 2],
+        /// The other table.
+        other: PathBuf,
+        /// Its items that the first lacks, and all of its items.
+        other_alone: [usize; 2],
+    },
+    /// A table of edits cannot be used.
+    #[error("in {}", path.display())]
+    TableOf {
+        /// The table.
+        path: PathBuf,
+        /// The cause.
+        source: Box<Error>,
+    },
+    /// A comparison needs tables of one system each.
+    #[error(
+        "{} holds {count} systems ({systems}), and a comparison needs one",
+        path.display()
+    )]
+    SeveralSystems {
+        /// The table.
+        path: PathBuf,
+        /// Its systems.
+        count: usize,
+        /// Their names.
+        systems: String,
+    },
+    /// One name stands for two systems, which would become one row of a table.
+    #[error(
+        "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell \
+         them apart"
+    )]
+    TwoSystems {
+        /// The name.
+        system: String,
+        /// What differs.
+        what: &'static str,
+        /// Of the first.
+        first: String,
+        /// Of the other.
+        other: String,
+    },
+    /// An axis of a sweep cannot be followed.
+    #[error("axis {axis:?}: {problem}")]
+    Axis {
+        /// Its name.
+        axis: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The times of editing are not recorded beside a table of edits.
+    #[error(
+        "cannot read {}; it is written when `stance edit` edits a split",
+        path.display()
+    )]
+    Times {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
     /// There is nothing to be scored on.
     #[error("the table holds no items; draw them with `stance items`")]
     NoItems,

@@ -3,11 +3,12 @@
 //! This crate measures edited motions: it reads the `edits` table, asks the caller's
 //! [`evaluators::MotionEncoder`] for latents, and returns rows of the `scores` table, which it lays out
 //! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
-//! sees a model, so every system is scored by the same path, and it never writes a file: what it
-//! makes is returned.
+//! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
+//! commits scores; [`sweep`] plans ablations.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 
+pub mod answers;
 pub mod compare;
 pub mod draw;
 mod error;
@@ -20,6 +21,7 @@ pub mod protocol;
 pub mod published;
 pub mod report;
 pub mod score;
+pub mod sweep;
 pub mod table;
 pub mod times;
 

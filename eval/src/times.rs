@@ -1,7 +1,10 @@
 //! Table A4: where the time of editing a window goes.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use crate::Error;
 use crate::format::grid::Grid;
 
 /// Seconds for one window, and what they make of the rate.
@@ -22,7 +25,30 @@ pub struct WindowTimes {
     pub batch: Option<f64>,
 }
 
+/// File beside a table of edits with the times of making it, which the hash of the table leaves out.
+pub const TIMES: &str = "times.json";
+
 impl WindowTimes {
+    /// Reads the times recorded beside a table of edits.
+    ///
+    /// # Errors
+    /// The file is missing or malformed.
+    pub fn read(edits: &Path) -> Result<Self, Error> {
+        let path = edits.join(TIMES);
+        let parsed = std::fs::read(&path).and_then(|bytes| Ok(serde_json::from_slice(&bytes)?));
+        parsed.map_err(|source| Error::Times { path, source })
+    }
+
+    /// Records the times beside a table of edits.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, edits: &Path) -> Result<(), Error> {
+        let path = edits.join(TIMES);
+        let text = serde_json::to_vec_pretty(self).expect("plain numbers serialise");
+        std::fs::write(&path, text).map_err(|source| Error::Times { path, source })
+    }
+
     /// All three together.
     pub fn total_secs(&self) -> f64 {
         self.diffusion_secs + self.coordinator_secs + self.fit_secs

@@ -141,7 +141,7 @@ pub fn other_than_motions(dataset: &Dataset) -> Option<&'static str> {
     let kinds = [
         (
             EditRow::TABLE,
-            "a folder of edits, the answers of systems to items; `stance eval --edits` scores it and \
+            "a folder of edits, the answers of systems to items; `stance eval` scores it and \
              `stance report` shows it",
         ),
         (

@@ -19,6 +19,70 @@ pub enum Error {
         /// The split asked for.
         split: datasets_spec::Split,
     },
+    /// A dataset has no such clip.
+    #[error("no clip {id:?} in {}", path.display())]
+    NoClip {
+        /// The dataset.
+        path: PathBuf,
+        /// The id asked for.
+        id: String,
+    },
+    /// A folder has no such item.
+    #[error("no item {id:?} in {}", path.display())]
+    NoItem {
+        /// The folder.
+        path: PathBuf,
+        /// The id asked for.
+        id: String,
+    },
+    /// Several ids of items begin alike.
+    #[error("several items begin with {id:?}; write more of the id")]
+    SeveralItems {
+        /// The beginning asked for.
+        id: String,
+    },
+    /// A file gives no motion.
+    #[error("{}: {reason}", path.display())]
+    UnusableFile {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A folder holds something else than motions.
+    #[error("{} is {other}", path.display())]
+    OtherThanMotions {
+        /// The folder.
+        path: PathBuf,
+        /// What it is, and which verbs take it.
+        other: &'static str,
+    },
+    /// Automatic masks would replace masks that people have judged.
+    #[error(
+        "{} holds {count} masks judged by people, which automatic masks would replace; pass --replace \
+         to discard them",
+        path.display()
+    )]
+    JudgedMasks {
+        /// The dataset.
+        path: PathBuf,
+        /// Judged masks.
+        count: usize,
+    },
+    /// Edits cannot be composed without masks or pairs.
+    #[error(
+        "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \
+         `stance pairs {}` for styles",
+        path.display(),
+        path.display(),
+        path.display()
+    )]
+    NoAnnotations {
+        /// The dataset.
+        path: PathBuf,
+        /// The split.
+        split: datasets_spec::Split,
+    },
     /// A source folder or file does not exist.
     #[error("no such file or folder: {}; check the path", path.display())]
     MissingSource {

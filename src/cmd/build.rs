@@ -9,12 +9,12 @@ use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::masks::MaskConfig;
 use pipeline::pairs::PairConfig;
+use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
-use crate::chain::{self, IngestConfig, Judged};
 use crate::cli::Global;
 use crate::exit::Exit;
-use crate::report;
+use crate::{report, settings, stages};
 
 /// Build a whole dataset from your own folders: motions, masks, pairs, splits and triplets.
 ///
@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = read(args)?;
     let bars = global.bars();
     let root = config.out.join("dataset");
-    let ingested = chain::ingested(
+    let ingested = stages::ingested(
         &config.sources,
         &root,
         &config.ingest,
@@ -87,26 +87,24 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         &bars,
     )
     .context("stage ingest")?;
-    chain::masks(&root, &config.masks, Judged::Keep, global, &bars).context("stage masks")?;
+    global
+        .stage(|context| stage::masks(&root, &config.masks, Judged::Keep, context))
+        .context("stage masks")?;
+    let seed = global.seed();
     let alone = match &config.pairs {
         Some(pairs) => {
-            chain::pairs(&root, pairs, global, &bars)
+            global
+                .stage(|context| stage::pairs(&root, pairs, seed, context))
                 .context("stage pairs")?
                 .1
         }
         None => Vec::new(),
     };
     let triplets = config.out.join("triplets");
-    let recorded = chain::triplets(
-        &root,
-        &triplets,
-        config.triplets,
-        &config.compose,
-        global.seed(),
-        global,
-        &bars,
-    )
-    .context("stage triplets")?;
+    let (count, compose) = (config.triplets, &config.compose);
+    let recorded = global
+        .stage(|context| stage::triplets(&root, &triplets, count, compose, seed, context))
+        .context("stage triplets")?;
     let dataset = datasets_spec::Dataset::open(&root)?;
     let mut exports = Vec::new();
     for name in &config.export {
@@ -151,10 +149,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 }
 
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {
-    let text = std::fs::read_to_string(&args.config)
-        .with_context(|| format!("cannot read {}", args.config.display()))?;
-    let mut config: BuildConfig =
-        toml::from_str(&text).with_context(|| format!("in {}", args.config.display()))?;
+    let mut config: BuildConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
     for path in config.sources.iter_mut().chain([&mut config.out]) {
         *path = base.join(&*path);

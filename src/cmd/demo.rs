@@ -9,6 +9,7 @@ use train::config::{Preset, RunLength, TrainConfig};
 
 use crate::cli::Global;
 use crate::cmd::run::{Plan, RunConfig, finish};
+use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 
 /// Run the whole chain on the built-in corpus: from motion files to a result table.
@@ -22,6 +23,8 @@ pub(crate) struct Args {
     /// Fewer clips and far fewer training steps: shows that the chain works, not how well
     #[arg(long)]
     quick: bool,
+    #[command(flatten)]
+    device: TrainDeviceArgs,
 }
 
 /// Steps of the two models in the quick form.
@@ -30,6 +33,7 @@ const QUICK_STEPS: u64 = 40;
 const QUICK_ITEMS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.device.choose()?;
     let seed = global.seed();
     let corpus = CorpusOptions {
         seed,
@@ -71,16 +75,16 @@ fn shorten(plan: &mut Plan) {
         ..
     } = plan;
     debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
-    train.length = RunLength::of_steps(QUICK_STEPS);
-    train.val_every = QUICK_STEPS / 2;
+    for run in [
+        &mut train.run,
+        &mut coordinator.run,
+        &mut poses.run,
+        &mut encoder.run,
+    ] {
+        run.length = RunLength::of_steps(QUICK_STEPS);
+        run.val_every = QUICK_STEPS / 2;
+        run.log_every = QUICK_STEPS / 8;
+    }
     train.val_windows = 64;
-    train.log_every = QUICK_STEPS / 8;
-    coordinator.length = RunLength::of_steps(QUICK_STEPS);
-    coordinator.val_every = QUICK_STEPS / 2;
     coordinator.val_windows = 64;
-    coordinator.log_every = QUICK_STEPS / 8;
-    poses.num_steps = QUICK_STEPS;
-    encoder.num_steps = QUICK_STEPS;
-    encoder.val_every = QUICK_STEPS / 2;
-    encoder.log_every = QUICK_STEPS / 8;
 }

@@ -4,24 +4,30 @@ use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
-use pipeline::clip::Outcome;
-use pipeline::source::{Format, ReadOptions, Recognised, keys_in, read_clip, recognise};
+use pipeline::open::{clip_of_file, stored_clip};
+use pipeline::stage::commit_edits;
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
-use train::edit::{Edited, Misfit, Remarks, SystemIdentity, edit_motion};
 use train::history::EditHistory;
-use train::sample::{EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
+use train::registry::open_system;
+use train::sample::{EditTimes, FitMethod, TimedInstruction};
+use train::system::{
+    Answers, EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource,
+    edit_layers, edit_motion, whole,
+};
 
-use crate::chain::{self, EditConfig, EditorSource, MadeEdits};
 use crate::cli::Global;
+use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::report;
+use crate::session::{text_encoder, with_session};
+use crate::stages::{self, note_remarks, per_window};
 
 /// Edit motions by instruction with a trained editor.
 ///
@@ -56,9 +62,9 @@ pub(crate) struct Args {
     /// Last diffusion steps the coordinator guides [default: what the editor's settings say]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
-    /// Folder of the CLIP text encoder, for an editor that listens to it [default: the hub's cache]
+    /// Folder of the CLIP text encoder, for an editor that uses it [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
-    clip: Option<PathBuf>,
+    text_encoder: Option<PathBuf>,
     /// Guidance weight [default: the one the editor was trained for]
     #[arg(long)]
     guidance: Option<f64>,
@@ -91,7 +97,7 @@ pub(crate) struct Args {
     /// What is asked of some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
     /// outside all ranges stay as they are
     #[arg(long, value_name = "FIRST:END TEXT", conflicts_with = "text")]
-    during: Vec<String>,
+    during: Vec<TimedInstruction>,
     /// File that keeps the edits of one motion; without --text the instructions are read line by line
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
@@ -108,42 +114,58 @@ pub(crate) struct Args {
     /// .png, an animation as .gif, or a folder for a table
     #[arg(long)]
     out: Vec<PathBuf>,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 impl Args {
-    fn source(&self) -> EditorSource<'_> {
-        EditorSource {
-            run: &self.run,
+    fn source(&self) -> SystemSource {
+        SystemSource {
+            run: self.run.clone(),
             slot: self.checkpoint,
-            coordinator: self.coordinator.as_deref(),
-            poses: self.poses.as_deref(),
-            clip: self.clip.as_deref(),
+            coordinator: self.coordinator.clone(),
+            poses: self.poses.clone(),
+            text_encoder: text_encoder(self.text_encoder.as_deref()),
         }
+    }
+
+    fn config(&self) -> EditConfig {
+        let max_batch = self.max_batch.and_then(|count| usize::try_from(count).ok());
+        EditConfig {
+            max_batch: max_batch.unwrap_or(EditConfig::default().max_batch),
+            name: self.name.clone(),
+            takes: self.takes,
+            guidance: self.guidance,
+            temperature: self.temperature,
+            fit: self.fit,
+            prior: self.prior,
+            coordinator_strength: self.coordinator_strength,
+            coordinator_steps: self.coordinator_steps,
+        }
+    }
+
+    /// Opens the system for motions on a skeleton.
+    fn system(&self, skeleton: &Skeleton) -> anyhow::Result<Box<dyn EditSystem>> {
+        Ok(open_system(
+            &self.source(),
+            &self.config(),
+            skeleton,
+            &device(),
+        )?)
     }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let max_batch = args.max_batch.and_then(|count| usize::try_from(count).ok());
-    let config = EditConfig {
-        max_batch: max_batch.unwrap_or(EditConfig::default().max_batch),
-        name: args.name.clone(),
-        takes: args.takes,
-        guidance: args.guidance,
-        temperature: args.temperature,
-        fit: args.fit,
-        prior: args.prior,
-        coordinator_strength: args.coordinator_strength,
-        coordinator_steps: args.coordinator_steps,
-    };
+    args.device.choose()?;
     if let Some(items) = &args.items {
-        return answer(args, items, &config, global);
+        return answer(args, items, global);
     }
     if let Some(history) = &args.history {
-        return interactive(args, history, &config, global);
+        return interactive(args, history, global);
     }
     let is_asked = !args.text.is_empty() || !args.during.is_empty();
     match &args.motion {
-        Some(motion) if is_asked => one(args, motion, &config, global),
+        Some(motion) if is_asked => one(args, motion, global),
         Some(_) => bail!("say what is asked for: --text, or --during for some frames"),
         None if is_asked => bail!("name the motion to edit: --motion FILE, or an id of --dataset"),
         None => {
@@ -152,18 +174,22 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-fn answer(args: &Args, items: &Path, config: &EditConfig, global: &Global) -> anyhow::Result<Exit> {
+fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
     let [out] = args.out.as_slice() else {
         bail!("items are answered in one folder; pass --out once");
     };
-    let bars = global.bars();
-    let source = args.source();
-    let seed = global.seed();
-    let MadeEdits {
+    let Answers {
         dataset: done,
         times,
         remarks,
-    } = chain::edits(items, &source, out, config, seed, global, &bars)?;
+    } = stages::edits(
+        items,
+        &args.source(),
+        out,
+        &args.config(),
+        global.seed(),
+        global,
+    )?;
     let rows = done.manifest().rows(EditRow::TABLE, None);
     if global.json {
         report::json(&serde_json::json!({
@@ -188,117 +214,55 @@ fn answer(args: &Args, items: &Path, config: &EditConfig, global: &Global) -> an
 /// Where the time went, in the columns of the paper's Table A4.
 fn profile(times: &EditTimes) -> String {
     let name = format!("mean of {}", times.num_windows);
-    let grids = eval::times::tables(&[(name, chain::per_window(times))]);
+    let grids = eval::times::tables(&[(name, per_window(times))]);
     grids.iter().map(Grid::text).collect()
 }
 
 /// What is asked for, one edit after another.
-fn asked(args: &Args, motion: &Motion) -> anyhow::Result<Vec<Vec<TimedInstruction>>> {
+fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
-        let timed = args.during.iter().map(|text| parse_timed(text));
-        return Ok(vec![timed.collect::<anyhow::Result<_>>()?]);
+        return vec![args.during.clone()];
     }
-    Ok(args
-        .text
-        .iter()
-        .map(|text| vec![whole(text, motion)])
-        .collect())
-}
-
-fn whole(text: &str, motion: &Motion) -> TimedInstruction {
-    TimedInstruction {
-        frames: 0..motion.len(),
-        text: text.to_owned(),
-    }
-}
-
-/// Reads `FIRST:END TEXT`.
-fn parse_timed(asked: &str) -> anyhow::Result<TimedInstruction> {
-    let parse = || {
-        let (range, text) = asked.split_once(' ')?;
-        let (first, end) = range.split_once(':')?;
-        let frames = first.parse().ok()?..end.parse().ok()?;
-        let text = text.trim().to_owned();
-        (!text.is_empty()).then_some(TimedInstruction { frames, text })
-    };
-    parse().with_context(|| {
-        format!("{asked:?} is not FIRST:END TEXT, such as \"0:40 The person is waving.\"")
-    })
-}
-
-/// Makes one edit after another, each of what the one before made.
-fn layered(
-    editor: &Editor,
-    id: &str,
-    motion: &Motion,
-    layers: &[Vec<TimedInstruction>],
-    skeleton: &Skeleton,
-    settings: &EditSettings,
-    global: &Global,
-) -> anyhow::Result<Edited> {
-    let bars = global.bars();
-    let mut times = EditTimes::default();
-    let mut edited: Option<Edited> = None;
-    for (number, layer) in layers.iter().enumerate() {
-        let source = edited.as_ref().map_or(motion, |edited| &edited.motion);
-        let layer: Vec<TimedInstruction> = layer
-            .iter()
-            .map(|asked| match number {
-                0 => asked.clone(),
-                // An edit may have another rate than the motion it was made of.
-                _ => whole(&asked.text, source),
-            })
-            .collect();
-        // The first layer draws the noise an edit of its own would.
-        let id = match number {
-            0 => id.to_owned(),
-            _ => format!("{id} layer {number}"),
-        };
-        let made = chain::with_session(&bars, |session| {
-            edit_motion(editor, &id, source, &layer, skeleton, settings, session)
-        })?;
-        times += made.times;
-        edited = Some(made);
-    }
-    let edited = edited.context("nothing was asked for")?;
-    Ok(Edited { times, ..edited })
+    let texts = args.text.iter();
+    texts.map(|text| vec![whole(text, motion)]).collect()
 }
 
 fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Motion> {
     match &args.dataset {
-        Some(dataset) if !Path::new(motion).is_file() => stored_clip(dataset, motion),
-        _ => foreign_clip(Path::new(motion), skeleton),
+        Some(dataset) if !Path::new(motion).is_file() => {
+            Ok(stored_clip(&Dataset::open(dataset)?, motion)?.motion()?)
+        }
+        _ => Ok(clip_of_file(Path::new(motion), skeleton)?),
     }
 }
 
 /// The skeleton motions are on: that of --dataset.
 fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
     match &args.dataset {
-        Some(dataset) => chain::skeleton_of(&Dataset::open_unverified(dataset)?),
+        Some(dataset) => Ok(Dataset::open_unverified(dataset)?.skeleton()?),
         None => Ok(Skeleton::smplx_neutral()),
     }
 }
 
-fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::Result<Exit> {
+fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     if args.out.is_empty() {
         bail!("say where to write: --out FILE");
     }
     let skeleton = skeleton(args)?;
     let original = opened(args, id, &skeleton)?;
-    let layers = asked(args, &original)?;
-    let source = args.source();
+    let layers = asked(args, &original);
     let texts: Vec<String> = layers
         .iter()
         .flatten()
         .map(|asked| asked.text.clone())
         .collect();
-    let editor = chain::with_texts(source.load(&skeleton)?, &source, &texts, &global.bars())?;
     let seed = global.seed();
-    let settings = chain::edit_settings(&editor, config, seed);
-    let remarks = remarks(&editor, &original, &layers);
-    let edited = layered(
-        &editor, id, &original, &layers, &skeleton, &settings, global,
-    )?;
+    let mut system = args.system(&skeleton)?;
+    let remarks = remarks(&*system, &original, &layers);
+    let edited = with_session(&global.bars(), |session| {
+        system.prepare(&texts, session)?;
+        edit_layers(&*system, id, &original, &layers, seed, session)
+    })?;
     let texts: Vec<&str> = layers
         .iter()
         .flatten()
@@ -310,13 +274,7 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
         original: &original,
         edited: &edited,
         text: &texts.join(" / "),
-        editor: editor.hash(),
-        system: Some(&chain::identity(
-            &editor,
-            &source,
-            &settings,
-            args.name.as_deref(),
-        )?),
+        system: system.identity(),
         seed,
     };
     for out in &args.out {
@@ -325,18 +283,19 @@ fn one(args: &Args, id: &str, config: &EditConfig, global: &Global) -> anyhow::R
     say(args, &edited, &remarks, global)
 }
 
-/// What is to be known of edits of a motion, said too.
-fn remarks(editor: &Editor, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
-    let remarks = Remarks::of(
-        &editor.record().config,
-        [(motion.len(), motion.fps())],
-        layers.iter().flatten().map(|asked| asked.text.as_str()),
-    );
-    chain::note_remarks(&remarks);
+/// Warnings about edits of a motion, which are printed too.
+fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
+    let texts: Vec<&str> = layers
+        .iter()
+        .flatten()
+        .map(|asked| asked.text.as_str())
+        .collect();
+    let remarks = system.remarks(&[(motion.len(), motion.fps())], &texts);
+    note_remarks(&remarks);
     remarks
 }
 
-/// Says what came out.
+/// Prints the result.
 fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyhow::Result<Exit> {
     if global.json {
         report::json(&serde_json::json!({
@@ -373,7 +332,7 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
     Ok(Exit::Done)
 }
 
-/// What a line typed into an interactive edit asks for.
+/// A line typed into an interactive edit.
 enum Line {
     Edit(Vec<TimedInstruction>),
     Undo,
@@ -395,20 +354,15 @@ fn parse_line(line: &str, motion: &Motion) -> anyhow::Result<Option<Line>> {
                 bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
             }
             None if line.starts_with(|first: char| first.is_ascii_digit()) => {
-                Some(Line::Edit(vec![parse_timed(line)?]))
+                Some(Line::Edit(vec![line.parse().map_err(anyhow::Error::msg)?]))
             }
             None => Some(Line::Edit(vec![whole(line, motion)])),
         },
     })
 }
 
-/// Goes on with the history of one motion, or begins it.
-fn interactive(
-    args: &Args,
-    path: &Path,
-    config: &EditConfig,
-    global: &Global,
-) -> anyhow::Result<Exit> {
+/// Continues the history of one motion, or begins it.
+fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = skeleton(args)?;
     let mut history = match (&args.motion, path.exists()) {
         (Some(_), true) => bail!(
@@ -428,10 +382,9 @@ fn interactive(
     let mut session = Interactive {
         args,
         path,
-        config,
         global,
         skeleton,
-        editor: None,
+        system: None,
         times: EditTimes::default(),
     };
     let from_lines = !args.undo && !args.redo && args.text.is_empty() && args.during.is_empty();
@@ -445,7 +398,7 @@ fn interactive(
         session.save(&history)?;
         session.read_lines(&mut history)?;
     } else {
-        for layer in asked(args, &history.current()?)? {
+        for layer in asked(args, &history.current()?) {
             session.edit(&mut history, layer)?;
         }
         session.save(&history)?;
@@ -463,11 +416,10 @@ fn interactive(
 struct Interactive<'a> {
     args: &'a Args,
     path: &'a Path,
-    config: &'a EditConfig,
     global: &'a Global,
     skeleton: Skeleton,
-    /// Loaded when the first edit asks for it.
-    editor: Option<Editor>,
+    /// Loaded for the first edit.
+    system: Option<Box<dyn EditSystem>>,
     times: EditTimes,
 }
 
@@ -477,42 +429,29 @@ impl Interactive<'_> {
         history: &mut EditHistory,
         instructions: Vec<TimedInstruction>,
     ) -> anyhow::Result<()> {
-        let editor = match self.editor.take() {
-            Some(editor) => editor,
-            None => self.args.source().load(&self.skeleton)?,
+        let system = match self.system.take() {
+            Some(system) => system,
+            None => self.args.system(&self.skeleton)?,
         };
+        let system = &mut **self.system.insert(system);
         let texts: Vec<String> = instructions
             .iter()
             .map(|asked| asked.text.clone())
             .collect();
-        let source = self.args.source();
-        let editor = chain::with_texts(editor, &source, &texts, &self.global.bars())?;
-        let editor = self.editor.insert(editor);
         // Every edit of a history draws noise of its own.
         let count = history.edits().len().to_string();
         let seed = self.global.seed().derive(&["history", &count]);
-        let settings = chain::edit_settings(editor, self.config, seed);
         let (id, current) = (history.id(), history.current()?);
         let layer = [instructions];
-        remarks(editor, &current, &layer);
-        let edited = layered(
-            editor,
-            id,
-            &current,
-            &layer,
-            &self.skeleton,
-            &settings,
-            self.global,
-        )?;
-        self.times += edited.times;
+        remarks(system, &current, &layer);
         let [instructions] = layer;
-        history.push(
-            instructions,
-            seed.0,
-            settings.guidance,
-            editor.hash(),
-            &edited,
-        );
+        let edited = with_session(&self.global.bars(), |session| {
+            system.prepare(&texts, session)?;
+            edit_motion(system, id, &current, &instructions, seed, session)
+        })?;
+        self.times += edited.times;
+        let editor = &system.identity().checkpoint_hash;
+        history.push(instructions, seed.0, system.guidance(), editor, &edited);
         Ok(())
     }
 
@@ -540,8 +479,12 @@ impl Interactive<'_> {
             original: &history.original()?,
             edited: &edited,
             text: &texts.join(" / "),
-            editor: last.map_or("", |edit| &edit.editor),
-            system: None,
+            // Edits of several systems may lie over each other.
+            system: &SystemIdentity {
+                name: "MotionReFit".to_owned(),
+                checkpoint_hash: last.map_or_else(String::new, |edit| edit.editor.clone()),
+                settings: String::new(),
+            },
             seed: Seed(last.map_or(0, |edit| edit.seed)),
         }
         .write(out, self.global)
@@ -630,79 +573,6 @@ impl Interactive<'_> {
     }
 }
 
-/// A clip of a dataset by its id.
-pub(crate) fn stored_clip(dataset: &Path, id: &str) -> anyhow::Result<Motion> {
-    Ok(stored_row(dataset, id)?.motion()?)
-}
-
-/// The row of a clip of a dataset by its id.
-pub(crate) fn stored_row(dataset: &Path, id: &str) -> anyhow::Result<MotionRow> {
-    let dataset = Dataset::open(dataset)?;
-    let rows: Vec<MotionRow> = dataset.read(None)?;
-    rows.into_iter()
-        .find(|row| row.id.as_str() == id)
-        .with_context(|| format!("no clip {id:?} in {}", dataset.root().display()))
-}
-
-/// The first motion of a source file, posed on the given skeleton.
-pub(crate) fn foreign_clip(path: &Path, skeleton: &Skeleton) -> anyhow::Result<Motion> {
-    let options = ReadOptions {
-        skeleton: skeleton.clone(),
-        ..ReadOptions::default()
-    };
-    let (_, outcomes) = read_foreign(path, &options)?;
-    let first = outcomes.into_iter().next().map(|(_, outcome)| outcome);
-    match first {
-        None => bail!("{} holds no motion", path.display()),
-        Some(Outcome::Clip(clip)) => Ok(clip.motion),
-        Some(Outcome::Markers { reason, .. } | Outcome::Skipped { reason }) => {
-            bail!("{}: {reason}", path.display())
-        }
-        Some(Outcome::Rejected(rejected)) => {
-            let place = rejected
-                .byte_offset
-                .map_or(String::new(), |offset| format!(" at byte {offset}"));
-            bail!(
-                "{}: {} {}{place}",
-                path.display(),
-                rejected.code,
-                rejected.reason
-            )
-        }
-    }
-}
-
-/// What reading each motion of a source file gives, by its name within the file.
-pub(crate) fn read_foreign(
-    path: &Path,
-    options: &ReadOptions,
-) -> anyhow::Result<(Format, Vec<(String, Outcome)>)> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let format = match recognise(path, &bytes) {
-        Recognised::Motion(format) => format,
-        Recognised::NotMotion { reason } => {
-            bail!(
-                "{} holds no motion this program reads: {reason}",
-                path.display()
-            )
-        }
-    };
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let companions = |name: &str| std::fs::read(folder.join(name)).ok();
-    let mut keys = keys_in(format, &bytes);
-    if keys.is_empty() {
-        keys.push(String::new());
-    }
-    let outcomes = keys
-        .into_iter()
-        .map(|key| {
-            let outcome = read_clip(format, path, &key, &bytes, &companions, options);
-            (key, outcome)
-        })
-        .collect();
-    Ok((format, outcomes))
-}
-
 /// An edit as it is written.
 struct Shown<'a> {
     id: &'a str,
@@ -710,9 +580,7 @@ struct Shown<'a> {
     original: &'a Motion,
     edited: &'a Edited,
     text: &'a str,
-    editor: &'a str,
-    /// None where edits of several editors may lie over each other.
-    system: Option<&'a SystemIdentity>,
+    system: &'a SystemIdentity,
     seed: Seed,
 }
 
@@ -747,43 +615,16 @@ impl Shown<'_> {
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
         let original = Resample::Exact.apply(self.original, self.edited.motion.fps())?;
         let item = free_item(self.id, self.text, &original)?;
-        let motion = &self.edited.motion;
-        let edit = EditRow {
-            id: item.id.clone(),
-            split: item.split,
-            system: self
-                .system
-                .map_or("MotionReFit", |system| &system.name)
-                .to_owned(),
-            checkpoint_hash: self.editor.to_owned(),
-            settings_hash: self
-                .system
-                .map(SystemIdentity::settings_hash)
-                .unwrap_or_default(),
-            settings: self
-                .system
-                .map(|system| system.settings.clone())
-                .unwrap_or_default(),
-            source_id: self.id.to_owned(),
-            target_id: String::new(),
-            instruction: self.text.to_owned(),
-            kind: item.task.clone(),
-            seed: self.seed.0,
-            fps: motion.fps().get() as f32,
-            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-            transl: motion.transl().to_vec(),
-            global_orient: motion.global_orient().to_vec(),
-            body_pose: motion.body_pose().to_vec(),
-            fit_error_m: Some(self.edited.misfit.fit_error_m),
-            bone_drift_m: Some(self.edited.misfit.bone_drift_m),
-        };
+        let Edited { motion, misfit, .. } = self.edited;
+        let edit = self.system.row(&item, motion, *misfit, self.seed);
         let plan = blake3::hash(format!("{} {} {edit:?}", self.id, self.text).as_bytes());
-        chain::commit_edits(out, &[item], &[edit], skeleton, &plan.to_hex(), global)?;
+        let holder = global.holder();
+        commit_edits(out, &[item], &[edit], skeleton, &plan.to_hex(), &holder)?;
         Ok(())
     }
 }
 
-/// An item that asks for something nobody knows the answer to.
+/// An item without a target.
 fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow> {
     // A file's path is no id of a clip; its hash is.
     let source_id = MotionId::parse(id)

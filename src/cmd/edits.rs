@@ -3,12 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::record::ItemRow;
 use datasets_spec::{Dataset, Fps};
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
 use serde::Serialize;
 
-use crate::chain;
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -108,14 +106,8 @@ struct Document<'a> {
 
 fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
     let asked = Dataset::open(&args.items)?;
-    let items: Vec<ItemRow> = asked.read(None)?;
-    if items.is_empty() {
-        bail!(
-            "{} holds no items; draw them: stance items DATASET --out ITEMS",
-            args.items.display()
-        );
-    }
-    let skeleton = chain::skeleton_of(&asked)?;
+    let items = asked.items()?;
+    let skeleton = asked.skeleton()?;
     let options = AnswerOptions {
         system: args.name.clone(),
         settings: settings(args.settings.as_deref())?,

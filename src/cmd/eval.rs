@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
-use datasets_spec::{Dataset, Seed, Split};
+use anyhow::bail;
+use datasets_spec::{Seed, Split};
+use eval::answers::{Answered, Paired, Scores};
 use eval::format;
 use eval::metric::interval::Interval;
 use eval::metric::matching::CrossRetrieval;
@@ -15,10 +16,11 @@ use eval::published::PaperTable;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
-use crate::chain::{self, EvaluatorRuns, Scores};
 use crate::cli::Global;
+use crate::device::DeviceArgs;
+use crate::evaluators::{EvaluatorRuns, encoder_retrieval};
 use crate::exit::Exit;
-use crate::report;
+use crate::{report, stages};
 
 /// Score tables of edits and print a result table of the paper's shape, or compare two of them.
 ///
@@ -31,7 +33,7 @@ pub(crate) struct Args {
     action: Option<Action>,
     /// Tables of edits of the same items, as `stance edit` writes them; takes of other seeds count as
     /// one system
-    #[arg(long, required_unless_present = "items", num_args = 1..)]
+    #[arg(required_unless_present = "items")]
     edits: Vec<PathBuf>,
     /// Items, to print what needs no system: the real data and the identity editor
     #[arg(long)]
@@ -43,7 +45,7 @@ pub(crate) struct Args {
     /// published
     #[arg(long, value_enum, default_value_t = IntervalArg::Targets)]
     interval: IntervalArg,
-    /// Print the columns the paper lacks below: median ranks, raw FID, multimodality, errors, and how
+    /// Print further columns that the paper lacks: median ranks, raw FID, multimodality, errors, and how
     /// motions move
     #[arg(long)]
     further: bool,
@@ -63,7 +65,7 @@ enum Action {
     Encoder(EncoderArgs),
 }
 
-/// Tell how well an encoder's texts and motions find each other: is it fit to judge by?
+/// Measure how well an encoder's texts and motions retrieve each other: whether it is fit to evaluate with.
 ///
 /// Motions described in equal words may stand for each other.
 #[derive(clap::Args, Debug)]
@@ -109,11 +111,11 @@ struct Measure {
     /// Evaluations behind each value
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
-    /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and
-    /// the default here, do the opposite)
+    /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and the
+    /// default here, do the opposite)
     #[arg(long)]
     transpose: bool,
-    /// Cut edited motions to the length of their target, as the MotionFix evaluation does
+    /// Truncate edited motions to the length of their target, as the MotionFix evaluation does
     #[arg(long)]
     truncate: bool,
     /// Compare whole sets by FID in place of random halves
@@ -138,6 +140,8 @@ struct Measure {
     /// Height of the floor in metres [default: the lowest foot of each motion]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     floor: Option<f64>,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 impl Measure {
@@ -173,9 +177,11 @@ impl Measure {
         }
     }
 
-    fn evaluators(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
+    /// The models to evaluate with, on the chosen device.
+    fn runs(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
+        self.device.choose()?;
         let Some(encoder) = &self.encoder else {
-            bail!("say what motions are compared by: --encoder RUN, of `stance train tmr`");
+            bail!("name the encoder to compare motions with: --encoder RUN, of `stance train tmr`");
         };
         Ok(EvaluatorRuns {
             encoder,
@@ -251,13 +257,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         },
         ..args.measure.protocol(Some(table), global)
     };
-    let bars = global.bars();
     let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
-    let scores = chain::scores(&tables, &args.measure.evaluators()?, &protocol, &bars)?;
+    let runs = args.measure.runs()?;
+    let answered = Answered::read_for_table(&tables)?;
+    let scores = stages::scores(&answered, &runs, &protocol, global)?;
     if let Some(out) = &args.out {
-        let first = tables.first().context("no table of edits was given")?;
-        let skeleton = chain::skeleton_of(&Dataset::open_unverified(first)?)?;
-        chain::commit_scores(out, &scores, &skeleton, global)?;
+        scores.commit(out, &answered.skeleton, &global.holder())?;
     }
     let text = if global.json || args.measure.format == FormatArg::Json {
         format::json::render(&scores.rows)?
@@ -312,7 +317,7 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         .iter()
         .map(|path| {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            Ok((name.into_owned(), chain::window_times(path)?))
+            Ok((name.into_owned(), WindowTimes::read(path)?))
         })
         .collect::<anyhow::Result<_>>()?;
     if args.published {
@@ -353,12 +358,11 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
 fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
-    let comparisons = chain::comparison(
-        [&args.a, &args.b],
-        &args.measure.evaluators()?,
-        &protocol,
-        &global.bars(),
-    )?;
+    let runs = args.measure.runs()?;
+    let paired = Paired::read([&args.a, &args.b])?;
+    let comparisons = runs.with(&paired.answered.skeleton, |evaluators| {
+        paired.compare(evaluators, &protocol, &global.bars())
+    })?;
     if global.json || args.measure.format == FormatArg::Json {
         report::json(&comparisons)?;
         return Ok(Exit::Done);
@@ -373,9 +377,8 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
 
 fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
-    let evaluators = args.measure.evaluators()?;
-    let (n, repeats) =
-        chain::cross_scores(&args.dataset, evaluators.encoder, args.split, &protocol)?;
+    let runs = args.measure.runs()?;
+    let (n, repeats) = encoder_retrieval(&args.dataset, runs.encoder, args.split, &protocol)?;
     type Side = fn(&CrossRetrieval) -> &Retrieval;
     type Column = fn(&Retrieval) -> f64;
     let sides: [(&str, Side); 2] = [

@@ -12,12 +12,12 @@ use pipeline::catalogue::{Catalogue, Group, catalogue};
 use pipeline::check::FLAG_NAMES;
 use pipeline::clip::{Outcome, SourceClip};
 use pipeline::ingest::REMARKS_FACT;
+use pipeline::open::{read_file, stored_clip, stored_item};
 use pipeline::source::ReadOptions;
 use serde::Serialize;
 
 use crate::cli::Global;
-use crate::cmd::edit::{read_foreign, stored_row};
-use crate::cmd::render::{holds_items, stored_item};
+use crate::cmd::render::holds_items;
 use crate::exit::Exit;
 use crate::report;
 
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let edits: Vec<EditRow> = dataset.read(None)?;
             return show(&Question::of(&item, &edits), Question::text, global);
         }
-        return show(&Clip::of(&stored_row(path, id)?), Clip::text, global);
+        return show(&Clip::of(&stored_clip(&dataset, id)?), Clip::text, global);
     }
     if path.is_dir() {
         let dataset = Dataset::open(path)?;
@@ -395,7 +395,7 @@ struct ForeignMotion {
 
 fn foreign(path: &Path) -> anyhow::Result<Foreign> {
     let options = ReadOptions::default();
-    let (format, outcomes) = read_foreign(path, &options)?;
+    let (format, outcomes) = read_file(path, &options)?;
     let motions: Vec<ForeignMotion> = outcomes
         .into_iter()
         .map(|(name, outcome)| ForeignMotion::of(name, outcome, &options.skeleton))

@@ -9,11 +9,10 @@ use datasets_spec::{Dataset, Split};
 use pipeline::compose::{ItemConfig, ItemCount, ItemTask};
 use pipeline::export::export_items;
 
-use crate::chain;
 use crate::cli::Global;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
-use crate::report;
+use crate::{report, stages};
 
 /// Draw the test questions that systems answer: a motion, an instruction, and the motion it should
 /// become.
@@ -91,7 +90,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         compose: args.compose.config()?,
     };
     let seed = global.seed();
-    let drawn = chain::items(dataset, out, args.split, &config, seed, global)
+    let drawn = stages::items(dataset, out, args.split, &config, seed, global)
         .context("cannot draw items")?;
     let rows: Vec<ItemRow> = drawn.read(None)?;
     let distinct = |of: fn(&ItemRow) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();
@@ -119,14 +118,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn export(args: &ExportArgs, global: &Global) -> anyhow::Result<Exit> {
     let FormatArg::Npz = args.format;
     let folder = Dataset::open(&args.items)?;
-    let items: Vec<ItemRow> = folder.read(None)?;
-    if items.is_empty() {
-        anyhow::bail!(
-            "{} holds no items; draw them: stance items DATASET --out ITEMS",
-            args.items.display()
-        );
-    }
-    let skeleton = chain::skeleton_of(&folder)?;
+    let items = folder.items()?;
+    let skeleton = folder.skeleton()?;
     let bars = global.bars();
     let motions = export_items(&items, &skeleton, &args.out, args.targets, &bars)?;
     if global.json {

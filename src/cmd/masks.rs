@@ -9,9 +9,9 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::masks::MaskConfig;
+use pipeline::stage::{self, Judged};
 use serde::Serialize;
 
-use crate::chain::{self, Judged};
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             } else {
                 Judged::Refuse
             };
-            chain::masks(&args.dataset, &config, judged, global, &global.bars())?
+            global.stage(|context| stage::masks(&args.dataset, &config, judged, context))?
         }
     };
     print(&dataset, global)?;

@@ -17,11 +17,11 @@ use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
 
-use crate::chain;
-use crate::cli::Global;
-use crate::device::device;
+use crate::cli::{Global, PresetArg};
+use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::report;
+use crate::session::{hub_cache, text_encoder};
 
 /// Take over networks the released program trained, and give it those trained here.
 #[derive(clap::Args, Debug)]
@@ -52,9 +52,9 @@ struct ImportArgs {
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
     /// Settings the network was made with
-    #[arg(long, default_value = "official")]
-    preset: String,
-    /// The released range of model units (norm_scaled.npy), or a range.json of `stance model export`
+    #[arg(long, value_enum, default_value_t = PresetArg::Official)]
+    preset: PresetArg,
+    /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
     #[arg(long, value_name = "FILE", required_unless_present = "features")]
     range: Option<PathBuf>,
     /// What an evaluation encoder sees of a motion
@@ -66,16 +66,17 @@ struct ImportArgs {
     /// Attention heads of an evaluation encoder, which its file does not tell
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
-    /// Folder of the CLIP text encoder the editor listens to [default: the hub's cache]
+    /// Folder of the CLIP text encoder that the editor uses [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
-    clip: Option<PathBuf>,
+    text_encoder: Option<PathBuf>,
     /// Run folder to write
     #[arg(long)]
     out: PathBuf,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
-/// Write the network of a run as safetensors under the released names, with the range of model units
-/// beside it.
+/// Write the network of a run as safetensors under the released names, with its normaliser beside it.
 #[derive(clap::Args, Debug)]
 struct ExportArgs {
     /// Run folder of an editor or a coordinator
@@ -145,7 +146,7 @@ fn fetch(global: &Global) -> anyhow::Result<Vec<PathBuf>> {
     bars.begin("fetch", None);
     let files = ClipFiles::fetch(
         ClipModel::VitB32,
-        &chain::hub_cache()?,
+        &hub_cache().ok_or(train::Error::NoHubCache)?,
         &hub,
         &mut |done, total| {
             let total = total.map_or(String::new(), |total| format!(" of {} MB", total >> 20));
@@ -157,17 +158,18 @@ fn fetch(global: &Global) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
+    args.device.choose()?;
     if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
         return import_encoder(args, features.recipe(), stats);
     }
     let Some(range_file) = &args.range else {
-        bail!("the range of model units is missing: --range norm_scaled.npy");
+        bail!("the normaliser is missing: --range norm_scaled.npy");
     };
-    let preset = chain::preset(&args.preset)?;
+    let preset = args.preset.into();
     let weights = weights(&args.file, &StateDictOptions::default())?;
     let normalizer = range(range_file)?;
-    // The released models were trained on the male body; the skeleton of this program stands in
-    // wherever a motion is posed for them.
+    // The released models were trained on the male body; motions are posed for them on the skeleton of
+    // this program.
     let skeleton = Skeleton::smplx_neutral();
     let compose = ComposeRecord {
         config: TrainConfig::compose_preset(preset),
@@ -176,7 +178,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let (out, file) = (&args.out, &args.file);
     match args.model {
         Model::Motionrefit => {
-            let clip = chain::clip(args.clip.as_deref())?;
+            let clip = text_encoder(args.text_encoder.as_deref()).load(&device())?;
             let record = EditorRecord {
                 train: TrainConfig::preset(preset),
                 normalizer,
@@ -202,8 +204,8 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The released divide by the spread of the training split and a little more, so that nothing is
-/// divided by zero.
+/// Added to the standard deviations of released statistics, as the released code does, so that nothing
+/// is divided by zero.
 const TINY_SPREAD: f32 = 1e-12;
 
 fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> anyhow::Result<()> {
@@ -245,7 +247,7 @@ fn range(path: &Path) -> anyhow::Result<Normalizer> {
     let bytes = read(path)?;
     if path.extension().is_some_and(|ending| ending == "json") {
         return serde_json::from_slice(&bytes)
-            .with_context(|| format!("{} is no range of model units", path.display()));
+            .with_context(|| format!("{} is no normaliser", path.display()));
     }
     Ok(exchange::read_released_range(&bytes, path)?)
 }

@@ -6,16 +6,18 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{BodyPart, JointSet, Skeleton};
+use eval::answers::Answered;
 use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
 
-use crate::chain::{self, Answered, EvaluatorRuns};
 use crate::cli::Global;
 use crate::cmd::eval::{further_tables, tables};
+use crate::device::DeviceArgs;
+use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
-use crate::report;
+use crate::{report, stages};
 
 /// Write one HTML file with the tables of edits, and a 3D viewer in which all systems play side by
 /// side.
@@ -38,19 +40,23 @@ pub(crate) struct Args {
     /// Title of the page
     #[arg(long, default_value = "Edited motions")]
     title: String,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 /// Intervals of a histogram.
 const BINS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.device.choose()?;
+    let answered = Answered::read_for_table(&args.edits)?;
     let Answered {
         items,
         edits,
         skeleton,
-    } = Answered::read_for_table(&args.edits)?;
+    } = &answered;
     let mut answers: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
-    for row in &edits {
+    for row in edits {
         answers.entry(&row.id).or_default().push(row);
     }
     if edits.is_empty() {
@@ -66,12 +72,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 seed: global.seed(),
                 ..Protocol::default()
             };
-            Some(chain::scores(
-                &args.edits,
-                &runs,
-                &protocol,
-                &global.bars(),
-            )?)
+            Some(stages::scores(&answered, &runs, &protocol, global)?)
         }
         None => None,
     };
@@ -82,7 +83,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         .map(|item| {
             let mut made = answers.get(item.id.as_str()).cloned().unwrap_or_default();
             made.sort_by_key(|row| (row.system.clone(), row.seed));
-            strip_of(item, &made, &skeleton)
+            strip_of(item, &made, skeleton)
         })
         .collect::<anyhow::Result<_>>()?;
     let edited = || edits.iter();
@@ -110,7 +111,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
     let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
-    for row in &edits {
+    for row in edits {
         // What another program wrote there need not be JSON, and is shown as it is.
         settings.entry(&row.system).or_insert_with(|| {
             let mut document = match serde_json::from_str(&row.settings) {

@@ -7,9 +7,9 @@ use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
 use pipeline::pairs::{PairConfig, RefusedLine};
+use pipeline::stage;
 use serde::Serialize;
 
-use crate::chain;
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -48,7 +48,8 @@ struct Document {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (dataset, alone, refused) = match &args.csv {
         Some(file) => {
-            let (dataset, refused) = chain::listed_pairs(&args.dataset, file, global)?;
+            let (dataset, refused) =
+                global.stage(|context| stage::listed_pairs(&args.dataset, file, context))?;
             (dataset, Vec::new(), refused)
         }
         None => {
@@ -56,7 +57,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 neutral: args.neutral.clone(),
                 per_motion: args.per_motion,
             };
-            let (dataset, alone) = chain::pairs(&args.dataset, &config, global, &global.bars())?;
+            let seed = global.seed();
+            let (dataset, alone) =
+                global.stage(|context| stage::pairs(&args.dataset, &config, seed, context))?;
             (dataset, alone, Vec::new())
         }
     };

@@ -8,10 +8,9 @@ use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, strip};
+use pipeline::open::{clip_of_file, stored_clip, stored_item};
 
-use crate::chain;
 use crate::cli::Global;
-use crate::cmd::edit::{foreign_clip, stored_clip};
 use crate::exit::Exit;
 use crate::report;
 
@@ -74,21 +73,10 @@ pub(crate) fn holds_items(dataset: &Dataset) -> bool {
     tables.contains_key(ItemRow::TABLE) && !tables.contains_key(MotionRow::TABLE)
 }
 
-/// The item of an id, or of the beginning of one.
-pub(crate) fn stored_item(dataset: &Dataset, id: &str) -> anyhow::Result<ItemRow> {
-    let rows: Vec<ItemRow> = dataset.read(None)?;
-    let mut found = rows.into_iter().filter(|row| row.id.starts_with(id));
-    match (found.next(), found.next()) {
-        (Some(item), None) => Ok(item),
-        (Some(_), Some(_)) => bail!("several items begin with {id:?}; write more of the id"),
-        (None, _) => bail!("no item {id:?} in {}", dataset.root().display()),
-    }
-}
-
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let dataset = args.dataset.as_deref().map(Dataset::open).transpose()?;
     let skeleton = match &dataset {
-        Some(dataset) => chain::skeleton_of(dataset)?,
+        Some(dataset) => dataset.skeleton()?,
         None => Skeleton::smplx_neutral(),
     };
     let row = |label: String, motion: &Motion, highlighted: JointSet| Row {
@@ -115,13 +103,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 }
             }
             Some(dataset) => {
-                let motion = stored_clip(dataset.root(), clip)?;
+                let motion = stored_clip(dataset, clip)?.motion()?;
                 rows.push(row(clip.clone(), &motion, JointSet::EMPTY));
             }
             None => {
                 let path = Path::new(clip);
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                let motion = foreign_clip(path, &skeleton)?;
+                let motion = clip_of_file(path, &skeleton)?;
                 rows.push(row(name.into_owned(), &motion, JointSet::EMPTY));
             }
         }

@@ -7,6 +7,7 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
+use eval::answers::{Answered, Scores};
 use eval::draw::plot::{Bars, Curve, Plot, Scale};
 use eval::format;
 use eval::protocol::Protocol;
@@ -15,23 +16,29 @@ use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;
 use pipeline::pairs::PairConfig;
+use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 use train::config::{Preset, TrainConfig};
 use train::coordinator::CoordinatorConfig;
 use train::fit::TrainReport;
-use train::j2s::{J2sConfig, J2sPreset};
+use train::j2s::J2sConfig;
+use train::stage::coordinator::train_coordinator;
+use train::stage::editor::{EditorInputs, train_editor};
+use train::stage::encoder::train_encoder;
+use train::stage::poses::train_j2s;
+use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::chain::{
-    self, Answered, EditConfig, EditorSource, EvaluatorRuns, IngestConfig, Judged, Scores,
-    TrainInputs,
-};
 use crate::cli::Global;
 use crate::cmd::eval::tables;
 use crate::cmd::page::strip_of;
+use crate::device::TrainDeviceArgs;
+use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
-use crate::report;
 use crate::seeds::Seeds;
+use crate::session::{is_stopped, stopped, text_encoder, with_session};
+use crate::{report, settings, stages};
 
 /// Run the whole chain on your own folders: ingest, masks, triplets, training, edits, table.
 ///
@@ -42,6 +49,8 @@ pub(crate) struct Args {
     /// Configuration file
     #[arg(long)]
     config: PathBuf,
+    #[command(flatten)]
+    device: TrainDeviceArgs,
 }
 
 /// The configuration file.
@@ -54,10 +63,10 @@ pub(crate) struct RunConfig {
     out: PathBuf,
     /// Named settings of the models.
     #[serde(default = "default_preset")]
-    preset: String,
-    /// Folder of the CLIP text encoder, for settings that listen to it; none looks into the hub's
-    /// cache.
-    clip: Option<PathBuf>,
+    preset: Preset,
+    /// Folder of the CLIP text encoder, for settings that use it; without it the hub's cache is searched.
+    #[serde(alias = "clip")]
+    text_encoder: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.
     #[serde(default = "default_triplets")]
     triplets: u64,
@@ -73,19 +82,19 @@ pub(crate) struct RunConfig {
     pairs: PairConfig,
     /// Values in place of the preset's for the composer.
     #[serde(default)]
-    compose: toml::Table,
+    compose: Map<String, Value>,
     /// Values in place of the preset's for the editor.
     #[serde(default)]
-    train: toml::Table,
+    train: Map<String, Value>,
     /// Values in place of the preset's for the coordinator.
     #[serde(default)]
-    coordinator: toml::Table,
+    coordinator: Map<String, Value>,
     /// Values in place of the preset's for the pose network.
     #[serde(default)]
-    poses: toml::Table,
+    poses: Map<String, Value>,
     /// Values in place of the preset's for the encoder.
     #[serde(default)]
-    encoder: toml::Table,
+    encoder: Map<String, Value>,
     /// Seeds of split, items, training and sampling.
     #[serde(default)]
     seeds: Seeds,
@@ -123,8 +132,8 @@ impl Default for Stages {
     }
 }
 
-fn default_preset() -> String {
-    "tiny".to_owned()
+fn default_preset() -> Preset {
+    Preset::Tiny
 }
 
 fn default_triplets() -> u64 {
@@ -138,17 +147,17 @@ impl RunConfig {
             sources,
             out,
             preset: default_preset(),
-            clip: None,
+            text_encoder: None,
             triplets: default_triplets(),
             ingest: IngestConfig::default(),
             masks: MaskConfig::default(),
             stages: Stages::default(),
             pairs: PairConfig::default(),
-            compose: toml::Table::new(),
-            train: toml::Table::new(),
-            coordinator: toml::Table::new(),
-            poses: toml::Table::new(),
-            encoder: toml::Table::new(),
+            compose: Map::new(),
+            train: Map::new(),
+            coordinator: Map::new(),
+            poses: Map::new(),
+            encoder: Map::new(),
             seeds: Seeds::default(),
             items: ItemConfig::default(),
             edit: EditConfig::default(),
@@ -172,33 +181,26 @@ pub(crate) struct Plan {
 impl Plan {
     /// Resolves the presets and the seed.
     pub(crate) fn new(config: RunConfig, global: &Global) -> anyhow::Result<Self> {
-        let preset = chain::preset(&config.preset)?;
-        let mut train = chain::overlay(&TrainConfig::preset(preset), Some(&config.train))
-            .context("section [train]")?;
-        let mut encoder = chain::overlay(&TmrConfig::preset(preset), Some(&config.encoder))
-            .context("section [encoder]")?;
-        let mut coordinator = chain::overlay(
-            &CoordinatorConfig::preset(preset),
-            Some(&config.coordinator),
-        )
-        .context("section [coordinator]")?;
-        let network = match preset {
-            Preset::Official => J2sPreset::Official,
-            Preset::Paper | Preset::Tiny => J2sPreset::Paper,
-        };
-        let mut poses = chain::overlay(&J2sConfig::preset(network), Some(&config.poses))
-            .context("section [poses]")?;
+        let preset = config.preset;
+        let own = &config.train;
+        let mut train = settings::over(&TrainConfig::preset(preset), "train", own)?;
+        let own = &config.encoder;
+        let mut encoder = settings::over(&TmrConfig::preset(preset), "encoder", own)?;
+        let own = &config.coordinator;
+        let mut coordinator =
+            settings::over(&CoordinatorConfig::preset(preset), "coordinator", own)?;
+        let mut poses = settings::over(&J2sConfig::of(preset), "poses", &config.poses)?;
         let seeds = config.seeds;
         for (seed, own) in [
-            (&mut train.seed, &config.train),
-            (&mut coordinator.seed, &config.coordinator),
-            (&mut poses.seed, &config.poses),
-            (&mut encoder.seed, &config.encoder),
+            (&mut train.run.seed, &config.train),
+            (&mut coordinator.run.seed, &config.coordinator),
+            (&mut poses.run.seed, &config.poses),
+            (&mut encoder.run.seed, &config.encoder),
         ] {
             *seed = seeds.of_model(*seed, own, global).0;
         }
-        let compose = chain::overlay(&TrainConfig::compose_preset(preset), Some(&config.compose))
-            .context("section [compose]")?;
+        let compose = &TrainConfig::compose_preset(preset);
+        let compose = settings::over(compose, "compose", &config.compose)?;
         Ok(Self {
             config,
             compose,
@@ -213,13 +215,11 @@ impl Plan {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let text = std::fs::read_to_string(&args.config)
-        .with_context(|| format!("cannot read {}", args.config.display()))?;
-    let mut config: RunConfig =
-        toml::from_str(&text).with_context(|| format!("in {}", args.config.display()))?;
+    args.device.choose()?;
+    let mut config: RunConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
     let folders = config.sources.iter_mut().chain([&mut config.out]);
-    for path in folders.chain(&mut config.clip) {
+    for path in folders.chain(&mut config.text_encoder) {
         *path = base.join(&*path);
     }
     if config.sources.is_empty() {
@@ -277,7 +277,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     let places = Places::under(&config.out);
     let bars = global.bars();
 
-    let ingested = chain::ingested(
+    let ingested = stages::ingested(
         &config.sources,
         &places.dataset,
         &config.ingest,
@@ -286,38 +286,48 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         &bars,
     )
     .context("stage ingest")?;
-    chain::masks(&places.dataset, &config.masks, Judged::Keep, global, &bars)
+    global
+        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, context))
         .context("stage masks")?;
     if config.stages.pairs {
-        chain::pairs(&places.dataset, &config.pairs, global, &bars).context("stage pairs")?;
+        global
+            .stage(|context| stage::pairs(&places.dataset, &config.pairs, global.seed(), context))
+            .context("stage pairs")?;
     }
-    chain::triplets(
-        &places.dataset,
-        &places.triplets,
-        config.triplets,
-        &plan.compose,
-        Seed(plan.train.seed),
-        global,
-        &bars,
-    )
-    .context("stage triplets")?;
+    global
+        .stage(|context| {
+            stage::triplets(
+                &places.dataset,
+                &places.triplets,
+                config.triplets,
+                &plan.compose,
+                Seed(plan.train.run.seed),
+                context,
+            )
+        })
+        .context("stage triplets")?;
     let dataset = Dataset::open(&places.dataset)?;
-    let encoder = chain::train_encoder(&places.dataset, &places.encoder, &plan.encoder, &bars)
-        .context("stage train tmr")?;
-    if chain::is_stopped() {
+    let encoder = with_session(&bars, |session| {
+        train_encoder(&places.dataset, &places.encoder, &plan.encoder, session)
+    })
+    .context("stage train tmr")?;
+    if is_stopped() {
         return Ok(stopped());
     }
-    let train_editor = |run: &Path, compose: &ComposeConfig| {
-        let inputs = TrainInputs {
+    let text_encoder = text_encoder(config.text_encoder.as_deref());
+    let trained = |run: &Path, compose: &ComposeConfig| {
+        let inputs = EditorInputs {
             compose,
             windows: None,
-            clip: config.clip.as_deref(),
+            text_encoder: &text_encoder,
         };
-        chain::train_editor(&places.dataset, run, &plan.train, &inputs, &bars)
-            .context("stage train motionrefit")
+        with_session(&bars, |session| {
+            train_editor(&places.dataset, run, &plan.train, &inputs, session)
+        })
+        .context("stage train motionrefit")
     };
-    let editor = train_editor(&places.editor, &plan.compose)?;
-    if chain::is_stopped() {
+    let editor = trained(&places.editor, &plan.compose)?;
+    if is_stopped() {
         return Ok(stopped());
     }
     let fixed_pairs = ComposeConfig {
@@ -325,30 +335,35 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         ..plan.compose.clone()
     };
     if config.stages.without_mcm {
-        train_editor(&places.without_mcm, &fixed_pairs)?;
+        trained(&places.without_mcm, &fixed_pairs)?;
     }
-    let guided = config.stages.coordinator && chain::can_coordinate(&places.dataset)?;
+    let guided = config.stages.coordinator && stage::can_coordinate(&places.dataset)?;
     if config.stages.coordinator && !guided {
         report::note("no coordinator: the training split holds motions of a single source");
     }
     if guided {
-        chain::train_coordinator(
-            &places.dataset,
-            &places.coordinator,
-            &plan.coordinator,
-            &plan.compose,
-            &bars,
-        )
+        with_session(&bars, |session| {
+            let config = &plan.coordinator;
+            train_coordinator(
+                &places.dataset,
+                &places.coordinator,
+                config,
+                &plan.compose,
+                session,
+            )
+        })
         .context("stage train coordinator")?;
     }
     if config.stages.poses && !places.poses.join("checkpoint").exists() {
-        chain::train_j2s(&places.dataset, &places.poses, &plan.poses, &bars)
-            .context("stage train j2s")?;
+        with_session(&bars, |session| {
+            train_j2s(&places.dataset, &places.poses, &plan.poses, session)
+        })
+        .context("stage train j2s")?;
     }
-    if chain::is_stopped() {
+    if is_stopped() {
         return Ok(stopped());
     }
-    chain::items(
+    stages::items(
         &places.dataset,
         &places.items,
         Split::Test,
@@ -359,23 +374,15 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     .context("stage items")?;
     let mut tables = Vec::new();
     let mut edit = |run: &Path, coordinator: Option<&Path>, folder: &str| {
-        let source = EditorSource {
-            clip: config.clip.as_deref(),
-            coordinator,
-            poses: config.stages.poses.then_some(places.poses.as_path()),
-            ..EditorSource::best(run)
+        let source = SystemSource {
+            coordinator: coordinator.map(Path::to_owned),
+            poses: config.stages.poses.then(|| places.poses.clone()),
+            ..SystemSource::best(run, text_encoder.clone())
         };
         let out = places.edits.join(folder);
-        chain::edits(
-            &places.items,
-            &source,
-            &out,
-            &config.edit,
-            config.seeds.sample(global),
-            global,
-            &bars,
-        )
-        .context("stage edit")?;
+        let seed = config.seeds.sample(global);
+        stages::edits(&places.items, &source, &out, &config.edit, seed, global)
+            .context("stage edit")?;
         tables.push(out);
         anyhow::Ok(())
     };
@@ -390,19 +397,15 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         seed: global.seed_or(Some(config.eval.seed.0)),
         ..config.eval
     };
-    let scores = chain::scores(
-        &tables,
-        &EvaluatorRuns {
-            encoder: &places.encoder,
-            coordinator: None,
-        },
-        &protocol,
-        &bars,
-    )
-    .context("stage eval")?;
     let edits = Answered::read_for_table(&tables)?;
-    let skeleton = &dataset.skeleton()?;
-    chain::commit_scores(&places.scores, &scores, skeleton, global).context("stage eval")?;
+    let runs = EvaluatorRuns {
+        encoder: &places.encoder,
+        coordinator: None,
+    };
+    let scores = stages::scores(&edits, &runs, &protocol, global).context("stage eval")?;
+    scores
+        .commit(&places.scores, &edits.skeleton, &global.holder())
+        .context("stage eval")?;
 
     let done = Done {
         plan: &plan,
@@ -423,12 +426,6 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     } else {
         Exit::Done
     })
-}
-
-/// Says that an interrupt ended the run between two stages.
-fn stopped() -> Exit {
-    report::note("stopped and saved; the same command goes on from here");
-    Exit::Interrupted
 }
 
 /// What the stages came to.

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use pipeline::stage::open_motions;
 use pipeline::stats::statistics;
 
-use crate::chain;
 use crate::cli::Global;
 use crate::exit::Exit;
 use crate::report;
@@ -17,7 +17,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let statistics = statistics(&chain::open_motions(&args.dataset)?)?;
+    let statistics = statistics(&open_motions(&args.dataset)?)?;
     if global.json {
         report::json(&statistics)?;
     } else {

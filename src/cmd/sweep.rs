@@ -1,26 +1,32 @@
 //! `stance sweep`
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
+use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::ScoreRow;
 use datasets_spec::{Dataset, Split};
-use eval::draw::plot::{Curve, HeatMap, Plot, Scale, heat_map, plot};
+use eval::answers::Answered;
 use eval::metric::retrieval::E2T_AVERAGE_RANK;
 use eval::metric::{self, Metric};
-use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use eval::protocol::Protocol;
+use eval::sweep::{Axis, Point, Sections, collected, drawing, points};
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use serde::{Deserialize, Serialize};
-use train::config::TrainConfig;
+use serde_json::{Map, Value};
+use train::config::{Preset, TrainConfig};
+use train::stage::editor::{EditorInputs, train_editor};
+use train::stage::encoder::train_encoder;
+use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::chain::{self, EditConfig, EditorSource, EvaluatorRuns, Scores, TrainInputs};
 use crate::cli::Global;
+use crate::device::TrainDeviceArgs;
+use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
-use crate::report;
 use crate::seeds::Seeds;
+use crate::session::{is_stopped, stopped, text_encoder, with_session};
+use crate::{report, settings, stages};
 
 /// Run an ablation: train, edit and score at every point of a plan, and draw the curves.
 ///
@@ -34,6 +40,8 @@ pub(crate) struct Args {
     /// Check the plan, and list its points without running them
     #[arg(long)]
     dry_run: bool,
+    #[command(flatten)]
+    device: TrainDeviceArgs,
 }
 
 /// The plan as its file holds it.
@@ -48,25 +56,26 @@ struct Plan {
     encoder: Option<PathBuf>,
     /// Run folder of the coordinator that guides the editor.
     coordinator: Option<PathBuf>,
-    /// Folder of CLIP, where the settings listen to it.
-    clip: Option<PathBuf>,
+    /// Folder of CLIP, for settings that use it.
+    #[serde(alias = "clip")]
+    text_encoder: Option<PathBuf>,
     #[serde(default = "tiny")]
-    preset: String,
+    preset: Preset,
     /// Metrics that are drawn.
     #[serde(default = "drawn")]
     metrics: Vec<String>,
-    /// Split the points are scored on: what a sweep chooses by is no test set.
+    /// Split the points are scored on. The default is not the test split, because a sweep chooses by it.
     #[serde(default = "validation")]
     split: Split,
     /// Test questions, the same at every point.
     #[serde(default)]
     items: ItemConfig,
     #[serde(default)]
-    train: toml::Table,
+    train: Map<String, Value>,
     #[serde(default)]
-    compose: toml::Table,
+    compose: Map<String, Value>,
     #[serde(default)]
-    edit: toml::Table,
+    edit: Map<String, Value>,
     /// Seeds of items, training and sampling.
     #[serde(default)]
     seeds: Seeds,
@@ -76,8 +85,8 @@ struct Plan {
     axes: Vec<Axis>,
 }
 
-fn tiny() -> String {
-    "tiny".to_owned()
+fn tiny() -> Preset {
+    Preset::Tiny
 }
 
 fn validation() -> Split {
@@ -88,24 +97,6 @@ fn drawn() -> Vec<String> {
     vec![E2T_AVERAGE_RANK.name.to_owned()]
 }
 
-/// Settings that change together along one or two lists.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Axis {
-    /// Names the drawing.
-    name: String,
-    /// The setting, such as `compose.mcm_ratio`, and its values.
-    key: String,
-    values: Vec<toml::Value>,
-    /// A second setting; every pair of values is a point.
-    second_key: Option<String>,
-    #[serde(default)]
-    second_values: Vec<toml::Value>,
-}
-
-/// Sections a setting can be in.
-const SECTIONS: [&str; 3] = ["train", "compose", "edit"];
-
 /// Settings of a point, resolved.
 #[derive(Clone, Debug, Serialize)]
 struct Settings {
@@ -114,154 +105,84 @@ struct Settings {
     edit: EditConfig,
 }
 
-/// A point of the plan.
-struct Point {
-    /// Place in the list of axes; none for the settings without any change.
-    axis: Option<usize>,
-    /// The values on the axis.
-    at: Vec<toml::Value>,
-    settings: Settings,
-}
-
-impl Point {
-    fn name(&self, axes: &[Axis]) -> String {
-        let Some(axis) = self.axis.map(|axis| &axes[axis]) else {
-            return "unchanged".to_owned();
-        };
-        let keys = std::iter::once(&axis.key).chain(&axis.second_key);
-        let parts: Vec<String> = keys
-            .zip(&self.at)
-            .map(|(key, value)| format!("{key} = {value}"))
-            .collect();
-        parts.join(", ")
-    }
-}
-
-/// A row of the collected scores.
-#[derive(Serialize)]
-struct Collected<'a> {
-    point: String,
-    axis: Option<&'a str>,
-    values: Vec<toml::Value>,
-    system: &'a str,
-    task: &'a str,
-    metric: &'a str,
-    n: u32,
-    mean: f64,
-    ci95: Option<f64>,
-}
-
 impl Plan {
     fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("cannot read {}", path.display()))?;
-        let mut plan: Self =
-            toml::from_str(&text).with_context(|| format!("in {}", path.display()))?;
+        let mut plan: Self = settings::read(path)?;
         let base = path.parent().unwrap_or(Path::new("."));
         let folders = [&mut plan.dataset, &mut plan.out];
-        let optional = [&mut plan.encoder, &mut plan.coordinator, &mut plan.clip];
+        let optional = [
+            &mut plan.encoder,
+            &mut plan.coordinator,
+            &mut plan.text_encoder,
+        ];
         for folder in folders.into_iter().chain(optional.into_iter().flatten()) {
             *folder = base.join(&*folder);
         }
         Ok(plan)
     }
 
-    fn settings(
-        &self,
-        changes: &[(&str, &toml::Value)],
-        global: &Global,
-    ) -> anyhow::Result<Settings> {
-        let mut sections: BTreeMap<&str, toml::Value> = [
+    fn metrics(&self) -> anyhow::Result<Vec<&'static Metric>> {
+        self.metrics
+            .iter()
+            .map(|name| {
+                metric::from_name(name).with_context(|| {
+                    let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
+                    format!(
+                        "there is no metric {name:?}; there are: {}",
+                        known.join(", ")
+                    )
+                })
+            })
+            .collect()
+    }
+
+    /// The points, and the settings of each.
+    fn points(&self, global: &Global) -> anyhow::Result<Vec<(Point, Settings)>> {
+        let own: Sections = [
             ("train", &self.train),
             ("compose", &self.compose),
             ("edit", &self.edit),
         ]
-        .map(|(name, own)| (name, toml::Value::Table(own.clone())))
+        .map(|(name, own)| (name, Value::Object(own.clone())))
         .into();
-        for (key, value) in changes {
-            let (section, setting) = key.split_once('.').unwrap_or((key, ""));
-            let Some(section) = sections.get_mut(section).filter(|_| !setting.is_empty()) else {
-                bail!(
-                    "{key:?} is no setting: it must begin with one of {}, such as \
-                     compose.mcm_ratio",
-                    SECTIONS.join(", ")
-                );
-            };
-            let nested = setting.rsplit('.').fold((*value).clone(), |inner, name| {
-                toml::Value::Table([(name.to_owned(), inner)].into_iter().collect())
-            });
-            chain::merge(section, &nested);
-        }
-        let own = |section: &str| sections[section].as_table();
-        let preset = chain::preset(&self.preset)?;
-        let mut train = chain::overlay(&TrainConfig::preset(preset), own("train"))
-            .context("section [train]")?;
-        // A point of an axis over the seed keeps its own.
-        if !changes.iter().any(|(key, _)| *key == "train.seed") {
-            train.seed = self.seeds.of_model(train.seed, &self.train, global).0;
-        }
-        Ok(Settings {
-            train,
-            compose: chain::overlay(&TrainConfig::compose_preset(preset), own("compose"))
-                .context("section [compose]")?,
-            edit: chain::overlay(&EditConfig::default(), own("edit")).context("section [edit]")?,
-        })
+        points(&self.axes, &own)?
+            .into_iter()
+            .map(|point| {
+                let settings = self
+                    .settings(&point, global)
+                    .with_context(|| format!("point {}", point.name()))?;
+                Ok((point, settings))
+            })
+            .collect()
     }
 
-    fn points(&self, global: &Global) -> anyhow::Result<Vec<Point>> {
-        let mut points = vec![Point {
-            axis: None,
-            at: Vec::new(),
-            settings: self.settings(&[], global)?,
-        }];
-        for (index, axis) in self.axes.iter().enumerate() {
-            if axis.second_key.is_some() == axis.second_values.is_empty() {
-                bail!(
-                    "axis {:?} needs second_key and second_values together",
-                    axis.name
-                );
-            }
-            for value in &axis.values {
-                let seconds: Vec<Option<&toml::Value>> = match &axis.second_key {
-                    Some(_) => axis.second_values.iter().map(Some).collect(),
-                    None => vec![None],
-                };
-                for second in seconds {
-                    let mut changes = vec![(axis.key.as_str(), value)];
-                    changes.extend(axis.second_key.as_deref().zip(second));
-                    let settings = self
-                        .settings(&changes, global)
-                        .with_context(|| format!("axis {:?}", axis.name))?;
-                    points.push(Point {
-                        axis: Some(index),
-                        at: changes.iter().map(|(_, value)| (*value).clone()).collect(),
-                        settings,
-                    });
-                }
-            }
+    fn settings(&self, point: &Point, global: &Global) -> anyhow::Result<Settings> {
+        let own = |section: &str| match &point.sections[section] {
+            Value::Object(own) => own.clone(),
+            _ => Map::new(),
+        };
+        let preset = &TrainConfig::preset(self.preset);
+        let mut train = settings::over(preset, "train", &own("train"))?;
+        // A point of an axis over the seed keeps its own.
+        if !point.changes.iter().any(|(key, _)| key == "train.seed") {
+            train.run.seed = self.seeds.of_model(train.run.seed, &self.train, global).0;
         }
-        Ok(points)
+        let compose = &TrainConfig::compose_preset(self.preset);
+        Ok(Settings {
+            train,
+            compose: settings::over(compose, "compose", &own("compose"))?,
+            edit: settings::over(&EditConfig::default(), "edit", &own("edit"))?,
+        })
     }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.device.choose()?;
     let plan = Plan::read(&args.plan)?;
-    let metrics: Vec<&Metric> = plan
-        .metrics
-        .iter()
-        .map(|name| {
-            metric::from_name(name).with_context(|| {
-                let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
-                format!(
-                    "there is no metric {name:?}; there are: {}",
-                    known.join(", ")
-                )
-            })
-        })
-        .collect::<anyhow::Result<_>>()?;
-    let points = plan.points(global)?;
+    let metrics = plan.metrics()?;
+    let (points, settings): (Vec<Point>, Vec<Settings>) = plan.points(global)?.into_iter().unzip();
     if args.dry_run {
-        let names: Vec<String> = points.iter().map(|point| point.name(&plan.axes)).collect();
+        let names: Vec<String> = points.iter().map(Point::name).collect();
         if global.json {
             report::json(&names)?;
         } else {
@@ -275,31 +196,30 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(run) => run.clone(),
         None => {
             let run = plan.out.join("encoder");
-            let mut config = TmrConfig::preset(chain::preset(&plan.preset)?);
-            config.seed = plan.seeds.train(global).0;
-            chain::train_encoder(&plan.dataset, &run, &config, &bars).context("encoder")?;
+            let mut config = TmrConfig::preset(plan.preset);
+            config.run.seed = plan.seeds.train(global).0;
+            with_session(&bars, |session| {
+                train_encoder(&plan.dataset, &run, &config, session)
+            })
+            .context("encoder")?;
             run
         }
     };
     let items = plan.out.join("items");
     let seed = plan.seeds.items(global);
-    chain::items(&plan.dataset, &items, plan.split, &plan.items, seed, global).context("items")?;
+    stages::items(&plan.dataset, &items, plan.split, &plan.items, seed, global).context("items")?;
     let mut scored: Vec<Vec<ScoreRow>> = Vec::with_capacity(points.len());
     let mut failed: Vec<String> = Vec::new();
-    for (number, point) in points.iter().enumerate() {
-        let name = point.name(&plan.axes);
-        if chain::is_stopped() {
-            report::note("stopped and saved; the same command goes on from here");
-            return Ok(Exit::Interrupted);
+    for (number, (point, settings)) in points.iter().zip(&settings).enumerate() {
+        let name = point.name();
+        if is_stopped() {
+            return Ok(stopped());
         }
         report::note(&format!("point {} of {}: {name}", number + 1, points.len()));
-        match at_point(&plan, point, &items, &encoder, global) {
+        match at_point(&plan, settings, &items, &encoder, global) {
             Ok(Some(rows)) => scored.push(rows),
-            Ok(None) => {
-                report::note("stopped and saved; the same command goes on from here");
-                return Ok(Exit::Interrupted);
-            }
-            // What stops the program stops the sweep; what a point cannot do is its own affair.
+            Ok(None) => return Ok(stopped()),
+            // An interrupt or a lock ends the sweep; another failure leaves out the point alone.
             Err(error) if Exit::of_error(&error) != Exit::Failed => return Err(error.context(name)),
             Err(error) => {
                 report::error(&error.context(format!("point {name}")));
@@ -309,31 +229,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     }
 
-    let collected: Vec<Collected<'_>> = points
-        .iter()
-        .zip(&scored)
-        .flat_map(|(point, rows)| {
-            rows.iter().map(|row| Collected {
-                point: point.name(&plan.axes),
-                axis: point.axis.map(|axis| plan.axes[axis].name.as_str()),
-                values: point.at.clone(),
-                system: &row.system,
-                task: &row.task,
-                metric: &row.metric,
-                n: row.n,
-                mean: row.mean,
-                ci95: row.ci95,
-            })
-        })
-        .collect();
+    let collected = collected(&plan.axes, &points, &scored);
     let document = plan.out.join("sweep.json");
     write(&document, &serde_json::to_vec_pretty(&collected)?)?;
     let mut written = vec![document];
     for (index, axis) in plan.axes.iter().enumerate() {
         for &metric in &metrics {
-            let svg = drawing(axis, index, metric, &points, &scored);
-            let name = format!("{}-{}", axis.name, metric.name);
-            let name: String = name
+            let svg = drawing(&plan.axes, index, metric, &points, &scored);
+            let name: String = format!("{}-{}", axis.name, metric.name)
                 .chars()
                 .map(|c| if c.is_alphanumeric() { c } else { '-' })
                 .collect();
@@ -369,165 +272,65 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 }
 
 /// Names a folder by the settings behind it.
-fn short<T: Serialize>(settings: &T) -> anyhow::Result<String> {
-    Ok(format!("{:.12}", chain::plan("sweep", settings)?))
+fn short<T: Serialize>(settings: &T) -> String {
+    format!("{:.12}", plan_hash("sweep", settings))
 }
 
-/// Trains, edits and scores at a point, passing over what is there already; none where an interrupt
-/// ended the training.
+/// Trains, edits and scores at a point, except what is there already. `None` if an interrupt ended the
+/// training.
 fn at_point(
     plan: &Plan,
-    point: &Point,
+    settings: &Settings,
     items: &Path,
     encoder: &Path,
     global: &Global,
 ) -> anyhow::Result<Option<Vec<ScoreRow>>> {
-    let bars = global.bars();
     let Settings {
         train,
         compose,
         edit,
-    } = &point.settings;
-    let training = short(&(train, compose))?;
+    } = settings;
+    let training = short(&(train, compose));
     let asked = Dataset::open_unverified(items)?
         .manifest()
         .root_hash
         .clone();
     let seed = plan.seeds.sample(global);
-    let editing = short(&(&training, edit, &plan.coordinator, asked, seed))?;
+    let editing = short(&(&training, edit, &plan.coordinator, asked, seed));
     let run = plan.out.join("runs").join(&training);
     let edits = plan.out.join("edits").join(&editing);
     let protocol = Protocol {
         seed: global.seed_or(Some(plan.eval.seed.0)),
         ..plan.eval
     };
-    let measured = short(&(&editing, protocol, encoder))?;
+    let measured = short(&(&editing, protocol, encoder));
     let scores = plan.out.join("scores").join(measured);
     if let Ok(done) = Dataset::open(&scores) {
         return Ok(Some(done.read::<ScoreRow>(None)?));
     }
-    let inputs = TrainInputs {
+    let text_encoder = text_encoder(plan.text_encoder.as_deref());
+    let inputs = EditorInputs {
         compose,
         windows: None,
-        clip: plan.clip.as_deref(),
+        text_encoder: &text_encoder,
     };
-    chain::train_editor(&plan.dataset, &run, train, &inputs, &bars)?;
-    if chain::is_stopped() {
+    with_session(&global.bars(), |session| {
+        train_editor(&plan.dataset, &run, train, &inputs, session)
+    })?;
+    if is_stopped() {
         return Ok(None);
     }
-    let source = EditorSource {
-        coordinator: plan.coordinator.as_deref(),
-        clip: plan.clip.as_deref(),
-        ..EditorSource::best(&run)
+    let source = SystemSource {
+        coordinator: plan.coordinator.clone(),
+        ..SystemSource::best(&run, text_encoder)
     };
-    chain::edits(items, &source, &edits, edit, seed, global, &bars)?;
+    stages::edits(items, &source, &edits, edit, seed, global)?;
     let runs = EvaluatorRuns {
         encoder,
         coordinator: None,
     };
-    let found: Scores = chain::scores(std::slice::from_ref(&edits), &runs, &protocol, &bars)?;
-    let skeleton = chain::skeleton_of(&Dataset::open_unverified(items)?)?;
-    chain::commit_scores(&scores, &found, &skeleton, global)?;
+    let answered = Answered::read_for_table(&[edits])?;
+    let found = stages::scores(&answered, &runs, &protocol, global)?;
+    found.commit(&scores, &answered.skeleton, &global.holder())?;
     Ok(Some(found.rows))
-}
-
-/// The curve of an axis, or the heat map of a pair of them. As in the paper's Figures 6 and A1 a
-/// point is the value over all tasks.
-fn drawing(
-    axis: &Axis,
-    index: usize,
-    metric: &Metric,
-    points: &[Point],
-    scored: &[Vec<ScoreRow>],
-) -> String {
-    let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| -> (f64, f64) {
-        let of_metric = |row: &&ScoreRow| row.metric == metric.name && wanted(&row.system);
-        let mut found = rows.iter().filter(of_metric);
-        // With one kind of edit alone there is no task of all.
-        let all = found.clone().find(|row| row.task == ALL_TASKS);
-        all.or_else(|| found.next())
-            .map_or((f64::NAN, f64::NAN), |row| {
-                (row.mean, row.ci95.unwrap_or(f64::NAN))
-            })
-    };
-    let is_edited = |system: &str| ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system);
-    let on_axis: Vec<(&Point, (f64, f64))> = points
-        .iter()
-        .zip(scored)
-        .filter(|(point, _)| point.axis == Some(index))
-        .map(|(point, rows)| (point, value(rows, &is_edited)))
-        .collect();
-    let title = format!(
-        "{}: {metric} {}",
-        axis.name,
-        (metric.better)(ALL_TASKS).arrow()
-    );
-    if let Some(second) = &axis.second_key {
-        let label = |value: &toml::Value| value.to_string();
-        return heat_map(&HeatMap {
-            title,
-            x: (
-                second.clone(),
-                axis.second_values.iter().map(label).collect(),
-            ),
-            y: (axis.key.clone(), axis.values.iter().map(label).collect()),
-            values: on_axis.into_iter().map(|(_, (mean, _))| mean).collect(),
-        });
-    }
-    let number = |value: &toml::Value| match value {
-        toml::Value::Integer(value) => Some(*value as f64),
-        toml::Value::Float(value) => Some(*value),
-        _ => None,
-    };
-    // Values that are no numbers stand side by side under their names.
-    let numbers: Option<Vec<f64>> = on_axis
-        .iter()
-        .map(|(point, _)| number(&point.at[0]))
-        .collect();
-    let x_names: Vec<String> = match numbers {
-        Some(_) => Vec::new(),
-        None => on_axis
-            .iter()
-            .map(|(point, _)| named(&point.at[0]))
-            .collect(),
-    };
-    let places = numbers.unwrap_or_else(|| (0..on_axis.len()).map(|at| at as f64).collect());
-    // Nothing edits in its row, so that any point that was scored has it.
-    let (identity, _) = scored
-        .iter()
-        .find(|rows| !rows.is_empty())
-        .map_or((f64::NAN, f64::NAN), |rows| {
-            value(rows, &|system| system == IDENTITY)
-        });
-    plot(&Plot {
-        title,
-        x_label: axis.key.clone(),
-        x_names,
-        y_label: metric.name.to_owned(),
-        y_scale: Scale::Linear,
-        curves: vec![
-            Curve {
-                name: "edited".to_owned(),
-                points: places
-                    .iter()
-                    .copied()
-                    .zip(on_axis.iter().map(|(_, (mean, _))| *mean))
-                    .collect(),
-                intervals: on_axis.iter().map(|(_, (_, half))| *half).collect(),
-            },
-            Curve {
-                name: IDENTITY.to_owned(),
-                points: places.iter().map(|&place| (place, identity)).collect(),
-                intervals: Vec::new(),
-            },
-        ],
-    })
-}
-
-/// A value of an axis as its label: texts without quotes.
-fn named(value: &toml::Value) -> String {
-    match value {
-        toml::Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
 }

@@ -1,6 +1,6 @@
 //! `stance triplets`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use datasets_spec::record::{TripletRow, WindowRow};
@@ -10,13 +10,15 @@ use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
 use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
+use pipeline::stage;
 use serde::Serialize;
+use serde_json::Value;
+use train::config::overlay;
 
-use crate::chain;
 use crate::cli::Global;
 use crate::cmd::render;
 use crate::exit::Exit;
-use crate::report;
+use crate::{report, settings};
 
 /// Record the composer's training stream, count it, or rebuild one of its triplets.
 ///
@@ -70,23 +72,16 @@ impl ComposeArgs {
 
     /// The settings in place of some of a preset's.
     pub(crate) fn over(&self, preset: &ComposeConfig) -> anyhow::Result<ComposeConfig> {
-        let own: Option<toml::Table> = self.compose.as_deref().map(parsed).transpose()?;
-        let mut config =
-            chain::overlay(preset, own.as_ref()).with_context(|| match &self.compose {
-                Some(path) => format!("in {}", path.display()),
-                None => "the composer's settings".to_owned(),
-            })?;
+        let mut config = match &self.compose {
+            Some(path) => overlay(preset, &settings::read::<Value>(path)?)
+                .with_context(|| format!("in {}", path.display()))?,
+            None => preset.clone(),
+        };
         if let Some(path) = &self.phrases {
-            config.phrases = parsed(path)?;
+            config.phrases = settings::read(path)?;
         }
         Ok(config)
     }
-}
-
-fn parsed<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("in {}", path.display()))
 }
 
 /// Count what the settings can give and what blending does, and draw a sheet of triplets.
@@ -117,7 +112,7 @@ struct Counted {
 fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     let dataset = Dataset::open(&args.dataset)?;
-    let (stream, _) = chain::train_stream(&dataset, &config, global.seed(), None)?;
+    let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
     let skeleton = dataset.skeleton()?;
     let triplets = stream.first_triplets(args.count.max(1));
     let foot_scores: Vec<[Option<f64>; 2]> = triplets
@@ -260,7 +255,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     if let Some(id) = &args.explain {
         let dataset = Dataset::open(root)?;
-        let (stream, _) = chain::train_stream(&dataset, &config, global.seed(), None)?;
+        let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
         let explained = Explained {
             instruction: triplet.instruction,
@@ -285,9 +280,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let out = args.out.as_deref().context("--out is missing")?;
-    let bars = global.bars();
+    let seed = global.seed();
     if let Some(count) = args.windows {
-        let recorded = chain::windows(root, out, count, &config, global, &bars)?;
+        let recorded =
+            global.stage(|context| stage::windows(root, out, count, &config, seed, context))?;
         let manifest = recorded.manifest();
         let rows = manifest.rows(WindowRow::TABLE, None);
         if global.json {
@@ -298,7 +294,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         return Ok(Exit::Done);
     }
-    let recorded = chain::triplets(root, out, args.count, &config, global.seed(), global, &bars)?;
+    let recorded =
+        global.stage(|context| stage::triplets(root, out, args.count, &config, seed, context))?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(TripletRow::TABLE, None);
     if global.json {

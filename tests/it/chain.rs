@@ -137,7 +137,6 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     assert!(explained.stdout.contains("recipe_hash"));
     let table = stance(&[
         "eval",
-        "--edits",
         arg(&run.join("edits/full")),
         "--encoder",
         arg(&run.join("runs/tmr")),

@@ -86,7 +86,6 @@ impl Bench {
     pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
         let mut args = vec!["eval", "--encoder", arg(&self.encoder), "--repeats", "2"];
         args.extend(more);
-        args.push("--edits");
         args.extend(edits.iter().map(|path| arg(path)));
         stance(&args)
     }
@@ -396,7 +395,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let scores = workshop.path("tall-scores");
     let encoder = workshop.path("tall-tmr");
     let eval = ["eval", "--encoder", arg(&encoder), "--repeats", "2"];
-    let rest = ["--out", arg(&scores), "--edits", arg(&out)];
+    let rest = ["--out", arg(&scores), arg(&out)];
     stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
 
     let clip = Dataset::open(&root)

@@ -18,7 +18,7 @@ const CLIPS: usize = 120;
 /// Settings of networks that are trained in a second.
 const SMALL: &str = "
     batch_size = 16
-    max_part = 6
+    micro_batch_size = 6
     val_every = 6
     val_windows = 16
     log_every = 3

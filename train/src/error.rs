@@ -17,9 +17,44 @@ pub enum Error {
     /// The motions to train on do not give what the model learns from.
     #[error(transparent)]
     Compose(#[from] pipeline::compose::Error),
-    /// Recorded windows cannot be read.
-    #[error("recorded windows cannot be read")]
-    Windows(#[from] pipeline::Error),
+    /// A dataset cannot be opened, read or written.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A stage that prepares the data failed.
+    #[error(transparent)]
+    Pipeline(#[from] pipeline::Error),
+    /// The validation split cannot be composed.
+    #[error("the validation split cannot be composed; ingest more clips")]
+    Validation {
+        /// The cause.
+        source: pipeline::compose::Error,
+    },
+    /// Recorded windows do not fit the run.
+    #[error("the windows in {} {problem}", path.display())]
+    RecordedWindows {
+        /// Their folder.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        problem: &'static str,
+    },
+    /// The settings a user gave are not those of the model.
+    #[error("the settings cannot be used: {source}")]
+    Settings {
+        /// The cause.
+        source: serde_json::Error,
+    },
+    /// The text encoder of a model is not in the cache.
+    #[error(
+        "the model uses CLIP; fetch it with `stance model fetch`, or give its folder with \
+         --text-encoder"
+    )]
+    NoTextEncoder {
+        /// The cause.
+        source: Box<Error>,
+    },
+    /// No place for downloads is known.
+    #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
+    NoHubCache,
     /// A run folder holds a run with other settings.
     #[error("{} holds a run whose {field} differs; {remedy}", path.display())]
     OtherRun {

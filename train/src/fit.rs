@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
 use crate::config::{TextEncoder, TrainConfig};
-use crate::data::{Drawer, NoisyBatch, TextVectors, Texts, Timesteps, WindowSource};
+use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::{Extrapolation, Prediction, Schedule};
-pub use crate::learn::TrainReport;
-use crate::learn::{Course, Task, learn};
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
+pub use crate::trainer::TrainReport;
+use crate::trainer::{Task, TrainerConfig, train};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
@@ -143,7 +143,7 @@ impl TextRecord {
         let Some(vectors) = vectors else {
             return Err(Error::Misfit {
                 what: "no text encoder",
-                problem: "it listens to CLIP; give its folder with --clip".to_owned(),
+                problem: "it uses CLIP; give its folder with --text-encoder".to_owned(),
             });
         };
         if vectors.encoder_hash() != encoder_hash || vectors.width() != *width {
@@ -199,9 +199,10 @@ pub fn train_motionrefit<'a>(
         (TextEncoder::Clip, None) => {
             let vectors = corpus.vectors.ok_or_else(|| Error::Config {
                 field: "text.encoder",
-                problem: "it is clip; give the folder of its weights with --clip, or set it to \
+                problem:
+                    "it is clip; give the folder of its weights with --text-encoder, or set it to \
                           learned"
-                    .to_owned(),
+                        .to_owned(),
             })?;
             TextRecord::Frozen {
                 encoder_hash: vectors.encoder_hash().to_owned(),
@@ -209,9 +210,9 @@ pub fn train_motionrefit<'a>(
             }
         }
     };
-    let seed = Seed(config.seed);
+    let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
-    let drawer = Drawer {
+    let sampler = WindowSampler {
         source: corpus.train,
         keypoints: config.keypoints,
         texts: text.texts(corpus.vectors)?,
@@ -222,17 +223,17 @@ pub fn train_motionrefit<'a>(
         generated_starts: config.diffusion.generated_starts,
         fixed_noise: config.diffusion.fixed_noise,
     };
-    let val_drawer = Drawer {
+    let val_sampler = WindowSampler {
         source: corpus.val,
         seed: seed.derive(&["val"]),
         timesteps: Timesteps::Spread(config.val_windows),
         text_dropout: 0.0,
-        ..drawer
+        ..sampler
     };
     let extrapolation = match (config.diffusion.prediction, known_extrapolation) {
         (Prediction::Residual, Some(known)) => Some(known),
         (Prediction::Residual, None) => {
-            let windows = drawer.windows(0, EXTRAPOLATED_WINDOWS)?;
+            let windows = sampler.windows(0, EXTRAPOLATED_WINDOWS)?;
             Some(Extrapolation::fit(
                 &windows.original,
                 &windows.edited,
@@ -253,12 +254,12 @@ pub fn train_motionrefit<'a>(
         start,
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
-    let val_part = config.batch_size.min(config.max_part);
+    let val_part = config.run.micro_batch();
     let val_batches = (0..config.val_windows)
         .step_by(val_part)
         .map(|first| {
             let num_windows = val_part.min(config.val_windows - first);
-            val_drawer.draw(first as u64, num_windows)
+            val_sampler.draw(first as u64, num_windows)
         })
         .collect::<Result<Vec<_>, _>>()?;
 
@@ -273,31 +274,20 @@ pub fn train_motionrefit<'a>(
         ),
         seed.derive(&["weights"]),
     )?;
-    let steps_per_epoch = corpus
-        .train
-        .epoch_len()
-        .div_ceil(config.batch_size as u64)
-        .max(1);
-    let course = Course {
-        stage: "train motionrefit".to_owned(),
+    let trainer = TrainerConfig {
+        kind: KIND,
         samples: "windows",
-        optimizer: config.optimizer,
-        batch_size: config.batch_size,
-        num_steps: config.length.num_steps(steps_per_epoch),
-        log_every: config.log_every,
-        val_every: config.val_every,
-        keep_every: config.keep_epochs * steps_per_epoch,
-        steps_per_epoch,
-        seed,
+        run: config.run,
+        epoch_len: corpus.train.epoch_len(),
     };
     let task = EditorTask {
         config,
         extrapolation: record.extrapolation.as_ref(),
         schedule,
-        drawer,
+        sampler,
         val_batches,
     };
-    let (_, report) = learn(&task, model, &course, &run, session)?;
+    let (_, report) = train(&task, model, &trainer, &run, session)?;
     Ok(report)
 }
 
@@ -322,7 +312,7 @@ struct EditorTask<'a> {
     config: &'a TrainConfig,
     extrapolation: Option<&'a Extrapolation>,
     schedule: Schedule,
-    drawer: Drawer<'a>,
+    sampler: WindowSampler<'a>,
     val_batches: Vec<NoisyBatch>,
 }
 
@@ -331,14 +321,11 @@ impl Task for EditorTask<'_> {
     type Batch = NoisyBatch;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
-        let batch_size = self.config.batch_size;
-        (0..batch_size)
-            .step_by(self.config.max_part)
-            .map(|first| {
-                let num_windows = self.config.max_part.min(batch_size - first);
-                let at = step * batch_size as u64 + first as u64;
-                let share = num_windows as f64 / batch_size as f64;
-                Ok((share, self.drawer.draw(at, num_windows)?))
+        let run = &self.config.run;
+        run.micro_batches(step)
+            .map(|(first, count)| {
+                let share = count as f64 / run.batch_size as f64;
+                Ok((share, self.sampler.draw(first, count)?))
             })
             .collect()
     }

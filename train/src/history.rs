@@ -6,8 +6,8 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::edit::Misfit;
 use crate::sample::TimedInstruction;
+use crate::system::{Edited, Misfit};
 
 /// Version of the document.
 const VERSION: u32 = 2;
@@ -175,7 +175,7 @@ impl EditHistory {
         seed: u64,
         guidance: f64,
         editor: &str,
-        edited: &crate::edit::Edited,
+        edited: &Edited,
     ) {
         self.edits.truncate(self.held);
         self.edits.push(HistoryStep {
@@ -209,8 +209,8 @@ mod tests {
     use datasets_spec::Pose;
 
     use super::*;
-    use crate::edit::Edited;
     use crate::sample::EditTimes;
+    use Edited;
 
     fn motion(height: f64) -> Motion {
         let mut pose = Pose::REST;

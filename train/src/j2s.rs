@@ -19,17 +19,17 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
 };
-use crate::config::{Decay, OptimizerConfig};
-use crate::learn::{Course, Task, learn};
+use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
 use crate::model::pose_net::{
     OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
     PAPER_OUTPUT, PaperPoseNet,
 };
 use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
+use crate::trainer::{self, Task, TrainerConfig};
 use crate::{Error, Session};
 
 /// Kind of run.
-const KIND: &str = "j2s";
+pub(crate) const KIND: &str = "j2s";
 
 const WEIGHTS: &str = "model.safetensors";
 
@@ -64,17 +64,12 @@ pub struct J2sConfig {
     pub preset: J2sPreset,
     /// Width of its hidden layers.
     pub width: usize,
-    /// Steps of AdamW.
-    pub num_steps: u64,
-    /// Poses of a step.
-    pub batch_size: usize,
-    /// Learning rate at the start; it falls to zero along a line.
-    pub learning_rate: f64,
     /// Standard deviation in metres of the noise on training points: what a network is given are
     /// the points another one made.
     pub noise_m: f64,
-    /// Seed of weights and draws.
-    pub seed: u64,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
 }
 
 impl J2sConfig {
@@ -86,12 +81,42 @@ impl J2sConfig {
                 J2sPreset::Paper => 512,
                 J2sPreset::Official => 64,
             },
-            num_steps: 2_000,
-            batch_size: 512,
-            learning_rate: 1e-3,
             noise_m: 0.005,
-            seed: 0,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-3,
+                    decay: Decay::Linear,
+                    warmup_steps: 0,
+                    weight_decay: 0.0,
+                    max_gradient_norm: None,
+                    ema_decay: None,
+                },
+                batch_size: 512,
+                micro_batch_size: None,
+                length: RunLength::of_steps(2_000),
+                log_every: 100,
+                val_every: 200,
+                keep_epochs: 0,
+                seed: 0,
+            },
         }
+    }
+
+    /// The settings for named settings of the editor: those of the release, or else of the paper.
+    pub fn of(preset: Preset) -> Self {
+        Self::preset(match preset {
+            Preset::Official => J2sPreset::Official,
+            Preset::Paper | Preset::Tiny => J2sPreset::Paper,
+        })
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.run.check()?;
+        self.run.check_whole("its poses are drawn together")
     }
 }
 
@@ -104,10 +129,10 @@ pub enum PoseNet {
     Official(Box<OfficialPoseNet>),
 }
 
-/// Errors of a way back to parameters, on poses it was not trained on.
+/// Reconstruction errors of one keypoints-to-SMPL-X method on held-out poses.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct WayBack {
-    /// What was done.
+pub struct FitErrors {
+    /// The method.
     pub name: &'static str,
     /// Mean distance of the keypoints in millimetres.
     pub error_mm: f64,
@@ -124,10 +149,17 @@ pub struct J2sReport {
     pub config: J2sConfig,
     /// Hash of the table of motions.
     pub dataset_hash: String,
+    /// Steps made.
+    #[serde(skip)]
+    pub steps: u64,
+    /// Whether the run reached its last step.
+    #[serde(skip)]
+    pub is_complete: bool,
     /// Loss of the first and of the last twentieth of the steps.
     pub loss: [f64; 2],
-    /// How near each way comes.
-    pub ways: Vec<WayBack>,
+    /// Errors of the network alone and of the fits that follow it.
+    #[serde(rename = "ways")]
+    pub fits: Vec<FitErrors>,
 }
 
 /// Trains a network on poses of motions and measures it on others.
@@ -156,34 +188,37 @@ pub fn train_j2s<'a>(
             return Err(Error::Empty { what });
         }
     }
+    config.check()?;
     let run = Run::open(
         start,
         &RunRecord::new(KIND, dataset_hash, skeleton, config.clone()),
     )?;
     let run_dir = run.dir();
-    let seed = Seed(config.seed);
+    let seed = Seed(config.run.seed);
     let device = session.device.clone().autodiff();
     let (net, done) = match config.preset {
         J2sPreset::Paper => {
             let net = PaperPoseNet::new(config.width, &device);
             let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
             let net = draw(net, seed.derive(&["weights"]))?;
-            let (net, done) = learn(&task, net, &task.course(), &run, session)?;
+            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
             (PoseNet::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
             let net = OfficialPoseNet::new(config.width, &device);
             let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
             let net = draw(net, seed.derive(&["weights"]))?;
-            let (net, done) = learn(&task, net, &task.course(), &run, session)?;
+            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
             (PoseNet::Official(Box::new(net)), done)
         }
     };
     let report = J2sReport {
         config: config.clone(),
         dataset_hash: dataset_hash.to_owned(),
+        steps: done.steps,
+        is_complete: done.is_complete,
         loss: [done.first_loss, done.last_loss].map(|loss| loss.unwrap_or(f64::NAN)),
-        ways: measure(&net, val, skeleton, config, session),
+        fits: measure(&net, val, skeleton, config, session),
     };
     let weights = run_dir.join(WEIGHTS);
     let bytes = net.to_safetensors(&weights)?;
@@ -218,7 +253,7 @@ impl<'a, M: Module> PoseTask<'a, M> {
         skeleton: &'a Skeleton,
     ) -> Self {
         let [train, val] = motions;
-        let seed = Seed(config.seed).derive(&["poses"]);
+        let seed = Seed(config.run.seed).derive(&["poses"]);
         let poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
         Self {
             forward,
@@ -230,27 +265,17 @@ impl<'a, M: Module> PoseTask<'a, M> {
         }
     }
 
-    fn course(&self) -> Course {
-        let num_steps = self.config.num_steps;
-        Course {
-            stage: "train j2s".to_owned(),
+    fn trainer(&self) -> TrainerConfig {
+        let mut run = self.config.run;
+        // At least twenty lines and ten validations in a run, however short it is.
+        let num_steps = run.length.steps;
+        run.log_every = run.log_every.min(num_steps.div_ceil(20));
+        run.val_every = run.val_every.min(num_steps.div_ceil(10));
+        TrainerConfig {
+            kind: KIND,
             samples: "poses",
-            optimizer: OptimizerConfig {
-                learning_rate: self.config.learning_rate,
-                decay: Decay::Linear,
-                warmup_steps: 0,
-                weight_decay: 0.0,
-                max_gradient_norm: None,
-                average: None,
-            },
-            batch_size: self.config.batch_size,
-            num_steps,
-            // Twenty lines and ten validations a run, however long it is.
-            log_every: num_steps.div_ceil(20),
-            val_every: num_steps.div_ceil(10),
-            keep_every: 0,
-            steps_per_epoch: 1,
-            seed: self.seed,
+            run,
+            epoch_len: self.train.iter().map(|motion| motion.len() as u64).sum(),
         }
     }
 }
@@ -260,7 +285,11 @@ impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
     type Batch = (Vec<f32>, Vec<f32>);
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let poses = draw_poses(self.train, self.config.batch_size, self.seed.rng_of(step));
+        let poses = draw_poses(
+            self.train,
+            self.config.run.batch_size,
+            self.seed.rng_of(step),
+        );
         let noise = self.seed.derive(&["noise"]).rng_of(step);
         Ok(vec![(
             1.0,
@@ -531,12 +560,12 @@ fn measure(
     skeleton: &Skeleton,
     config: &J2sConfig,
     session: &Session<'_>,
-) -> Vec<WayBack> {
+) -> Vec<FitErrors> {
     const POSES: usize = 512;
     let poses = draw_poses(
         motions,
         POSES,
-        Seed(config.seed).derive(&["measure"]).rng_of(0),
+        Seed(config.run.seed).derive(&["measure"]).rng_of(0),
     );
     let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
     let adam = match config.preset {
@@ -544,7 +573,7 @@ fn measure(
         J2sPreset::Official => AdamFit::official(),
     };
     let second_order = FitOptions::default();
-    let ways: [(&'static str, Option<Refinement>); 4] = [
+    let methods: [(&'static str, Option<Refinement>); 4] = [
         ("network", Some(Refinement::None)),
         ("network, Adam", Some(Refinement::Adam(adam))),
         (
@@ -553,7 +582,8 @@ fn measure(
         ),
         ("geometry, second order", None),
     ];
-    ways.into_iter()
+    methods
+        .into_iter()
         .map(|(name, refinement)| {
             let begun = session.secs();
             let found: Vec<Pose> = match &refinement {
@@ -573,7 +603,7 @@ fn measure(
                     .zip(b.rotations)
                     .map(|(a, b)| kinematics::rotation::angle_between(a, b))
             });
-            WayBack {
+            FitErrors {
                 name,
                 error_mm: 1e3 * error / (POSES * NUM_KEYPOINTS) as f64,
                 error_deg: turned.sum::<f64>().to_degrees() / (POSES * NUM_BODY_JOINTS) as f64,

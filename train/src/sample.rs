@@ -43,6 +43,24 @@ pub struct TimedInstruction {
     pub text: String,
 }
 
+impl std::str::FromStr for TimedInstruction {
+    type Err = String;
+
+    /// Reads `FIRST:END TEXT`.
+    fn from_str(asked: &str) -> Result<Self, String> {
+        let parse = || {
+            let (range, text) = asked.split_once(' ')?;
+            let (first, end) = range.split_once(':')?;
+            let frames = first.parse().ok()?..end.parse().ok()?;
+            let text = text.trim().to_owned();
+            (!text.is_empty()).then_some(Self { frames, text })
+        };
+        parse().ok_or_else(|| {
+            format!("{asked:?} is not FIRST:END TEXT, such as \"0:40 The person is waving.\"")
+        })
+    }
+}
+
 /// A motion to edit, cut into windows at the model's rate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EditItem {
@@ -496,10 +514,10 @@ impl Editor {
     ///
     /// # Errors
     /// They are of another encoder.
-    pub fn with_vectors(mut self, vectors: Box<dyn TextVectors + Send>) -> Result<Self, Error> {
+    pub fn set_vectors(&mut self, vectors: Box<dyn TextVectors + Send>) -> Result<(), Error> {
         self.record.config.text.texts(Some(&*vectors))?;
         self.vectors = Some(vectors);
-        Ok(self)
+        Ok(())
     }
 
     /// Gives the editor a coordinator, which guides its last steps from then on.
@@ -903,13 +921,13 @@ impl Guide<'_> {
             GuidanceTarget::CleanPrediction => 0,
             GuidanceTarget::PosteriorMean => timestep,
         };
-        let slope = self
+        let gradient = self
             .network
-            .slope(x.clone(), &vec![seen_as; x.dims()[0]])
+            .gradient(x.clone(), &vec![seen_as; x.dims()[0]])
             .mul_scalar(self.config.strength);
-        let _ = slope.to_data();
+        let _ = gradient.to_data();
         self.secs.set(self.secs.get() + (self.clock)() - begun);
-        Some(slope)
+        Some(gradient)
     }
 }
 
@@ -1002,19 +1020,19 @@ impl Sampler<'_> {
                 x0 = x0.clamp(-1.0, 1.0);
             }
             match push(GuidanceTarget::CleanPrediction, &x0, timestep) {
-                Some(slope) => x0 - slope,
+                Some(gradient) => x0 - gradient,
                 None => x0,
             }
         };
         let nudge = |mean: Tensor<3>, timestep: usize| {
             // The last step adds no noise, and what is scaled by it is nothing.
-            let slope = (timestep > 0)
+            let gradient = (timestep > 0)
                 .then(|| push(GuidanceTarget::PosteriorMean, &mean, timestep))
                 .flatten();
-            match slope {
-                Some(slope) => {
+            match gradient {
+                Some(gradient) => {
                     let spread = self.schedule.posterior_variance[timestep].sqrt();
-                    mean - slope.mul_scalar(spread)
+                    mean - gradient.mul_scalar(spread)
                 }
                 None => mean,
             }

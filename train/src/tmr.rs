@@ -14,16 +14,18 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, read_kind, take, weights_hash,
 };
-use crate::config::{Decay, NetworkConfig, OptimizerConfig, Preset, WordsConfig, positive};
+use crate::config::{
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
+};
 use crate::diffusion::Loss;
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
-use crate::learn::{Course, Task, TrainReport, learn};
 use crate::model::tmr::{SequenceEncoder, Tmr, TmrSizes, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::vocabulary::{TokenBatch, Vocabulary};
 use crate::{Error, Session};
 
-const KIND: &str = "tmr";
+pub(crate) const KIND: &str = "tmr";
 const WEIGHTS: &str = "tmr.safetensors";
 
 /// Kind of a run folder with a motion encoder trained elsewhere.
@@ -57,18 +59,10 @@ pub struct TmrConfig {
     pub weights: LossWeights,
     /// Temperature of the contrastive loss.
     pub temperature: f64,
-    /// Optimiser.
-    pub optimizer: OptimizerConfig,
-    /// Clips in a step.
-    pub batch_size: usize,
-    /// Steps of the whole run.
-    pub num_steps: u64,
-    /// Steps between two lines of the metrics file.
-    pub log_every: u64,
-    /// Steps between two validations; each is followed by a checkpoint.
-    pub val_every: u64,
-    /// Seed of weights, crops and noise.
-    pub seed: u64,
+    /// Settings that every training run has. A step is not split: every pair of a batch is contrasted
+    /// with every other.
+    #[serde(flatten)]
+    pub run: RunSettings,
 }
 
 /// Weights of the parts of the encoder's loss.
@@ -119,19 +113,23 @@ impl TmrConfig {
                     contrastive: 0.1,
                 },
                 temperature: 0.1,
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
-                    decay: Decay::Constant,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    average: None,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-4,
+                        decay: Decay::Constant,
+                        warmup_steps: 0,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 32,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(365_000),
+                    log_every: 100,
+                    val_every: 5_000,
+                    keep_epochs: 0,
+                    seed: 0,
                 },
-                batch_size: 32,
-                num_steps: 365_000,
-                log_every: 100,
-                val_every: 5_000,
-                seed: 0,
             },
             Preset::Tiny => Self {
                 features: FeatureRecipe::Smpl135,
@@ -157,19 +155,23 @@ impl TmrConfig {
                     contrastive: 1.0,
                 },
                 temperature: 0.1,
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
-                    decay: Decay::Linear,
-                    warmup_steps: 20,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    average: None,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-3,
+                        decay: Decay::Linear,
+                        warmup_steps: 20,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 32,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(300),
+                    log_every: 10,
+                    val_every: 50,
+                    keep_epochs: 0,
+                    seed: 0,
                 },
-                batch_size: 32,
-                num_steps: 300,
-                log_every: 10,
-                val_every: 50,
-                seed: 0,
             },
         }
     }
@@ -180,14 +182,12 @@ impl TmrConfig {
     /// A setting is out of range.
     pub fn check(&self) -> Result<(), Error> {
         self.model.check()?;
-        self.optimizer.check()?;
+        self.run.check()?;
+        self.run
+            .check_whole("every pair of a batch is contrasted with every other")?;
         positive("word_width", self.word_width as u64)?;
         positive("frame_stride", self.frame_stride as u64)?;
         positive("min_frames", self.min_frames as u64)?;
-        positive("batch_size", self.batch_size as u64)?;
-        positive("num_steps", self.num_steps)?;
-        positive("log_every", self.log_every)?;
-        positive("val_every", self.val_every)?;
         if self.max_frames < self.min_frames {
             return Err(Error::Config {
                 field: "max_frames",
@@ -337,46 +337,40 @@ pub fn train_tmr<'a>(
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
 
-    let seed = Seed(config.seed);
+    let seed = Seed(config.run.seed);
     let device = session.device.clone().autodiff();
     let sizes = config.sizes(&record.vocabulary);
     let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]))?;
-    let drawer = ClipDrawer {
+    let sampler = ClipSampler {
         clips: &train,
         features: &record.features,
         config,
         seed: seed.derive(&["train"]),
     };
-    let val_batches: Vec<ClipBatch> = ClipDrawer {
+    let val_batches: Vec<ClipBatch> = ClipSampler {
         clips: &val,
         seed: seed.derive(&["val"]),
-        ..drawer
+        ..sampler
     }
     .whole();
-    let course = Course {
-        stage: "train tmr".to_owned(),
+    let trainer = TrainerConfig {
+        kind: KIND,
         samples: "clips",
-        optimizer: config.optimizer,
-        batch_size: config.batch_size,
-        num_steps: config.num_steps,
-        log_every: config.log_every,
-        val_every: config.val_every,
-        keep_every: 0,
-        steps_per_epoch: 1,
-        seed,
+        run: config.run,
+        epoch_len: train.len() as u64,
     };
     let task = TmrTask {
         config,
-        drawer,
+        sampler,
         val_batches,
     };
-    let (_, report) = learn(&task, model, &course, &run, session)?;
+    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
     Ok(report)
 }
 
 struct TmrTask<'a> {
     config: &'a TmrConfig,
-    drawer: ClipDrawer<'a>,
+    sampler: ClipSampler<'a>,
     val_batches: Vec<ClipBatch>,
 }
 
@@ -386,7 +380,7 @@ impl Task for TmrTask<'_> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
         // Every pair of a batch is a contrast to every other, so that a batch has no parts.
-        Ok(vec![(1.0, self.drawer.draw(step))])
+        Ok(vec![(1.0, self.sampler.draw(step))])
     }
 
     fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device) -> Tensor<1> {
@@ -515,18 +509,18 @@ fn fit_features(recipe: FeatureRecipe, clips: &[Clip]) -> Result<FeatureStats, E
 
 /// Draws batches of clips; what is drawn depends on the seed and the step alone.
 #[derive(Clone, Copy)]
-struct ClipDrawer<'a> {
+struct ClipSampler<'a> {
     clips: &'a [Clip],
     features: &'a FeatureStats,
     config: &'a TmrConfig,
     seed: Seed,
 }
 
-impl ClipDrawer<'_> {
+impl ClipSampler<'_> {
     /// The batch of a step: the next clips of the epoch's order, a caption and a crop of each. All
     /// crops of a step share one drawn length, so that little of the batch is padding.
     fn draw(&self, step: u64) -> ClipBatch {
-        let batch_size = self.config.batch_size.min(self.clips.len());
+        let batch_size = self.config.run.batch_size.min(self.clips.len());
         let num_batches = (self.clips.len() / batch_size) as u64;
         let (epoch, batch) = (step / num_batches, step % num_batches);
         let mut order: Vec<usize> = (0..self.clips.len()).collect();
@@ -566,7 +560,7 @@ impl ClipDrawer<'_> {
             })
             .collect();
         crops
-            .chunks(self.config.batch_size)
+            .chunks(self.config.run.batch_size)
             .map(|crops| {
                 let noise = vec![0.0; 2 * crops.len() * self.config.model.width];
                 self.batch(crops, noise)

@@ -1,16 +1,18 @@
-//! The one training loop: every network is trained, stopped, continued and kept by it.
+//! The training loop of every model: it trains, stops, continues and writes checkpoints.
+//!
+//! A model implements [`Task`]; [`train`] does the rest.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
 use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
-use burn::tensor::{Bytes, Device, Tensor, TensorData};
+use burn::tensor::{Bytes, Device, Tensor};
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{self, AVERAGE, Files, Run, STATE, Slot, take};
-use crate::config::OptimizerConfig;
+use crate::checkpoint::{self, EMA_PREFIX, Files, Run, STATE, Slot, take};
+use crate::config::RunSettings;
 use crate::data::prefetch;
 use crate::model::dropout::seeded;
 use crate::optimizer::adamw;
@@ -18,49 +20,62 @@ use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
 
-/// What is trained: its data, its loss and its files.
-pub(crate) trait Task: Sync {
+/// A model as the trainer sees it: its data, its loss and its files.
+pub trait Task: Sync {
     /// The networks.
     type Model: Module;
-    /// A part of a step's data, small enough to be computed at once.
+    /// A micro-batch: data small enough to be computed at once.
     type Batch: Send + Sync;
 
-    /// The data of a step, in parts, each with its share of the step's loss. The shares add up to
-    /// one. What is drawn depends on the step alone.
+    /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
+    /// one. The data depend on the seed of the run and on the step alone.
+    ///
+    /// # Errors
+    /// The data cannot be read.
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error>;
 
-    /// The mean loss of a part.
+    /// The mean loss of a micro-batch.
     fn loss(&self, model: &Self::Model, batch: &Self::Batch, device: &Device) -> Tensor<1>;
 
     /// The mean loss over the validation data, which never change.
     fn validate(&self, model: &Self::Model, device: &Device) -> f32;
 
     /// The networks as files of a checkpoint.
+    ///
+    /// # Errors
+    /// A network cannot be written.
     fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error>;
 
-    /// The inverse of [`Task::save`].
+    /// The inverse of [`Task::save`]: takes the files it needs.
+    ///
+    /// # Errors
+    /// A file is missing, damaged or of another network.
     fn load(&self, model: &mut Self::Model, files: &mut Files, run_dir: &Path)
     -> Result<(), Error>;
 }
 
-/// How a run goes, whatever is trained.
-#[derive(Clone, Debug)]
-pub(crate) struct Course {
-    /// Name shown while it goes on.
-    pub(crate) stage: String,
+/// Settings of the trainer.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainerConfig {
+    /// Kind of model, shown with the progress.
+    pub kind: &'static str,
     /// What a sample is called, in the plural.
-    pub(crate) samples: &'static str,
-    pub(crate) optimizer: OptimizerConfig,
-    /// Samples of a step.
-    pub(crate) batch_size: usize,
-    pub(crate) num_steps: u64,
-    pub(crate) log_every: u64,
-    pub(crate) val_every: u64,
-    /// Steps between two checkpoints that are kept for good; 0 keeps none.
-    pub(crate) keep_every: u64,
-    /// Steps of an epoch, after which kept checkpoints are named.
-    pub(crate) steps_per_epoch: u64,
-    pub(crate) seed: Seed,
+    pub samples: &'static str,
+    /// Settings that every training run has.
+    pub run: RunSettings,
+    /// Samples of an epoch.
+    pub epoch_len: u64,
+}
+
+impl TrainerConfig {
+    fn steps_per_epoch(&self) -> u64 {
+        self.epoch_len.div_ceil(self.run.batch_size as u64).max(1)
+    }
+
+    /// Steps of the run.
+    fn num_steps(&self) -> u64 {
+        self.run.length.num_steps(self.steps_per_epoch())
+    }
 }
 
 /// What a training run came to.
@@ -86,7 +101,27 @@ pub struct TrainReport {
     pub data_wait_share: f64,
 }
 
-/// The place in a run, saved with every checkpoint.
+impl TrainReport {
+    /// The report in one line.
+    pub fn summary(&self, run: &Path) -> String {
+        let loss = |loss: Option<f64>| loss.map_or("-".to_owned(), |loss| format!("{loss:.4}"));
+        format!(
+            "{} steps{}, {} parameters, loss {} -> {}, best validation {} at step {}, {:.0} samples/s, {:.1} % of the time waiting for data; in {}",
+            self.steps,
+            if self.is_complete { "" } else { " (stopped)" },
+            self.num_parameters,
+            loss(self.first_loss),
+            loss(self.last_loss),
+            loss(self.best_val_loss),
+            self.best_step,
+            self.samples_per_sec,
+            100.0 * self.data_wait_share,
+            run.display()
+        )
+    }
+}
+
+/// Progress of a run, saved with every checkpoint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TrainState {
@@ -104,7 +139,7 @@ struct MetricsLine {
     step: u64,
     loss: f32,
     learning_rate: f64,
-    /// Length of the gradient of the last step, before it was cut; only where it is cut.
+    /// Norm of the last step's gradient before clipping; only where gradients are clipped.
     #[serde(skip_serializing_if = "Option::is_none")]
     gradient_norm: Option<f64>,
     samples_per_sec: f64,
@@ -157,65 +192,69 @@ impl Speed {
 }
 
 /// Trains a model, or continues where the run folder left off, and returns it as it is used: with
-/// averaged weights where the settings ask for them.
+/// averaged weights (EMA) where the settings ask for them.
 ///
 /// A run that was interrupted continues exactly: weights, optimiser, data, noise and learning rate
 /// are those of an uninterrupted one.
-pub(crate) fn learn<T: Task>(
+///
+/// # Errors
+/// The run folder holds a damaged checkpoint or a longer run, the data cannot be read, a loss is not
+/// finite, or a file cannot be written.
+pub fn train<T: Task>(
     task: &T,
     mut model: T::Model,
-    course: &Course,
+    config: &TrainerConfig,
     run: &Run,
     session: &Session<'_>,
 ) -> Result<(T::Model, TrainReport), Error> {
     let run_dir = run.dir();
     let device = session.device.clone().autodiff();
-    let mut optimizer = adamw(course.optimizer.weight_decay);
+    let (settings, num_steps) = (&config.run, config.num_steps());
+    let mut optimizer = adamw(settings.optimizer.weight_decay);
     let mut state = TrainState::default();
-    let mut average = None;
+    let mut ema = None;
     if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
-        average = load_average(course, &mut files, run_dir, session.device)?;
+        if settings.optimizer.ema_decay.is_some() {
+            ema = Some(load_ema(task, &model, &mut files, run_dir)?);
+        }
         task.load(&mut model, &mut files, run_dir)?;
         (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
     } else if let Some((from, mut files)) = run.init() {
         task.load(&mut model, &mut files, from)?;
     }
-    if state.step > course.num_steps {
+    if state.step > num_steps {
         return Err(Error::Config {
             field: "length",
             problem: format!(
-                "it is {} steps, and the run has made {} already",
-                course.num_steps, state.step
+                "it is {num_steps} steps, and the run has made {} already",
+                state.step
             ),
         });
     }
     run.settle()?;
     run.rewind_log(state.step)?;
     let mut kept = state.step;
-    if average.is_none() {
-        average = course
-            .optimizer
-            .average
-            .map(|_| Average::of(&model.valid()));
+    if ema.is_none() && settings.optimizer.ema_decay.is_some() {
+        ema = Some(Ema::of(&model.valid()));
     }
 
     let mut whole = Speed::default();
     session
         .progress
-        .begin(&course.stage, Some(course.num_steps));
+        .begin(&format!("train {}", config.kind), Some(num_steps));
     session.progress.advance(state.step);
     let model = std::thread::scope(|scope| {
-        let batches = prefetch(scope, state.step..course.num_steps, |step| task.draw(step));
+        let batches = prefetch(scope, state.step..num_steps, |step| task.draw(step));
         let mut recent = Speed::default();
-        while state.step < course.num_steps && !session.is_stopped() {
+        while state.step < num_steps && !session.is_stopped() {
             let begun = session.secs();
             let parts = batches
                 .recv()
                 .expect("the producer sends a batch or an error for every step")?;
             let received = session.secs();
 
-            let masks = course.seed.derive(&["dropout", &state.step.to_string()]);
-            let rate = course.optimizer.rate_at(state.step, course.num_steps);
+            let masks = Seed(settings.seed).derive(&["dropout", &state.step.to_string()]);
+            let rate = settings.optimizer.rate_at(state.step, num_steps);
             let (loss, mut gradients) = gradients_of(task, &model, &parts, &device, masks, session);
             if !loss.is_finite() {
                 return Err(Error::Diverged {
@@ -224,23 +263,23 @@ pub(crate) fn learn<T: Task>(
                     kept,
                 });
             }
-            let gradient_norm = course
+            let gradient_norm = settings
                 .optimizer
                 .max_gradient_norm
-                .map(|longest| cut(&mut gradients, &model, longest));
+                .map(|max_norm| clip_grad_norm(&mut gradients, &model, max_norm));
             model = optimizer.step(rate, model, gradients);
-            if let (Some(average), Some(share)) = (&mut average, course.optimizer.average) {
-                average.follow(&model.valid(), share);
+            if let (Some(ema), Some(decay)) = (&mut ema, settings.optimizer.ema_decay) {
+                ema.update(&model.valid(), decay);
             }
 
             state.step += 1;
             state.pending.push(loss);
             recent.add(session.secs() - begun, received - begun);
             session.progress.advance(1);
-            let is_last = state.step == course.num_steps;
-            if state.step.is_multiple_of(course.log_every) || is_last {
+            let is_last = state.step == num_steps;
+            if state.step.is_multiple_of(settings.log_every) || is_last {
                 let loss = mean(&state.pending);
-                let samples_per_sec = recent.samples_per_sec(course.batch_size);
+                let samples_per_sec = recent.samples_per_sec(settings.batch_size);
                 run.log(&MetricsLine {
                     step: state.step,
                     loss,
@@ -251,7 +290,7 @@ pub(crate) fn learn<T: Task>(
                 })?;
                 session.progress.message(&format!(
                     "loss {loss:.4}, {samples_per_sec:.0} {}/s, {:.1} % waiting",
-                    course.samples,
+                    config.samples,
                     100.0 * recent.wait_share()
                 ));
                 state.first_loss.get_or_insert(loss);
@@ -260,9 +299,10 @@ pub(crate) fn learn<T: Task>(
                 whole.merge(&recent);
                 recent = Speed::default();
             }
-            let is_kept = course.keep_every > 0 && state.step.is_multiple_of(course.keep_every);
-            if state.step.is_multiple_of(course.val_every) || is_last {
-                let used = used(&model, average.as_ref());
+            let keep_every = settings.keep_epochs * config.steps_per_epoch();
+            let is_kept = keep_every > 0 && state.step.is_multiple_of(keep_every);
+            if state.step.is_multiple_of(settings.val_every) || is_last {
+                let used = used(&model, ema.as_ref());
                 let val_loss = task.validate(&used, session.device);
                 if !val_loss.is_finite() {
                     return Err(Error::Diverged {
@@ -281,7 +321,7 @@ pub(crate) fn learn<T: Task>(
                     state.best_val_loss = Some(val_loss);
                     state.best_step = state.step;
                 }
-                let files = save(task, &model, average.as_ref(), &optimizer, &state, run_dir)?;
+                let files = save(task, &model, ema.as_ref(), &optimizer, &state, run_dir)?;
                 run.write(Slot::Last, &files)?;
                 kept = state.step;
                 if is_best {
@@ -289,8 +329,8 @@ pub(crate) fn learn<T: Task>(
                 }
             }
             if is_kept {
-                let epoch = state.step / course.steps_per_epoch.max(1);
-                let files = task.save(&used(&model, average.as_ref()), run_dir)?;
+                let epoch = state.step / config.steps_per_epoch();
+                let files = task.save(&used(&model, ema.as_ref()), run_dir)?;
                 run.write(Slot::Epoch(epoch), &files)?;
             }
         }
@@ -298,9 +338,9 @@ pub(crate) fn learn<T: Task>(
         Ok(model)
     })?;
 
-    let is_complete = state.step == course.num_steps;
+    let is_complete = state.step == num_steps;
     if !is_complete {
-        let files = save(task, &model, average.as_ref(), &optimizer, &state, run_dir)?;
+        let files = save(task, &model, ema.as_ref(), &optimizer, &state, run_dir)?;
         run.write(Slot::Last, &files)?;
     }
     session.progress.finish(&format!(
@@ -312,7 +352,7 @@ pub(crate) fn learn<T: Task>(
         if is_complete {
             ""
         } else {
-            "; stopped and saved, the same command goes on"
+            "; stopped and saved, the same command continues it"
         }
     ));
     let report = TrainReport {
@@ -323,15 +363,15 @@ pub(crate) fn learn<T: Task>(
         last_loss: state.last_loss.map(f64::from),
         best_val_loss: state.best_val_loss.map(f64::from),
         best_step: state.best_step,
-        samples_per_sec: whole.samples_per_sec(course.batch_size),
+        samples_per_sec: whole.samples_per_sec(settings.batch_size),
         data_wait_share: whole.wait_share(),
     };
-    Ok((used(&model, average.as_ref()), report))
+    Ok((used(&model, ema.as_ref()), report))
 }
 
-/// The loss of a step and its gradients on the first device. The parts are spread over all devices
-/// of the session, each of which holds a copy of the model; what they find is added in the order of
-/// the parts, so that a step does not depend on which device is done first.
+/// The loss of a step and its gradients on the first device. The micro-batches are spread over all
+/// devices of the session, each of which holds a copy of the model; their results are added in the order
+/// of the micro-batches, so that a step does not depend on which device is done first.
 fn gradients_of<T: Task>(
     task: &T,
     model: &T::Model,
@@ -347,8 +387,8 @@ fn gradients_of<T: Task>(
         .collect();
     let one = |model: &T::Model, index: usize, device: &Device| {
         let (share, batch) = &parts[index];
-        // Dropout of a part follows from step and part; a continued run repeats it. A card draws
-        // its own masks.
+        // Dropout depends on the step and the micro-batch, so that a continued run repeats it. A GPU
+        // draws its own masks.
         let seed = masks.draw_u64(&[&index.to_string()]);
         device.seed(seed);
         let loss = seeded(seed, || task.loss(model, batch, device)).mul_scalar(*share);
@@ -400,10 +440,10 @@ fn gradients_of<T: Task>(
     (total, sum.grads())
 }
 
-/// The model as it is used: with averaged weights where there are any.
-fn used<M: Module>(model: &M, average: Option<&Average>) -> M {
-    match average {
-        Some(average) => average.put_into(model.valid()),
+/// The model as it is validated and used: with averaged weights where there are any.
+fn used<M: Module>(model: &M, ema: Option<&Ema>) -> M {
+    match ema {
+        Some(ema) => ema.put_into(model.valid()),
         None => model.valid(),
     }
 }
@@ -413,9 +453,9 @@ fn mean(losses: &[f32]) -> f32 {
     (sum / losses.len().max(1) as f64) as f32
 }
 
-/// Shortens gradients that are together longer than `longest`, as `clip_grad_norm_` of PyTorch
-/// does, and returns their length before.
-fn cut<M: Module>(gradients: &mut GradientsParams, model: &M, longest: f64) -> f64 {
+/// Scales the gradients down to `max_norm` if their total norm is larger, as `clip_grad_norm_` of
+/// PyTorch does, and returns the norm before.
+fn clip_grad_norm<M: Module>(gradients: &mut GradientsParams, model: &M, max_norm: f64) -> f64 {
     struct Norm<'a> {
         gradients: &'a GradientsParams,
         square: f64,
@@ -445,49 +485,49 @@ fn cut<M: Module>(gradients: &mut GradientsParams, model: &M, longest: f64) -> f
         square: 0.0,
     };
     model.visit(&mut norm);
-    let length = norm.square.sqrt();
-    if length > longest {
+    let norm = norm.square.sqrt();
+    if norm > max_norm {
         model.visit(&mut Scale {
             gradients,
-            by: longest / length,
+            by: max_norm / norm,
         });
     }
-    length
+    norm
 }
 
-/// A running average of weights, parameter by parameter, each as one row of numbers.
+/// The exponential moving average (EMA) of the weights; every parameter is flattened.
 #[derive(Clone, Debug)]
-struct Average(BTreeMap<ParamId, Tensor<1>>);
+struct Ema(BTreeMap<ParamId, Tensor<1>>);
 
-impl Average {
+impl Ema {
     /// Starts at the weights of a model.
     fn of<M: Module>(model: &M) -> Self {
-        let mut average = Self(BTreeMap::new());
-        average.follow(model, 0.0);
-        average
+        let mut ema = Self(BTreeMap::new());
+        ema.update(model, 0.0);
+        ema
     }
 
-    /// Keeps a share of itself and takes the rest from the weights.
-    fn follow<M: Module>(&mut self, model: &M, share: f64) {
-        struct Follow<'a> {
-            average: &'a mut BTreeMap<ParamId, Tensor<1>>,
-            share: f64,
+    /// `decay * self + (1 - decay) * weights`.
+    fn update<M: Module>(&mut self, model: &M, decay: f64) {
+        struct Update<'a> {
+            ema: &'a mut BTreeMap<ParamId, Tensor<1>>,
+            decay: f64,
         }
-        impl ModuleVisitor for Follow<'_> {
+        impl ModuleVisitor for Update<'_> {
             fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
                 let now = param.val().reshape([-1]);
-                let next = match self.average.remove(&param.id) {
+                let next = match self.ema.remove(&param.id) {
                     Some(before) => {
-                        before.mul_scalar(self.share) + now.mul_scalar(1.0 - self.share)
+                        before.mul_scalar(self.decay) + now.mul_scalar(1.0 - self.decay)
                     }
                     None => now,
                 };
-                self.average.insert(param.id, next);
+                self.ema.insert(param.id, next);
             }
         }
-        model.visit(&mut Follow {
-            average: &mut self.0,
-            share,
+        model.visit(&mut Update {
+            ema: &mut self.0,
+            decay,
         });
     }
 
@@ -507,50 +547,12 @@ impl Average {
         }
         model.map(&mut Put(&self.0))
     }
-
-    fn to_bytes(&self) -> Vec<u8> {
-        let mut bytes = (self.0.len() as u64).to_le_bytes().to_vec();
-        for (id, numbers) in &self.0 {
-            let values: Vec<f32> = numbers
-                .to_data()
-                .try_into_vec_as()
-                .expect("a float tensor gives floats");
-            bytes.extend(id.val().to_le_bytes());
-            bytes.extend((values.len() as u64).to_le_bytes());
-            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-        }
-        bytes
-    }
-
-    fn from_bytes(bytes: &[u8], device: &Device) -> Option<Self> {
-        fn number(bytes: &mut &[u8]) -> Option<u64> {
-            let (first, rest) = bytes.split_first_chunk::<8>()?;
-            *bytes = rest;
-            Some(u64::from_le_bytes(*first))
-        }
-        let mut rest = bytes;
-        let count = number(&mut rest)?;
-        let mut average = BTreeMap::new();
-        for _ in 0..count {
-            let id = ParamId::from(number(&mut rest)?);
-            let length = usize::try_from(number(&mut rest)?).ok()?;
-            let (values, after) = rest.split_at_checked(length.checked_mul(4)?)?;
-            rest = after;
-            let values: Vec<f32> = values
-                .chunks_exact(4)
-                .map(|value| f32::from_le_bytes([value[0], value[1], value[2], value[3]]))
-                .collect();
-            let row = Tensor::from_data(TensorData::new(values, [length]), device);
-            average.insert(id, row);
-        }
-        rest.is_empty().then_some(Self(average))
-    }
 }
 
 fn save<T: Task>(
     task: &T,
     model: &T::Model,
-    average: Option<&Average>,
+    ema: Option<&Ema>,
     optimizer: &ModuleOptimizer,
     state: &TrainState,
     run_dir: &Path,
@@ -565,27 +567,32 @@ fn save<T: Task>(
     let mut files = task.save(&model.valid(), run_dir)?;
     files.insert(OPTIMIZER.to_owned(), moments.to_vec());
     files.insert(STATE.to_owned(), state);
-    if let Some(average) = average {
-        files.insert(AVERAGE.to_owned(), average.to_bytes());
+    if let Some(ema) = ema {
+        let averaged = task.save(&ema.put_into(model.valid()), run_dir)?;
+        files.extend(
+            averaged
+                .into_iter()
+                .map(|(name, bytes)| (format!("{EMA_PREFIX}{name}"), bytes)),
+        );
     }
     Ok(files)
 }
 
-fn load_average(
-    course: &Course,
+fn load_ema<T: Task>(
+    task: &T,
+    model: &T::Model,
     files: &mut Files,
     run_dir: &Path,
-    device: &Device,
-) -> Result<Option<Average>, Error> {
-    if course.optimizer.average.is_none() {
-        return Ok(None);
-    }
-    let bytes = take(files, AVERAGE, run_dir)?;
-    let average = Average::from_bytes(&bytes, device).ok_or_else(|| Error::Corrupt {
-        path: run_dir.join("checkpoint/last").join(AVERAGE),
-        detail: "it does not hold the lengths it announces".to_owned(),
-    })?;
-    Ok(Some(average))
+) -> Result<Ema, Error> {
+    let mut averaged: Files = files
+        .iter()
+        .filter_map(|(name, bytes)| {
+            Some((name.strip_prefix(EMA_PREFIX)?.to_owned(), bytes.clone()))
+        })
+        .collect();
+    let mut twin = model.clone();
+    task.load(&mut twin, &mut averaged, run_dir)?;
+    Ok(Ema::of(&twin.valid()))
 }
 
 fn load_progress(
@@ -622,22 +629,19 @@ mod tests {
     }
 
     #[test]
-    fn the_average_moves_by_its_share_and_survives_a_file() {
+    fn the_ema_moves_by_its_decay() {
         let device = Device::flex();
         let (first, second) = (layer(1, &device), layer(2, &device));
-        let mut average = Average::of(&first);
-        average.follow(&second, 0.75);
-        let read = Average::from_bytes(&average.to_bytes(), &device).expect("read back");
-        let mixed = numbers(&read.put_into(layer(3, &device)));
+        let mut ema = Ema::of(&first);
+        ema.update(&second, 0.75);
+        let mixed = numbers(&ema.put_into(layer(3, &device)));
         for ((mixed, first), second) in mixed.iter().zip(numbers(&first)).zip(numbers(&second)) {
             assert!((mixed - (0.75 * first + 0.25 * second)).abs() < 1e-6);
         }
-        let bytes = average.to_bytes();
-        assert!(Average::from_bytes(&bytes[..bytes.len() - 1], &device).is_none());
     }
 
     #[test]
-    fn long_gradients_are_cut_together_and_short_ones_are_left() {
+    fn large_gradients_are_clipped_together_and_small_ones_are_left() {
         let device = Device::flex().autodiff();
         let model = layer(1, &device);
         let gradients = || {
@@ -646,12 +650,12 @@ mod tests {
         };
         // Weights: two columns of (3, 0, 4); biases: two ones.
         let expected = (2.0 * 25.0 + 2.0f64).sqrt();
-        let mut cut_ones = gradients();
-        let length = cut(&mut cut_ones, &model, 1.0);
-        assert!((length - expected).abs() < 1e-5);
-        assert!((cut(&mut cut_ones, &model, 100.0) - 1.0).abs() < 1e-5);
+        let mut clipped = gradients();
+        let norm = clip_grad_norm(&mut clipped, &model, 1.0);
+        assert!((norm - expected).abs() < 1e-5);
+        assert!((clip_grad_norm(&mut clipped, &model, 100.0) - 1.0).abs() < 1e-5);
         let mut left = gradients();
-        cut(&mut left, &model, 100.0);
-        assert!((cut(&mut left, &model, 100.0) - expected).abs() < 1e-5);
+        clip_grad_norm(&mut left, &model, 100.0);
+        assert!((clip_grad_norm(&mut left, &model, 100.0) - expected).abs() < 1e-5);
     }
 }

@@ -410,12 +410,12 @@ fn golden_coordinator() {
         "out.prob",
         2e-6,
     );
-    let slope: Vec<f32> = network
-        .slope(x, &t)
+    let gradient: Vec<f32> = network
+        .gradient(x, &t)
         .into_data()
         .try_into_vec_as()
         .expect("floats");
-    for (found, expected) in slope.iter().zip(golden.f32s("out.grad")) {
+    for (found, expected) in gradient.iter().zip(golden.f32s("out.grad")) {
         assert!(
             (found - expected).abs() <= 1e-6 + 1e-4 * expected.abs(),
             "{found} {expected}"
@@ -446,15 +446,15 @@ fn golden_coordinator_is_saved_under_the_reference_names() {
 }
 
 #[test]
-fn the_slope_of_the_coordinator_is_that_of_finite_differences() {
+fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
     let network = coordinator(&Device::flex());
     let golden = Golden::read("motionrefit_coordinator");
     let x = golden.tensor::<3>("in.x").narrow(0, 0, 1);
     let t = &golden.indices("in.t")[..1];
     let shape = x.dims();
     let values: Vec<f32> = x.to_data().try_into_vec_as().expect("floats");
-    let slope: Vec<f32> = network
-        .slope(x, t)
+    let gradient: Vec<f32> = network
+        .gradient(x, t)
         .into_data()
         .try_into_vec_as()
         .expect("floats");
@@ -478,10 +478,10 @@ fn the_slope_of_the_coordinator_is_that_of_finite_differences() {
         };
         let numeric =
             (probability(moved(1.0)) - probability(moved(-1.0))) / (2.0 * f64::from(step));
-        let analytic: f64 = slope
+        let analytic: f64 = gradient
             .iter()
             .zip(&direction)
-            .map(|(slope, direction)| f64::from(slope * direction))
+            .map(|(gradient, direction)| f64::from(gradient * direction))
             .sum();
         // The third derivative along the direction and the rounding of the probabilities.
         let slack = 1e-2 * analytic.abs() + 1e-4;
@@ -613,11 +613,11 @@ fn golden_guided_step() {
             assert!(difference <= 5e-6, "{name} at {t}: {difference}");
         };
         close(&mean, "out.mean");
-        let slope = coordinator.slope(mean.clone(), &[t]);
-        close(&slope, "out.grad");
+        let gradient = coordinator.gradient(mean.clone(), &[t]);
+        close(&gradient, "out.grad");
         let is_guided = t > 0 && t < 5;
         let guided = if is_guided {
-            mean - slope.mul_scalar(schedule.posterior_variance[t].sqrt())
+            mean - gradient.mul_scalar(schedule.posterior_variance[t].sqrt())
         } else {
             mean
         };
@@ -991,12 +991,10 @@ fn a_pose_network_learns_and_is_loaded_again() {
     let motion = [Motion::from_poses(Fps::STORE, &poses).expect("finite")];
     let dir = tempfile::tempdir().expect("a folder");
     for preset in [J2sPreset::Paper, J2sPreset::Official] {
-        let config = J2sConfig {
-            num_steps: 60,
-            batch_size: 64,
-            width: 64,
-            ..J2sConfig::preset(preset)
-        };
+        let mut config = J2sConfig::preset(preset);
+        config.width = 64;
+        config.run.batch_size = 64;
+        config.run.length = train::config::RunLength::of_steps(60);
         let session = Session {
             device: &Device::flex(),
             more_devices: &[],
@@ -1017,7 +1015,7 @@ fn a_pose_network_learns_and_is_loaded_again() {
         let report = report.expect("trained");
         assert!(report.loss[1] < 0.8 * report.loss[0], "{:?}", report.loss);
         let by_name = |name: &str| {
-            let way = report.ways.iter().find(|way| way.name == name);
+            let way = report.fits.iter().find(|fit| fit.name == name);
             way.expect("measured").error_mm
         };
         assert!(by_name("network, Adam") < by_name("network"));

@@ -92,12 +92,12 @@ fn small_config(num_steps: u64) -> TrainConfig {
         feed_forward: 64,
         dropout: 0.0,
     };
-    config.batch_size = 8;
-    config.length = RunLength::of_steps(num_steps);
-    config.log_every = 5;
-    config.val_every = 10;
+    config.run.batch_size = 8;
+    config.run.length = RunLength::of_steps(num_steps);
+    config.run.log_every = 5;
+    config.run.val_every = 10;
     config.val_windows = 12;
-    config.optimizer.warmup_steps = 5;
+    config.run.optimizer.warmup_steps = 5;
     config
 }
 
@@ -227,8 +227,8 @@ fn the_first_loss_is_that_of_an_untrained_network() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
     config.diffusion.prediction = Prediction::Noise;
-    config.optimizer.learning_rate = 0.0;
-    config.batch_size = 64;
+    config.run.optimizer.learning_rate = 0.0;
+    config.run.batch_size = 64;
     let report = train(dir.path(), &config, &Waves { items: 64 });
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, so
     // an untrained prediction adds a third to the variance. Ten per cent covers one network's
@@ -354,9 +354,9 @@ fn a_dropped_instruction_leaves_no_trace() {
 fn the_loss_falls_and_the_best_checkpoint_is_kept() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(200);
-    config.batch_size = 16;
-    config.val_every = 50;
-    config.optimizer.learning_rate = 3e-3;
+    config.run.batch_size = 16;
+    config.run.val_every = 50;
+    config.run.optimizer.learning_rate = 3e-3;
     let report = train(dir.path(), &config, &Waves { items: 16 });
     assert!(report.is_complete && report.steps == 200);
     let best = report.best_val_loss.expect("validated");
@@ -407,9 +407,9 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
 fn rich_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
     config.model.dropout = 0.1;
-    config.max_part = 3;
-    config.optimizer.max_gradient_norm = Some(0.5);
-    config.optimizer.average = Some(0.9);
+    config.run.micro_batch_size = Some(3);
+    config.run.optimizer.max_gradient_norm = Some(0.5);
+    config.run.optimizer.ema_decay = Some(0.9);
     config.diffusion.previous = PreviousFrames::Encoded;
     config
 }
@@ -465,9 +465,9 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
     let source = Waves { items: 20 };
-    let losses = |max_part: usize, more_devices: &[Device]| {
+    let losses = |micro_batch_size: usize, more_devices: &[Device]| {
         let mut config = small_config(10);
-        config.max_part = max_part;
+        config.run.micro_batch_size = Some(micro_batch_size);
         let dir = tempfile::tempdir().expect("a folder");
         train_on(dir.path(), &config, &source, more_devices).expect("trains");
         logged_losses(dir.path())
@@ -491,11 +491,11 @@ fn epochs_are_counted_and_their_checkpoints_kept() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
     // 20 items in steps of 8 make an epoch of three steps.
-    config.length = RunLength {
+    config.run.length = RunLength {
         epochs: Some(5),
         steps: 100,
     };
-    config.keep_epochs = 2;
+    config.run.keep_epochs = 2;
     let report = train(dir.path(), &config, &Waves { items: 20 });
     assert_eq!(report.steps, 15);
     for (epoch, is_kept) in [(1, false), (2, true), (3, false), (4, true), (5, false)] {
@@ -528,8 +528,8 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(120);
     config.text.encoder = TextEncoder::Clip;
-    config.optimizer.learning_rate = 3e-3;
-    config.optimizer.decay = Decay::Constant;
+    config.run.optimizer.learning_rate = 3e-3;
+    config.run.optimizer.decay = Decay::Constant;
     let vectors = TwoVectors([vec![8.0, 0.0, 1.0], vec![0.0, -8.0, 1.0]]);
     let source = Waves { items: 20 };
     let run = |vectors: Option<&dyn TextVectors>| {
@@ -553,10 +553,11 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     let load = || Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
     let other = TwoVectors([vec![1.0; 4], vec![2.0; 4]]);
     assert!(matches!(
-        load().with_vectors(Box::new(other)),
+        load().set_vectors(Box::new(other)),
         Err(Error::Misfit { .. })
     ));
-    let editor = load().with_vectors(Box::new(vectors)).expect("its encoder");
+    let mut editor = load();
+    editor.set_vectors(Box::new(vectors)).expect("its encoder");
     let record = &editor.record().config;
     let skeleton = Skeleton::smplx_neutral();
     let edit = |text: &str| {
@@ -596,7 +597,7 @@ fn a_folder_of_another_run_is_refused() {
     train(dir.path(), &small_config(1), &source);
     let stop = AtomicBool::new(false);
     let mut other = small_config(1);
-    other.optimizer.decay = Decay::Constant;
+    other.run.optimizer.decay = Decay::Constant;
     match train_until(dir.path(), &other, &source, &NoProgress, &stop) {
         Err(Error::OtherRun { field, .. }) => {
             assert_eq!(field, "config.train.optimizer.decay");
@@ -627,7 +628,7 @@ fn a_run_is_extended_and_says_so() {
     let stop = AtomicBool::new(false);
     train(run, &small_config(4), &source);
     let mut longer = small_config(9);
-    longer.optimizer.learning_rate *= 0.5;
+    longer.run.optimizer.learning_rate *= 0.5;
     match train_until(run, &longer, &source, &NoProgress, &stop) {
         Err(error @ Error::OtherRun { .. }) => assert!(error.to_string().contains("--extend")),
         other => panic!("expected a refusal, got {other:?}"),
@@ -686,7 +687,7 @@ fn a_run_begins_with_the_weights_of_another() {
     train(first.path(), &small_config(10), &Waves { items: 8 });
     // A rate of zero leaves the weights as they were.
     let mut still = small_config(1);
-    still.optimizer.learning_rate = 0.0;
+    still.run.optimizer.learning_rate = 0.0;
     let start = Start {
         init: Some(first.path()),
         ..Start::from(second.path())
@@ -1091,11 +1092,11 @@ fn the_coordinator_learns_what_was_composed() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = CoordinatorConfig::preset(Preset::Tiny);
     config.model = small_config(1).model;
-    config.optimizer.learning_rate = 3e-3;
-    config.batch_size = 32;
-    config.max_part = 20;
-    config.length = RunLength::of_steps(150);
-    (config.val_every, config.val_windows) = (50, 64);
+    config.run.optimizer.learning_rate = 3e-3;
+    config.run.batch_size = 32;
+    config.run.micro_batch_size = Some(20);
+    config.run.length = RunLength::of_steps(150);
+    (config.run.val_every, config.val_windows) = (50, 64);
     let normalizer = untrained_record().normalizer;
     let report = quietly(|session| {
         let segments = Segments {
@@ -1187,9 +1188,9 @@ fn check_encoder(
     let mut config = TmrConfig::preset(Preset::Tiny);
     config.features = recipe;
     config.max_frames = 24;
-    config.batch_size = 18;
-    config.num_steps = 150;
-    config.val_every = 150;
+    config.run.batch_size = 18;
+    config.run.length = RunLength::of_steps(150);
+    config.run.val_every = 150;
     let stop = AtomicBool::new(false);
     let report = train_tmr(
         dir.path(),

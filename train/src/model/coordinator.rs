@@ -93,17 +93,17 @@ impl Coordinator {
         sigmoid(self.logits(x, timesteps))
     }
 
-    /// The slope of the probability of each window with respect to that window.
+    /// The gradient of the probability of each window with respect to that window.
     ///
     /// # Shapes
     /// `x` and the result `[B, W, 84]`, on a device without automatic differentiation; `timesteps`
     /// `[B]`.
-    pub fn slope(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
+    pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
         let device = x.device();
         let x = Tensor::<3>::from_inner(x).require_grad();
         // On a device with gradients dropout would be at work.
         let settled = self.valid();
-        // A row never sees another, so that the slope of the sum holds the slope of each.
+        // A row never sees another, so that the gradient of the sum holds the gradient of each.
         let sum = settled.probability(x.clone(), timesteps).sum();
         let gradients = sum.backward();
         x.grad(&gradients)

@@ -6,5 +6,6 @@
 
 pub mod clip;
 pub mod hub;
+pub mod source;
 pub mod table;
 pub mod tokens;

@@ -1,0 +1,452 @@
+//! Stages from folder to folder: open what the stage before wrote, do the work, commit the result.
+//!
+//! Each function is one verb of the command. A stage whose result is there already, by the same plan,
+//! does nothing.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+
+use datasets_spec::dataset::{Commit, Transaction, commit_made, commit_rows};
+use datasets_spec::manifest::plan_hash;
+use datasets_spec::record::{
+    EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
+};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
+use kinematics::normalise::Normalizer;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::catalogue::other_than_motions;
+use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Stream, draw_items};
+use crate::ingest::IngestOptions;
+use crate::masks::{MaskConfig, automatic_masks};
+use crate::pairs::{self, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs};
+
+/// Tables that composed edits follow from.
+pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
+
+/// Context of a stage: where it reports and who locks the folder it writes.
+#[derive(Clone, Copy)]
+pub struct Context<'a> {
+    /// Receives the progress.
+    pub progress: &'a dyn Progress,
+    /// Names this run to another one that finds the folder locked.
+    pub holder: &'a str,
+}
+
+impl Context<'_> {
+    /// Commits a table, unless the folder holds it by the same plan.
+    fn commit<R: Row>(
+        &self,
+        root: &Path,
+        rows: &[R],
+        split_of: Option<fn(&R) -> Split>,
+        skeleton: &Skeleton,
+        plan_hash: &str,
+    ) -> Result<Dataset, Error> {
+        Ok(commit_rows(
+            root,
+            rows,
+            split_of,
+            skeleton,
+            plan_hash,
+            self.holder,
+        )?)
+    }
+}
+
+/// Section `[ingest]` of a plan: how files become rows.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct IngestConfig {
+    /// Frame rate of the store.
+    pub fps: Fps,
+    /// Rule of resampling.
+    pub resample: Resample,
+    /// Licence recorded with every motion.
+    pub license: Option<String>,
+}
+
+impl Default for IngestConfig {
+    fn default() -> Self {
+        Self {
+            fps: Fps::STORE,
+            resample: Resample::Exact,
+            license: None,
+        }
+    }
+}
+
+impl IngestConfig {
+    /// The options of [`crate::ingest::ingest`]; `seed` draws the split of new clips.
+    pub fn options(&self, seed: Seed) -> IngestOptions {
+        IngestOptions {
+            fps: Some(self.fps),
+            resample: self.resample,
+            license: self.license.clone(),
+            seed,
+            ..IngestOptions::default()
+        }
+    }
+}
+
+/// Opens a dataset for a stage that works on motions.
+///
+/// # Errors
+/// The folder is no dataset, or holds something else than motions.
+pub fn open_motions(root: &Path) -> Result<Dataset, Error> {
+    let dataset = Dataset::open(root)?;
+    match other_than_motions(&dataset) {
+        None => Ok(dataset),
+        Some(other) => Err(Error::OtherThanMotions {
+            path: root.to_owned(),
+            other,
+        }),
+    }
+}
+
+/// What becomes of masks that people have judged when automatic ones are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judged {
+    /// They stay, and the stage does nothing.
+    Keep,
+    /// The stage fails.
+    Refuse,
+    /// They are discarded.
+    Replace,
+}
+
+/// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source
+/// came with masks get no automatic ones.
+///
+/// # Errors
+/// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
+pub fn masks(
+    root: &Path,
+    config: &MaskConfig,
+    judged: Judged,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let dataset = open_motions(root)?;
+    let plan = plan_hash(
+        "masks",
+        &(dataset.manifest().plan(MotionRow::TABLE), config),
+    );
+    if dataset.manifest().plan(MaskRow::TABLE) == plan {
+        return Ok(dataset);
+    }
+    let present: Vec<MaskRow> = dataset.read(None)?;
+    let by_people = present
+        .iter()
+        .filter(|mask| mask.text_origin == "human")
+        .count();
+    match judged {
+        Judged::Keep if by_people > 0 => return Ok(dataset),
+        Judged::Refuse if by_people > 0 => {
+            return Err(Error::JudgedMasks {
+                path: root.to_owned(),
+                count: by_people,
+            });
+        }
+        Judged::Keep | Judged::Refuse | Judged::Replace => {}
+    }
+    let motions: Vec<MotionRow> = dataset.read(None)?;
+    context.progress.begin("masks", Some(motions.len() as u64));
+    let skeleton = dataset.skeleton()?;
+    let mut rows: Vec<MaskRow> = present
+        .into_iter()
+        .filter(|mask| mask.text_origin == "imported")
+        .collect();
+    let imported: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
+    let automatic = automatic_masks(&motions, &skeleton, config)?;
+    rows.extend(
+        automatic
+            .into_iter()
+            .filter(|mask| !imported.contains(&mask.motion_id)),
+    );
+    context
+        .progress
+        .finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
+    context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)
+}
+
+/// Makes style pairs from the labels of a dataset and commits them beside those that its sources
+/// came with. Also returns the styled motions without a counterpart.
+///
+/// # Errors
+/// The dataset cannot be read or written.
+pub fn pairs(
+    root: &Path,
+    config: &PairConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<(Dataset, Vec<MotionId>), Error> {
+    let dataset = open_motions(root)?;
+    let inputs = (dataset.manifest().plan(MotionRow::TABLE), config, seed);
+    let plan = plan_hash(pairs::SOURCE, &inputs);
+    let motions: Vec<MotionRow> = dataset.read(None)?;
+    let made = style_pairs(&motions, config, seed);
+    if dataset.manifest().plan(PairRow::TABLE) == plan {
+        return Ok((dataset, made.alone));
+    }
+    context.progress.begin("pairs", None);
+    let mut rows: Vec<PairRow> = dataset.read(None)?;
+    rows.retain(|row| !is_from_labels(row));
+    rows.extend(made.rows);
+    context.progress.finish(&format!("{} pairs", rows.len()));
+    if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
+        return Ok((dataset, made.alone));
+    }
+    let skeleton = dataset.skeleton()?;
+    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    Ok((dataset, made.alone))
+}
+
+/// Adds the style pairs of a list to those of a dataset. They replace earlier pairs of a list with the
+/// same motions. Also returns the lines that gave no pair.
+///
+/// # Errors
+/// The list or the dataset cannot be read, or the dataset cannot be written.
+pub fn listed_pairs(
+    root: &Path,
+    file: &Path,
+    context: &Context<'_>,
+) -> Result<(Dataset, Vec<RefusedLine>), Error> {
+    let list = PairList::read(file)?;
+    let dataset = open_motions(root)?;
+    let mut motions = BTreeMap::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let rows = read_rows::<MotionRow>(&path)?.into_iter();
+        motions.extend(rows.map(|row| (row.id, row.split)));
+    }
+    let mut before: Vec<PairRow> = dataset.read(None)?;
+    before.sort_by(|a, b| a.id.cmp(&b.id));
+    let (listed, known): (Vec<PairRow>, Vec<PairRow>) = before
+        .iter()
+        .cloned()
+        .partition(|row| row.source == pairs::LISTED);
+    let made = list.pairs(&motions, &known);
+    let mut rows: BTreeMap<String, PairRow> = listed
+        .into_iter()
+        .chain(known)
+        .map(|row| (row.id.clone(), row))
+        .collect();
+    rows.extend(made.rows.into_iter().map(|row| (row.id.clone(), row)));
+    let rows: Vec<PairRow> = rows.into_values().collect();
+    if rows == before {
+        return Ok((dataset, made.refused));
+    }
+    let inputs = (dataset.manifest().plan(PairRow::TABLE), &list.hash());
+    let plan = plan_hash(pairs::LISTED, &inputs);
+    let skeleton = dataset.skeleton()?;
+    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    Ok((dataset, made.refused))
+}
+
+/// The motions, masks and pairs of one split.
+///
+/// # Errors
+/// The split has neither masks nor pairs, or a table cannot be read.
+pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
+    let masks: Vec<MaskRow> = dataset.read(Some(split))?;
+    let pairs: Vec<PairRow> = dataset.read(Some(split))?;
+    if masks.is_empty() && pairs.is_empty() {
+        return Err(Error::NoAnnotations {
+            path: dataset.root().to_owned(),
+            split,
+        });
+    }
+    let motions: Vec<MotionRow> = dataset.read(Some(split))?;
+    let skeleton = dataset.skeleton()?;
+    Ok(Arc::new(Library::new(
+        split, &motions, &masks, &pairs, &skeleton,
+    )?))
+}
+
+/// The composer's stream over the training split and its normaliser: the one given, or else the one
+/// fitted to the split.
+///
+/// # Errors
+/// The split cannot be composed.
+pub fn train_stream(
+    dataset: &Dataset,
+    config: &ComposeConfig,
+    seed: Seed,
+    normalizer: Option<Normalizer>,
+) -> Result<(Stream, Normalizer), Error> {
+    let library = library(dataset, Split::Train)?;
+    let normalizer = match normalizer {
+        Some(normalizer) => normalizer,
+        None => library.fit_normalizer(config)?,
+    };
+    let stream = Stream::new(library, config.clone(), seed, &normalizer)?;
+    Ok((stream, normalizer))
+}
+
+/// Records whole-clip triplets of the training stream as a dataset of their own.
+///
+/// # Errors
+/// The training split cannot be composed, or the folder cannot be written.
+pub fn triplets(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let dataset = Dataset::open(root)?;
+    let (stream, _) = train_stream(&dataset, config, seed, None)?;
+    let inputs = (dataset.content_hash(&COMPOSED), config, seed, count);
+    let plan = plan_hash("triplets", &inputs);
+    context.progress.begin("triplets", Some(count));
+    let rows: Vec<TripletRow> = (0..count)
+        .into_par_iter()
+        .map(|number| {
+            let (epoch, item) = (number / stream.epoch_len(), number % stream.epoch_len());
+            let row = stream.triplet(epoch, item).to_row();
+            context.progress.advance(1);
+            row
+        })
+        .collect();
+    context
+        .progress
+        .finish(&format!("{count} triplets composed"));
+    let skeleton = dataset.skeleton()?;
+    context.commit(out, &rows, Some(|row| row.split), &skeleton, &plan)
+}
+
+/// Records windows of the training stream as a dataset of their own, with their normaliser.
+///
+/// # Errors
+/// The training split cannot be composed, or the folder cannot be written.
+pub fn windows(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let dataset = Dataset::open(root)?;
+    let (stream, normalizer) = train_stream(&dataset, config, seed, None)?;
+    let inputs = (dataset.content_hash(&COMPOSED), config, seed, count);
+    let plan = plan_hash("windows", &inputs);
+    context.progress.begin("windows", Some(count));
+    let skeleton = dataset.skeleton()?;
+    let make = |windows: Range<u64>| {
+        let mut rows = Vec::new();
+        stream.for_each_recorded(windows, |row: WindowRow, _, _| {
+            rows.push(row);
+            context.progress.advance(1);
+        });
+        rows
+    };
+    commit_made(
+        out,
+        Split::Train,
+        count,
+        make,
+        &skeleton,
+        &plan,
+        context.holder,
+    )?;
+    context
+        .progress
+        .finish(&format!("{count} windows recorded"));
+    let rows = [NormalizerRow::new(
+        &normalizer,
+        &config.range_settings(),
+        &plan,
+    )];
+    let plan = plan_hash("normalizers", &(&plan, &rows[0].id));
+    context.commit(out, &rows, None, &skeleton, &plan)
+}
+
+/// Whether the training split can teach a coordinator: composing takes motions of two sources.
+///
+/// # Errors
+/// The dataset cannot be read.
+pub fn can_coordinate(root: &Path) -> Result<bool, Error> {
+    let motions: Vec<MotionRow> = Dataset::open(root)?.read(Some(Split::Train))?;
+    let origins: BTreeSet<&str> = motions.iter().map(|row| row.id.source_clip()).collect();
+    Ok(origins.len() > 1)
+}
+
+/// Result of [`items`].
+pub struct DrawnItems {
+    /// The folder of items.
+    pub dataset: Dataset,
+    /// Number of items drawn now, where it is less than the number asked for.
+    pub fewer: Option<usize>,
+}
+
+/// Draws test questions from a split and commits them as a dataset of their own.
+///
+/// # Errors
+/// The split cannot be composed, or the folder cannot be written.
+pub fn items(
+    root: &Path,
+    out: &Path,
+    split: Split,
+    config: &ItemConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<DrawnItems, Error> {
+    let dataset = Dataset::open(root)?;
+    let content = dataset.content_hash(&COMPOSED);
+    let plan = plan_hash("items", &(content, split, config, seed));
+    if let Ok(done) = Dataset::open_unverified(out)
+        && done.manifest().plan(ItemRow::TABLE) == plan
+    {
+        return Ok(DrawnItems {
+            dataset: Dataset::open(out)?,
+            fewer: None,
+        });
+    }
+    let rows = draw_items(&library(&dataset, split)?, config, seed)?;
+    let fewer = match config.count {
+        ItemCount::Exactly(count) if rows.len() < count => Some(rows.len()),
+        _ => None,
+    };
+    let skeleton = dataset.skeleton()?;
+    let dataset = context.commit(out, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    Ok(DrawnItems { dataset, fewer })
+}
+
+/// Commits items and edits of them together.
+///
+/// # Errors
+/// The folder is locked or cannot be written.
+pub fn commit_edits(
+    out: &Path,
+    items: &[ItemRow],
+    edits: &[EditRow],
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+) -> Result<Dataset, Error> {
+    let transaction = Transaction::begin(out, holder)?;
+    let item_split: fn(&ItemRow) -> Split = |row| row.split;
+    let edit_split: fn(&EditRow) -> Split = |row| row.split;
+    let tables = [
+        (
+            ItemRow::TABLE.to_owned(),
+            transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?,
+        ),
+        (
+            EditRow::TABLE.to_owned(),
+            transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?,
+        ),
+    ];
+    Ok(transaction.commit(Commit {
+        tables: tables.into(),
+        plan_hash: plan_hash.to_owned(),
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    })?)
+}

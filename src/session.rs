@@ -1,0 +1,74 @@
+//! What the library crates need of the process: signals, the clock, a progress sink.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock, Once};
+use std::time::Instant;
+
+use datasets_spec::Progress;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
+use train::Session;
+use train::text::hub::HubCache;
+use train::text::source::TextEncoderSource;
+
+use crate::device::{device, devices};
+use crate::exit::Exit;
+use crate::report;
+
+/// Set by the first interrupt: what is being trained is saved and ends.
+static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+
+/// Whether an interrupt has ended the work.
+pub(crate) fn is_stopped() -> bool {
+    STOP.load(Ordering::Relaxed)
+}
+
+/// Reports that an interrupt ended a chain of stages between two of them.
+pub(crate) fn stopped() -> Exit {
+    report::note("stopped and saved; the same command continues from here");
+    Exit::Interrupted
+}
+
+/// Turns the first interrupt into a request to save and end; a second one ends at once.
+fn listen_for_interrupts() {
+    static LISTENING: Once = Once::new();
+    LISTENING.call_once(|| {
+        for signal in [SIGINT, SIGTERM] {
+            let second = Exit::Interrupted.code().into();
+            // Registered first, so that it sees the flag before this signal sets it. Without a
+            // handler a signal ends the program at once, which loses no more than the steps since
+            // the last checkpoint.
+            let _ = flag::register_conditional_shutdown(signal, second, Arc::clone(&STOP));
+            let _ = flag::register(signal, Arc::clone(&STOP));
+        }
+    });
+}
+
+/// Runs a stage that trains or edits.
+pub(crate) fn with_session<T>(
+    progress: &dyn Progress,
+    act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
+) -> Result<T, train::Error> {
+    listen_for_interrupts();
+    let begun = Instant::now();
+    act(&Session {
+        device: &device(),
+        more_devices: &devices()[1..],
+        progress,
+        stop: &STOP,
+        clock: &|| begun.elapsed(),
+    })
+}
+
+/// The cache of the Hugging Face hub that the environment names.
+pub(crate) fn hub_cache() -> Option<HubCache> {
+    HubCache::from_variables(|name| std::env::var_os(name))
+}
+
+/// Where CLIP is found: the folder the user names, else the hub's cache.
+pub(crate) fn text_encoder(folder: Option<&std::path::Path>) -> TextEncoderSource {
+    TextEncoderSource {
+        folder: folder.map(std::path::Path::to_owned),
+        cache: hub_cache(),
+    }
+}

@@ -1,0 +1,123 @@
+//! Stages that several verbs share, with what the process adds to them: notes on stderr, and the times
+//! of editing beside the edits.
+
+use std::path::{Path, PathBuf};
+
+use datasets_spec::{Dataset, Progress, Seed, Split};
+use eval::answers::{Answered, Scores};
+use eval::protocol::Protocol;
+use eval::times::WindowTimes;
+use pipeline::compose::ItemConfig;
+use pipeline::ingest::{IngestReport, ingest};
+use pipeline::stage::{self, IngestConfig};
+use train::registry::open_system;
+use train::sample::EditTimes;
+use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
+
+use crate::cli::Global;
+use crate::cmd::ingest::summary;
+use crate::device::device;
+use crate::evaluators::EvaluatorRuns;
+use crate::report;
+use crate::session::with_session;
+
+/// Ingests folders, or continues.
+pub(crate) fn ingested(
+    sources: &[PathBuf],
+    root: &Path,
+    config: &IngestConfig,
+    seed: Seed,
+    global: &Global,
+    progress: &dyn Progress,
+) -> anyhow::Result<IngestReport> {
+    let options = config.options(seed);
+    let done = ingest(sources, root, &options, &global.holder(), progress)?;
+    if done.accounting.quarantined > 0 && !global.json {
+        report::note(&summary(&done));
+    } else {
+        for remark in &done.remarks {
+            report::note(&format!("note: {remark}"));
+        }
+    }
+    Ok(done)
+}
+
+/// Draws test questions.
+pub(crate) fn items(
+    root: &Path,
+    out: &Path,
+    split: Split,
+    config: &ItemConfig,
+    seed: Seed,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let drawn = global.stage(|context| stage::items(root, out, split, config, seed, context))?;
+    if let Some(count) = drawn.fewer {
+        report::note(&format!(
+            "split {split} of {} gives {count} different items, {} were asked for",
+            root.display(),
+            config.count
+        ));
+    }
+    Ok(drawn.dataset)
+}
+
+/// Answers items with a trained system.
+pub(crate) fn edits(
+    items: &Path,
+    source: &SystemSource,
+    out: &Path,
+    config: &EditConfig,
+    seed: Seed,
+    global: &Global,
+) -> anyhow::Result<Answers> {
+    let items = Dataset::open(items)?;
+    let mut system = open_system(source, config, &items.skeleton()?, &device())?;
+    let made = with_session(&global.bars(), |session| {
+        answer_items(
+            &mut *system,
+            &items,
+            out,
+            config.takes,
+            seed,
+            &global.holder(),
+            session,
+        )
+    })?;
+    note_remarks(&made.remarks);
+    if let Some(times) = &made.times {
+        per_window(times).write(out)?;
+    }
+    Ok(made)
+}
+
+/// Prints warnings about edits.
+pub(crate) fn note_remarks(remarks: &Remarks) {
+    for line in remarks.lines() {
+        report::note(&line);
+    }
+}
+
+/// The times of editing, for one window.
+pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
+    let windows = times.num_windows.max(1) as f64;
+    WindowTimes {
+        window: times.window,
+        diffusion_secs: times.diffusion_secs / windows,
+        coordinator_secs: times.coordinator_secs / windows,
+        fit_secs: times.fit_secs / windows,
+        batch: (times.num_batches > 0).then(|| windows / times.num_batches as f64),
+    }
+}
+
+/// Scores every system of one or more tables of edits.
+pub(crate) fn scores(
+    answered: &Answered,
+    runs: &EvaluatorRuns<'_>,
+    protocol: &Protocol,
+    global: &Global,
+) -> anyhow::Result<Scores> {
+    runs.with(&answered.skeleton, |evaluators| {
+        Scores::of(answered, evaluators, protocol, &global.bars())
+    })
+}

@@ -1,0 +1,95 @@
+//! What a model offers to the rest of the program: to be trained from a dataset folder and, if it edits
+//! motions, to be opened as a system.
+
+use std::path::Path;
+
+use burn::tensor::Device;
+use datasets_spec::Skeleton;
+use pipeline::compose::ComposeConfig;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::checkpoint::Start;
+use crate::config::{Preset, RunLength, RunSettings, overlay};
+use crate::system::{EditConfig, EditSystem, SystemSource};
+use crate::text::source::TextEncoderSource;
+use crate::trainer::TrainReport;
+use crate::{Error, Session};
+
+/// A kind of model.
+#[derive(Clone, Copy, Debug)]
+pub struct ModelKind {
+    /// Name on the command line and in run folders.
+    pub name: &'static str,
+    /// What it is, in one line.
+    pub about: &'static str,
+    /// Trains it on a dataset.
+    pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
+    /// Opens a trained one as an editing system; `None` for models that do not edit motions.
+    pub open: Option<OpenSystem>,
+}
+
+/// Opens a run folder as an editing system for motions on a skeleton.
+pub type OpenSystem =
+    fn(&SystemSource, &EditConfig, &Skeleton, &Device) -> Result<Box<dyn EditSystem>, Error>;
+
+/// A training run as it is asked for. Models ignore inputs that they have no use for.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainRequest<'a> {
+    /// Dataset folder.
+    pub dataset: &'a Path,
+    /// Run folder, and what the run begins with.
+    pub start: Start<'a>,
+    /// Named settings.
+    pub preset: Preset,
+    /// Settings in place of those of the preset: a JSON object.
+    pub own: &'a Value,
+    /// How edits are composed.
+    pub compose: &'a ComposeConfig,
+    /// Windows recorded before, in place of composing them.
+    pub windows: Option<&'a Path>,
+    /// Where CLIP is found, for settings that use it.
+    pub text_encoder: &'a TextEncoderSource,
+    /// Seed in place of that of the settings.
+    pub seed: Option<u64>,
+    /// Length in place of that of the settings.
+    pub length: Option<RunLength>,
+}
+
+impl TrainRequest<'_> {
+    /// The preset with the request's own settings in place of some of it.
+    ///
+    /// # Errors
+    /// A setting is unknown or of another type.
+    pub fn settings<T: Serialize + DeserializeOwned>(&self, preset: &T) -> Result<T, Error> {
+        overlay(preset, self.own).map_err(|source| Error::Settings { source })
+    }
+
+    /// Applies seed and length of the request.
+    pub fn change(&self, run: &mut RunSettings) {
+        run.seed = self.seed.unwrap_or(run.seed);
+        run.length = self.length.unwrap_or(run.length);
+    }
+}
+
+/// Result of a training run, whatever was trained.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// Whether the run reached its last step.
+    pub is_complete: bool,
+    /// For people.
+    pub summary: String,
+    /// For programs.
+    pub document: Value,
+}
+
+impl Trained {
+    pub(crate) fn from_report(report: TrainReport, run: &Path) -> Self {
+        Self {
+            is_complete: report.is_complete,
+            summary: report.summary(run),
+            document: serde_json::to_value(&report).expect("plain numbers serialise"),
+        }
+    }
+}

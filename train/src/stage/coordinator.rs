@@ -1,0 +1,59 @@
+//! Training of the body-part coordinator on a dataset.
+
+use std::path::Path;
+
+use datasets_spec::{Dataset, Seed};
+use pipeline::compose::ComposeConfig;
+use pipeline::stage::COMPOSED;
+
+use super::Streams;
+use crate::checkpoint::Start;
+use crate::compose::ComposeRecord;
+use crate::coordinator::{self, CoordinatorConfig, Segments};
+use crate::kind::{TrainRequest, Trained};
+use crate::trainer::TrainReport;
+use crate::{Error, Session};
+
+/// Trains the coordinator on segments of the motions an editor is trained on, or continues its run.
+///
+/// # Errors
+/// As [`coordinator::train_coordinator`], or the dataset cannot be read.
+pub fn train_coordinator<'a>(
+    root: &Path,
+    start: impl Into<Start<'a>>,
+    config: &CoordinatorConfig,
+    compose: &ComposeConfig,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    let start = start.into();
+    let seed = config.run.seed;
+    let dataset = Dataset::open(root)?;
+    let streams = Streams::open(&dataset, compose, config.window, seed, start.range()?)?;
+    let record = ComposeRecord {
+        config: streams.compose,
+        seed: Seed(seed),
+    };
+    let segments = Segments {
+        train: &streams.train,
+        val: &streams.val,
+        normalizer: streams.normalizer,
+        skeleton: &dataset.skeleton()?,
+        dataset_hash: &dataset.content_hash(&COMPOSED),
+        compose: &record,
+    };
+    coordinator::train_coordinator(start, config, segments, session)
+}
+
+/// Trains the coordinator as a command line asks for it.
+pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    let report = train_coordinator(
+        request.dataset,
+        request.start,
+        &config,
+        request.compose,
+        session,
+    )?;
+    Ok(Trained::from_report(report, request.start.run))
+}

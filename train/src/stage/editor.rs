@@ -1,0 +1,153 @@
+//! Training of the MotionReFit editor on a dataset.
+
+use std::path::Path;
+
+use datasets_spec::record::{NormalizerRow, WindowRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Seed, Split};
+use kinematics::normalise::Normalizer;
+use pipeline::compose::{ComposeConfig, ReadOrder, WindowLoader};
+use pipeline::stage::{COMPOSED, library};
+
+use super::{Streams, create_dir};
+use crate::checkpoint::Start;
+use crate::compose::ComposeRecord;
+use crate::config::{TextEncoder, TrainConfig};
+use crate::fit::{Corpus, train_motionrefit};
+use crate::kind::{TrainRequest, Trained};
+use crate::text::source::{EMBEDDINGS, TextEncoderSource};
+use crate::trainer::TrainReport;
+use crate::{Error, Session};
+
+/// What the editor is trained on besides a dataset.
+#[derive(Clone, Copy, Debug)]
+pub struct EditorInputs<'a> {
+    /// How edits are composed.
+    pub compose: &'a ComposeConfig,
+    /// Windows recorded before, in place of composing them.
+    pub windows: Option<&'a Path>,
+    /// Where CLIP is found, for settings that use it.
+    pub text_encoder: &'a TextEncoderSource,
+}
+
+/// Trains the editor on the composer's stream, or continues its run.
+///
+/// # Errors
+/// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
+pub fn train_editor<'a>(
+    root: &Path,
+    start: impl Into<Start<'a>>,
+    config: &TrainConfig,
+    inputs: &EditorInputs<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    let start = start.into();
+    let seed = config.run.seed;
+    let dataset = Dataset::open(root)?;
+    let streams = Streams::open(
+        &dataset,
+        inputs.compose,
+        config.window,
+        seed,
+        start.range()?,
+    )?;
+    let Streams {
+        compose,
+        train,
+        val,
+        normalizer,
+    } = &streams;
+    let recorded = match inputs.windows {
+        Some(folder) => {
+            let fitted = library(&dataset, Split::Train)?.fit_normalizer(compose)?;
+            Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
+        }
+        None => None,
+    };
+    let instructions = match &recorded {
+        Some(loader) => loader.instructions().to_vec(),
+        None => train.instructions(),
+    };
+    let vectors = match config.text.encoder {
+        TextEncoder::Learned => None,
+        TextEncoder::Clip => {
+            let all = [instructions.clone(), val.instructions()].concat();
+            let table = inputs.text_encoder.embeddings(start.run, &all, session)?;
+            create_dir(start.run)?;
+            table.save(&start.run.join(EMBEDDINGS))?;
+            Some(table)
+        }
+    };
+    let corpus = Corpus {
+        train: match &recorded {
+            Some(loader) => loader,
+            None => train,
+        },
+        val,
+        instructions: &instructions,
+        vectors: vectors.as_ref().map(|table| table as _),
+        normalizer: *normalizer,
+        skeleton: &dataset.skeleton()?,
+        dataset_hash: &data_hash(&dataset, inputs.windows)?,
+        compose: &ComposeRecord {
+            config: compose.clone(),
+            seed: Seed(seed),
+        },
+    };
+    train_motionrefit(start, config, corpus, session)
+}
+
+/// Trains the editor as a command line asks for it.
+pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&TrainConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    let inputs = EditorInputs {
+        compose: request.compose,
+        windows: request.windows,
+        text_encoder: request.text_encoder,
+    };
+    let report = train_editor(request.dataset, request.start, &config, &inputs, session)?;
+    Ok(Trained::from_report(report, request.start.run))
+}
+
+/// Identifies the data an editor learns from: the tables that edits are composed from, and the
+/// recorded windows where there are any.
+fn data_hash(dataset: &Dataset, windows: Option<&Path>) -> Result<String, Error> {
+    let composed = dataset.content_hash(&COMPOSED);
+    let Some(folder) = windows else {
+        return Ok(composed);
+    };
+    let recorded = Dataset::open_unverified(folder)?.content_hash(&[WindowRow::TABLE]);
+    let both = blake3::hash(format!("{composed} {recorded}").as_bytes());
+    Ok(both.to_hex().to_string())
+}
+
+/// Opens recorded windows. Their normaliser must be the one fitted to the dataset, and the run must use
+/// it too.
+fn recorded_windows(
+    folder: &Path,
+    [fitted, used]: [&Normalizer; 2],
+    seed: Seed,
+) -> Result<WindowLoader, Error> {
+    let recorded = Dataset::open(folder)?;
+    let rows: Vec<NormalizerRow> = recorded.read(None)?;
+    let misfit = |problem: &'static str| Error::RecordedWindows {
+        path: folder.to_owned(),
+        problem,
+    };
+    if used.hash() != fitted.hash() {
+        return Err(misfit(
+            "use the normaliser of their dataset, and the run keeps that of the weights it begins \
+             with; train it on composed windows, without --windows",
+        ));
+    }
+    let hash = fitted.hash();
+    if rows.iter().all(|row| row.id != hash) {
+        return Err(misfit(
+            "were recorded with another normaliser than the dataset's; record them again: \
+             stance triplets DATASET --windows N --out FOLDER",
+        ));
+    }
+    let order = ReadOrder::Shuffled(seed);
+    Ok(WindowLoader::open(&recorded, Split::Train, order)?)
+}

@@ -1,0 +1,90 @@
+//! Training of the evaluation encoder on a dataset.
+
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::{Dataset, Motion, Split};
+
+use super::MOTIONS;
+use crate::checkpoint::Start;
+use crate::kind::{TrainRequest, Trained};
+use crate::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
+use crate::trainer::TrainReport;
+use crate::{Error, Session};
+
+/// A clip with its captions.
+#[derive(Clone, Debug)]
+pub struct CaptionedClip {
+    /// Its id.
+    pub id: String,
+    /// The motion.
+    pub motion: Motion,
+    /// At least one caption.
+    pub captions: Vec<String>,
+}
+
+/// The clips of a split that have a caption.
+///
+/// # Errors
+/// The dataset cannot be read, or a row is no motion.
+pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
+    let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+    let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
+    clips
+        .map(|row| {
+            let id = row.id.to_string();
+            let motion = row.motion().map_err(|source| Error::Motion {
+                id: id.clone(),
+                source,
+            })?;
+            let captions = row.captions.into_iter().map(|caption| caption.text);
+            Ok(CaptionedClip {
+                id,
+                motion,
+                captions: captions.collect(),
+            })
+        })
+        .collect()
+}
+
+/// Trains the encoder that evaluation measures with, or continues its run.
+///
+/// # Errors
+/// As [`train_tmr`], or the dataset cannot be read.
+pub fn train_encoder<'a>(
+    root: &Path,
+    start: impl Into<Start<'a>>,
+    config: &TmrConfig,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    fn views(clips: &[CaptionedClip]) -> Vec<CaptionedMotion<'_>> {
+        clips
+            .iter()
+            .map(|clip| CaptionedMotion {
+                id: &clip.id,
+                motion: &clip.motion,
+                captions: &clip.captions,
+            })
+            .collect()
+    }
+    let dataset = Dataset::open(root)?;
+    let (train, val) = (
+        captioned_clips(&dataset, Split::Train)?,
+        captioned_clips(&dataset, Split::Val)?,
+    );
+    let corpus = TmrCorpus {
+        train: &views(&train),
+        val: &views(&val),
+        skeleton: &dataset.skeleton()?,
+        dataset_hash: &dataset.content_hash(&MOTIONS),
+    };
+    train_tmr(start, config, corpus, session)
+}
+
+/// Trains the encoder as a command line asks for it.
+pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&TmrConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    let report = train_encoder(request.dataset, request.start, &config, session)?;
+    Ok(Trained::from_report(report, request.start.run))
+}

@@ -1,0 +1,80 @@
+//! Stages of training, from a dataset folder to a run folder: open the dataset, assemble what the
+//! model learns from, train.
+
+pub mod coordinator;
+pub mod editor;
+pub mod encoder;
+pub mod poses;
+
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Seed, Split};
+use kinematics::canonical::WINDOW_FRAMES;
+use kinematics::normalise::Normalizer;
+use pipeline::compose::{ComposeConfig, Stream};
+use pipeline::stage::{library, train_stream};
+
+use crate::Error;
+
+/// Tables that models of motions alone follow from.
+const MOTIONS: [&str; 1] = [MotionRow::TABLE];
+
+/// Composed windows of the training and the validation split, in one normaliser.
+struct Streams {
+    compose: ComposeConfig,
+    train: Stream,
+    val: Stream,
+    normalizer: Normalizer,
+}
+
+impl Streams {
+    /// Opens the streams of a dataset for windows of `window` frames. The normaliser is fitted to the
+    /// training split if none is given.
+    fn open(
+        dataset: &Dataset,
+        compose: &ComposeConfig,
+        window: usize,
+        seed: u64,
+        normalizer: Option<Normalizer>,
+    ) -> Result<Self, Error> {
+        let seed = Seed(seed);
+        let compose = with_window(compose, window);
+        let (train, normalizer) = train_stream(dataset, &compose, seed, normalizer)?;
+        let val = library(dataset, Split::Val)?;
+        let val = Stream::new(val, unthinned(&compose), seed, &normalizer)
+            .map_err(|source| Error::Validation { source })?;
+        Ok(Self {
+            compose,
+            train,
+            val,
+            normalizer,
+        })
+    }
+}
+
+/// The composer's settings without those that thin or fix the training data for an ablation:
+/// validation data stay the same.
+fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
+    ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        fixed_pairs: false,
+        ..compose.clone()
+    }
+}
+
+/// The composer's settings with the model's window, unless they set a window themselves. Then the model
+/// refuses one that does not fit it.
+fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
+    let own = compose.window;
+    ComposeConfig {
+        window: if own == WINDOW_FRAMES { window } else { own },
+        ..compose.clone()
+    }
+}
+
+fn create_dir(dir: &Path) -> Result<(), Error> {
+    std::fs::create_dir_all(dir).map_err(Error::io("create", dir))
+}

@@ -1,0 +1,68 @@
+//! Training of the network from keypoints to rotations on a dataset.
+
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::{Dataset, Motion, Split};
+
+use super::MOTIONS;
+use crate::checkpoint::Start;
+use crate::j2s::{self, J2sConfig, J2sReport};
+use crate::kind::{TrainRequest, Trained};
+use crate::{Error, Session};
+
+/// Trains the pose network on the motions of the training split, and measures it on those of the
+/// validation split.
+///
+/// # Errors
+/// As [`j2s::train_j2s`], or the dataset cannot be read.
+pub fn train_j2s<'a>(
+    root: &Path,
+    start: impl Into<Start<'a>>,
+    config: &J2sConfig,
+    session: &Session<'_>,
+) -> Result<J2sReport, Error> {
+    let dataset = Dataset::open(root)?;
+    let motions = |split: Split| -> Result<Vec<Motion>, Error> {
+        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+        rows.iter()
+            .map(|row| {
+                row.motion().map_err(|source| Error::Motion {
+                    id: row.id.to_string(),
+                    source,
+                })
+            })
+            .collect()
+    };
+    let (train, val) = (motions(Split::Train)?, motions(Split::Val)?);
+    let (skeleton, hash) = (dataset.skeleton()?, dataset.content_hash(&MOTIONS));
+    j2s::train_j2s(start, config, [&train, &val], &skeleton, &hash, session)
+}
+
+/// Trains the pose network as a command line asks for it.
+pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&J2sConfig::of(request.preset))?;
+    request.change(&mut config.run);
+    let report = train_j2s(request.dataset, request.start, &config, session)?;
+    let mut lines = vec![
+        format!(
+            "{} steps, loss {:.5} -> {:.5}; in {}",
+            report.steps,
+            report.loss[0],
+            report.loss[1],
+            request.start.run.display()
+        ),
+        "method                    keypoints mm  rotations deg    frames/s".to_owned(),
+    ];
+    lines.extend(report.fits.iter().map(|fit| {
+        format!(
+            "{:<25} {:>12.3} {:>14.2} {:>11.0}",
+            fit.name, fit.error_mm, fit.error_deg, fit.frames_per_sec
+        )
+    }));
+    Ok(Trained {
+        is_complete: report.is_complete,
+        summary: lines.join("\n"),
+        document: serde_json::to_value(&report).expect("plain numbers and names serialise"),
+    })
+}

@@ -1,0 +1,441 @@
+//! Editing systems: an item in, a motion out. Verbs that edit know a system by [`EditSystem`] alone.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::manifest::plan_hash;
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Fps, Motion, Seed};
+use pipeline::stage::commit_edits;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::Slot;
+use crate::sample::{EditTimes, FitMethod, TimedInstruction};
+use crate::text::source::TextEncoderSource;
+use crate::{Error, Session};
+
+/// An editing system, ready to edit motions on one skeleton.
+pub trait EditSystem {
+    /// Name, weights and settings, as rows of edits record them.
+    fn identity(&self) -> &SystemIdentity;
+
+    /// Frame rate the system generates at.
+    fn fps(&self) -> Fps;
+
+    /// Weight of the text guidance.
+    fn guidance(&self) -> f64;
+
+    /// Warnings about edits that are asked for: motions as numbers of frames and rates, and the
+    /// instructions.
+    fn remarks(&self, motions: &[(usize, Fps)], texts: &[&str]) -> Remarks;
+
+    /// Prepares the system for the instructions it will be given. Called before [`EditSystem::edit`].
+    ///
+    /// # Errors
+    /// The text encoder is missing or cannot encode a text.
+    fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error>;
+
+    /// Edits motions. The result of a request depends on the seed and the request, not on the other
+    /// requests.
+    ///
+    /// # Errors
+    /// A request is malformed, a generated motion is not finite, or the session is stopped.
+    fn edit(
+        &self,
+        requests: &[EditRequest<'_>],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<EditedMotions, Error>;
+}
+
+/// A motion to edit.
+#[derive(Clone, Debug)]
+pub struct EditRequest<'a> {
+    /// Names the request, and with the seed decides its noise.
+    pub id: &'a str,
+    /// The motion, of any rate.
+    pub motion: &'a Motion,
+    /// Instructions for frames of the motion.
+    pub instructions: &'a [TimedInstruction],
+    /// Frame rate of the edit.
+    pub fps: Fps,
+}
+
+/// How far generated points are from a body, as they know no bones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Misfit {
+    /// Mean distance in metres between the points and the fitted body.
+    pub fit_error_m: f32,
+    /// Mean distance in metres of the bones from their lengths in the body.
+    pub bone_drift_m: f32,
+}
+
+/// Result of [`EditSystem::edit`].
+#[derive(Clone, Debug)]
+pub struct EditedMotions {
+    /// One motion for each request, as long as its original, and how far the generated points are from
+    /// a body.
+    pub motions: Vec<(Motion, Misfit)>,
+    /// Where the time went.
+    pub times: EditTimes,
+}
+
+/// Which system made an edit, and how: what tells its rows from those of others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SystemIdentity {
+    /// Name in tables.
+    pub name: String,
+    /// What identifies the weights: BLAKE3, hexadecimal.
+    pub checkpoint_hash: String,
+    /// What the system edits with, as a JSON object; its hash stands beside it in every row.
+    pub settings: String,
+}
+
+impl SystemIdentity {
+    /// What identifies the settings: BLAKE3, hexadecimal; empty where they are not known.
+    pub fn settings_hash(&self) -> String {
+        if self.settings.is_empty() {
+            return String::new();
+        }
+        blake3::hash(self.settings.as_bytes()).to_hex().to_string()
+    }
+
+    /// The row of an edit.
+    pub fn row(&self, item: &ItemRow, motion: &Motion, misfit: Misfit, seed: Seed) -> EditRow {
+        EditRow {
+            id: item.id.clone(),
+            split: item.split,
+            system: self.name.clone(),
+            checkpoint_hash: self.checkpoint_hash.clone(),
+            settings_hash: self.settings_hash(),
+            settings: self.settings.clone(),
+            source_id: item.source_id.to_string(),
+            target_id: item.target_id.to_string(),
+            instruction: item.instruction.clone(),
+            kind: item.task.clone(),
+            seed: seed.0,
+            fps: motion.fps().get() as f32,
+            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            fit_error_m: Some(misfit.fit_error_m),
+            bone_drift_m: Some(misfit.bone_drift_m),
+        }
+    }
+}
+
+/// Warnings about edits: short clips and unknown words.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Remarks {
+    /// Motions shorter than a window: they are edited with their last pose held, which is cut off
+    /// again.
+    pub num_short: usize,
+    /// Words of the instructions that the system has never seen.
+    pub unknown_words: BTreeSet<String>,
+}
+
+impl Remarks {
+    /// One line for each warning.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        if self.num_short > 0 {
+            lines.push(format!(
+                "{} shorter than a window of the model: the last pose is held while editing, and the \
+                 frames added are cut off again",
+                match self.num_short {
+                    1 => "1 motion is".to_owned(),
+                    many => format!("{many} motions are"),
+                }
+            ));
+        }
+        if !self.unknown_words.is_empty() {
+            let words: Vec<&str> = self.unknown_words.iter().map(String::as_str).collect();
+            lines.push(format!(
+                "the editor has never seen {}: it cannot follow these words",
+                words.join(", ")
+            ));
+        }
+        lines
+    }
+}
+
+/// Where a system is loaded from.
+#[derive(Clone, Debug)]
+pub struct SystemSource {
+    /// Its run folder.
+    pub run: PathBuf,
+    /// Which of its checkpoints.
+    pub slot: Slot,
+    /// Run folder of the coordinator that guides it.
+    pub coordinator: Option<PathBuf>,
+    /// Run folder of the pose network whose twists its poses get.
+    pub poses: Option<PathBuf>,
+    /// Where its frozen text encoder is found, if it has one.
+    pub text_encoder: TextEncoderSource,
+}
+
+impl SystemSource {
+    /// The best checkpoint of a run, without helpers.
+    pub fn best(run: &Path, text_encoder: TextEncoderSource) -> Self {
+        Self {
+            run: run.to_owned(),
+            slot: Slot::Best,
+            coordinator: None,
+            poses: None,
+            text_encoder,
+        }
+    }
+}
+
+/// Section `[edit]` of a plan: how items are edited.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EditConfig {
+    /// Name of the system in tables; `None` for one that says what it is.
+    pub name: Option<String>,
+    /// Edits of every item, each with a sampling seed of its own.
+    pub takes: u64,
+    /// Guidance weight; `None` for the one the editor was trained for.
+    pub guidance: Option<f64>,
+    /// Factor of the noise; `None` for the one the editor was trained for.
+    pub temperature: Option<f64>,
+    /// Windows generated at a time.
+    pub max_batch: usize,
+    /// How SMPL-X parameters are found.
+    pub fit: FitMethod,
+    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from; `None` for
+    /// 0.01 with a pose network and 0 without.
+    pub prior: Option<f64>,
+    /// Strength of the coordinator's guidance; `None` for that of the editor's settings.
+    pub coordinator_strength: Option<f64>,
+    /// Last steps that a coordinator guides; `None` for those of the editor's settings.
+    pub coordinator_steps: Option<usize>,
+}
+
+impl Default for EditConfig {
+    fn default() -> Self {
+        Self {
+            name: None,
+            takes: 1,
+            guidance: None,
+            temperature: None,
+            max_batch: 64,
+            fit: FitMethod::Exact,
+            prior: None,
+            coordinator_strength: None,
+            coordinator_steps: None,
+        }
+    }
+}
+
+/// An instruction for all frames of a motion.
+pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
+    TimedInstruction {
+        frames: 0..motion.len(),
+        text: text.to_owned(),
+    }
+}
+
+/// Edits the source of every item. The rows have the rate and the length of the sources.
+///
+/// # Errors
+/// As [`EditSystem::edit`].
+pub fn edit_items(
+    system: &dyn EditSystem,
+    items: &[ItemRow],
+    seed: Seed,
+    session: &Session<'_>,
+) -> Result<(Vec<EditRow>, EditTimes), Error> {
+    let sources: Vec<(Motion, [TimedInstruction; 1])> = items
+        .iter()
+        .map(|item| {
+            let source = item.source().map_err(|source| Error::Motion {
+                id: item.id.clone(),
+                source,
+            })?;
+            let instruction = whole(&item.instruction, &source);
+            Ok((source, [instruction]))
+        })
+        .collect::<Result<_, Error>>()?;
+    let requests: Vec<EditRequest<'_>> = items
+        .iter()
+        .zip(&sources)
+        .map(|(item, (motion, instructions))| EditRequest {
+            id: &item.id,
+            motion,
+            instructions,
+            fps: motion.fps(),
+        })
+        .collect();
+    let edited = system.edit(&requests, seed, session)?;
+    let rows = items
+        .iter()
+        .zip(&edited.motions)
+        .map(|(item, (motion, misfit))| system.identity().row(item, motion, *misfit, seed))
+        .collect();
+    Ok((rows, edited.times))
+}
+
+/// An edited motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edited {
+    /// The motion, as long as the original, at 20 fps, or at the model's rate where that is higher.
+    pub motion: Motion,
+    /// How far the generated points are from a body.
+    pub misfit: Misfit,
+    /// Where the time went.
+    pub times: EditTimes,
+}
+
+/// Edits one motion, of any rate, by instructions for parts of it or for the whole.
+///
+/// # Errors
+/// The motion has no frame, an instruction has no frame of its own, the generated motion is not
+/// finite, or the fit asks for a pose network that the editor has not.
+pub fn edit_motion(
+    system: &dyn EditSystem,
+    id: &str,
+    motion: &Motion,
+    instructions: &[TimedInstruction],
+    seed: Seed,
+    session: &Session<'_>,
+) -> Result<Edited, Error> {
+    let fps = if system.fps() > Fps::STORE {
+        system.fps()
+    } else {
+        Fps::STORE
+    };
+    let request = EditRequest {
+        id,
+        motion,
+        instructions,
+        fps,
+    };
+    let mut edited = system.edit(&[request], seed, session)?;
+    let (motion, misfit) = edited
+        .motions
+        .pop()
+        .expect("a system returns a motion for each request");
+    Ok(Edited {
+        motion,
+        misfit,
+        times: edited.times,
+    })
+}
+
+/// Edits one motion several times, each edit being the original of the next. Layers after the first
+/// apply to all frames, because an edit may have another rate than its original.
+///
+/// # Errors
+/// As [`edit_motion`], or there is no layer.
+pub fn edit_layers(
+    system: &dyn EditSystem,
+    id: &str,
+    motion: &Motion,
+    layers: &[Vec<TimedInstruction>],
+    seed: Seed,
+    session: &Session<'_>,
+) -> Result<Edited, Error> {
+    let mut times = EditTimes::default();
+    let mut edited: Option<Edited> = None;
+    for (number, layer) in layers.iter().enumerate() {
+        let made = match &edited {
+            // The first layer draws the noise of a single edit.
+            None => edit_motion(system, id, motion, layer, seed, session)?,
+            Some(Edited { motion, .. }) => {
+                let layer: Vec<TimedInstruction> = layer
+                    .iter()
+                    .map(|asked| whole(&asked.text, motion))
+                    .collect();
+                let id = format!("{id} layer {number}");
+                edit_motion(system, &id, motion, &layer, seed, session)?
+            }
+        };
+        times += made.times;
+        edited = Some(made);
+    }
+    match edited {
+        Some(edited) => Ok(Edited { times, ..edited }),
+        None => Err(Error::Item {
+            id: id.to_owned(),
+            problem: "has no instruction".to_owned(),
+        }),
+    }
+}
+
+/// Result of [`answer_items`].
+#[derive(Debug)]
+pub struct Answers {
+    /// The folder of items and edits.
+    pub dataset: Dataset,
+    /// Where the time went; `None` where the edits were there already.
+    pub times: Option<EditTimes>,
+    /// Warnings about the edits.
+    pub remarks: Remarks,
+}
+
+/// Edits the items of a folder and commits items and edits as a dataset of their own. Take `n` of
+/// `takes` is sampled with `seed + n`. What is there by the same plan is not made again.
+///
+/// # Errors
+/// A folder cannot be read or written, or as [`EditSystem::edit`].
+pub fn answer_items(
+    system: &mut dyn EditSystem,
+    items: &Dataset,
+    out: &Path,
+    takes: u64,
+    seed: Seed,
+    holder: &str,
+    session: &Session<'_>,
+) -> Result<Answers, Error> {
+    let rows = items.items()?;
+    let motions = rows
+        .iter()
+        .map(|item| {
+            let frames = usize::try_from(item.source_frames).unwrap_or(0);
+            Ok((frames, Fps::new(f64::from(item.fps))?))
+        })
+        .collect::<Result<Vec<_>, datasets_spec::Error>>()?;
+    let texts: Vec<&str> = rows.iter().map(|item| item.instruction.as_str()).collect();
+    let remarks = system.remarks(&motions, &texts);
+    let identity = system.identity();
+    let ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
+    let inputs = (
+        ids,
+        &identity.checkpoint_hash,
+        &identity.name,
+        &identity.settings,
+        seed,
+        takes,
+    );
+    // The number counts changes of what the table holds.
+    let plan = plan_hash("edits-4", &inputs);
+    if let Ok(done) = Dataset::open_unverified(out)
+        && done.manifest().plan(EditRow::TABLE) == plan
+    {
+        return Ok(Answers {
+            dataset: Dataset::open(out)?,
+            times: None,
+            remarks,
+        });
+    }
+    let texts: Vec<String> = texts.into_iter().map(str::to_owned).collect();
+    system.prepare(&texts, session)?;
+    let mut times = EditTimes::default();
+    let mut edits = Vec::new();
+    for take in 0..takes.max(1) {
+        let seed = Seed(seed.0.wrapping_add(take));
+        let (made, spent) = edit_items(system, &rows, seed, session)?;
+        edits.extend(made);
+        times += spent;
+    }
+    let dataset = commit_edits(out, &rows, &edits, &items.skeleton()?, &plan, holder)?;
+    Ok(Answers {
+        dataset,
+        times: Some(times),
+        remarks,
+    })
+}

@@ -1,0 +1,75 @@
+//! Where the frozen text encoder of a model is found, and the vectors it gives.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+
+use super::clip::{ClipEncoder, ClipFiles, ClipModel};
+use super::hub::HubCache;
+use super::table::EmbeddingTable;
+use crate::{Error, Session};
+
+/// Table of the instructions a run was trained with, in its folder.
+pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
+
+/// Where CLIP is found.
+#[derive(Clone, Debug, Default)]
+pub struct TextEncoderSource {
+    /// Its folder, if the user names one.
+    pub folder: Option<PathBuf>,
+    /// Cache of the Hugging Face hub to look into otherwise.
+    pub cache: Option<HubCache>,
+}
+
+impl TextEncoderSource {
+    /// Loads CLIP.
+    ///
+    /// # Errors
+    /// No place is known, a file is missing, or a file is damaged.
+    pub fn load(&self, device: &Device) -> Result<ClipEncoder, Error> {
+        let model = ClipModel::VitB32;
+        let files = match (&self.folder, &self.cache) {
+            (Some(folder), _) => ClipFiles::in_folder(folder)?,
+            (None, Some(cache)) => {
+                ClipFiles::in_cache(model, cache).map_err(|source| Error::NoTextEncoder {
+                    source: Box::new(source),
+                })?
+            }
+            (None, None) => return Err(Error::NoHubCache),
+        };
+        ClipEncoder::load(&model.config(), &files, device)
+    }
+
+    /// Vectors of texts: those of the run folder if it holds all of them, else computed.
+    ///
+    /// # Errors
+    /// As [`Self::load`], or a text cannot be encoded.
+    pub(crate) fn embeddings(
+        &self,
+        run: &Path,
+        texts: &[String],
+        session: &Session<'_>,
+    ) -> Result<EmbeddingTable, Error> {
+        let path = run.join(EMBEDDINGS);
+        if path.exists() {
+            let table = EmbeddingTable::load(&path)?;
+            if table.check_texts(texts.iter().map(String::as_str)).is_ok() {
+                return Ok(table);
+            }
+        }
+        let encoder = self.load(session.device)?;
+        let progress = session.progress;
+        progress.begin("texts", Some(texts.len() as u64));
+        let mut reported = 0;
+        let table = EmbeddingTable::compute(
+            &encoder,
+            texts.iter().map(String::as_str),
+            &mut |done, _| {
+                progress.advance((done - reported) as u64);
+                reported = done;
+            },
+        )?;
+        progress.finish(&format!("{} texts encoded by CLIP", table.texts().len()));
+        Ok(table)
+    }
+}
