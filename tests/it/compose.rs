@@ -140,14 +140,14 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     };
     train(&windows, &run).expect_code(0);
 
-    // Windows in another range of model units are refused.
+    // Windows recorded with another normaliser are refused.
     let scalar = at("scalar.toml");
     fs::write(&scalar, "range = \"scalar\"\n").expect("writes");
     let other = at("other");
     record(&other, &["--compose", arg(&scalar)]);
     let refused = train(&other, &at("run2")).expect_code(1);
     assert!(
-        refused.stderr.contains("another range"),
+        refused.stderr.contains("another normaliser"),
         "{}",
         refused.stderr
     );

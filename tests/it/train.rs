@@ -379,8 +379,8 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     assert_eq!((&row.id, item.target_frames), (&item.id, 0));
     assert!(row.instruction.contains(" / ") && row.settings.contains("2.5"));
 
-    let refused = |args: &[&str], reason: &str| {
-        let ran = stance(args).expect_code(1);
+    let refused = |args: &[&str], reason: &str, code| {
+        let ran = stance(args).expect_code(code);
         assert!(ran.stderr.contains(reason), "{}", ran.stderr);
     };
     let base = ["edit", arg(&editor), "--motion", arg(&clip)];
@@ -392,14 +392,14 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
             .map(|&text| text.to_owned())
             .collect()
     };
-    for (more, reason) in [
-        (&["--during", "nonsense"][..], "FIRST:END TEXT"),
-        (&["--during", "0:900000 wave"], "does not fit"),
-        (&[], "what is asked"),
+    for (more, reason, code) in [
+        (&["--during", "nonsense"][..], "FIRST:END TEXT", 2),
+        (&["--during", "0:900000 wave"], "does not fit", 1),
+        (&[], "what is asked", 1),
     ] {
         let args = with(more);
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
-        refused(&args, reason);
+        refused(&args, reason, code);
     }
     assert!(!out.exists());
     // A coordinator of another diffusion does not fit.
@@ -427,7 +427,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
         "--out",
         arg(&out),
     ]);
-    refused(&args, "another diffusion");
+    refused(&args, "another diffusion", 1);
 }
 
 #[test]
