@@ -8,6 +8,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
 use std::io::{Seek, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -276,11 +277,19 @@ impl Drop for Lock {
     }
 }
 
-/// Rows of a shard written by [`commit_rows`]: a few hundred MB of motion at most.
-const SHARD_ROWS: usize = 4096;
+/// Rows of a shard: a few hundred MB of motion at most.
+const SHARD_ROWS: u64 = 4096;
 
-/// Commits a table whose rows are all at hand. If the folder already holds this table by the same
-/// plan, nothing is written. `split_of` is none for tables without splits.
+/// Facts that the files of a table carry.
+pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, String); 2] {
+    [
+        ("skeleton", skeleton.name().to_owned()),
+        ("plan_hash", plan_hash.to_owned()),
+    ]
+}
+
+/// Commits a table of rows that are all in memory. If the folder already holds this table by the
+/// same plan, nothing is written. `split_of` is none for tables without splits.
 ///
 /// # Errors
 /// The folder is locked or cannot be written.
@@ -292,35 +301,22 @@ pub fn commit_rows<R: Row>(
     plan_hash: &str,
     holder: &str,
 ) -> Result<Dataset, Error> {
-    let transaction = Transaction::begin(root, holder)?;
-    let recorded = transaction.base().and_then(|base| base.plans.get(R::TABLE));
-    if recorded.is_some_and(|recorded| recorded == plan_hash) {
-        drop(transaction);
-        return Dataset::open(root);
-    }
-    let entries = transaction.write_rows(rows, split_of, skeleton, plan_hash)?;
-    transaction.commit(Commit {
-        tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
-        plan_hash: plan_hash.to_owned(),
-        skeleton: skeleton.clone(),
-        ..Commit::default()
+    commit_table::<R>(root, skeleton, plan_hash, holder, |transaction| {
+        transaction.write_rows(rows, split_of, skeleton, plan_hash)
     })
 }
 
-/// Commits a table of one split whose rows are made shard by shard, so that few are held at a time.
-/// If the folder already holds this table by the same plan, nothing is made. `make` gets the places
-/// of the rows it is to give.
+/// Commits the files of a table that `write` writes. If the folder already holds this table by the
+/// same plan, nothing is written.
 ///
 /// # Errors
-/// The folder is locked or cannot be written.
-pub fn commit_made<R: Row>(
+/// The folder is locked or cannot be written, or `write` fails.
+pub fn commit_table<R: Row>(
     root: &Path,
-    split: Split,
-    num_rows: u64,
-    mut make: impl FnMut(std::ops::Range<u64>) -> Vec<R>,
     skeleton: &Skeleton,
     plan_hash: &str,
     holder: &str,
+    write: impl FnOnce(&Transaction) -> Result<Vec<FileEntry>, Error>,
 ) -> Result<Dataset, Error> {
     let transaction = Transaction::begin(root, holder)?;
     let recorded = transaction.base().and_then(|base| base.plans.get(R::TABLE));
@@ -328,23 +324,7 @@ pub fn commit_made<R: Row>(
         drop(transaction);
         return Dataset::open(root);
     }
-    let facts = [
-        ("skeleton", skeleton.name().to_owned()),
-        ("plan_hash", plan_hash.to_owned()),
-    ];
-    let shard_rows = SHARD_ROWS as u64;
-    let of = num_rows.div_ceil(shard_rows).max(1);
-    let mut entries = Vec::new();
-    for index in 0..of {
-        let rows = make(index * shard_rows..num_rows.min((index + 1) * shard_rows));
-        let name = ShardName {
-            table: R::TABLE,
-            split: Some(split),
-            index: index as usize,
-            of: of as usize,
-        };
-        entries.push(transaction.write_shard(&name, &rows, &facts)?);
-    }
+    let entries = write(&transaction)?;
     transaction.commit(Commit {
         tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
         plan_hash: plan_hash.to_owned(),
@@ -521,35 +501,58 @@ impl Transaction {
         skeleton: &Skeleton,
         plan_hash: &str,
     ) -> Result<Vec<FileEntry>, Error> {
-        let groups: Vec<(Option<Split>, Vec<R>)> = match split_of {
-            None => vec![(None, rows.to_vec())],
-            Some(split_of) => Split::ALL
-                .into_iter()
-                .map(|split| {
-                    let rows = rows.iter().filter(|row| split_of(row) == split);
-                    (Some(split), rows.cloned().collect())
-                })
-                .collect(),
+        let facts = table_facts(skeleton, plan_hash);
+        let Some(split_of) = split_of else {
+            return self.write_shards(None, rows, &facts);
         };
-        let facts = [
-            ("skeleton", skeleton.name().to_owned()),
-            ("plan_hash", plan_hash.to_owned()),
-        ];
         let mut entries = Vec::new();
-        for (split, rows) in groups {
-            let of = rows.len().div_ceil(SHARD_ROWS).max(1);
-            for index in 0..of {
+        for split in Split::ALL {
+            let rows = rows.iter().filter(|row| split_of(row) == split);
+            let rows: Vec<R> = rows.cloned().collect();
+            entries.extend(self.write_shards(Some(split), &rows, &facts)?);
+        }
+        Ok(entries)
+    }
+
+    /// Writes the rows of a split, or of a table without splits: one shard even if there are none.
+    ///
+    /// # Errors
+    /// As [`Transaction::write_rows`].
+    pub fn write_shards<R: Row>(
+        &self,
+        split: Option<Split>,
+        rows: &[R],
+        facts: &[(&str, String)],
+    ) -> Result<Vec<FileEntry>, Error> {
+        let made = |range: Range<u64>| rows[range.start as usize..range.end as usize].to_vec();
+        self.write_made(split, rows.len() as u64, made, facts)
+    }
+
+    /// Writes rows that are made shard by shard, so that few are in memory at a time. `make` gets the
+    /// range of rows it is to give.
+    ///
+    /// # Errors
+    /// As [`Transaction::write_rows`].
+    pub fn write_made<R: Row>(
+        &self,
+        split: Option<Split>,
+        num_rows: u64,
+        mut make: impl FnMut(Range<u64>) -> Vec<R>,
+        facts: &[(&str, String)],
+    ) -> Result<Vec<FileEntry>, Error> {
+        let of = num_rows.div_ceil(SHARD_ROWS).max(1);
+        (0..of)
+            .map(|index| {
                 let name = ShardName {
                     table: R::TABLE,
                     split,
-                    index,
-                    of,
+                    index: index as usize,
+                    of: of as usize,
                 };
-                let end = rows.len().min((index + 1) * SHARD_ROWS);
-                entries.push(self.write_shard(&name, &rows[index * SHARD_ROWS..end], &facts)?);
-            }
-        }
-        Ok(entries)
+                let end = num_rows.min((index + 1) * SHARD_ROWS);
+                self.write_shard(&name, &make(index * SHARD_ROWS..end), facts)
+            })
+            .collect()
     }
 
     fn staged_path(&self, plan_hash: &str, name: &ShardName) -> PathBuf {

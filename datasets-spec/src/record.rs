@@ -1,6 +1,8 @@
 //! The rows of every table. A struct is declared once; its columns, their types, units and meaning
 //! follow from it, and `datasets-spec/README.md` is held equal to them by a test.
 
+use serde::{Deserialize, Serialize};
+
 use crate::table::{Caption, PartCaption, Quality, Row, table};
 use crate::{Error, Fps, Motion, MotionId, Split};
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -70,6 +72,7 @@ table! {
 
 table! {
     /// An accepted (motion, mask, text).
+    #[derive(Serialize, Deserialize)]
     pub struct MaskRow = "masks" {
         /// Id of the mask
         pub id: String [""],
@@ -96,6 +99,7 @@ table! {
 
 table! {
     /// A captured or generated pair: a motion and its edit.
+    #[derive(Serialize, Deserialize)]
     pub struct PairRow = "pairs" {
         /// Id of the pair
         pub id: String [""],
@@ -447,6 +451,7 @@ table! {
 
 table! {
     /// A rejected source item.
+    #[derive(Serialize, Deserialize)]
     pub struct QuarantineRow = "quarantine" {
         /// Path of the source file relative to the ingested root
         pub path: String [""],

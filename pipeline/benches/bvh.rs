@@ -12,7 +12,7 @@ use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
 use pipeline::check::check;
 use pipeline::retarget;
-use pipeline::source::bvh::Bvh;
+use pipeline::source::bvh::BvhFile;
 
 /// Frames of the synthetic file: a clip of half a minute.
 const NUM_FRAMES: usize = 1000;
@@ -90,11 +90,11 @@ fn parse(bencher: Bencher) {
     let text = file();
     bencher
         .counter(frames())
-        .bench_local(|| Bvh::parse(black_box(text.as_bytes())).expect("valid"));
+        .bench_local(|| BvhFile::parse(black_box(text.as_bytes())).expect("valid"));
 }
 
 fn motion_of(text: &str) -> Motion {
-    let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+    let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
     let clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None).expect("a body");
     clip.motion
 }

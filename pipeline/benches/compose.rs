@@ -9,18 +9,18 @@ use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
+use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
 use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
+use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::compose::{
     ComposeConfig, CoordinatorBatch, EditKind, Library, ReadOrder, Stream, WindowBatch,
     WindowLoader,
 };
-use pipeline::corpus::{CorpusOptions, write_corpus};
 use pipeline::ingest::{IngestOptions, ingest};
-use pipeline::masks::{MaskConfig, automatic_masks};
 
 /// Windows of a batch.
 const BATCH: usize = 1024;

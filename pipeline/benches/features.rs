@@ -6,12 +6,12 @@
 use std::hint::black_box;
 use std::path::Path;
 
+use corpus::{CorpusOptions, clip};
 use datasets_spec::record::HumanMl3dRow;
 use datasets_spec::table::write_rows;
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
-use pipeline::corpus::{CorpusOptions, clip};
 use pipeline::feature::{self, humanml3d};
 use pipeline::source::{ReadOptions, amass};
 use pipeline::write;

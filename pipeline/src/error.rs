@@ -174,9 +174,6 @@ pub enum Error {
     /// A motion is not one.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
-    /// The built-in corpus could not be written.
-    #[error(transparent)]
-    Corpus(#[from] crate::corpus::Error),
     /// Composing motions failed.
     #[error(transparent)]
     Compose(#[from] crate::compose::Error),

@@ -1,18 +1,18 @@
 //! Raw files to motions to triplets.
 //!
 //! [`source`] reads foreign formats and [`retarget`] poses them on the SMPL-X skeleton; [`ingest`]
-//! turns folders into a committed dataset; [`masks`] marks what each clip is about; [`compose`] is
-//! MotionCutMix. [`corpus`] generates the built-in motions, in source formats.
+//! turns folders into a committed dataset; [`annotation`] marks what each clip is about; [`compose`]
+//! is MotionCutMix; [`export`] writes other layouts.
 //!
 //! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
 //! and [`compose::Stream`] first.
 
+pub mod annotation;
 pub mod answers;
 pub mod catalogue;
 pub mod check;
 pub mod clip;
 pub mod compose;
-pub mod corpus;
 pub mod doctor;
 mod error;
 pub mod export;

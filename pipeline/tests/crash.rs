@@ -9,12 +9,12 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::record::MotionRow;
 use datasets_spec::store::{Disk, Store, StoreFile};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
 use pipeline::Error;
-use pipeline::corpus::{CorpusOptions, write_corpus};
 use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
 
 const NUM_CLIPS: usize = 18;

@@ -3,9 +3,9 @@
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
+use corpus::{CorpusOptions, clip};
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, NoProgress, Skeleton};
-use pipeline::corpus::{CorpusOptions, clip};
 use pipeline::ingest::{IngestOptions, ingest};
 use pipeline::write;
 

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::Row;
+use pipeline::annotation::masks::MaskConfig;
+use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::masks::MaskConfig;

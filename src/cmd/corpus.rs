@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use pipeline::corpus::{CorpusOptions, write_corpus};
+use corpus::{CorpusOptions, write_corpus};
 
 use crate::cli::Global;
 use crate::exit::Exit;

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
 use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
-use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
 use train::config::{Preset, RunLength, TrainConfig};
 
 use crate::cli::Global;

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use datasets_spec::{Fps, Resample, Skeleton};
+use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
-use pipeline::pairs::{PairList, RefusedLine};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
-use pipeline::source::{Format, ReadOptions};
+use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
 use serde::Serialize;
 
 use crate::cli::Global;
@@ -36,8 +37,8 @@ pub(crate) struct Args {
     #[arg(long)]
     out: PathBuf,
     /// Read files of this format only
-    #[arg(long, value_enum)]
-    format: Option<FormatArg>,
+    #[arg(long, value_parser = format_parser())]
+    format: Option<Format>,
     /// Frame rate to store, or `native` for each clip's own
     #[arg(long, default_value = "20", value_parser = parse_fps)]
     fps: FpsArg,
@@ -78,31 +79,9 @@ pub(crate) struct Args {
     allow_quarantine: Option<Allowance>,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum FormatArg {
-    Bvh,
-    Amass,
-    C3d,
-    Gltf,
-    Humanml3d,
-    Humanml3dAmass,
-    Stance,
-    Motionfix,
-}
-
-impl From<FormatArg> for Format {
-    fn from(format: FormatArg) -> Self {
-        match format {
-            FormatArg::Bvh => Self::Bvh,
-            FormatArg::Amass => Self::Amass,
-            FormatArg::C3d => Self::C3d,
-            FormatArg::Gltf => Self::Gltf,
-            FormatArg::Humanml3d => Self::HumanMl3d,
-            FormatArg::Humanml3dAmass => Self::HumanMl3dAmass,
-            FormatArg::Stance => Self::Stance,
-            FormatArg::Motionfix => Self::MotionFix,
-        }
-    }
+fn format_parser() -> impl TypedValueParser<Value = Format> {
+    PossibleValuesParser::new(FORMATS.map(Format::as_str))
+        .map(|name| format_named(&name).expect("a listed name"))
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -168,7 +147,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ResampleArg::Exact => Resample::Exact,
             ResampleArg::Humanml3d => Resample::HumanMl3d,
         },
-        format: args.format.map(Format::from),
+        format: args.format,
         humanml3d_index: args.humanml3d_index.clone(),
         new_version: args.new_version,
         teleports: match args.teleports {

@@ -12,6 +12,8 @@ use eval::draw::plot::{Bars, Curve, Plot, Scale};
 use eval::format;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
+use pipeline::annotation::masks::MaskConfig;
+use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
 use pipeline::masks::MaskConfig;

@@ -280,7 +280,7 @@ fn inspect_counts_what_ingest_wrote() {
 
 #[test]
 fn the_ingested_corpus_keeps_its_feet_on_the_ground() {
-    let dir = corpus(pipeline::corpus::CLIPS_PER_TAKE);
+    let dir = corpus(corpus::CLIPS_PER_TAKE);
     let out = dir.path().join("dataset");
     ingest(&dir.path().join("corpus"), &out, &[], 0);
     let rows: Vec<MotionRow> = Dataset::open(&out)

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use corpus::{CLIPS_PER_TAKE, CorpusOptions};
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::{Dataset, MotionId, Split};
 use pickle::{Array, Value};
-use pipeline::corpus::{CLIPS_PER_TAKE, CorpusOptions};
 use serde_json::Value as Json;
 
 use crate::train::Workshop;

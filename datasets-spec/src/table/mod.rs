@@ -168,12 +168,13 @@ macro_rules! table {
     };
     (
         $(#[doc = $struct_doc:literal])*
+        $(#[derive($($derive:ident),+)])?
         pub struct $name:ident = $table:literal $(, pages of $page_rows:literal rows)? {
             $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal $(, $since:ident)?], )*
         }
     ) => {
         $(#[doc = $struct_doc])*
-        #[derive(Clone, Debug, PartialEq)]
+        #[derive(Clone, Debug, PartialEq $($(, $derive)+)?)]
         pub struct $name {
             $( #[doc = $doc] pub $field: $ty, )*
         }

@@ -7,6 +7,15 @@
 //! clip is the same whichever others are made, on any number of threads.
 //!
 //! Read [`CorpusOptions`] and [`clip`] first.
+//!
+//! ```
+//! use corpus::{CorpusOptions, clip};
+//!
+//! let options = CorpusOptions { clips: 3, ..CorpusOptions::default() };
+//! let third = clip(2, &options);
+//! assert_eq!(third.motion.fps().get(), corpus::CORPUS_FPS);
+//! assert!(!third.captions.is_empty());
+//! ```
 
 mod action;
 mod body;
@@ -23,9 +32,9 @@ use std::path::{Path, PathBuf};
 use datasets_spec::{Fps, Motion, Progress, Seed, Skeleton};
 use rayon::prelude::*;
 
-use crate::sidecar::Sidecar;
-use crate::write;
 use action::Action;
+use pipeline::sidecar::Sidecar;
+use pipeline::write;
 
 /// Frame rate of the clips in frames per second: that of many captures, and a multiple of the
 /// store's 20 and the model's 10.

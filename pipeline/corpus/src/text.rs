@@ -375,8 +375,8 @@ mod tests {
     use datasets_spec::Seed;
 
     use super::*;
-    use crate::corpus::gait::Side;
-    use crate::corpus::style;
+    use crate::gait::Side;
+    use crate::style;
 
     #[test]
     fn every_clip_is_described_in_whole_and_in_parts() {

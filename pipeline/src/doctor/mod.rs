@@ -16,10 +16,12 @@ use serde::Serialize;
 use crate::Error;
 use crate::catalogue::other_than_motions;
 use crate::ingest::{list_files, read_head};
+use crate::source::amass::catalogue::{Recording, Subset};
 use crate::source::amass::{self, Variant};
-use crate::source::amass_catalogue::{Recording, Subset};
 use crate::source::humanml3d::{self, IndexRow, Layout};
-use crate::source::{Files, Format, Recognised, humanml3d_amass, is_pointer, motionfix, recognise};
+use crate::source::{
+    Files, Format, Recognised, humanml3d_amass, is_pointer, motionfix, recognise, stance,
+};
 
 /// AMASS files of a subset that are looked into. A subset comes from one archive, so a few tell of
 /// all; they also tell how long its recordings are for their size.
@@ -225,20 +227,7 @@ impl Estimate {
 
 /// Seconds of motion in files of a format, judged by their size alone.
 fn seconds_in(format: Format, bytes: u64) -> f64 {
-    // Bytes of a second of motion: measured for BVH (318 captured clips) and C3D (24), an exported
-    // character's two or three clips for glTF, SMPL-H at 120 fps in f8 for AMASS, and what the
-    // arrays of the others take in f4 at their rates.
-    let store = Fps::STORE.get();
-    let per_second = match format {
-        Format::Bvh => 40_000.0,
-        Format::C3d => 60_000.0,
-        Format::Gltf => 50_000.0,
-        Format::Amass => 160_000.0,
-        Format::HumanMl3d | Format::HumanMl3dAmass => 4.0 * HUMANML3D_WIDTH as f64 * store,
-        Format::Stance => FRAME_BYTES * store,
-        Format::MotionFix => 2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0,
-    };
-    bytes as f64 / per_second
+    bytes as f64 / format.bytes_per_second()
 }
 
 /// A file that was listed and looked at.
@@ -354,7 +343,7 @@ fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {
         let key = if file.is_pointer {
             (false, "Git LFS pointer".to_owned())
         } else if claimed.contains(file.relative.as_str()) {
-            (true, Format::HumanMl3d.as_str().to_owned())
+            (true, humanml3d::FORMAT.as_str().to_owned())
         } else {
             match &file.kind {
                 Recognised::Motion(format) => (true, format.as_str().to_owned()),
@@ -428,7 +417,7 @@ fn estimate_layouts(layouts: &[Layout], looked: &[Looked]) -> Estimate {
                 None => (layout.joints.get(id), joints_share),
             };
             let bytes = file.and_then(|file| sizes.get(file.as_str())).copied();
-            let seconds = seconds_in(Format::HumanMl3d, bytes.unwrap_or(0)) / share;
+            let seconds = seconds_in(humanml3d::FORMAT, bytes.unwrap_or(0)) / share;
             estimate.add(Estimate::of(1, seconds * Fps::STORE.get()));
         }
     }
@@ -440,10 +429,10 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
     let mut estimate = Estimate::default();
     for file in rest.iter().filter(|file| !file.is_pointer) {
         let format = match file.kind {
-            _ if is_stance(&file.relative) => Format::Stance,
-            _ if motionfix::is_dump(&file.relative) => Format::MotionFix,
-            Recognised::Motion(Format::Amass) | Recognised::NotMotion { .. } => continue,
-            Recognised::Motion(format) => format,
+            _ if is_stance(&file.relative) => stance::FORMAT,
+            _ if motionfix::is_dump(&file.relative) => motionfix::FORMAT,
+            Recognised::Motion(format) if format != amass::FORMAT => format,
+            _ => continue,
         };
         let frames = seconds_in(format, file.bytes) * Fps::STORE.get();
         estimate.add(Estimate::of(1, frames));
@@ -455,7 +444,7 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
 fn amass_subsets(rest: &[&Looked]) -> (Vec<SubsetFindings>, Estimate) {
     let mut by_subset: BTreeMap<&str, Vec<&Looked>> = BTreeMap::new();
     for file in rest {
-        if file.kind == Recognised::Motion(Format::Amass) && !file.is_pointer {
+        if file.kind == Recognised::Motion(amass::FORMAT) && !file.is_pointer {
             let subset = Recording::of(&file.path).map_or("", |recording| recording.subset);
             by_subset.entry(subset).or_default().push(file);
         }
@@ -507,7 +496,7 @@ fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
     let seconds = if sampled_bytes > 0 {
         sampled_seconds / sampled_bytes as f64 * bytes as f64
     } else if findings.unreadable.is_empty() {
-        seconds_in(Format::Amass, bytes)
+        seconds_in(amass::FORMAT, bytes)
     } else {
         0.0
     };
@@ -637,7 +626,7 @@ fn ask(path: PathBuf, rows: &[IndexRow], files: &Files) -> IndexFindings {
             continue;
         }
         let source = Path::new(&row.source_path);
-        let known = crate::source::amass_catalogue::subset_of(source);
+        let known = crate::source::amass::catalogue::subset_of(source);
         let name = known.as_ref().map_or("unknown", |(_, name)| name);
         let subset = subsets
             .entry(name.to_owned())

@@ -404,7 +404,7 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::check::check;
-    use crate::source::bvh::Bvh;
+    use crate::source::bvh::BvhFile;
 
     /// How a test file says what the body does.
     pub(crate) struct Dialect {
@@ -538,7 +538,7 @@ pub(crate) mod tests {
     }
 
     fn retarget(text: &str) -> SourceClip {
-        let bvh = Bvh::parse(text.as_bytes()).expect("the test writes valid files");
+        let bvh = BvhFile::parse(text.as_bytes()).expect("the test writes valid files");
         clip(&bvh, &Skeleton::smplx_neutral(), None).expect("the test writes bodies")
     }
 
@@ -663,7 +663,7 @@ pub(crate) mod tests {
     }
 
     fn rejected(text: &str) -> Rejected {
-        let bvh = Bvh::parse(text.as_bytes()).expect("a valid file");
+        let bvh = BvhFile::parse(text.as_bytes()).expect("a valid file");
         clip(&bvh, &Skeleton::smplx_neutral(), None).expect_err("no body")
     }
 
@@ -736,7 +736,7 @@ pub(crate) mod tests {
         );
         let map = UserMap::parse(&map).expect("a map");
         let read = |text: &str| {
-            let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+            let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
             clip(&bvh, &skeleton, Some(&map)).expect("a body")
         };
         let found = read(&text);
@@ -775,7 +775,7 @@ pub(crate) mod tests {
             joints.join(", ")
         );
         let map = UserMap::parse(&map).expect("a map");
-        let bvh = Bvh::parse(text.as_bytes()).expect("valid");
+        let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &skeleton, Some(&map)).expect("a body");
         assert!(
             clip.notes
@@ -891,7 +891,7 @@ pub(crate) mod tests {
                     bytes[at] = b'e';
                 }
             }
-            if let Ok(clip) = Bvh::parse(&bytes).and_then(|bvh| clip(&bvh, &Skeleton::smplx_neutral(), None)) {
+            if let Ok(clip) = BvhFile::parse(&bytes).and_then(|bvh| clip(&bvh, &Skeleton::smplx_neutral(), None)) {
                 prop_assert!(clip.motion.fps() <= Fps::new(1e4).expect("valid"));
                 prop_assert!(clip.fit_error_m.is_some());
             }

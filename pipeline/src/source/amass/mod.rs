@@ -1,5 +1,7 @@
 //! The AMASS reader: SMPL, SMPL-H and SMPL-X parameters in an npz archive, z up.
 
+pub mod catalogue;
+
 use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
@@ -9,9 +11,10 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::to_axis_angle;
 use kinematics::{motion, resample};
 
-use super::{ReadOptions, amass_catalogue};
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
 use crate::check::FLAG_FPS_DOUBTFUL;
-use crate::clip::{MAX_FPS, MIN_FPS, Rejected, RotationSource, SourceClip};
+use crate::clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, RotationSource, SourceClip};
 use crate::feature::smpl_body;
 use crate::floor;
 use pickle::npy::{self, Rows};
@@ -445,8 +448,8 @@ struct Rate {
 
 impl Rate {
     fn of(path: &Path, stated: f64) -> Result<Self, Rejected> {
-        let known = amass_catalogue::true_fps(path)
-            .filter(|known| (stated / known - 1.0).abs() > FPS_TOLERANCE);
+        let known =
+            catalogue::true_fps(path).filter(|known| (stated / known - 1.0).abs() > FPS_TOLERANCE);
         let fps = Fps::from_file(known.unwrap_or(stated))
             .map_err(|error| Rejected::read("E-AMASS-FPS", error.to_string()))?;
         Ok(Self {
@@ -464,7 +467,7 @@ impl Rate {
 
 /// Which subset a path belongs to, under today's name.
 fn subset_note(path: &Path) -> Option<String> {
-    let (subset, found) = amass_catalogue::subset_of(path)?;
+    let (subset, found) = catalogue::subset_of(path)?;
     Some(if subset.name == found {
         format!("AMASS subset {found}")
     } else {
@@ -579,6 +582,44 @@ fn expect_columns(key: &str, rows: &Rows<'_>, expected: usize) -> Result<(), Rej
             rows.width()
         ),
     ))
+}
+
+/// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
+pub const FORMAT: Format = Format::new(&Amass);
+
+#[derive(Debug)]
+struct Amass;
+
+impl SourceFormat for Amass {
+    fn name(&self) -> &'static str {
+        "amass"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // SMPL-H at 120 fps in f8.
+        160_000.0
+    }
+
+    fn by_name(&self, extension: &str, name: &str, _head: &[u8]) -> Option<Recognised> {
+        let no_motion = |reason: &str| Recognised::NotMotion {
+            reason: reason.to_owned(),
+        };
+        (extension == "npz").then(|| match name {
+            "shape.npz" => no_motion("body shape of a subject, no motion"),
+            name if name.ends_with("_stagei.npz") => {
+                no_motion("body shape of a subject (MoSh stage i), no motion")
+            }
+            _ => Recognised::Motion(FORMAT),
+        })
+    }
+
+    fn read(&self, path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match read(path, bytes, options) {
+            Ok(Content::Clip(clip)) => Outcome::Clip(clip),
+            Ok(Content::NoMotion { reason }) => Outcome::Skipped { reason },
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
 }
 
 #[cfg(test)]

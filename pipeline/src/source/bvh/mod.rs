@@ -6,13 +6,16 @@
 //! a frame count that the rows do not bear out.
 
 use std::ops::Range;
+use std::path::Path;
 
 use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
-use super::UTF8_BOM;
-use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
-use crate::retarget::{Bone, Placed, Rest, Rig};
+use super::files::UTF8_BOM;
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use crate::clip::{MAX_FPS, MIN_FPS, Outcome, Rejected};
+use crate::retarget::{self, Bone, Placed, Rest, Rig};
 
 /// Most joints read from one file. Full-body rigs with fingers and face have some 200.
 const MAX_JOINTS: usize = 4096;
@@ -58,7 +61,7 @@ pub struct BvhJoint {
 
 /// A parsed BVH file in its own unit, axes and joint names.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Bvh {
+pub struct BvhFile {
     joints: Vec<BvhJoint>,
     num_channels: usize,
     fps: Fps,
@@ -66,7 +69,7 @@ pub struct Bvh {
     values: Vec<f64>,
 }
 
-impl Bvh {
+impl BvhFile {
     /// The joints, parents first.
     pub fn joints(&self) -> &[BvhJoint] {
         &self.joints
@@ -127,7 +130,7 @@ impl Bvh {
     }
 }
 
-impl Rig for Bvh {
+impl Rig for BvhFile {
     fn skeleton_code(&self) -> &'static str {
         "E-BVH-SKELETON"
     }
@@ -210,7 +213,7 @@ impl Rig for Bvh {
     }
 }
 
-impl Bvh {
+impl BvhFile {
     /// Whether the first frame is the skeleton's zero pose put before the motion, as in the
     /// conversions of the CMU data: nearly all of its rotations are exactly zero, and many of them
     /// are not in the next frame.
@@ -835,6 +838,43 @@ fn parse_number(token: &[u8]) -> Option<f64> {
     text.parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
+/// Biovision hierarchy: a skeleton and Euler angles, as text.
+pub const FORMAT: Format = Format::new(&Bvh);
+
+#[derive(Debug)]
+struct Bvh;
+
+impl SourceFormat for Bvh {
+    fn name(&self) -> &'static str {
+        "bvh"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Measured on 318 captured clips.
+        40_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        (extension == "bvh").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn by_content(&self, head: &[u8]) -> bool {
+        let text = head.strip_prefix(UTF8_BOM).unwrap_or(head);
+        let first = text.trim_ascii_start().first_chunk::<9>();
+        first.is_some_and(|first| first.eq_ignore_ascii_case(b"HIERARCHY"))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        let parsed = BvhFile::parse(bytes);
+        match parsed
+            .and_then(|bvh| retarget::clip(&bvh, &options.skeleton, options.user_map.as_ref()))
+        {
+            Ok(clip) => Outcome::Clip(Box::new(clip)),
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use glam::EulerRot;
@@ -849,8 +889,8 @@ mod tests {
         MOTION\nFrames: 2\nFrame Time: 0.0333333\n\
         0 1 2 0 0 0 0 0 0\n0 1 3 90 0 0 0 0 0\n";
 
-    fn parse(text: &str) -> Result<Bvh, Rejected> {
-        Bvh::parse(text.as_bytes())
+    fn parse(text: &str) -> Result<BvhFile, Rejected> {
+        BvhFile::parse(text.as_bytes())
     }
 
     /// The code of the rejection and the text that its byte offset points to.
@@ -861,7 +901,7 @@ mod tests {
     }
 
     /// A joint's transform in its parent's frame.
-    fn local(bvh: &Bvh, joint: usize, frame: usize) -> (DVec3, DQuat) {
+    fn local(bvh: &BvhFile, joint: usize, frame: usize) -> (DVec3, DQuat) {
         let mut block = LocalBlock::default();
         block.read(&bvh.joints()[joint], bvh.frame(frame), bvh.num_channels, 1);
         (block.positions[0], block.rotations[0])
@@ -1085,7 +1125,7 @@ mod tests {
             }
             let truncated = &SMALL.as_bytes()[..cut.index(SMALL.len())];
             for candidate in [&bytes[..], &mutated, truncated] {
-                if let Ok(bvh) = Bvh::parse(candidate) {
+                if let Ok(bvh) = BvhFile::parse(candidate) {
                     let needed = vec![true; bvh.joints().len()];
                     let mut num_visited = 0;
                     bvh.follow(&needed, &mut |_, placed| {

@@ -10,11 +10,14 @@
 
 mod parameters;
 
+use std::path::Path;
+
 use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::Parameters;
-use super::ReadOptions;
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
 use crate::check::FLAG_GAPS_FILLED;
 use crate::clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected, RotationSource, SourceClip};
 use crate::markers::{self, is_model_output};
@@ -78,7 +81,7 @@ impl Processor {
 
 /// A parsed capture.
 #[derive(Clone, Debug)]
-pub struct C3d {
+pub struct C3dFile {
     /// Whose numbers the file holds.
     pub processor: Processor,
     /// Whether the points are stored as whole numbers with a scale.
@@ -95,7 +98,7 @@ fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-C3D-HEADER", reason).at(at)
 }
 
-impl C3d {
+impl C3dFile {
     /// Parses a file. None if it holds no points.
     ///
     /// # Errors
@@ -261,7 +264,7 @@ impl Layout {
         bytes: &[u8],
         processor: Processor,
         parameters: &Parameters,
-    ) -> Result<C3d, Rejected> {
+    ) -> Result<C3dFile, Rejected> {
         let labels = labels(parameters, self.points);
         let outputs = parameters.model_outputs();
         let kept: Vec<usize> = (0..self.points)
@@ -308,7 +311,7 @@ impl Layout {
             ));
         }
         let labels: Vec<String> = kept.iter().map(|point| labels[*point].clone()).collect();
-        Ok(C3d {
+        Ok(C3dFile {
             processor,
             integer: self.scale > 0.0,
             markers: Markers {
@@ -493,7 +496,7 @@ fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
 
 /// Reads a capture: a clip where the markers are of a known set, otherwise the markers alone.
 pub fn read(bytes: &[u8], options: &ReadOptions) -> Outcome {
-    let capture = match C3d::parse(bytes) {
+    let capture = match C3dFile::parse(bytes) {
         Ok(Some(capture)) => capture,
         Ok(None) => {
             return Outcome::Skipped {
@@ -542,6 +545,31 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Outcome {
     }
     clip.markers = Some(solved.markers);
     Outcome::Clip(Box::new(clip))
+}
+
+/// C3D: marker positions of an optical capture.
+pub const FORMAT: Format = Format::new(&C3d);
+
+#[derive(Debug)]
+struct C3d;
+
+impl SourceFormat for C3d {
+    fn name(&self) -> &'static str {
+        "c3d"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Measured on 24 captures.
+        60_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        (extension == "c3d").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read(bytes, options)
+    }
 }
 
 #[cfg(test)]
@@ -614,7 +642,7 @@ mod tests {
     fn three_processors_and_two_storages_say_the_same() {
         for processor in [84, 85, 86] {
             for integer in [true, false] {
-                let capture = C3d::parse(&file(processor, integer))
+                let capture = C3dFile::parse(&file(processor, integer))
                     .expect("a good file")
                     .expect("with a point");
                 let markers = &capture.markers;
@@ -635,7 +663,7 @@ mod tests {
     fn numbers_of_another_processor_are_found_out() {
         let mut wrong = file(86, false);
         wrong[BLOCK + 3] = 84;
-        let code = C3d::parse(&wrong).expect_err("nonsense").code;
+        let code = C3dFile::parse(&wrong).expect_err("nonsense").code;
         assert!(
             ["E-C3D-ENDIAN", "E-C3D-HEADER", "E-C3D-PARAM"].contains(&code),
             "{code}"
@@ -646,7 +674,7 @@ mod tests {
             value.copy_from_slice(&1e30f32.to_le_bytes());
         }
         assert_eq!(
-            C3d::parse(&frames).expect_err("nonsense").code,
+            C3dFile::parse(&frames).expect_err("nonsense").code,
             "E-C3D-ENDIAN"
         );
     }
@@ -677,11 +705,11 @@ mod tests {
         let frame = bytes[2 * BLOCK..2 * BLOCK + 12].to_vec();
         bytes.truncate(2 * BLOCK);
         bytes.extend(frame.repeat(FRAMES as usize));
-        let capture = C3d::parse(&bytes).expect("good").expect("with a point");
+        let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
         assert_eq!(capture.markers.positions.len(), FRAMES as usize);
         // With room for fewer frames than the words claim, the header's three are believed.
         bytes.truncate(2 * BLOCK + 12 * 1000);
-        let capture = C3d::parse(&bytes).expect("good").expect("with a point");
+        let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
         assert_eq!(capture.markers.positions.len(), 3);
         assert!(!capture.notes.is_empty());
     }
@@ -689,7 +717,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_named() {
         let good = file(84, true);
-        let code = |bytes: &[u8]| C3d::parse(bytes).expect_err("broken").code;
+        let code = |bytes: &[u8]| C3dFile::parse(bytes).expect_err("broken").code;
         assert_eq!(code(b""), "E-C3D-TRUNCATED");
         assert_eq!(code(&good[..good.len() - 30]), "E-C3D-TRUNCATED");
         let mut no_magic = good.clone();
@@ -700,7 +728,7 @@ mod tests {
         assert_eq!(code(&no_section), "E-C3D-HEADER");
         let mut empty = good;
         empty[2..4].copy_from_slice(&[0, 0]);
-        assert!(C3d::parse(&empty).expect("fine").is_none());
+        assert!(C3dFile::parse(&empty).expect("fine").is_none());
     }
 
     proptest! {
@@ -709,7 +737,7 @@ mod tests {
             let mut bytes = file(84, integer);
             let at = at % bytes.len();
             bytes[at] = value;
-            let _parsed = C3d::parse(&bytes);
+            let _parsed = C3dFile::parse(&bytes);
         }
     }
 
@@ -723,7 +751,7 @@ mod tests {
         let folder = root.join("c3d/c3d.org_sample01");
         let read = |name: &str| {
             let bytes = std::fs::read(folder.join(name)).expect("a sample file");
-            C3d::parse(&bytes)
+            C3dFile::parse(&bytes)
                 .expect("good")
                 .expect("with points")
                 .markers

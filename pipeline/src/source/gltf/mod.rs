@@ -7,6 +7,7 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
+use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -18,8 +19,10 @@ use gltf::json::animation::{Interpolation, Property};
 use gltf::json::validation::Checked;
 use kinematics::rotation::slerp;
 
-use super::{ReadOptions, UTF8_BOM};
-use crate::clip::{MAX_FPS, MIN_FPS, Rejected, SourceClip};
+use super::files::UTF8_BOM;
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use crate::clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, SourceClip};
 use crate::retarget::{self, Bone, Placed, Rest, Rig};
 
 /// What a file or one of its animations holds.
@@ -1079,6 +1082,47 @@ impl Rig for Performance<'_> {
                 placed[bone] = worlds[bone].placed;
             }
             visit(frame, &placed);
+        }
+    }
+}
+
+/// glTF or GLB: animations of a skinned skeleton.
+pub const FORMAT: Format = Format::new(&Gltf);
+
+#[derive(Debug)]
+struct Gltf;
+
+impl SourceFormat for Gltf {
+    fn name(&self) -> &'static str {
+        "gltf"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // An exported character with two or three clips.
+        50_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        matches!(extension, "glb" | "gltf").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn by_content(&self, head: &[u8]) -> bool {
+        head.starts_with(MAGIC)
+    }
+
+    fn may_hold_several(&self) -> bool {
+        true
+    }
+
+    fn keys(&self, bytes: &[u8]) -> Vec<String> {
+        keys(bytes)
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match read(bytes, key, options) {
+            Ok(Content::Clip(clip)) => Outcome::Clip(clip),
+            Ok(Content::NoMotion { reason }) => Outcome::Skipped { reason },
+            Err(rejected) => Outcome::Rejected(rejected),
         }
     }
 }

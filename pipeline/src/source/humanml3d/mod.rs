@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::path::Path;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::table::Caption;
@@ -10,7 +11,10 @@ use datasets_spec::{Fps, Skeleton, Split};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::{Entry, Files, Format, ReadOptions, Recognised, Release, labels};
+use super::files::Files;
+use super::format::{Entry, Format, Recognised, Release, SourceFormat};
+use super::labels;
+use super::options::ReadOptions;
 use crate::check::FLAG_POOR_FIT;
 use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
 use crate::feature::humanml3d::recover_joints;
@@ -439,7 +443,7 @@ impl Folder {
 
 impl Release for Folder {
     fn format(&self) -> Format {
-        Format::HumanMl3d
+        FORMAT
     }
 
     fn entries(&self) -> &[Entry] {
@@ -471,7 +475,7 @@ pub(crate) fn read_captions(
     file: &str,
 ) -> Result<(Vec<Caption>, Option<String>), Rejected> {
     let bytes = files.read(file)?;
-    super::refuse_pointer(&bytes)?;
+    super::files::refuse_pointer(&bytes)?;
     let (captions, num_other) = labels::parse_captions(&String::from_utf8_lossy(&bytes));
     let note = (num_other > 0)
         .then(|| format!("{num_other} lines of {file} are no captions and were passed over"));
@@ -529,11 +533,11 @@ pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
     let not_motion = |reason: String| Recognised::NotMotion { reason };
     let Ok(shape) = Header::peek_shape("array", head) else {
         // Reading it tells what is wrong, be it damaged, pickled or not fetched.
-        return Recognised::Motion(Format::HumanMl3d);
+        return Recognised::Motion(FORMAT);
     };
     match shape[..] {
         [_, HUMANML3D_WIDTH | KIT_WIDTH] | [_, NUM_BODY_JOINTS | KIT_JOINTS, 3] => {
-            Recognised::Motion(Format::HumanMl3d)
+            Recognised::Motion(FORMAT)
         }
         [_, 66] => not_motion(
             "npy array of 66 columns, which may be positions or rotations of 22 joints; save \
@@ -557,7 +561,7 @@ const TOO_SHORT: &str = "E-TOO-SHORT";
 /// # Errors
 /// Those of [`npy`], `E-HML-SHAPE`, `E-HML-FINITE`, `E-HML-FIT` or `E-TOO-SHORT`.
 pub(crate) fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
-    super::refuse_pointer(bytes)?;
+    super::files::refuse_pointer(bytes)?;
     let array = npy::read_numbers("array", bytes)?;
     let unfit = |error: &dyn std::fmt::Display| {
         Rejected::retarget("E-HML-FIT", format!("no body has these joints: {error}"))
@@ -644,6 +648,41 @@ fn check_frames(array: &Array, num_frames: usize) -> Result<(), Rejected> {
             ),
         )),
         None => Ok(()),
+    }
+}
+
+/// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
+pub const FORMAT: Format = Format::new(&HumanMl3d);
+
+#[derive(Debug)]
+struct HumanMl3d;
+
+impl SourceFormat for HumanMl3d {
+    fn name(&self) -> &'static str {
+        "humanml3d"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        (size_of::<[f32; HUMANML3D_WIDTH]>() as f64) * FPS.get()
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
+        (extension == "npy").then(|| recognise_array(head))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match read_array(bytes, &options.skeleton) {
+            Ok(clip) => Outcome::Clip(Box::new(clip)),
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
     }
 }
 
@@ -930,10 +969,7 @@ mod tests {
 
         let lone = |name: &str| fs::read(root.join(name)).expect("a file of the folder");
         let style = lone("humanml3d/100style_feats/Aeroplane_FW_00_feat.npy");
-        assert_eq!(
-            recognise_array(&style),
-            Recognised::Motion(Format::HumanMl3d)
-        );
+        assert_eq!(recognise_array(&style), Recognised::Motion(FORMAT));
         assert_eq!(
             read_array(&style, &skeleton)
                 .expect("features")
@@ -942,10 +978,7 @@ mod tests {
             352
         );
         let pickled = lone("motionfix_labels/statistics_motionfix.npy");
-        assert_eq!(
-            recognise_array(&pickled),
-            Recognised::Motion(Format::HumanMl3d)
-        );
+        assert_eq!(recognise_array(&pickled), Recognised::Motion(FORMAT));
         let rejected = read_array(&pickled, &skeleton).expect_err("pickled");
         assert_eq!(rejected.code, "E-PICKLE-REFUSED");
     }

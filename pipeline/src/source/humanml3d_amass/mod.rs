@@ -13,10 +13,12 @@ use datasets_spec::{Fps, Joint, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS};
 
+use super::amass::catalogue::{Recording, Subset};
 use super::amass::{self, Parameters, Parsed};
-use super::amass_catalogue::{Recording, Subset};
+use super::files::Files;
+use super::format::{Entry, Format, Release, SourceFormat};
 use super::humanml3d::{self, IndexRow, Splits};
-use super::{Entry, Files, Format, ReadOptions, Release};
+use super::options::ReadOptions;
 use crate::Error;
 use crate::check::FLAG_FPS_DOUBTFUL;
 use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
@@ -202,7 +204,7 @@ impl Cuts {
             Rejected::read("E-HML-INDEX", format!("found no row {id} in the index"))
         })?;
         let bytes = files.read(&entry.file)?;
-        super::refuse_pointer(&bytes)?;
+        super::files::refuse_pointer(&bytes)?;
         let parameters = match amass::parse(&bytes)? {
             Parsed::Parameters(parameters) => *parameters,
             Parsed::NoMotion { reason } => return Err(Rejected::read("E-AMASS-KEYS", reason)),
@@ -222,7 +224,7 @@ impl Cuts {
 
 impl Release for Cuts {
     fn format(&self) -> Format {
-        Format::HumanMl3dAmass
+        FORMAT
     }
 
     fn entries(&self) -> &[Entry] {
@@ -487,6 +489,30 @@ fn in_case_of(model: &str, word: &str) -> String {
             first.to_uppercase().chain(chars).collect()
         }
         _ => word.to_owned(),
+    }
+}
+
+/// HumanML3D's clips, cut from AMASS by its `index.csv`.
+pub const FORMAT: Format = Format::new(&HumanMl3dAmass);
+
+#[derive(Debug)]
+struct HumanMl3dAmass;
+
+impl SourceFormat for HumanMl3dAmass {
+    fn name(&self) -> &'static str {
+        "humanml3d-amass"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        super::humanml3d::FORMAT.bytes_per_second()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        index.map(|index| find(files, index)).into_iter().collect()
     }
 }
 

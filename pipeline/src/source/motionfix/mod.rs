@@ -7,12 +7,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
+use std::path::Path;
 
 use datasets_spec::{BodyPart, Fps, Seed, Split};
+use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
+use super::files::{Files, LFS_POINTER, refuse_pointer};
+use super::format::{Entry, Format, Release, SourceFormat};
+use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use super::{Entry, Files, Format, LFS_POINTER, ReadOptions, Release, refuse_pointer};
 use crate::clip::{EditOf, Outcome, Rejected, RotationSource, SourceClip};
 use pickle::joblib;
 use pickle::{Options, Value};
@@ -55,7 +59,7 @@ struct Pair {
 }
 
 /// A release, with its dumps decoded.
-struct MotionFix {
+struct MotionFixRelease {
     entries: Vec<Entry>,
     passed_over: Vec<(String, String)>,
     rejected: Vec<(String, Rejected)>,
@@ -98,7 +102,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     if dumps.is_empty() && labels.is_empty() {
         return Vec::new();
     }
-    let mut release = MotionFix {
+    let mut release = MotionFixRelease {
         entries: Vec::new(),
         passed_over: Vec::new(),
         rejected: Vec::new(),
@@ -160,7 +164,7 @@ fn padded(id: &str) -> String {
     format!("{id:0>ID_DIGITS$}")
 }
 
-impl MotionFix {
+impl MotionFixRelease {
     /// Reads the label files that say something of motions, and passes over the others.
     fn take_label(&mut self, files: &Files, file: &str, splits: &mut BTreeMap<String, Split>) {
         let name = name_of(file);
@@ -316,9 +320,9 @@ fn motion_id(id: &str, side: &str) -> String {
     format!("motionfix/{id}-{side}")
 }
 
-impl Release for MotionFix {
+impl Release for MotionFixRelease {
     fn format(&self) -> Format {
-        Format::MotionFix
+        FORMAT
     }
 
     fn entries(&self) -> &[Entry] {
@@ -442,6 +446,31 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
         parts.retain(|part| !matches!(part, BodyPart::LeftLeg | BodyPart::RightLeg));
     }
     parts
+}
+
+/// A folder of the MotionFix release.
+pub const FORMAT: Format = Format::new(&MotionFix);
+
+#[derive(Debug)]
+struct MotionFix;
+
+impl SourceFormat for MotionFix {
+    fn name(&self) -> &'static str {
+        "motionfix"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Source and target in f4 at 30 fps: translation, rotations and joint positions.
+        2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
 }
 
 #[cfg(test)]

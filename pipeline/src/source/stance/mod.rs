@@ -12,8 +12,15 @@ pub(crate) mod origin;
 mod release;
 mod split;
 
-use super::{Files, Release};
-use crate::clip::Rejected;
+use std::path::Path;
+
+use datasets_spec::Fps;
+use kinematics::motion::BODY_POSE_WIDTH;
+
+use super::files::Files;
+use super::format::{Format, Recognised, Release, SourceFormat};
+use super::options::ReadOptions;
+use crate::clip::{Outcome, Rejected};
 
 pub use motion::read_pickle_motion;
 pub(crate) use name::{FIRST_FREE_NUMBER, file_stem};
@@ -29,6 +36,42 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 
 fn rejected_json(file: &str, error: &serde_json::Error) -> Rejected {
     Rejected::read("E-STANCE-JSON", format!("{file} is no such list ({error})"))
+}
+
+/// A folder of the STANCE release.
+pub const FORMAT: Format = Format::new(&Stance);
+
+#[derive(Debug)]
+struct Stance;
+
+impl SourceFormat for Stance {
+    fn name(&self) -> &'static str {
+        "stance"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // The parameters of the store in f4.
+        (4 * (3 + 3 + BODY_POSE_WIDTH)) as f64 * Fps::STORE.get()
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        matches!(extension, "pkl" | "pickle").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match read_pickle_motion(bytes, &options.skeleton) {
+            Ok(clip) => Outcome::Clip(Box::new(clip)),
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
 }
 
 #[cfg(test)]

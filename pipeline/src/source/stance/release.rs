@@ -11,7 +11,9 @@ use super::origin::{self, Origin, Origins};
 use super::rejected_json;
 use super::split::{ClipSplits, Lists};
 use crate::clip::{EditOf, Outcome, Rejected, SourceClip};
-use crate::source::{Entry, Files, Format, ReadOptions, Release, refuse_pointer};
+use crate::source::files::{Files, refuse_pointer};
+use crate::source::format::{Entry, Format, Release};
+use crate::source::options::ReadOptions;
 use pickle::Value;
 use pickle::joblib;
 
@@ -184,7 +186,7 @@ impl StanceRelease {
 
 impl Release for StanceRelease {
     fn format(&self) -> Format {
-        Format::Stance
+        super::FORMAT
     }
 
     fn entries(&self) -> &[Entry] {

@@ -10,7 +10,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::check::check;
 use crate::clip::{Outcome, SourceClip};
-use crate::source::{Entry, ReadOptions};
+use crate::source::format::Entry;
+use crate::source::options::ReadOptions;
 use pickle::encode;
 use pickle::{Array, Value};
 

@@ -1,0 +1,100 @@
+//! What the fuzz targets do with the bytes they are given.
+//!
+//! The functions are compiled and run on a few inputs with the workspace; the targets around them
+//! need an instrumented build. From `pipeline/`:
+//!
+//! ```text
+//! cargo fuzz run --features libfuzzer --sanitizer none bvh
+//! ```
+
+use std::path::Path;
+
+use datasets_spec::Skeleton;
+use datasets_spec::manifest::Manifest;
+use pickle::{joblib, npy};
+use pipeline::retarget;
+use pipeline::sidecar::Sidecar;
+use pipeline::source::bvh::BvhFile;
+use pipeline::source::c3d::C3dFile;
+use pipeline::source::labels::parse_captions;
+use pipeline::source::{ReadOptions, amass, gltf, stance};
+
+/// Parses and retargets a BVH file.
+pub fn bvh(bytes: &[u8]) {
+    if let Ok(bvh) = BvhFile::parse(bytes) {
+        let _clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None);
+    }
+}
+
+/// Parses a C3D file.
+pub fn c3d(bytes: &[u8]) {
+    if let Ok(Some(capture)) = C3dFile::parse(bytes) {
+        let markers = capture.markers;
+        assert_eq!(markers.positions.len(), markers.residuals.len());
+        let mut numbers = markers.positions.iter().flatten();
+        assert!(numbers.all(|number| number.is_finite()));
+    }
+}
+
+/// Parses captions of HumanML3D, and a sidecar.
+pub fn captions(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let (captions, num_other) = parse_captions(&text);
+    assert!(captions.len() + num_other <= text.lines().count());
+    let _sidecar = serde_json::from_slice::<Sidecar>(bytes);
+}
+
+/// Reads every animation of a GLB or glTF file.
+pub fn glb(bytes: &[u8]) {
+    let options = ReadOptions::default();
+    for key in gltf::keys(bytes) {
+        let _content = gltf::read(bytes, &key, &options);
+    }
+}
+
+/// Parses a manifest.
+pub fn manifest(bytes: &[u8]) {
+    if let Ok(manifest) = serde_json::from_slice::<Manifest>(bytes) {
+        let _hash = Manifest::compute_root_hash(&manifest.tables);
+        let _balanced = manifest.accounting.balances();
+    }
+}
+
+/// Reads an AMASS archive, and a lone array.
+pub fn npz(bytes: &[u8]) {
+    let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());
+    let _numbers = npy::read_numbers("member", bytes);
+    let _text = npy::read_text("member", bytes);
+}
+
+/// Reads a pickle, a dump of joblib and a motion of the STANCE release.
+pub fn pickle(bytes: &[u8]) {
+    let _value = ::pickle::read(bytes);
+    let _dump = joblib::read(bytes);
+    let _motion = stance::read_pickle_motion(bytes, &Skeleton::smplx_neutral());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_target_panics_on_the_beginnings_of_files() {
+        let targets = [bvh, c3d, captions, glb, manifest, npz, pickle];
+        let seeds: [&[u8]; 8] = [
+            b"",
+            b"HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation",
+            b"\x02\x50\x01\x00",
+            b"a#a/DET#0.0#0.0\n{}",
+            b"glTF\x02\x00\x00\x00\x0c\x00\x00\x00",
+            b"{\"format\": \"stance-dataset\"}",
+            b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'",
+            b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\xff.",
+        ];
+        for target in targets {
+            for seed in seeds {
+                target(seed);
+            }
+        }
+    }
+}

@@ -1,0 +1,4 @@
+//! What is said about motions: masks of body parts, and pairs of a motion and its edit.
+
+pub mod masks;
+pub mod pairs;

@@ -1,0 +1,144 @@
+//! Listing of the source files, with their hashes and first bytes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::Progress;
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::source::Files;
+
+/// Bytes looked at to recognise a file.
+pub(super) const HEAD_BYTES: usize = 512;
+
+/// A source file in the plan.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub(super) path: PathBuf,
+    pub(super) hash: Result<String, String>,
+    pub(super) head: Vec<u8>,
+}
+
+/// The regular files under the sources, and why other things there are passed over.
+pub(crate) struct Listing {
+    /// The files by their relative paths.
+    pub(crate) files: BTreeMap<String, PathBuf>,
+    /// Why each other thing is passed over.
+    pub(crate) special: Vec<String>,
+}
+
+/// All files under the sources by the relative path that will name them. With several sources the
+/// name of each one's folder comes first, and a number where two have one name, so that equal paths
+/// stay apart.
+pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
+    let mut listing = Listing {
+        files: BTreeMap::new(),
+        special: Vec::new(),
+    };
+    let mut names = BTreeSet::new();
+    for (number, source) in sources.iter().enumerate() {
+        let metadata = fs::metadata(source).map_err(|_| Error::MissingSource {
+            path: source.clone(),
+        })?;
+        let mut name = source.file_name().map_or_else(
+            || format!("source{number}"),
+            |name| name.to_string_lossy().into_owned(),
+        );
+        if !names.insert(name.clone()) {
+            name = format!("{number}-{name}");
+        }
+        if metadata.is_file() {
+            listing.files.insert(name, source.clone());
+            continue;
+        }
+        let prefix = if sources.len() > 1 {
+            name
+        } else {
+            String::new()
+        };
+        listing.walk(source, prefix)?;
+    }
+    if listing.files.is_empty() {
+        let paths: Vec<String> = sources
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
+        return Err(Error::NoFiles {
+            paths: paths.join(", "),
+        });
+    }
+    Ok(listing)
+}
+
+impl Listing {
+    fn walk(&mut self, source: &Path, prefix: String) -> Result<(), Error> {
+        let mut folders = vec![(source.to_owned(), prefix)];
+        while let Some((folder, relative)) = folders.pop() {
+            for entry in fs::read_dir(&folder).map_err(Error::io("list", &folder))? {
+                let entry = entry.map_err(Error::io("list", &folder))?;
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let relative = match relative.as_str() {
+                    "" => name,
+                    parent => format!("{parent}/{name}"),
+                };
+                let kind = entry.file_type().map_err(Error::io("list", &folder))?;
+                if kind.is_dir() {
+                    folders.push((entry.path(), relative));
+                    continue;
+                }
+                // A link to a folder could lead back here, and opening a pipe waits for ever. A
+                // dangling link is kept, so that reading it reports what is missing.
+                let special = match (kind.is_file(), fs::metadata(entry.path())) {
+                    (true, _) | (_, Err(_)) => None,
+                    (false, Ok(target)) if target.is_file() => None,
+                    (false, Ok(target)) if target.is_dir() => Some("link to a folder"),
+                    (false, Ok(_)) => Some("pipe, socket or device"),
+                };
+                match special {
+                    Some(reason) => self.special.push(reason.to_owned()),
+                    None => {
+                        self.files.insert(relative, entry.path());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn hash_sources(files: &Files, progress: &dyn Progress) -> BTreeMap<String, Source> {
+    progress.begin("plan", Some(files.len() as u64));
+    let listed: Vec<(&str, &Path)> = files
+        .all()
+        .filter_map(|relative| Some((relative, files.path(relative)?)))
+        .collect();
+    let sources: BTreeMap<String, Source> = listed
+        .into_par_iter()
+        .map(|(relative, path)| {
+            let source = Source {
+                hash: files.hash(path),
+                head: read_head(path),
+                path: path.to_owned(),
+            };
+            progress.advance(1);
+            (relative.to_owned(), source)
+        })
+        .collect();
+    progress.finish(&format!("{} files", sources.len()));
+    sources
+}
+
+/// The first bytes of a file; none if it cannot be read, which the hash reports.
+pub(crate) fn read_head(path: &Path) -> Vec<u8> {
+    use std::io::Read;
+
+    let mut head = Vec::new();
+    let read =
+        fs::File::open(path).and_then(|file| file.take(HEAD_BYTES as u64).read_to_end(&mut head));
+    match read {
+        Ok(_) => head,
+        Err(_) => Vec::new(),
+    }
+}

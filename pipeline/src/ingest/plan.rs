@@ -1,0 +1,472 @@
+//! The plan of a run: which motions are read, under which ids, in which splits and shards.
+
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::panic::AssertUnwindSafe;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use datasets_spec::dataset::ShardName;
+use datasets_spec::record::{MotionRow, QuarantineRow};
+use datasets_spec::store::Store;
+use datasets_spec::table::{Row, SCHEMA_VERSION};
+use datasets_spec::{Fps, MotionId, Progress, Split, Transaction};
+use rayon::prelude::*;
+
+use super::list::{Source, hash_sources, list_files};
+use super::options::IngestOptions;
+use super::rows::quarantine_row;
+use crate::Error;
+use crate::annotation::pairs::{PairList, names_of, originals, style_group};
+use crate::clip::Rejected;
+use crate::feature::humanml3d;
+use crate::source::{
+    Entry, Files, Format, Recognised, Release, find_releases, labels, recognise, refuse_pointer,
+};
+
+/// Version of the rules by which files become rows. It is part of every plan, so a dataset made by
+/// older rules is never continued by newer ones.
+pub(super) const INGEST_VERSION: u32 = 3;
+
+/// Source items of a shard: few enough that a shard's motions fit in memory many times over.
+pub(super) const SHARD_SOURCES: usize = 256;
+
+/// Everything a run will do, known before any motion is read.
+pub(super) struct Plan {
+    pub(super) files: Files,
+    pub(super) sources: BTreeMap<String, Source>,
+    pub(super) releases: Vec<Box<dyn Release>>,
+    pub(super) items: Vec<Planned>,
+    /// Files without a motion, by reason.
+    pub(super) skipped: BTreeMap<String, u64>,
+    /// Files that were found broken while planning.
+    pub(super) rejected: Vec<QuarantineRow>,
+    /// What a reader of the dataset should know about its splits.
+    pub(super) remarks: Vec<String>,
+}
+
+/// A motion to be read.
+pub(super) struct Planned {
+    pub(super) entry: Entry,
+    pub(super) format: Format,
+    /// Which release reads it; none for files that stand alone.
+    pub(super) release: Option<usize>,
+    /// Id prefix that keeps two releases' ids apart.
+    pub(super) prefix: String,
+    /// What decides the split together with other clips; none for a clip that decides alone.
+    pub(super) group: Option<String>,
+}
+
+impl Planned {
+    fn full_id(&self) -> String {
+        format!("{}{}", self.prefix, self.entry.id)
+    }
+
+    /// Id of the source clip in the dataset, without crop or mirror suffix.
+    fn clip(&self) -> String {
+        let id = self.full_id();
+        MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())
+    }
+
+    /// What decides the split where no list is published.
+    fn split_key(&self) -> String {
+        // Two releases of one clip fall into one split, whatever stands before their ids.
+        let clip = || {
+            let own_id = MotionId::parse(&self.entry.id);
+            own_id.map_or(self.entry.id.clone(), |id| id.source_clip().to_owned())
+        };
+        self.group.clone().unwrap_or_else(clip)
+    }
+}
+
+/// A motion on its way into a shard.
+pub(super) struct Item<'a> {
+    pub(super) entry: &'a Entry,
+    pub(super) prefix: &'a str,
+    pub(super) format: Format,
+    pub(super) release: Option<usize>,
+    pub(super) split: Split,
+    pub(super) id: Result<MotionId, String>,
+}
+
+pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
+
+impl Plan {
+    pub(super) fn make(
+        store: Arc<dyn Store>,
+        paths: &[PathBuf],
+        options: &IngestOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        let listing = list_files(paths)?;
+        let mut skipped: BTreeMap<String, u64> = BTreeMap::new();
+        for reason in listing.special {
+            *skipped.entry(reason).or_default() += 1;
+        }
+        let files = Files::on(store, listing.files);
+        let sources = hash_sources(&files, progress);
+        let mut plan = Self {
+            releases: find_releases(&files, options.humanml3d_index.as_deref())?,
+            files,
+            sources,
+            items: Vec::new(),
+            skipped,
+            rejected: Vec::new(),
+            remarks: Vec::new(),
+        };
+        let claimed = plan.take_releases(options);
+        plan.take_single_files(&claimed, options);
+        plan.group_styles();
+        if let Some(list) = &options.pairs {
+            plan.follow_originals(list);
+        }
+        Ok(plan)
+    }
+
+    /// Plans the motions of the releases, and returns the files that are theirs.
+    fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
+        let mut claimed = BTreeSet::new();
+        let mut taken = BTreeSet::new();
+        for (index, release) in self.releases.iter().enumerate() {
+            let format = release.format();
+            let prefix = prefix_of(release.as_ref(), &taken);
+            let ids = release.entries().iter();
+            taken.extend(ids.map(|entry| format!("{prefix}{}", entry.id)));
+            claimed.extend(release.entries().iter().map(|entry| entry.file.clone()));
+            if options.format.is_some_and(|only| only != format) {
+                let files: BTreeSet<&str> =
+                    release.entries().iter().map(|e| e.file.as_str()).collect();
+                let reason = format!("{} file, not asked for", format.as_str());
+                *self.skipped.entry(reason).or_default() += files.len() as u64;
+            } else {
+                let entries = release.entries().iter().cloned();
+                self.items.extend(entries.map(|entry| Planned {
+                    entry,
+                    format,
+                    release: Some(index),
+                    prefix: prefix.clone(),
+                    group: None,
+                }));
+                self.remarks.extend(release.remarks().iter().cloned());
+            }
+            for (file, reason) in release.passed_over() {
+                if !claimed.insert(file.clone()) {
+                    continue;
+                }
+                match unreadable(&self.sources, file) {
+                    Some(row) => self.rejected.push(row),
+                    None => *self.skipped.entry(reason.clone()).or_default() += 1,
+                }
+            }
+            for (file, rejected) in release.rejected() {
+                if claimed.insert(file.clone()) {
+                    let hash = source_hash(&self.sources, file);
+                    let row = quarantine_row(file, "", hash, rejected.clone());
+                    self.rejected.push(row);
+                }
+            }
+        }
+        claimed
+    }
+
+    /// Plans every file that no release claims.
+    fn take_single_files(&mut self, claimed: &BTreeSet<String>, options: &IngestOptions) {
+        for (relative, source) in &self.sources {
+            if claimed.contains(relative) {
+                continue;
+            }
+            // Do not guess the format of an unreadable file from its name.
+            if let Some(row) = unreadable(&self.sources, relative) {
+                self.rejected.push(row);
+                continue;
+            }
+            if let Err(rejected) = refuse_pointer(&source.head) {
+                let hash = source.hash.clone().unwrap_or_default();
+                let row = quarantine_row(relative, "", hash, rejected);
+                self.rejected.push(row);
+                continue;
+            }
+            let format = match recognise(Path::new(relative), &source.head) {
+                Recognised::Motion(format) => format,
+                Recognised::NotMotion { reason } => {
+                    *self.skipped.entry(reason).or_default() += 1;
+                    continue;
+                }
+            };
+            if options.format.is_some_and(|only| only != format) {
+                let reason = format!("{} file, not asked for", format.as_str());
+                *self.skipped.entry(reason).or_default() += 1;
+                continue;
+            }
+            for key in keys_of(format, &source.path) {
+                self.items.push(Planned {
+                    entry: Entry {
+                        file: relative.clone(),
+                        id: String::new(),
+                        key,
+                        split: None,
+                        mirrored_of: None,
+                    },
+                    format,
+                    release: None,
+                    prefix: String::new(),
+                    group: None,
+                });
+            }
+        }
+        // Files that differ in their extension alone keep it in their id.
+        let mut seen = BTreeSet::new();
+        let mut twice = BTreeSet::new();
+        let single = |item: &&Planned| item.release.is_none();
+        for item in self.items.iter().filter(single) {
+            if seen.insert(item.entry.file.clone()) {
+                let stem = without_extension(&item.entry.file).to_owned();
+                if !seen.insert(stem.clone()) {
+                    twice.insert(stem);
+                }
+            }
+        }
+        for item in self.items.iter_mut().filter(|item| item.release.is_none()) {
+            let entry = &mut item.entry;
+            let stem = without_extension(&entry.file);
+            let name = if twice.contains(stem) {
+                &entry.file
+            } else {
+                stem
+            };
+            entry.id = match entry.key.as_str() {
+                "" => name.to_owned(),
+                key => format!("{name}#{key}"),
+            };
+        }
+    }
+
+    /// Gives single files with labels of action and style the group of their original. A file whose
+    /// labels cannot be read is rejected: without them it might land in another split.
+    fn group_styles(&mut self) {
+        let Self { files, items, .. } = self;
+        let unreadable: Vec<Option<Rejected>> = items
+            .par_iter_mut()
+            .map(|item| {
+                if item.release.is_some() {
+                    return None;
+                }
+                let file = &item.entry.file;
+                let folder = files.path(file).and_then(Path::parent);
+                let folder = folder.unwrap_or(Path::new("."));
+                let failed = Cell::new(None);
+                let companions = |name: &str| match files.read_beside(&folder.join(name)) {
+                    Ok(bytes) => bytes,
+                    Err(rejected) => {
+                        failed.set(Some(rejected));
+                        None
+                    }
+                };
+                let found = labels::action_and_style(Path::new(file), &companions);
+                item.group = found.map(|(action, style)| style_group(file, &action, &style));
+                failed.into_inner()
+            })
+            .collect();
+        let mut unreadable = unreadable.into_iter();
+        let (sources, rejected) = (&self.sources, &mut self.rejected);
+        self.items.retain(|item| match unreadable.next().flatten() {
+            None => true,
+            Some(reason) => {
+                let Entry { file, key, .. } = &item.entry;
+                let row = quarantine_row(file, key, source_hash(sources, file), reason);
+                rejected.push(row);
+                false
+            }
+        });
+    }
+
+    /// Gives the styled clips of a list, with their copies and crops, the splits of their originals.
+    /// A published split stays as it is.
+    fn follow_originals(&mut self, list: &PairList) {
+        let clips: BTreeMap<String, String> = self
+            .items
+            .iter()
+            .map(|item| (item.full_id(), item.clip()))
+            .collect();
+        let clip_of = |name| names_of(name).find_map(|name| clips.get(name).map(String::as_str));
+        let pairs = list.clips().filter_map(|(styled, original)| {
+            let (styled, original) = (clip_of(styled)?, clip_of(original)?);
+            (styled != original).then_some((styled, original))
+        });
+        let originals = originals(pairs);
+        let wanted: BTreeSet<&str> = originals.values().copied().collect();
+        let mut deciding: BTreeMap<&str, (Option<Split>, String)> = BTreeMap::new();
+        for item in &self.items {
+            if let Some(&clip) = wanted.get(item.clip().as_str()) {
+                let key = || (None, item.split_key());
+                let (split, _) = deciding.entry(clip).or_insert_with(key);
+                *split = split.or(item.entry.split);
+            }
+        }
+        for item in &mut self.items {
+            let original = originals.get(item.clip().as_str());
+            if let Some((split, key)) = original.and_then(|original| deciding.get(original)) {
+                item.entry.split = item.entry.split.or(*split);
+                item.group = Some(key.clone());
+            }
+        }
+    }
+
+    /// Source items: motions, and files without one.
+    pub(super) fn num_items(&self) -> u64 {
+        let skipped: u64 = self.skipped.values().sum();
+        self.items.len() as u64 + self.rejected.len() as u64 + skipped
+    }
+
+    pub(super) fn hash(&self, options: &IngestOptions) -> String {
+        let mut hasher = blake3::Hasher::new();
+        let settings = format!(
+            "{INGEST_VERSION} {SCHEMA_VERSION} {:?} {:?} {:?} {} {:?} {:?} {:?} {}",
+            options.fps.map(Fps::get),
+            options.resample,
+            options.format,
+            options.seed.0,
+            options.license,
+            options.read,
+            options.teleports,
+            if options.humanml3d_features {
+                humanml3d::RECIPE
+            } else {
+                ""
+            },
+        );
+        let mut take = |part: &str| {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        };
+        take(&settings);
+        for (relative, source) in &self.sources {
+            take(relative);
+            take(source.hash.as_deref().unwrap_or(""));
+        }
+        // Which motions there are can depend on more than the files, such as an index elsewhere.
+        for item in &self.items {
+            take(item.format.as_str());
+            take(&item.entry.file);
+            take(&item.entry.key);
+            take(&item.prefix);
+            take(&item.entry.id);
+            take(item.entry.split.map_or("", Split::as_str));
+            // Datasets without styles keep the plans they had before there were groups.
+            if let Some(group) = &item.group {
+                take(group);
+            }
+        }
+        if let Some(list) = &options.pairs {
+            take(list.hash());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    /// Whether the finished run of this plan failed to read a file that can be read now, so that
+    /// it is worth doing again.
+    pub(super) fn may_read_more_now(&self, transaction: &Transaction) -> bool {
+        let Some(base) = transaction.base() else {
+            return false;
+        };
+        let failed = base.accounting.codes.get("E-IO").copied().unwrap_or(0);
+        let unreadable = self.sources.values().filter(|source| source.hash.is_err());
+        failed > unreadable.count() as u64
+    }
+
+    /// Deals the motions into shards by split.
+    pub(super) fn shards(&self, options: &IngestOptions) -> Shards<'_> {
+        let mut by_split: BTreeMap<Split, Vec<Item>> = BTreeMap::new();
+        let mut seen = BTreeSet::new();
+        for planned in &self.items {
+            let entry = &planned.entry;
+            let full_id = planned.full_id();
+            let id = MotionId::parse(&full_id)
+                .map_err(|error| error.to_string())
+                .and_then(|id| match seen.insert(full_id) {
+                    true => Ok(id),
+                    false => Err(format!("another motion has the id {id} already")),
+                });
+            let split = entry
+                .split
+                .unwrap_or_else(|| Split::assign(&planned.split_key(), options.seed));
+            by_split.entry(split).or_default().push(Item {
+                entry,
+                prefix: &planned.prefix,
+                format: planned.format,
+                release: planned.release,
+                split,
+                id,
+            });
+        }
+        let mut shards = Vec::new();
+        for (split, mut items) in by_split {
+            let of = items.len().div_ceil(SHARD_SOURCES);
+            for index in 0..of {
+                let rest = items.split_off(items.len().min(SHARD_SOURCES));
+                let name = ShardName {
+                    table: MotionRow::TABLE,
+                    split: Some(split),
+                    index,
+                    of,
+                };
+                shards.push((name, std::mem::replace(&mut items, rest)));
+            }
+        }
+        shards
+    }
+}
+
+/// The motions of a file that stands alone; the empty key where it holds one, or where it cannot
+/// be told, which the reader then reports.
+fn keys_of(format: Format, path: &Path) -> Vec<String> {
+    let whole = || vec![String::new()];
+    if !format.may_hold_several() {
+        return whole();
+    }
+    let bytes = fs::read(path).unwrap_or_default();
+    let keys = std::panic::catch_unwind(AssertUnwindSafe(|| format.keys(&bytes)));
+    let keys = keys.unwrap_or_default();
+    if keys.is_empty() { whole() } else { keys }
+}
+
+pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) -> String {
+    let hash = sources.get(relative).map(|source| source.hash.clone());
+    hash.and_then(Result::ok).unwrap_or_default()
+}
+
+/// The quarantine row of a file that could not be read while planning.
+fn unreadable(sources: &BTreeMap<String, Source>, relative: &str) -> Option<QuarantineRow> {
+    let reason = sources.get(relative)?.hash.clone().err()?;
+    let rejected = Rejected::read("E-IO", format!("cannot read the file: {reason}"));
+    Some(quarantine_row(relative, "", String::new(), rejected))
+}
+
+fn without_extension(relative: &str) -> &str {
+    let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
+    match relative[name_start..].rfind('.') {
+        Some(dot) if dot > 0 => &relative[..name_start + dot],
+        _ => relative,
+    }
+}
+
+/// What to put before the ids of a release so that none of them is taken: nothing, its format, or
+/// its format and a number.
+fn prefix_of(release: &dyn Release, taken: &BTreeSet<String>) -> String {
+    let name = release.format().as_str();
+    let mut prefix = String::new();
+    let mut number = 1;
+    let is_taken = |prefix: &str| {
+        let mut ids = release.entries().iter();
+        ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
+    };
+    while is_taken(&prefix) {
+        prefix = match number {
+            1 => format!("{name}/"),
+            _ => format!("{name}-{number}/"),
+        };
+        number += 1;
+    }
+    prefix
+}

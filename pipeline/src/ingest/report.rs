@@ -1,0 +1,173 @@
+//! What a run did, and what its shards add up to.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::manifest::{Accounting, FileEntry};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, MotionId, Split};
+
+use super::options::REFUSED_PAIRS_FACT;
+use super::plan::{Plan, Shards};
+use super::shard::ShardNotes;
+use crate::Error;
+use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
+
+/// What a run did.
+#[derive(Clone, Debug)]
+pub struct IngestReport {
+    /// The committed dataset.
+    pub dataset: Dataset,
+    /// What became of the source items: a file, or one of the motions of a file that holds several.
+    pub accounting: Accounting,
+    /// Files the items came from.
+    pub files: u64,
+    /// Pairs that were dropped because one of their motions is not in the dataset.
+    pub dropped_pairs: u64,
+    /// Lines of the list of pairs that no pair was made of.
+    pub refused_pairs: Vec<RefusedLine>,
+    /// What is worth knowing about the splits; what concerns the dataset rather than this run is
+    /// recorded as [`REMARKS_FACT`].
+    pub remarks: Vec<String>,
+    /// The rejected sources.
+    pub quarantine: Vec<QuarantineRow>,
+    /// Skipped sources by reason.
+    pub skipped: BTreeMap<String, u64>,
+    /// Shards taken over from an interrupted run of the same plan.
+    pub resumed_shards: usize,
+    /// Whether the dataset was already complete and nothing was done.
+    pub already_complete: bool,
+}
+
+pub(super) fn already_complete(
+    out: &Path,
+    plan: &Plan,
+    kept_seed: Option<String>,
+) -> Result<IngestReport, Error> {
+    let dataset = Dataset::open(out)?;
+    let facts = &dataset.manifest().facts;
+    let dropped = facts.get("dropped_pairs");
+    let refused = facts.get(REFUSED_PAIRS_FACT);
+    Ok(IngestReport {
+        refused_pairs: refused
+            .and_then(|lines| serde_json::from_str(lines).ok())
+            .unwrap_or_default(),
+        remarks: plan.remarks.iter().cloned().chain(kept_seed).collect(),
+        accounting: dataset.manifest().accounting.clone(),
+        files: plan.files.len() as u64,
+        dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
+        quarantine: dataset.read(None)?,
+        skipped: BTreeMap::new(),
+        resumed_shards: 0,
+        already_complete: true,
+        dataset,
+    })
+}
+
+/// What the shards of a run add up to.
+#[derive(Default)]
+pub(super) struct Tally {
+    pub(super) tables: BTreeMap<String, Vec<FileEntry>>,
+    pub(super) quarantine: Vec<QuarantineRow>,
+    pub(super) skipped: BTreeMap<String, u64>,
+    pub(super) ingested: BTreeSet<String>,
+    pub(super) markers_only: u64,
+    pub(super) pairs: Vec<PairRow>,
+    pub(super) dropped_pairs: u64,
+    pub(super) masks: Vec<MaskRow>,
+    pub(super) resumed_shards: usize,
+}
+
+impl Tally {
+    pub(super) fn take(&mut self, entry: FileEntry, notes: ShardNotes) {
+        let motions = self.tables.entry(MotionRow::TABLE.to_owned()).or_default();
+        motions.push(entry);
+        for (table, file) in notes.beside {
+            self.tables.entry(table).or_default().push(file);
+        }
+        for (reason, count) in notes.skipped {
+            *self.skipped.entry(reason).or_default() += count;
+        }
+        self.quarantine.extend(notes.quarantine);
+        self.ingested.extend(notes.ingested);
+        self.markers_only += notes.markers_only;
+        self.pairs.extend(notes.pairs);
+        self.dropped_pairs += notes.dropped_pairs;
+        self.masks.extend(notes.masks);
+    }
+
+    pub(super) fn accounting(&self, num_items: u64) -> Accounting {
+        let mut codes = BTreeMap::new();
+        for row in &self.quarantine {
+            *codes.entry(row.code.clone()).or_default() += 1;
+        }
+        Accounting {
+            sources: num_items,
+            ingested: self.ingested.len() as u64 + self.markers_only,
+            quarantined: self.quarantine.len() as u64,
+            skipped: self.skipped.values().sum(),
+            codes,
+        }
+    }
+
+    /// The pairs whose motions are both in the dataset and of one split, and how many are not.
+    pub(super) fn pairs(&self, shards: &Shards) -> (Vec<PairRow>, u64) {
+        let splits = splits_of(shards);
+        let mut rows: Vec<PairRow> = Vec::new();
+        for pair in &self.pairs {
+            let ids = [pair.source_id.as_str(), pair.target_id.as_str()];
+            let [source, target] = ids.map(|id| splits.get(id));
+            if ids.iter().all(|id| self.ingested.contains(*id)) && source == target {
+                rows.push(pair.clone());
+            }
+        }
+        let dropped = self.dropped_pairs + (self.pairs.len() - rows.len()) as u64;
+        rows.sort_by(|a, b| a.id.cmp(&b.id));
+        (rows, dropped)
+    }
+
+    /// The pairs of a list whose motions are both in the dataset, beside those of the releases.
+    pub(super) fn listed_pairs(
+        &self,
+        shards: &Shards,
+        list: Option<&PairList>,
+        known: &[PairRow],
+    ) -> ListedPairs {
+        let Some(list) = list else {
+            return ListedPairs::default();
+        };
+        let motions: BTreeMap<MotionId, Split> = splits_of(shards)
+            .into_iter()
+            .filter(|(id, _)| self.ingested.contains(*id))
+            .filter_map(|(id, split)| Some((MotionId::parse(id).ok()?, split)))
+            .collect();
+        list.pairs(&motions, known)
+    }
+
+    pub(super) fn masks(&self) -> Vec<MaskRow> {
+        let numbered = self.masks.iter().enumerate();
+        numbered
+            .map(|(number, mask)| MaskRow {
+                id: format!("{}/{number}", mask.id),
+                ..mask.clone()
+            })
+            .collect()
+    }
+}
+
+pub(super) fn splits_of<'a>(shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
+    shards
+        .iter()
+        .flat_map(|(_, items)| items)
+        .filter_map(|item| Some((item.id.as_ref().ok()?.as_str(), item.split)))
+        .collect()
+}
+
+pub(super) fn describe(skipped: &BTreeMap<String, u64>) -> String {
+    let parts: Vec<String> = skipped
+        .iter()
+        .map(|(reason, count)| format!("{count} {reason}"))
+        .collect();
+    parts.join("; ")
+}

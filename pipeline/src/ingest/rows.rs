@@ -1,0 +1,225 @@
+//! Rows of a clip, and of a file that was rejected.
+
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow};
+use datasets_spec::{BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Skeleton, Split};
+
+use super::options::IngestOptions;
+use super::plan::Item;
+use crate::check::{FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, check_with};
+use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask};
+use crate::feature::{humanml3d, smpl_body};
+
+/// Mean distance in metres between source and stored joints that is worth a flag: retargeted
+/// captures of people measure 0.01 to 0.04.
+pub(super) const FIT_ERROR_LIMIT_M: f32 = 0.05;
+
+/// The rows of a clip, and what has to wait for the rows of others.
+pub(super) struct ClipRows {
+    pub(super) motion: MotionRow,
+    pub(super) features: Option<HumanMl3dRow>,
+    pub(super) markers: Option<MarkerRow>,
+    pub(super) edit_of: Option<EditOf>,
+    pub(super) masks: Vec<SourceMask>,
+}
+
+pub(super) fn quarantine_row(
+    file: &str,
+    key: &str,
+    source_hash: String,
+    rejected: Rejected,
+) -> QuarantineRow {
+    QuarantineRow {
+        path: match key {
+            "" => file.to_owned(),
+            key => format!("{file}#{key}"),
+        },
+        source_hash,
+        code: rejected.code.to_owned(),
+        reason: rejected.reason,
+        byte_offset: rejected.byte_offset,
+        stage: rejected.stage.to_owned(),
+    }
+}
+
+pub(super) fn part_names(parts: &[BodyPart]) -> Vec<String> {
+    parts.iter().map(|part| part.name().to_owned()).collect()
+}
+
+pub(super) fn frames(count: usize) -> i32 {
+    i32::try_from(count).unwrap_or(i32::MAX)
+}
+
+pub(super) fn marker_row(
+    markers: Markers,
+    id: MotionId,
+    item: &Item,
+    source_hash: String,
+) -> MarkerRow {
+    MarkerRow {
+        id,
+        split: item.split,
+        source_path: item.entry.file.clone(),
+        source_hash,
+        fps: markers.fps.get() as f32,
+        n_frames: frames(markers.positions.len() / markers.labels.len().max(1)),
+        labels: markers.labels,
+        positions: markers.positions,
+        residuals: markers.residuals.into_iter().map(|r| [r]).collect(),
+        marker_set: markers.set.map(str::to_owned),
+        fit_residuals: markers.fit_residuals.into_iter().map(|r| [r]).collect(),
+    }
+}
+
+/// Brings a clip to the stored rate, judges it, and makes its rows.
+pub(super) fn clip_rows(
+    clip: SourceClip,
+    id: MotionId,
+    item: &Item,
+    source_hash: String,
+    options: &IngestOptions,
+) -> Result<ClipRows, Rejected> {
+    let fps_source = clip.source_fps;
+    let target = options.fps.unwrap_or(clip.motion.fps());
+    let motion = options
+        .resample
+        .apply(&clip.motion, target)
+        .map_err(|error| Rejected::check("E-RESAMPLE", error.to_string()))?;
+    let (motion, mut quality, kept) =
+        check_with(motion, &options.read.skeleton, options.teleports)?;
+    let mut notes = clip.notes.clone();
+    if let Some(kept) = kept {
+        notes.push(format!(
+            "stored frames {} to {} were kept, the longest stretch without a jump",
+            kept.start, kept.end
+        ));
+    }
+    quality.flags |= clip.flags | said_flags(&clip);
+    let entry = item.entry;
+    let features = match options.humanml3d_features {
+        true => {
+            // The joints of HumanML3D are those of SMPL, which lie elsewhere than SMPL-X's.
+            let body = clip.body.clone();
+            let body = body.unwrap_or_else(|| smpl_body(&options.read.skeleton));
+            Some(feature_row(&motion, &id, item.split, &body)?)
+        }
+        false => None,
+    };
+    let markers = clip
+        .markers
+        .map(|markers| marker_row(markers, id.clone(), item, source_hash.clone()));
+    let motion = MotionRow {
+        id,
+        split: item.split,
+        source: item.format.as_str().to_owned(),
+        source_path: entry.file.clone(),
+        source_hash,
+        license: clip.license.or_else(|| options.license.clone()),
+        mirrored_of: entry
+            .mirrored_of
+            .as_ref()
+            .map(|id| format!("{}{id}", item.prefix)),
+        skeleton: options.read.skeleton.name().to_owned(),
+        fps: motion.fps().get() as f32,
+        fps_source: fps_source.get() as f32,
+        start_frame: frames(clip.source_frames.start),
+        end_frame: frames(clip.source_frames.end),
+        n_frames: frames(motion.len()),
+        transl: motion.transl().to_vec(),
+        global_orient: motion.global_orient().to_vec(),
+        body_pose: motion.body_pose().to_vec(),
+        rotation_source: clip.rotation_source.as_str().to_owned(),
+        fit_error_m: clip.fit_error_m,
+        captions: clip.captions,
+        part_captions: clip.part_captions,
+        action: clip.action,
+        style: clip.style,
+        notes,
+        content_hash: motion.content_hash(),
+        quality,
+    };
+    Ok(ClipRows {
+        motion,
+        features,
+        markers,
+        edit_of: clip.edit_of,
+        masks: clip.masks,
+    })
+}
+
+/// The features of a motion by the HumanML3D recipe.
+pub(super) fn feature_row(
+    motion: &Motion,
+    id: &MotionId,
+    split: Split,
+    body: &Skeleton,
+) -> Result<HumanMl3dRow, Rejected> {
+    let joints = humanml3d::joints_of_motion(motion, body);
+    let features = humanml3d::features_of_joints(&joints)
+        .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))?;
+    Ok(HumanMl3dRow {
+        id: id.clone(),
+        split,
+        recipe: humanml3d::RECIPE.to_owned(),
+        fps: motion.fps().get() as f32,
+        n_frames: frames(features.len()),
+        features,
+    })
+}
+
+/// Flags for what is said about a clip, and for how well it was fitted.
+pub(super) fn said_flags(clip: &SourceClip) -> u32 {
+    let duration = clip.motion.duration_secs() as f32;
+    // Times are written with one decimal at most, and a clip of n frames ends a frame early.
+    const TOLERANCE_SECS: f32 = 0.15;
+    let outside = clip
+        .captions
+        .iter()
+        .any(|caption| caption.from_s > duration || caption.to_s > duration + TOLERANCE_SECS);
+    let silent = clip.captions.is_empty() && clip.part_captions.is_empty();
+    let poor = clip
+        .fit_error_m
+        .is_some_and(|error| error > FIT_ERROR_LIMIT_M);
+    [
+        (outside, FLAG_CAPTION_OUTSIDE),
+        (silent, FLAG_NO_CAPTION),
+        (poor, FLAG_POOR_FIT),
+    ]
+    .into_iter()
+    .filter(|(found, _)| *found)
+    .fold(0, |flags, (_, flag)| flags | flag)
+}
+
+/// The pair that a clip forms with the motion it is an edit of; none where the id of the latter is
+/// no id. Whether that motion is in the dataset is known once every shard is done.
+pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<PairRow> {
+    let source_id = MotionId::parse(&format!("{}{}", item.prefix, edit.source_id)).ok()?;
+    Some(PairRow {
+        id: format!("{source_id}+{target}"),
+        split: item.split,
+        source: item.format.as_str().to_owned(),
+        kind: edit.kind.to_owned(),
+        source_id,
+        target_id: target.clone(),
+        style: edit.style,
+        parts: part_names(&edit.parts),
+        instruction: edit.instruction,
+    })
+}
+
+/// A mask that comes with a clip. Its id gets a number once every shard is done.
+pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> MaskRow {
+    let blend = BlendMask::of_parts(&mask.parts);
+    let parts = part_names(&mask.parts);
+    MaskRow {
+        id: format!("{motion}/{}", parts.join("+")),
+        motion_id: motion.clone(),
+        split: item.split,
+        parts,
+        hard_joints: blend.hard().names(),
+        soft_joints: blend.soft().names(),
+        mask_def_version: MASK_DEF_VERSION,
+        text: mask.text,
+        text_origin: "imported".to_owned(),
+        author: item.format.as_str().to_owned(),
+    }
+}

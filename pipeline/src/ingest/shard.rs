@@ -1,0 +1,227 @@
+//! Making a shard: reading its items and writing their rows.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::dataset::ShardName;
+use datasets_spec::manifest::FileEntry;
+use datasets_spec::record::{MarkerRow, MaskRow, PairRow, QuarantineRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Progress, Transaction};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::options::IngestOptions;
+use super::plan::{Item, Plan, source_hash};
+use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row, quarantine_row};
+use crate::Error;
+use crate::clip::{Outcome, Rejected};
+use crate::source::read_clip;
+
+/// Largest file read at once, in bytes; releases that keep many motions in a file have rules of
+/// their own.
+const MAX_FILE_LEN: u64 = 4 << 30;
+
+/// What a shard needs at the commit beside its file.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(super) struct ShardNotes {
+    pub(super) quarantine: Vec<QuarantineRow>,
+    pub(super) skipped: BTreeMap<String, u64>,
+    /// Files of other tables that were written with the shard.
+    pub(super) beside: Vec<(String, FileEntry)>,
+    /// Items whose only row is one of `markers`.
+    pub(super) markers_only: u64,
+    pub(super) ingested: Vec<String>,
+    pub(super) pairs: Vec<PairRow>,
+    /// Pairs whose other motion has no usable id.
+    pub(super) dropped_pairs: u64,
+    pub(super) masks: Vec<MaskRow>,
+}
+
+/// What became of one item.
+enum Done {
+    Clip(Box<ClipRows>),
+    Markers(Box<MarkerRow>),
+    Skipped(String),
+    Rejected(QuarantineRow),
+}
+
+impl Plan {
+    pub(super) fn make_shard(
+        &self,
+        transaction: &Transaction,
+        name: &ShardName,
+        items: &[Item],
+        options: &IngestOptions,
+        facts: &[(&str, String)],
+        progress: &dyn Progress,
+    ) -> Result<(FileEntry, ShardNotes), Error> {
+        let done: Vec<Done> = items
+            .par_iter()
+            .map(|item| {
+                let done = self.ingest_item(item, options);
+                progress.advance(1);
+                done
+            })
+            .collect();
+        let mut rows = Vec::with_capacity(done.len());
+        let mut marker_rows = Vec::new();
+        let mut feature_rows = Vec::new();
+        let mut notes = ShardNotes::default();
+        for (item, done) in items.iter().zip(done) {
+            match done {
+                Done::Clip(clip) => {
+                    let ClipRows {
+                        motion,
+                        features,
+                        markers,
+                        edit_of,
+                        masks,
+                    } = *clip;
+                    notes.ingested.push(motion.id.as_str().to_owned());
+                    if let Some(edit) = edit_of {
+                        match pair_row(edit, item, &motion.id) {
+                            Some(row) => notes.pairs.push(row),
+                            None => notes.dropped_pairs += 1,
+                        }
+                    }
+                    let masks = masks.into_iter();
+                    notes
+                        .masks
+                        .extend(masks.map(|mask| mask_row(mask, item, &motion.id)));
+                    marker_rows.extend(markers);
+                    feature_rows.extend(features);
+                    rows.push(motion);
+                }
+                Done::Markers(row) => {
+                    notes.markers_only += 1;
+                    marker_rows.push(*row);
+                }
+                Done::Skipped(reason) => *notes.skipped.entry(reason).or_default() += 1,
+                Done::Rejected(rejection) => notes.quarantine.push(rejection),
+            }
+        }
+        notes
+            .beside
+            .extend(write_beside(transaction, name, &marker_rows, facts)?);
+        notes
+            .beside
+            .extend(write_beside(transaction, name, &feature_rows, facts)?);
+        let entry = transaction.write_shard(name, &rows, facts)?;
+        Ok((entry, notes))
+    }
+
+    fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
+        // The readers are written not to panic; a bug in one of them must still not take ten hours
+        // of other clips with it.
+        let attempt = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            self.read_checked(item, options)
+        }));
+        let rejected = match attempt {
+            Ok(Ok(done)) => return done,
+            Ok(Err(rejected)) => rejected,
+            Err(_) => Rejected::read(
+                "E-INTERNAL",
+                "the reader failed on this file; please report it",
+            ),
+        };
+        let entry = item.entry;
+        let hash = source_hash(&self.sources, &entry.file);
+        Done::Rejected(quarantine_row(&entry.file, &entry.key, hash, rejected))
+    }
+
+    fn read_checked(&self, item: &Item, options: &IngestOptions) -> Result<Done, Rejected> {
+        let id = item
+            .id
+            .clone()
+            .map_err(|reason| Rejected::read("E-PATH", reason))?;
+        let entry = item.entry;
+        let source_hash = match self.sources.get(&entry.file) {
+            Some(source) => source
+                .hash
+                .clone()
+                .map_err(|reason| Rejected::read("E-IO", reason))?,
+            None => String::new(),
+        };
+        let outcome = match item.release {
+            Some(release) => self.releases[release].read(&self.files, entry, &options.read),
+            None => self.read_file(item, options),
+        };
+        let clip = match outcome {
+            Outcome::Clip(clip) => *clip,
+            Outcome::Markers { markers, .. } => {
+                let row = marker_row(*markers, id, item, source_hash);
+                return Ok(Done::Markers(Box::new(row)));
+            }
+            Outcome::Skipped { reason } => return Ok(Done::Skipped(reason)),
+            Outcome::Rejected(rejected) => return Err(rejected),
+        };
+        clip_rows(clip, id, item, source_hash, options).map(|rows| Done::Clip(Box::new(rows)))
+    }
+
+    fn read_file(&self, item: &Item, options: &IngestOptions) -> Outcome {
+        let entry = item.entry;
+        let bytes = match self.read_bounded(&entry.file) {
+            Ok(bytes) => bytes,
+            Err(rejected) => return Outcome::Rejected(rejected),
+        };
+        let folder = self
+            .files
+            .path(&entry.file)
+            .and_then(Path::parent)
+            .unwrap_or(Path::new("."));
+        // A companion that is there and cannot be read must not pass for one that is not there.
+        let failure = RefCell::new(None);
+        let companions = |name: &str| match self.files.read_beside(&folder.join(name)) {
+            Ok(bytes) => bytes,
+            Err(rejected) => {
+                failure.replace(Some(rejected));
+                None
+            }
+        };
+        let outcome = read_clip(
+            item.format,
+            Path::new(&entry.file),
+            &entry.key,
+            &bytes,
+            &companions,
+            &options.read,
+        );
+        failure.into_inner().map_or(outcome, Outcome::Rejected)
+    }
+
+    fn read_bounded(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
+        let length = self
+            .files
+            .path(relative)
+            .and_then(|path| fs::metadata(path).ok())
+            .map_or(0, |metadata| metadata.len());
+        if length > MAX_FILE_LEN {
+            return Err(Rejected::read(
+                "E-TOO-LARGE",
+                format!("found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"),
+            ));
+        }
+        self.files.read(relative)
+    }
+}
+
+/// Writes rows of another table as the shard beside one of motions, if there are any.
+fn write_beside<R: Row>(
+    transaction: &Transaction,
+    name: &ShardName,
+    rows: &[R],
+    facts: &[(&str, String)],
+) -> Result<Option<(String, FileEntry)>, Error> {
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    let name = ShardName {
+        table: R::TABLE,
+        ..name.clone()
+    };
+    let file = transaction.write_shard(&name, rows, facts)?;
+    Ok(Some((R::TABLE.to_owned(), file)))
+}

@@ -1,0 +1,123 @@
+//! The files that are ingested.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use datasets_spec::store::{Disk, Store};
+
+use crate::clip::Rejected;
+
+/// The files under the ingested sources, by their relative paths with forward slashes.
+#[derive(Clone, Debug)]
+pub struct Files {
+    store: Arc<dyn Store>,
+    paths: BTreeMap<String, PathBuf>,
+}
+
+impl Files {
+    /// Takes the path of every file by its relative path.
+    pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
+        Self::on(Disk::store(), paths)
+    }
+
+    /// [`Files::new`], reading through the given store.
+    pub fn on(store: Arc<dyn Store>, paths: BTreeMap<String, PathBuf>) -> Self {
+        Self { store, paths }
+    }
+
+    /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
+    pub(crate) fn hash(&self, path: &Path) -> Result<String, String> {
+        self.store.hash(path).map_err(|error| error.to_string())
+    }
+
+    /// Number of files.
+    pub fn len(&self) -> usize {
+        self.paths.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// Whether there is such a file.
+    pub fn contains(&self, relative: &str) -> bool {
+        self.paths.contains_key(relative)
+    }
+
+    /// Where a file is.
+    pub fn path(&self, relative: &str) -> Option<&Path> {
+        self.paths.get(relative).map(PathBuf::as_path)
+    }
+
+    /// The bytes of a file.
+    ///
+    /// # Errors
+    /// `E-IO` if there is no such file or it cannot be read.
+    pub fn read(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| {
+            Rejected::read("E-IO", format!("there is no file {relative} in the source"))
+        })?;
+        self.store
+            .read(path)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// The bytes of a file that lies beside a source; none if there is no such file.
+    pub(crate) fn read_beside(&self, path: &Path) -> Result<Option<Vec<u8>>, Rejected> {
+        use std::io::ErrorKind::{InvalidFilename, IsADirectory, NotADirectory, NotFound};
+
+        match self.store.read(path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(error) => match error.kind() {
+                NotFound | NotADirectory | IsADirectory | InvalidFilename => Ok(None),
+                _ => Err(Rejected::read(
+                    "E-IO",
+                    format!("cannot read {}: {error}", path.display()),
+                )),
+            },
+        }
+    }
+
+    /// Relative paths of all files, sorted.
+    pub fn all(&self) -> impl Iterator<Item = &str> {
+        self.paths.keys().map(String::as_str)
+    }
+
+    /// Relative paths of the files under a folder (`""` for all, otherwise ending in `/`), sorted.
+    pub fn under<'a>(&'a self, folder: &'a str) -> impl Iterator<Item = &'a str> {
+        self.paths
+            .range(folder.to_owned()..)
+            .map(|(relative, _)| relative.as_str())
+            .take_while(move |relative| relative.starts_with(folder))
+    }
+}
+
+/// First words of a Git LFS pointer: what lies in a checkout in place of a large file that was
+/// not downloaded.
+pub(super) const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
+pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
+
+/// Whether these are the first bytes of what stands in for a file that was not downloaded.
+pub(crate) fn is_pointer(head: &[u8]) -> bool {
+    head.starts_with(LFS_POINTER)
+}
+
+/// Refuses what stands in for a file that was not downloaded.
+///
+/// # Errors
+/// `E-LFS-POINTER`.
+pub(crate) fn refuse_pointer(bytes: &[u8]) -> Result<(), Rejected> {
+    if !is_pointer(bytes) {
+        return Ok(());
+    }
+    Err(Rejected::read(
+        "E-LFS-POINTER",
+        format!(
+            "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
+            bytes.len()
+        ),
+    )
+    .at(0))
+}

@@ -1,0 +1,157 @@
+//! What a source format says of itself, and what a release is.
+
+use std::fmt;
+use std::path::Path;
+
+use datasets_spec::Split;
+
+use super::files::Files;
+use super::options::ReadOptions;
+use crate::clip::{Outcome, Rejected};
+
+/// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
+///
+/// A format of single files implements [`SourceFormat::read`] and a way to recognise them; one of
+/// whole releases, whose files belong together, implements [`SourceFormat::find`].
+pub trait SourceFormat: fmt::Debug + Send + Sync {
+    /// The name used in tables and on the command line.
+    fn name(&self) -> &'static str;
+
+    /// Bytes that a second of motion takes in a file, for estimates.
+    fn bytes_per_second(&self) -> f64;
+
+    /// Says what a file is by its name; none where the name says nothing about this format.
+    /// `extension` is in lower case.
+    fn by_name(&self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
+        let _ = (extension, name, head);
+        None
+    }
+
+    /// Whether the first bytes of a file without a known name are of this format.
+    fn by_content(&self, head: &[u8]) -> bool {
+        let _ = head;
+        false
+    }
+
+    /// Whether one file may hold several motions.
+    fn may_hold_several(&self) -> bool {
+        false
+    }
+
+    /// Names of the motions in a file; empty if it holds one, or cannot be read.
+    fn keys(&self, bytes: &[u8]) -> Vec<String> {
+        let _ = bytes;
+        Vec::new()
+    }
+
+    /// Reads one motion of a file that stands alone. `key` is one of [`SourceFormat::keys`], or empty.
+    fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        let _ = (path, key, bytes, options);
+        Outcome::Rejected(Rejected::read(
+            "E-INTERNAL",
+            format!("{} is a format of releases, not of files", self.name()),
+        ))
+    }
+
+    /// The releases among the files, each found by its layout. `index` is the HumanML3D index that
+    /// the user states.
+    ///
+    /// # Errors
+    /// A file that the user states cannot be read.
+    fn find(
+        &self,
+        files: &Files,
+        index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        let _ = (files, index);
+        Ok(Vec::new())
+    }
+}
+
+/// One of [`super::FORMATS`].
+#[derive(Clone, Copy)]
+pub struct Format(&'static dyn SourceFormat);
+
+impl Format {
+    pub(super) const fn new(format: &'static dyn SourceFormat) -> Self {
+        Self(format)
+    }
+
+    /// The name used in tables and on the command line.
+    pub fn as_str(self) -> &'static str {
+        self.0.name()
+    }
+}
+
+impl std::ops::Deref for Format {
+    type Target = dyn SourceFormat;
+
+    fn deref(&self) -> &Self::Target {
+        self.0
+    }
+}
+
+impl PartialEq for Format {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_str() == other.as_str()
+    }
+}
+
+impl Eq for Format {}
+
+impl fmt::Debug for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// What a file is, judged by its name and first bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Recognised {
+    /// A motion in this format.
+    Motion(Format),
+    /// Not a motion, or not one this crate reads.
+    NotMotion {
+        /// Why the file is passed over.
+        reason: String,
+    },
+}
+
+/// One motion in the plan: a whole file, or one of several that a file holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Relative path of the file it is read from.
+    pub file: String,
+    /// Which of the file's motions; empty if it holds one.
+    pub key: String,
+    /// Id the motion is to have.
+    pub id: String,
+    /// The published split; none draws one.
+    pub split: Option<Split>,
+    /// Id of the motion it mirrors.
+    pub mirrored_of: Option<String>,
+}
+
+/// A release: files that belong together and are read by rules of their own.
+pub trait Release: Send + Sync {
+    /// Its format.
+    fn format(&self) -> Format;
+
+    /// Its motions, in an order that depends on the files alone.
+    fn entries(&self) -> &[Entry];
+
+    /// Its files that hold no motion of their own: why each is passed over. Every file of the
+    /// release is named either here, in [`Release::rejected`] or by an entry.
+    fn passed_over(&self) -> &[(String, String)];
+
+    /// Its files that were found broken before any motion was read.
+    fn rejected(&self) -> &[(String, Rejected)];
+
+    /// What a reader of the dataset should know about the splits of its motions.
+    fn remarks(&self) -> &[String] {
+        &[]
+    }
+
+    /// Reads one motion. Called from many threads at once.
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome;
+}
