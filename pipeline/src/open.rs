@@ -7,7 +7,7 @@ use datasets_spec::{Dataset, Motion, Skeleton};
 
 use crate::Error;
 use crate::clip::Outcome;
-use crate::source::{Format, ReadOptions, Recognised, keys_in, read_clip, recognise};
+use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
 /// The row of a clip of a dataset.
 ///
@@ -92,7 +92,7 @@ pub fn read_file(
     };
     let folder = path.parent().unwrap_or(Path::new("."));
     let companions = |name: &str| std::fs::read(folder.join(name)).ok();
-    let mut keys = keys_in(format, &bytes);
+    let mut keys = format.keys(&bytes);
     if keys.is_empty() {
         keys.push(String::new());
     }

@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use datasets_spec::dataset::{Commit, Transaction, commit_made, commit_rows};
+use datasets_spec::dataset::{Commit, Transaction, commit_rows, commit_table, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{
     EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
@@ -20,11 +20,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::annotation::masks::{MaskConfig, automatic_masks};
+use crate::annotation::pairs::{
+    self, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
+};
 use crate::catalogue::other_than_motions;
 use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Stream, draw_items};
 use crate::ingest::IngestOptions;
-use crate::masks::{MaskConfig, automatic_masks};
-use crate::pairs::{self, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs};
 
 /// Tables that composed edits follow from.
 pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
@@ -346,15 +348,10 @@ pub fn windows(
         });
         rows
     };
-    commit_made(
-        out,
-        Split::Train,
-        count,
-        make,
-        &skeleton,
-        &plan,
-        context.holder,
-    )?;
+    commit_table::<WindowRow>(out, &skeleton, &plan, context.holder, |transaction| {
+        let facts = table_facts(&skeleton, &plan);
+        transaction.write_made(Some(Split::Train), count, make, &facts)
+    })?;
     context
         .progress
         .finish(&format!("{count} windows recorded"));

@@ -9,8 +9,6 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
-use pipeline::masks::MaskConfig;
-use pipeline::pairs::PairConfig;
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 

@@ -8,7 +8,7 @@ use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
-use pipeline::masks::MaskConfig;
+use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
 use serde::Serialize;
 

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
-use pipeline::pairs::{PairConfig, RefusedLine};
+use pipeline::annotation::pairs::{PairConfig, RefusedLine};
 use pipeline::stage;
 use serde::Serialize;
 

@@ -16,8 +16,6 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
-use pipeline::masks::MaskConfig;
-use pipeline::pairs::PairConfig;
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
