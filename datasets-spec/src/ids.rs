@@ -98,7 +98,7 @@ impl Split {
     /// All splits, in the order tables list them.
     pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
 
-    /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 4.3). It depends on
+    /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 6.1). It depends on
     /// the clip and the seed alone, so a dataset that grows never moves an old clip.
     pub fn assign(source_clip: &str, seed: Seed) -> Self {
         match seed.draw_u64(&["split", source_clip]) % 100 {

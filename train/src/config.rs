@@ -264,7 +264,7 @@ fn is_zero(value: &f64) -> bool {
 pub enum PreviousFrames {
     /// They are frames of the noisy window like any other (released code).
     Inpainted,
-    /// A network of two layers encodes each into the token of its place (paper Sec. 4.1; that the
+    /// A network of two layers encodes each into the token of its place (paper, Sec. 5.1; that the
     /// tokens stand in the place of the frames is our reading).
     Encoded,
 }
@@ -389,7 +389,7 @@ impl TrainConfig {
     /// The named settings.
     ///
     /// # Source
-    /// `Paper`: Sec. 4.1, 5.1 and App. B (6 layers, squared error, batch 1024, 1,500 epochs and at
+    /// `Paper`: Sec. 5.1 and App. B (6 layers, squared error, batch 1024, 1,500 epochs and at
     /// most 800 k steps, learning rate 1e-4 with linear decay, a checkpoint every 50 epochs, guidance
     /// `w = 3`, which is weight 4 here); what it leaves open is as released. `Official`: the released
     /// configuration (8 layers, smooth L1, batch 256, 4,000 epochs); `algorithms` section 10 lists

@@ -30,7 +30,7 @@ use crate::{Error, Session};
 pub(crate) const KIND: &str = "coordinator";
 pub(crate) const WEIGHTS: &str = "coordinator.safetensors";
 
-/// Last diffusion steps whose noise the coordinator learns to see through (paper Sec. 4.4).
+/// Last diffusion steps whose noise the coordinator learns to see through (paper, Sec. 5.2).
 const NOISE_STEPS: usize = 20;
 
 /// Settings of the coordinator's training.
@@ -61,7 +61,7 @@ impl CoordinatorConfig {
     /// The named settings: the trunk and the diffusion of the editor's preset.
     ///
     /// # Source
-    /// Paper Sec. 4.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
+    /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
     /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
     /// the editor's.
     pub fn preset(preset: Preset) -> Self {
@@ -207,7 +207,7 @@ impl CoordinatorRecord {
 /// finite, or a file cannot be written.
 ///
 /// # Source
-/// Paper Sec. 4.4: binary classification of unmodified segments and of composed ones, with the noise
+/// Paper, Sec. 5.2 and App. B.4: binary classification of unmodified segments and of composed ones, with the noise
 /// of the last 20 diffusion steps.
 pub fn train_coordinator<'a>(
     start: impl Into<Start<'a>>,

@@ -109,7 +109,7 @@ impl EditItem {
     /// The motion has no frame.
     ///
     /// # Source
-    /// Paper App. B.1 and B.2. The windows advance by what each adds; the released demo's 31 raw
+    /// Paper, App. B.2. The windows advance by what each adds; the released demo's 31 raw
     /// frames drift against the generated motion (`algorithms` section 8).
     pub fn new(
         id: impl Into<String>,
@@ -140,7 +140,7 @@ impl EditItem {
     /// frame of its own.
     ///
     /// # Source
-    /// Paper Sec. 5.4 (time-variant editing); which window hears which instruction is not published.
+    /// Paper, App. E.1 (time-variant editing); which window hears which instruction is not published.
     pub fn timed(
         id: impl Into<String>,
         motion: &Motion,

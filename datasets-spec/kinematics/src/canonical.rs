@@ -54,7 +54,7 @@ impl GroundTransform {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Anchor {
-    /// The pelvis (paper App. B.1; preset `paper`).
+    /// The pelvis (paper App. B.2; preset `paper`).
     Pelvis,
     /// The translation parameter, which leaves the pelvis at its rest x and z (released code;
     /// preset `official`).
@@ -108,7 +108,7 @@ pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> 
 /// stay. Returns where the segment was.
 ///
 /// # Source
-/// Paper App. B.1 ([`Anchor::Pelvis`]); the released preprocessing ([`Anchor::Translation`]).
+/// Paper App. B.2 ([`Anchor::Pelvis`]); the released preprocessing ([`Anchor::Translation`]).
 pub fn canonicalise(
     segment: &mut [Pose],
     anchor: Anchor,

@@ -12,7 +12,7 @@ pub struct Fps(f64);
 impl Fps {
     /// The rate motions are stored at unless the user asks for another (that of HumanML3D).
     pub const STORE: Fps = Fps(20.0);
-    /// The rate the editing model works at (paper, App. B.1).
+    /// The rate the editing model works at (paper, App. B.5).
     pub const MODEL: Fps = Fps(10.0);
 
     /// Relative distance from a whole number below which a rate read from a file is taken to be

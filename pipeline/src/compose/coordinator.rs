@@ -49,7 +49,7 @@ impl Stream {
     /// If [`Stream::check_coordinator`] fails.
     ///
     /// # Source
-    /// Paper Sec. 4.4: half of the data are unmodified segments, half composed from different ones.
+    /// Paper, Sec. 5.2 and App. B.4: half of the data are unmodified segments, half composed from different ones.
     pub fn fill_coordinator(
         &self,
         epoch: u64,

@@ -255,7 +255,7 @@ impl Library {
     /// out of range.
     ///
     /// # Source
-    /// Paper App. B.1.
+    /// Paper App. B.2.
     pub fn fit_normalizer(&self, config: &ComposeConfig) -> Result<Normalizer, Error> {
         if self.split != Split::Train {
             return Err(Error::NotTrain { split: self.split });

@@ -23,7 +23,7 @@ pub struct Verdict {
 /// their mean.
 ///
 /// # Source
-/// Paper Sec. 4.4; the layout is that of the released code with `Disc=True` (`algorithms`
+/// Paper, Sec. 5.2 and App. B.4; the layout is that of the released code with `Disc=True` (`algorithms`
 /// section 6). Two of its layers, `embedding_original` and `embed_prog_ind`, play no part; they are
 /// kept because the released checkpoints store them and the released program asks for them.
 #[derive(Module, Debug)]

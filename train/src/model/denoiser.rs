@@ -72,7 +72,7 @@ impl PreviousEmbedding {
 /// The noise predictor: a transformer over one condition token and the frames of a window.
 ///
 /// # Source
-/// Paper Sec. 4.1; the layout and the scales are those of the released code (`algorithms`
+/// Paper, Sec. 5.1; the layout and the scales are those of the released code (`algorithms`
 /// section 6). The previous two frames are the first two frames of the noisy window; of
 /// [`PreviousFrames::Encoded`] a network of its own embeds them, of [`PreviousFrames::Inpainted`]
 /// that of every frame.
