@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::Error;
-use crate::http::Clock;
+use crate::clock::Clock;
 use crate::store::{Millis, MotionRecord, Store};
 use crate::transfer::{self, Exported, Selection, Taken};
 use crate::wire::{ExportFormat, ExportRequest, ImportFormat, Job};
@@ -26,7 +26,7 @@ pub(crate) fn folder(data: &Path, job: i64) -> PathBuf {
 }
 
 /// Jobs that ran when the server last ended have failed.
-pub(crate) fn abandon(store: &dyn Store, now: Millis) -> Result<(), Error> {
+pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     for mut job in store.jobs()? {
         if job.state == "running" {
             "failed".clone_into(&mut job.state);
@@ -56,7 +56,7 @@ fn new_job(kind: &str, format: &str, now: Millis) -> Job {
 }
 
 /// Ends a job, whatever became of it.
-fn finish(store: &dyn Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
+fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
     job.finished = Some(clock());
     match outcome {
         Ok(()) => "done".clone_into(&mut job.state),
@@ -82,7 +82,7 @@ fn spawn(work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
 }
 
 pub(crate) fn start_import(
-    store: &Arc<dyn Store>,
+    store: &Arc<Store>,
     clock: &Clock,
     actor: i64,
     import: Import,
@@ -97,7 +97,7 @@ pub(crate) fn start_import(
 }
 
 fn run_import(
-    store: &dyn Store,
+    store: &Store,
     clock: &Clock,
     actor: i64,
     import: Import,
@@ -153,7 +153,7 @@ fn upload_in(data: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
 }
 
 /// All motions of a store by their ids.
-pub(crate) fn known_motions(store: &dyn Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
+pub(crate) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
     Ok(store
         .all_motions()?
         .into_iter()
@@ -162,7 +162,7 @@ pub(crate) fn known_motions(store: &dyn Store) -> Result<BTreeMap<String, Motion
 }
 
 pub(crate) fn start_export(
-    store: &Arc<dyn Store>,
+    store: &Arc<Store>,
     clock: &Clock,
     data: &Path,
     dataset: &Path,
@@ -206,7 +206,7 @@ pub(crate) fn start_export(
 /// # Errors
 /// The store fails.
 pub fn log_export(
-    store: &dyn Store,
+    store: &Store,
     actor: Option<i64>,
     format: ExportFormat,
     done: &Exported,

@@ -1,24 +1,56 @@
 //! Masks, descriptions and pair judgements by people: a server, its store, and its front end.
 //!
-//! [`http::Server`] serves the pages and the interface of `API.md` over a [`store::Store`], which keeps a
-//! log that only grows and tables that follow from it. [`transfer`] brings tasks in from a dataset and
-//! accepted answers out of it. All mathematics of motion comes from `datasets-spec` and
-//! `pipeline::compose` ([`motions`]); the browser only draws.
+//! [`http::Server`] serves the pages and the interface of `API.md` over a [`store::Store`], which keeps an
+//! append-only log and tables derived from it. [`transfer`] imports tasks from a dataset and exports
+//! accepted answers to it. Computations on motion come from `kinematics` and `pipeline::compose`
+//! ([`motions`]); the browser only draws.
 //!
-//! Beside the server there are lines for those who prefer an editor: [`drafts`] writes masks as JSON
-//! lines, [`accept`] takes the judged lines back.
+//! Masks can also be reviewed without a browser: [`drafts`] writes them as JSON lines, [`accept`] reads
+//! the judged lines back.
 //!
-//! This crate reads no environment and no clock: addresses, keys and times are given to it. Tokens are
-//! the one thing drawn from the operating system's generator, as they have to be.
+//! This crate reads no environment and no clock: addresses, keys and times are given to it. Only tokens
+//! come from the operating system's random generator.
 //!
 //! Read [`store::Store`] and [`wire`] first.
+//!
+//! ```
+//! use annotate::store::{Claimed, NewTask, open_sqlite};
+//! use annotate::wire::{NewEvent, Role, TaskKind};
+//! use serde_json::{from_value, json};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let store = open_sqlite(&folder.path().join("store.sqlite"))?;
+//! let now = 0;
+//! let ann = store.add_user(None, "ann", Role::Annotator, now)?;
+//! // Tasks come from a dataset (`transfer::from_dataset`), or are made by hand.
+//! let task: NewTask = from_value(json!({
+//!     "key": "clip-1", "kind": "mask_text", "source": "HASH", "split": "train",
+//!     "bundle_index": 0, "priority": 0, "suggestions": [],
+//! }))?;
+//! store.import(None, vec![task], now)?;
+//! let Claimed::Task { detail, .. } = store.claim(ann.id, TaskKind::MaskText, 0, now)? else {
+//!     panic!("there is a task");
+//! };
+//! let lease = detail.lease.expect("a claim gives a lease");
+//! let mask = |part: &str| json!({"parts": [part], "text": "The arm waves."});
+//! let submit: NewEvent = from_value(json!({
+//!     "idem_key": "submit-0001", "kind": "submit", "lease_epoch": lease.epoch,
+//!     "answer": {"kind": "mask_text", "masks": [mask("LEFT_ARM"), mask("RIGHT_ARM")]},
+//! }))?;
+//! let results = store.append(ann.id, lease.task, vec![submit], now)?;
+//! assert_eq!(results[0].status, 200);
+//! assert_eq!(store.labels(0, 10)?.len(), 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod agreement;
 pub mod answer;
+mod clock;
 mod error;
 pub mod http;
 mod jobs;
 mod lines;
+mod lock;
 pub mod model;
 pub mod motions;
 mod quality;

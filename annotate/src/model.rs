@@ -136,7 +136,7 @@ impl Model {
     /// `model_failed`, or the store fails.
     pub fn suggest(
         &self,
-        store: &dyn Store,
+        store: &Store,
         task: &TaskRecord,
         captions: &[&str],
         parts: &[BodyPart],

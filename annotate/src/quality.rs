@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::JointSet;
+use datasets_spec::{JointSet, quantile};
 
 use crate::Error;
 use crate::agreement::{self, Item, MIN_ITEMS, estimate};
@@ -14,19 +14,8 @@ use crate::wire::{Agreement, Answer, Estimate, RevisionState, TaskKind, Verdict}
 /// Tasks read at a time.
 const BATCH: usize = 2000;
 
-/// The middle value; the mean of the two middle ones of an even number.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match (values.get(middle), values.len() % 2) {
-        (None, _) => None,
-        (Some(value), 1) => Some(*value),
-        (Some(value), _) => Some(f64::midpoint(values[middle - 1], *value)),
-    }
-}
-
 /// Mean edit distance of the texts of an answer from the drafts they began as; none if none did.
-pub(crate) fn draft_distance(store: &dyn Store, answer: &Answer) -> Result<Option<f64>, Error> {
+pub(crate) fn draft_distance(store: &Store, answer: &Answer) -> Result<Option<f64>, Error> {
     Ok(mean(&draft_distances(store, answer)?))
 }
 
@@ -34,7 +23,7 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-fn draft_distances(store: &dyn Store, answer: &Answer) -> Result<Vec<f64>, Error> {
+fn draft_distances(store: &Store, answer: &Answer) -> Result<Vec<f64>, Error> {
     let drafted: Vec<(&str, i64)> = answer
         .texts()
         .into_iter()
@@ -82,7 +71,7 @@ struct Gathered {
 
 impl Figures {
     /// Goes through all answers that are handed in. Answers to gold tasks are no part of agreement.
-    pub(crate) fn of(store: &dyn Store) -> Result<Self, Error> {
+    pub(crate) fn of(store: &Store) -> Result<Self, Error> {
         let mut people: BTreeMap<i64, Gathered> = BTreeMap::new();
         let mut secs_by_time = Vec::new();
         let mut parts: Vec<Vec<Item>> = vec![Vec::new(); RELEASE_PARTS.len()];
@@ -137,7 +126,7 @@ impl Figures {
             if secs.len() < MIN_ITEMS {
                 None
             } else {
-                median(&mut secs)
+                quantile::median(&mut secs)
             }
         };
         let agreement = Agreement {
@@ -170,7 +159,7 @@ impl Figures {
                     .filter(|&&distance| distance == 0.0)
                     .count();
                 let figures = PersonFigures {
-                    median_secs: median(&mut person.secs),
+                    median_secs: quantile::median(&mut person.secs),
                     draft_unchanged: (!person.drafts.is_empty())
                         .then(|| unchanged as f64 / person.drafts.len() as f64),
                     draft_distance: mean(&person.drafts),
@@ -251,16 +240,4 @@ fn shared(
         }
     }
     sets.push(all);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::median;
-
-    #[test]
-    fn medians_by_hand() {
-        assert_eq!(median(&mut []), None);
-        assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(&mut [4.0, 1.0, 2.0, 3.0]), Some(2.5));
-    }
 }

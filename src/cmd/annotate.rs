@@ -243,7 +243,7 @@ fn folder(args: &Args) -> PathBuf {
     args.dataset.join("annotate")
 }
 
-fn open(args: &Args) -> anyhow::Result<Arc<dyn Store>> {
+fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     let file = match &args.store {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
             return open_postgres(url);
@@ -259,18 +259,18 @@ fn open(args: &Args) -> anyhow::Result<Arc<dyn Store>> {
 }
 
 #[cfg(feature = "postgres")]
-fn open_postgres(url: &str) -> anyhow::Result<Arc<dyn Store>> {
+fn open_postgres(url: &str) -> anyhow::Result<Arc<Store>> {
     Ok(store::open_postgres(url, "annotate")?)
 }
 
 #[cfg(not(feature = "postgres"))]
-fn open_postgres(_: &str) -> anyhow::Result<Arc<dyn Store>> {
+fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
     bail!(
         "this stance was built without PostgreSQL; build it with `cargo build --release --features postgres`"
     )
 }
 
-fn find(store: &dyn Store, name: &str) -> anyhow::Result<User> {
+fn find(store: &Store, name: &str) -> anyhow::Result<User> {
     let users = store.users()?;
     let names: Vec<&str> = users.iter().map(|user| user.name.as_str()).collect();
     let known = names.join(", ");
@@ -285,7 +285,7 @@ fn role(text: &str) -> anyhow::Result<Role> {
     Role::parse(text).context("the role is not known")
 }
 
-fn user(store: &dyn Store, action: &UserAction, global: &Global) -> anyhow::Result<Exit> {
+fn user(store: &Store, action: &UserAction, global: &Global) -> anyhow::Result<Exit> {
     const DAYS: i64 = 90;
     match action {
         UserAction::Add { name, role: text } => {
@@ -334,7 +334,7 @@ fn changed(user: User, global: &Global) -> anyhow::Result<Exit> {
 }
 
 /// Makes a token. It is the result, and goes to stdout alone.
-fn token(store: &dyn Store, user: &User, days: i64, global: &Global) -> anyhow::Result<Exit> {
+fn token(store: &Store, user: &User, days: i64, global: &Global) -> anyhow::Result<Exit> {
     let now = now();
     let issued = store.issue(user.id, TokenUse::Token, now + days * DAY, now)?;
     if global.json {
@@ -363,7 +363,7 @@ fn taken_text(taken: &Taken) -> String {
     lines.join("\n")
 }
 
-fn import_dataset(args: &Args, store: &dyn Store, global: &Global) -> anyhow::Result<Taken> {
+fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result<Taken> {
     let bars = global.bars();
     bars.begin("import", None);
     let mut last = 0;
@@ -392,7 +392,7 @@ fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
 
 fn import(
     args: &Args,
-    store: &dyn Store,
+    store: &Store,
     file: Option<&Path>,
     global: &Global,
 ) -> anyhow::Result<Exit> {
@@ -433,7 +433,7 @@ fn import(
 
 fn export(
     args: &Args,
-    store: &dyn Store,
+    store: &Store,
     selection: &Selection,
     to: Option<&Path>,
     global: &Global,
@@ -462,7 +462,7 @@ fn model() -> anyhow::Result<Option<Model>> {
     }
 }
 
-fn serve(args: &Args, store: Arc<dyn Store>, global: &Global) -> anyhow::Result<Exit> {
+fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit> {
     let model = model()?;
     let dataset = Dataset::open(&args.dataset)?;
     if store.note(IMPORTED)?.as_deref() != Some(&dataset.manifest().root_hash) {

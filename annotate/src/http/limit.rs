@@ -1,16 +1,16 @@
-//! How often something may be asked for.
+//! Rate limits.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Mutex;
 
-use super::locked;
 use crate::Error;
+use crate::lock::lock;
 use crate::store::Millis;
 use crate::wire::{Code, Problem};
 
 const MINUTE: Millis = 60_000;
-/// Askers remembered; the rest of the world is forgotten first.
-const ASKERS: usize = 10_000;
+/// Maximum number of client addresses tracked.
+const MAX_CLIENTS: usize = 10_000;
 
 /// Counts of the last minute, by what is asked for and who asks.
 #[derive(Debug, Default)]
@@ -30,8 +30,8 @@ impl Limiter {
         most: u32,
         now: Millis,
     ) -> Result<(), Error> {
-        let mut seen = locked(&self.seen);
-        if seen.len() > ASKERS {
+        let mut seen = lock(&self.seen);
+        if seen.len() > MAX_CLIENTS {
             seen.retain(|_, times| times.back().is_some_and(|&last| now - last < MINUTE));
         }
         let times = seen.entry((what, who.to_owned())).or_default();

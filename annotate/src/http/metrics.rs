@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use super::{Route, locked};
+use crate::lock::lock;
 
 /// Upper ends of the classes of times, in seconds.
 const CLASSES: [f64; 9] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 5.0, 15.0];
@@ -25,13 +25,19 @@ pub(crate) struct Metrics {
 }
 
 impl Metrics {
-    pub(crate) fn count(&self, route: &Route, status: u16, took: Duration) {
-        *locked(&self.requests)
-            .entry((route.method, route.path, status))
+    pub(crate) fn count(
+        &self,
+        method: &'static str,
+        path: &'static str,
+        status: u16,
+        took: Duration,
+    ) {
+        *lock(&self.requests)
+            .entry((method, path, status))
             .or_default() += 1;
         let secs = took.as_secs_f64();
-        let mut times = locked(&self.times);
-        let times = times.entry((route.method, route.path)).or_default();
+        let mut times = lock(&self.times);
+        let times = times.entry((method, path)).or_default();
         times.count += 1;
         times.sum += secs;
         for (class, end) in times.classes.iter_mut().zip(CLASSES) {
@@ -50,14 +56,14 @@ impl Metrics {
             );
         }
         text += "# TYPE annotate_requests_total counter\n";
-        for ((method, path, status), count) in locked(&self.requests).iter() {
+        for ((method, path, status), count) in lock(&self.requests).iter() {
             let _written = writeln!(
                 text,
                 "annotate_requests_total{{method=\"{method}\",path=\"{path}\",status=\"{status}\"}} {count}"
             );
         }
         text += "# TYPE annotate_request_seconds histogram\n";
-        for ((method, path), times) in locked(&self.times).iter() {
+        for ((method, path), times) in lock(&self.times).iter() {
             let label = format!("method=\"{method}\",path=\"{path}\"");
             for (end, count) in CLASSES.iter().zip(times.classes) {
                 let _written = writeln!(

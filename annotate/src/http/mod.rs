@@ -1,9 +1,10 @@
 //! The server.
 //!
 //! Every route is a row of [`ROUTES`], with the role it needs; there is no other way to a handler.
-//! One function, `serve`, does for all of them what 3.8 of the design asks: who is it, may they, is the
-//! request the browser's own, is the body small enough, was it done in time.
+//! One function, `serve`, does what all requests have in common: it authenticates, checks the role and
+//! the origin, limits the body and the time, and writes the reply.
 
+mod app;
 mod assets;
 mod limit;
 mod metrics;
@@ -12,13 +13,12 @@ mod stream;
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequestParts, RawPathParams, Request};
-use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
+use axum::http::header::{self, HeaderMap, HeaderName};
 use axum::http::{Method, StatusCode, Uri};
 use axum::response::Response;
 use axum::routing::{MethodFilter, on};
@@ -26,158 +26,23 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tower_service::Service;
 
 use crate::Error;
-use crate::model::Model;
+use crate::lock::lock;
 use crate::motions::MotionLibrary;
-use crate::quality::Figures;
-use crate::store::{Millis, Store, TokenUse, Who};
+use crate::store::{Store, TokenUse, Who};
 use crate::wire::{Code, Problem, Role};
+use app::{App, blocking, cookie, reply_response, set, text};
 use limit::Limiter;
 use metrics::Metrics;
 
+pub use crate::clock::Clock;
+pub use app::{Access, Context, Handler, PATIENCE, Reply, Route, ServerConfig};
 pub use routes::ROUTES;
 
-/// Tells the time in milliseconds since the epoch.
-pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
-
-/// How long a server waits for a request unless told otherwise.
-pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Connections served at once.
 const CONNECTIONS: usize = 1024;
-/// Days a browser stays logged in.
-const SESSION_DAYS: i64 = 7;
 /// What pages may do: their own scripts, styles and requests, and nothing else.
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
-
-/// Who may use a route.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Everybody. Routes that change something still need the browser's own request.
-    Public,
-    /// Whoever is logged in with this role or a higher one.
-    Role(Role),
-    /// The machine itself, or an admin.
-    Local,
-}
-
-/// How a request becomes an answer.
-#[derive(Clone, Copy, Debug)]
-pub enum Handler {
-    /// By work that may wait for the store or the disk.
-    Work(fn(&Context) -> Result<Reply, Error>),
-    /// By a stream of events.
-    Stream,
-}
-
-/// A route.
-#[derive(Clone, Copy, Debug)]
-pub struct Route {
-    /// Method.
-    pub method: &'static str,
-    /// Path, with parameters in braces.
-    pub path: &'static str,
-    /// Who may use it.
-    pub access: Access,
-    /// Largest body.
-    pub max_body: usize,
-    /// What it does.
-    pub handler: Handler,
-}
-
-/// A request that may be served.
-pub struct Context {
-    pub(crate) app: Arc<App>,
-    pub(crate) who: Option<Who>,
-    pub(crate) peer: IpAddr,
-    pub(crate) params: BTreeMap<String, String>,
-    pub(crate) query: BTreeMap<String, String>,
-    pub(crate) headers: HeaderMap,
-    pub(crate) body: Bytes,
-    pub(crate) path: String,
-    pub(crate) now: Millis,
-}
-
-impl std::fmt::Debug for Context {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Context")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
-    }
-}
-
-/// An answer.
-#[derive(Debug)]
-pub enum Reply {
-    /// A JSON document.
-    Json(Vec<u8>),
-    /// Nothing more to say.
-    Empty,
-    /// A response with everything set.
-    Full(Response),
-}
-
-/// What a server is started with.
-pub struct ServerConfig {
-    /// Address to listen on; port 0 takes a free one.
-    pub listen: SocketAddr,
-    /// Whether browsers reach it through TLS.
-    pub secure: bool,
-    /// Folder for exports.
-    pub data: PathBuf,
-    /// The dataset, for imports.
-    pub dataset: PathBuf,
-    /// The language model, if there is one.
-    pub model: Option<Model>,
-    /// Longest a request may take, and its head to arrive; [`PATIENCE`] for people.
-    pub patience: Duration,
-    /// Tells the time.
-    pub clock: Clock,
-    /// Takes what the operator should read.
-    pub log: fn(&str),
-}
-
-impl std::fmt::Debug for ServerConfig {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServerConfig")
-            .field("listen", &self.listen)
-            .field("secure", &self.secure)
-            .finish_non_exhaustive()
-    }
-}
-
-/// What all requests share.
-pub(crate) struct App {
-    pub(crate) store: Arc<dyn Store>,
-    pub(crate) motions: Arc<MotionLibrary>,
-    pub(crate) config: ServerConfig,
-    pub(crate) limiter: Limiter,
-    pub(crate) metrics: Metrics,
-    /// Why nothing can be saved, if so.
-    pub(crate) read_only: Mutex<Option<String>>,
-    /// Figures of agreement and when they were made.
-    pub(crate) figures: Mutex<Option<(Millis, Arc<Figures>)>>,
-    pub(crate) last_seq: tokio::sync::watch::Sender<i64>,
-}
-
-pub(crate) fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-impl App {
-    fn now(&self) -> Millis {
-        (self.config.clock)()
-    }
-
-    fn cookie_name(&self) -> &'static str {
-        if self.config.secure {
-            "__Host-annotate"
-        } else {
-            "annotate"
-        }
-    }
-}
 
 /// A running server. It stops when dropped.
 pub struct Server {
@@ -199,7 +64,7 @@ impl Server {
     /// # Errors
     /// The address cannot be had, or the store does not answer.
     pub fn start(
-        store: Arc<dyn Store>,
+        store: Arc<Store>,
         motions: Arc<MotionLibrary>,
         config: ServerConfig,
     ) -> Result<Self, Error> {
@@ -364,15 +229,19 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
                     route.path,
                     chain(&error)
                 )),
-                Code::ReadOnly => *locked(&app.read_only) = Some(error.to_string()),
+                Code::ReadOnly => *lock(&app.read_only) = Some(error.to_string()),
                 _ => {}
             }
             problem_response(&problem)
         }
     };
     harden(&mut response, app.config.secure);
-    app.metrics
-        .count(route, response.status().as_u16(), begun.elapsed());
+    app.metrics.count(
+        route.method,
+        route.path,
+        response.status().as_u16(),
+        begun.elapsed(),
+    );
     response
 }
 
@@ -421,17 +290,6 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     }
 }
 
-/// Runs work that may wait, where waiting holds nobody up.
-pub(crate) async fn blocking<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Error> + Send + 'static,
-) -> Result<T, Error> {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(outcome) => outcome,
-        // The work panicked: a defect, which its own message in the log tells of.
-        Err(_) => Err(Error::Closed),
-    }
-}
-
 /// Bytes of a body that is too large that are still read: a browser that is cut off in the middle of
 /// sending does not see why.
 const DRAINED_BYTES: usize = 32 * 1024 * 1024;
@@ -465,46 +323,25 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
     Ok(bytes.into())
 }
 
+/// The parameters of an address.
 fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {
+    let refused = |detail: String| Error::refused(Code::BadRequest, detail);
+    let text = uri.query().unwrap_or("");
+    // The parser would take malformed escapes literally.
+    let is_escape = |rest: &str| {
+        let digits = rest.as_bytes().get(..2);
+        digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
+    };
+    if !text.split('%').skip(1).all(is_escape) {
+        return Err(refused("the address is not well escaped".to_owned()));
+    }
     let mut pairs = BTreeMap::new();
-    for pair in uri
-        .query()
-        .unwrap_or("")
-        .split('&')
-        .filter(|pair| !pair.is_empty())
-    {
-        let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
-        let name = decoded(name)?;
-        if pairs.insert(name.clone(), decoded(value)?).is_some() {
-            return Err(Error::refused(
-                Code::BadRequest,
-                format!("{name:?} is given twice"),
-            ));
+    for (name, value) in form_urlencoded::parse(text.as_bytes()) {
+        if pairs.insert(name.to_string(), value.into_owned()).is_some() {
+            return Err(refused(format!("{name:?} is given twice")));
         }
     }
     Ok(pairs)
-}
-
-/// Undoes the escapes of an address.
-fn decoded(text: &str) -> Result<String, Error> {
-    let bad = || Error::refused(Code::BadRequest, "the address is not well escaped");
-    let mut bytes = Vec::new();
-    let mut rest = text.bytes();
-    while let Some(byte) = rest.next() {
-        bytes.push(match byte {
-            b'+' => b' ',
-            b'%' => {
-                let mut digit = || {
-                    let digit = rest.next().and_then(|byte| char::from(byte).to_digit(16));
-                    digit.ok_or_else(bad)
-                };
-                let (high, low) = (digit()?, digit()?);
-                u8::try_from(high * 16 + low).map_err(|_| bad())?
-            }
-            other => other,
-        });
-    }
-    String::from_utf8(bytes).map_err(|_| bad())
 }
 
 /// Whether a request is let in, and as whom.
@@ -562,32 +399,10 @@ fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
     Ok(())
 }
 
-fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
-    let mut all = headers.get_all(name).iter();
-    let only = all.next()?;
-    // Two of them are one too many to trust either.
-    if all.next().is_some() {
-        None
-    } else {
-        only.to_str().ok()
-    }
-}
-
 fn bearer(headers: &HeaderMap) -> Option<&str> {
     text(headers, &header::AUTHORIZATION)?
         .strip_prefix("Bearer ")
         .map(str::trim)
-}
-
-pub(crate) fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
-    headers
-        .get_all(header::COOKIE)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(';'))
-        .filter_map(|pair| pair.trim().split_once('='))
-        .find(|(known, _)| *known == name)
-        .map(|(_, value)| value.to_owned())
 }
 
 fn problem_response(problem: &Problem) -> Response {
@@ -605,30 +420,6 @@ fn problem_response(problem: &Problem) -> Response {
         set(&mut response, header::RETRY_AFTER, &seconds.to_string());
     }
     response
-}
-
-fn reply_response(reply: Reply) -> Response {
-    match reply {
-        Reply::Full(response) => response,
-        Reply::Empty => {
-            let mut response = Response::new(Body::empty());
-            *response.status_mut() = StatusCode::NO_CONTENT;
-            response
-        }
-        Reply::Json(bytes) => {
-            let mut response = Response::new(Body::from(bytes));
-            set(&mut response, header::CONTENT_TYPE, "application/json");
-            set(&mut response, header::CACHE_CONTROL, "no-store");
-            response
-        }
-    }
-}
-
-/// Sets a header; a value that is none is left out.
-pub(crate) fn set(response: &mut Response, name: HeaderName, value: &str) {
-    if let Ok(value) = HeaderValue::from_str(value) {
-        response.headers_mut().insert(name, value);
-    }
 }
 
 /// Sets what every answer carries.

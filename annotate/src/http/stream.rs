@@ -5,24 +5,24 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use axum::body::{Body, Bytes};
 use axum::http::header;
-use axum::response::Response;
+use axum::response::IntoResponse;
+use axum::response::sse::{Event, Sse};
 use tokio::sync::mpsc;
 
-use super::{App, Context, Reply, blocking, set, text};
+use super::app::{App, Context, Reply, blocking, set, text};
 use crate::Error;
-use crate::store::Who;
+use crate::store::{Store, Who};
 use crate::wire::{Change, Code, Role};
 
-/// How often the end of the log is looked at while somebody listens. Another server on the same store
-/// cannot tell us, so asking is what works for all.
+/// How often the end of the log is polled while somebody listens. Another server on the same store
+/// cannot notify this one.
 const LOOK: Duration = Duration::from_millis(300);
-/// A sign of life, so that proxies do not close the line.
+/// How often a comment is sent, so that proxies keep the connection open.
 const BEAT: Duration = Duration::from_secs(15);
 /// Listeners at once.
 const LISTENERS: usize = 200;
-/// Entries made up for after a break.
+/// Most missed entries that are sent after a reconnect.
 const MISSED: i64 = 1000;
 /// Entries read at a time.
 const BATCH: usize = 200;
@@ -46,16 +46,17 @@ pub(super) async fn watch(app: Arc<App>) {
     }
 }
 
-struct Chunks(mpsc::Receiver<Bytes>);
+/// Events as a task sends them.
+struct Events(mpsc::Receiver<Event>);
 
-impl futures_core::Stream for Chunks {
-    type Item = Result<Bytes, std::convert::Infallible>;
+impl futures_core::Stream for Events {
+    type Item = Result<Event, std::convert::Infallible>;
 
     fn poll_next(
         mut self: Pin<&mut Self>,
         context: &mut std::task::Context<'_>,
     ) -> Poll<Option<Self::Item>> {
-        self.0.poll_recv(context).map(|chunk| chunk.map(Ok))
+        self.0.poll_recv(context).map(|event| event.map(Ok))
     }
 }
 
@@ -79,38 +80,36 @@ pub(super) async fn open(context: Context) -> Result<Reply, Error> {
     let start = match from {
         Some(from) if newest - from > MISSED || from > newest => {
             // There is room for the first one.
-            let _sent = sender.try_send(Bytes::from_static(b"event: reset\ndata: {}\n\n"));
+            let _sent = sender.try_send(Event::default().event("reset").data("{}"));
             newest
         }
         Some(from) => from,
         None => newest,
     };
     tokio::spawn(listen(app, who, start, sender));
-    let mut response = Response::new(Body::from_stream(Chunks(receiver)));
-    set(&mut response, header::CONTENT_TYPE, "text/event-stream");
+    let mut response = Sse::new(Events(receiver)).into_response();
     set(&mut response, header::CACHE_CONTROL, "no-store");
     Ok(Reply::Full(response))
 }
 
 /// Sends what happens until nobody listens any more.
-async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<Bytes>) {
+async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<Event>) {
     let mut news = app.last_seq.subscribe();
-    if sender
-        .send(Bytes::from_static(b": connected\n\n"))
-        .await
-        .is_err()
-    {
+    let comment = |text| Event::default().comment(text);
+    if sender.send(comment("connected")).await.is_err() {
         return;
     }
     loop {
         let (store, who) = (Arc::clone(&app.store), who.clone());
-        let Ok((seq, chunk)) = blocking(move || changes(store.as_ref(), &who, after)).await else {
+        let Ok((seq, events)) = blocking(move || changes(&store, &who, after)).await else {
             return;
         };
         let more = seq - after >= BATCH as i64;
         after = seq;
-        if !chunk.is_empty() && sender.send(Bytes::from(chunk)).await.is_err() {
-            return;
+        for event in events {
+            if sender.send(event).await.is_err() {
+                return;
+            }
         }
         if more {
             continue;
@@ -119,11 +118,7 @@ async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<By
             Ok(Ok(())) => {}
             Ok(Err(_)) => return,
             Err(_) => {
-                if sender
-                    .send(Bytes::from_static(b": beat\n\n"))
-                    .await
-                    .is_err()
-                {
+                if sender.send(comment("beat")).await.is_err() {
                     return;
                 }
             }
@@ -131,9 +126,9 @@ async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<By
     }
 }
 
-/// What somebody is told of the entries after a place, and the place after them.
-fn changes(store: &dyn crate::store::Store, who: &Who, after: i64) -> Result<(i64, String), Error> {
-    let mut text = String::new();
+/// The events a user may see of the log after a sequence number, and the last number read.
+fn changes(store: &Store, who: &Who, after: i64) -> Result<(i64, Vec<Event>), Error> {
+    let mut events = Vec::new();
     let mut last = after;
     for entry in store.log(after, BATCH)? {
         last = entry.seq;
@@ -152,7 +147,8 @@ fn changes(store: &dyn crate::store::Store, who: &Who, after: i64) -> Result<(i6
             mine,
         };
         let data = serde_json::to_string(&change).unwrap_or_default();
-        text += &format!("id: {}\nevent: change\ndata: {data}\n\n", change.seq);
+        let id = change.seq.to_string();
+        events.push(Event::default().id(id).event("change").data(data));
     }
-    Ok((last, text))
+    Ok((last, events))
 }

@@ -1,18 +1,19 @@
 //! One thread that writes and commits in groups.
 //!
-//! A commit waits for the disk. While it waits, further work queues up, and the next commit takes all of
-//! it: one wait for many writers. Work that fails is undone by itself and leaves the others alone.
+//! A commit waits for the disk. Work that arrives meanwhile queues up, and the next commit takes all of
+//! it, so many writers share one wait. Work that fails is rolled back alone.
 
+use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use super::db::Work;
 use crate::Error;
+use crate::lock::lock;
 
 /// A connection that writes.
 pub(crate) trait Writer: Send + 'static {
-    /// Most works taken in one commit; bounds how long the first of them waits, and other servers.
+    /// Most pieces of work in one commit; bounds how long the first of them and other servers wait.
     const GROUP: usize;
 
     /// Begins a transaction.
@@ -74,17 +75,12 @@ impl Drop for WriterThread {
     }
 }
 
-/// A value that a panic elsewhere cannot have left half-changed.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Does work; a panic in it is an error.
 pub(crate) fn caught(work: impl FnOnce() -> Result<(), Error>) -> Result<(), Error> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or(Err(Error::Closed))
 }
 
-/// Takes works as they come, a group a commit, until nobody can send any more.
+/// Takes work from the queue, one commit for each group, until all senders are gone.
 fn write_all<W: Writer>(mut writer: W, queue: &Receiver<Job>) {
     while let Ok(first) = queue.recv() {
         let mut group = vec![first];

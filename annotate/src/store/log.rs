@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::db::{Row, Tx, params};
-use super::{Millis, TaskRecord};
+use super::records::{Millis, TaskRecord};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason, targets};
 use crate::wire::{

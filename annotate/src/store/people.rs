@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 
 use super::db::{Row, Tx, params};
 use super::log::{self, Body, Entry};
-use super::{IssuedToken, Millis, TokenUse, Who};
+use super::records::{IssuedToken, Millis, TokenUse, Who};
 use crate::Error;
 use crate::wire::{Code, Role, TokenInfo, User};
 

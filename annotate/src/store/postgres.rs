@@ -1,24 +1,22 @@
 //! PostgreSQL: the same tables and statements, for several servers on one store.
 //!
-//! Places in the log have no gaps, so transactions that write take turns: each begins with a lock that
-//! it holds to its end. A claim needs nothing more to be exact, and `SKIP LOCKED` would gain nothing. One
-//! thread of each server writes, whatever waits in one transaction, so that a turn is taken and a commit
-//! waited for once for many.
+//! Sequence numbers of the log have no gaps, so transactions that write are serialised by one advisory
+//! lock, held to the end of the transaction; `SKIP LOCKED` would therefore gain nothing. One thread of
+//! each server writes and groups waiting work into one transaction, so that the lock and the commit are
+//! paid once for many.
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::sync::{Condvar, Mutex};
 
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, NoTls, Statement};
 
 use super::db::{Database, Row, Tx, Value, Work};
-use super::group::{Writer, WriterThread, caught, lock};
+use super::group::{Writer, WriterThread, caught};
+use super::readers::Readers;
 use crate::Error;
 
-/// Connections that read.
-const READERS: usize = 4;
-/// The lock writers take turns by: the letters of "annotate".
+/// Key of the advisory lock that serialises writers: the letters of "annotate".
 const TURN: i64 = 0x616e_6e6f_7461_7465;
 const SCHEMA: &str = include_str!("schema.sql");
 /// Version of the tables.
@@ -47,8 +45,7 @@ struct Address {
 pub(crate) struct Postgres {
     address: Address,
     writer: WriterThread,
-    readers: Mutex<Vec<Connection>>,
-    reader_back: Condvar,
+    readers: Readers<Connection>,
 }
 
 fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
@@ -117,9 +114,7 @@ impl Postgres {
             });
         }
         tx.commit().map_err(&make)?;
-        let readers = (0..READERS)
-            .map(|_| address.connect())
-            .collect::<Result<Vec<_>, _>>()?;
+        let readers = Readers::open(|| address.connect())?;
         let writer = PostgresWriter {
             address: address.clone(),
             connection: first,
@@ -132,8 +127,7 @@ impl Postgres {
         Ok(Self {
             address,
             writer,
-            readers: Mutex::new(readers),
-            reader_back: Condvar::new(),
+            readers,
         })
     }
 }
@@ -151,8 +145,8 @@ impl Address {
             reason: error.to_string(),
         })?;
         client
-            // Plans are kept while the tables grow from nothing to hundreds of thousands of rows; one that
-            // reads a small table whole would soon read a large one so, for every claim.
+            // Disable sequential scans: plans prepared on empty tables would otherwise keep scanning
+            // them after they grow.
             .batch_execute(&format!(
                 "SET search_path TO {}; SET synchronous_commit TO on; \
                  SET enable_seqscan TO off; SET enable_material TO off",
@@ -183,7 +177,7 @@ impl PostgresWriter {
 }
 
 impl Writer for PostgresWriter {
-    /// Others wait for their turn meanwhile.
+    /// Other servers wait for the lock meanwhile.
     const GROUP: usize = 32;
 
     fn begin(&mut self) -> Result<(), Error> {
@@ -224,7 +218,7 @@ impl Writer for PostgresWriter {
     }
 
     fn roll_back(&mut self) {
-        // A connection that cannot even do this is made anew for the next group.
+        // If this fails, the next group opens a new connection.
         let _rolled_back = self.command("ROLLBACK", "roll back");
         self.is_open = false;
     }
@@ -258,7 +252,7 @@ impl ToSql for Value {
     ) -> Result<IsNull, Box<dyn std::error::Error + Sync + Send>> {
         match self {
             Self::Null => Ok(IsNull::Yes),
-            // A whole number may stand where a number is meant, and a small one is a small type.
+            // An integer may be given for a float column, and must be narrowed for a small one.
             Self::Int(value) if *ty == Type::FLOAT8 => (*value as f64).to_sql(ty, out),
             Self::Int(value) if *ty == Type::INT4 => i32::try_from(*value)?.to_sql(ty, out),
             Self::Int(value) => value.to_sql(ty, out),
@@ -340,31 +334,20 @@ impl Database for Postgres {
     }
 
     fn read(&self, work: Work) -> Result<(), Error> {
-        let mut reader = {
-            let mut readers = lock(&self.readers);
-            loop {
-                if let Some(reader) = readers.pop() {
-                    break reader;
+        self.readers.with(
+            |reader| {
+                if reader.client.is_closed() {
+                    *reader = self.address.connect()?;
                 }
-                readers = self
-                    .reader_back
-                    .wait(readers)
-                    .unwrap_or_else(std::sync::PoisonError::into_inner);
-            }
-        };
-        let outcome = caught(|| {
-            if reader.client.is_closed() {
-                reader = self.address.connect()?;
-            }
-            let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-            reader.client.batch_execute(begin).map_err(failed("read"))?;
-            work(&mut PostgresTx(&mut reader))
-        });
-        // It changed nothing, so there is nothing to lose.
-        let _ended = reader.client.batch_execute("ROLLBACK");
-        lock(&self.readers).push(reader);
-        self.reader_back.notify_one();
-        outcome
+                let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
+                reader.client.batch_execute(begin).map_err(failed("read"))?;
+                work(&mut PostgresTx(reader))
+            },
+            |reader| {
+                // A read transaction changes nothing, so a failed rollback loses nothing.
+                let _ended = reader.client.batch_execute("ROLLBACK");
+            },
+        )
     }
 
     fn backup(&self, _: &Path) -> Result<(), Error> {

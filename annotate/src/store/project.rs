@@ -2,7 +2,7 @@
 
 use super::db::{Row, Tx, params};
 use super::log::{self, Body, Entry};
-use super::{Millis, MotionRecord, NewSuggestion};
+use super::records::{Millis, MotionRecord, NewSuggestion};
 use crate::Error;
 use crate::wire::{Job, Prefs, Settings, Suggestion, SuggestionSource};
 

@@ -1,11 +1,14 @@
 //! What is asked of the store without changing it.
 
+use datasets_spec::quantile;
+
 use super::db::{Row, Tx, Value, params};
 use super::log::{self, NUM_TASK_COLUMNS};
-use super::{
+use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
-    ShelfFilter, TaskDetail, TaskRecord, WeekCounts, people, project,
+    ShelfFilter, TaskDetail, TaskRecord, WeekCounts,
 };
+use super::{people, project};
 use crate::Error;
 use crate::state::Purpose;
 use crate::wire::{
@@ -173,7 +176,7 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         returned,
         held,
         today: secs.len() as i64,
-        median_secs: crate::quality::median(&mut secs),
+        median_secs: quantile::median(&mut secs),
         agreement: None,
         today_all,
     })

@@ -3,23 +3,21 @@
 //! `synchronous=FULL` makes a commit wait for the disk, once for a whole group.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, params_from_iter};
 
 use super::db::{Database, Row, Tx, Value, Work};
-use super::group::{Writer, WriterThread, caught, lock};
+use super::group::{Writer, WriterThread, caught};
+use super::readers::Readers;
 use crate::Error;
 
-/// Connections that read.
-const READERS: usize = 4;
 /// Statements a connection keeps prepared.
 const STATEMENTS: usize = 512;
-/// Kilobytes of pages the writer keeps: the tables of 100,000 tasks, the log apart.
+/// Page cache of the writer in kilobytes: the tables of 100,000 tasks without the log.
 const WRITER_CACHE_KB: usize = 64 * 1024;
-/// How long to wait for another process, such as `sqlite3` on the same file, to let go of a lock.
+/// How long to wait for a lock that another process, such as `sqlite3`, holds on the file.
 const BUSY: Duration = Duration::from_secs(10);
 
 const SCHEMA: &str = include_str!("schema.sql");
@@ -36,8 +34,7 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 pub(crate) struct Sqlite {
     path: PathBuf,
     writer: WriterThread,
-    readers: Mutex<Vec<Connection>>,
-    reader_back: Condvar,
+    readers: Readers<Connection>,
 }
 
 impl Sqlite {
@@ -53,9 +50,7 @@ impl Sqlite {
             });
         }
         let writer = open_writer(path)?;
-        let readers = (0..READERS)
-            .map(|_| open_reader(path))
-            .collect::<Result<Vec<_>, _>>()?;
+        let readers = Readers::open(|| open_reader(path))?;
         let writer = WriterThread::start(writer).map_err(|source| Error::Io {
             action: "start the writer of",
             path: path.to_owned(),
@@ -64,8 +59,7 @@ impl Sqlite {
         Ok(Self {
             path: path.to_owned(),
             writer,
-            readers: Mutex::new(readers),
-            reader_back: Condvar::new(),
+            readers,
         })
     }
 }
@@ -116,7 +110,7 @@ fn open_writer(path: &Path) -> Result<Connection, Error> {
         .map_err(refuse)?;
     if version == 0 {
         let tx = db.transaction().map_err(refuse)?;
-        // So a row's number is its place in the table, and no index from the one to the other is kept.
+        // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
         let schema = SCHEMA.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
         tx.execute_batch(&schema).map_err(refuse)?;
         tx.execute_batch(TRIGGERS).map_err(refuse)?;
@@ -177,7 +171,7 @@ impl Writer for Connection {
     }
 
     fn close(self) {
-        // What is left in the write-ahead log is read at the next start in any case.
+        // If this fails, the next start reads the write-ahead log.
         let _checkpointed = self.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)");
     }
 }
@@ -235,27 +229,16 @@ impl Database for Sqlite {
     }
 
     fn read(&self, work: Work) -> Result<(), Error> {
-        let reader = {
-            let mut readers = lock(&self.readers);
-            loop {
-                if let Some(reader) = readers.pop() {
-                    break reader;
-                }
-                readers = self
-                    .reader_back
-                    .wait(readers)
-                    .unwrap_or_else(std::sync::PoisonError::into_inner);
-            }
-        };
-        let outcome = caught(|| {
-            reader.execute_batch("BEGIN").map_err(failed("read"))?;
-            work(&mut SqliteTx { db: &reader })
-        });
-        // It changed nothing, so there is nothing to lose.
-        let _ended = reader.execute_batch("ROLLBACK");
-        lock(&self.readers).push(reader);
-        self.reader_back.notify_one();
-        outcome
+        self.readers.with(
+            |reader| {
+                reader.execute_batch("BEGIN").map_err(failed("read"))?;
+                work(&mut SqliteTx { db: reader })
+            },
+            |reader| {
+                // A read transaction changes nothing, so a failed rollback loses nothing.
+                let _ended = reader.execute_batch("ROLLBACK");
+            },
+        )
     }
 
     fn backup(&self, path: &Path) -> Result<(), Error> {

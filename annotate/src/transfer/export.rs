@@ -66,7 +66,7 @@ fn pseudonym(user: i64) -> String {
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
 
 struct Exporter<'a> {
-    store: &'a dyn Store,
+    store: &'a Store,
     splits: &'a [String],
     /// The motions of the tasks that are looked at.
     motions: BTreeMap<String, MotionRecord>,
@@ -161,7 +161,7 @@ impl Exporter<'_> {
 /// # Errors
 /// A file cannot be written, a pair crosses splits, the dataset is locked, or the store fails.
 pub fn export(
-    store: &dyn Store,
+    store: &Store,
     dataset: &Path,
     folder: &Path,
     selection: &Selection,

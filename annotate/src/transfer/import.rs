@@ -115,7 +115,7 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// # Errors
 /// The dataset cannot be read, or the store fails.
 pub fn from_dataset(
-    store: &dyn Store,
+    store: &Store,
     root: &Path,
     actor: Option<i64>,
     now: Millis,
@@ -352,7 +352,7 @@ fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
 /// The file cannot be read, names a motion the store does not know, or holds an answer that could not
 /// be given here; nothing is taken then.
 pub fn from_annotations(
-    store: &dyn Store,
+    store: &Store,
     motions: &BTreeMap<String, MotionRecord>,
     path: &Path,
     actor: Option<i64>,
@@ -466,7 +466,7 @@ fn annotation_task(
 /// # Errors
 /// It is not such an object, or the store fails.
 pub fn from_release(
-    store: &dyn Store,
+    store: &Store,
     motions: &BTreeMap<String, MotionRecord>,
     document: &Value,
     actor: Option<i64>,

@@ -16,14 +16,14 @@ use crate::support::{
 };
 
 /// Runs a test on a fresh store of each database.
-fn on_each(test: &str, check: impl Fn(Arc<dyn Store>)) {
+fn on_each(test: &str, check: impl Fn(Arc<Store>)) {
     let folder = tempfile::tempdir().expect("a folder");
     check(open_sqlite(&folder.path().join("store.sqlite")).expect("a store"));
     on_postgres(test, &check);
 }
 
 #[cfg(feature = "postgres")]
-fn on_postgres(test: &str, check: &dyn Fn(Arc<dyn Store>)) {
+fn on_postgres(test: &str, check: &dyn Fn(Arc<Store>)) {
     match std::env::var("ANNOTATE_TEST_PG") {
         Ok(url) => {
             let schema = format!(
@@ -38,7 +38,7 @@ fn on_postgres(test: &str, check: &dyn Fn(Arc<dyn Store>)) {
 }
 
 #[cfg(not(feature = "postgres"))]
-fn on_postgres(test: &str, _: &dyn Fn(Arc<dyn Store>)) {
+fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
     skipped(test);
 }
 
@@ -53,13 +53,13 @@ fn skipped(test: &str) {
 
 /// A store with people and tasks of a kind.
 struct Fixture {
-    store: Arc<dyn Store>,
+    store: Arc<Store>,
     ann: i64,
     bob: i64,
     eve: Who,
 }
 
-fn fixture(store: Arc<dyn Store>, tasks: Vec<NewTask>) -> Fixture {
+fn fixture(store: Arc<Store>, tasks: Vec<NewTask>) -> Fixture {
     plain_settings(store.as_ref());
     let user = |name: &str, role| store.add_user(None, name, role, START).expect("a user").id;
     let (ann, bob) = (user("ann", Role::Annotator), user("bob", Role::Annotator));

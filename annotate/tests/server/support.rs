@@ -168,7 +168,7 @@ impl Hands {
 /// A server with its store and people.
 pub(crate) struct Site {
     pub(crate) server: Server,
-    pub(crate) store: Arc<dyn Store>,
+    pub(crate) store: Arc<Store>,
     pub(crate) clock: Hands,
     pub(crate) dataset: PathBuf,
     pub(crate) folder: tempfile::TempDir,
@@ -250,7 +250,7 @@ pub(crate) fn agent() -> ureq::Agent {
 }
 
 /// Settings without chance: everybody gets every task's drafts, and no gold.
-pub(crate) fn plain_settings(store: &dyn Store) {
+pub(crate) fn plain_settings(store: &Store) {
     let admin = store
         .add_user(None, "root", Role::Admin, START)
         .expect("an admin");

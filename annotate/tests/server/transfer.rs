@@ -98,14 +98,14 @@ fn selection(format: ExportFormat) -> Selection {
     }
 }
 
-fn write(site: &Site, store: &dyn Store, folder: &str, format: ExportFormat) -> std::path::PathBuf {
+fn write(site: &Site, store: &Store, folder: &str, format: ExportFormat) -> std::path::PathBuf {
     let folder = site.folder.path().join(folder);
     export(store, &site.dataset, &folder, &selection(format), "test").expect("exports");
     folder
 }
 
 /// A store that knows the motions and nothing else.
-fn empty_store(site: &Site, name: &str) -> (Arc<dyn Store>, BTreeMap<String, MotionRecord>) {
+fn empty_store(site: &Site, name: &str) -> (Arc<Store>, BTreeMap<String, MotionRecord>) {
     let store = open_sqlite(&site.folder.path().join(name)).expect("a store");
     let motions = site.store.all_motions().expect("motions");
     store.put_motions(motions.clone()).expect("motions");
@@ -116,7 +116,7 @@ fn empty_store(site: &Site, name: &str) -> (Arc<dyn Store>, BTreeMap<String, Mot
     (store, by_id)
 }
 
-fn answers(store: &dyn Store) -> BTreeMap<String, Answer> {
+fn answers(store: &Store) -> BTreeMap<String, Answer> {
     let all: Vec<AcceptedAnswer> = store.accepted(&all_keys()).expect("answers");
     all.into_iter()
         .map(|one| (one.task.key, one.answer))

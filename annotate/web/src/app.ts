@@ -278,7 +278,7 @@ export class App {
     fill(this.nav, ...links);
     const keys = h(
       "button",
-      { attrs: { type: "button", title: "Key sheet" }, on: { click: () => void showKeySheet(this) } },
+      { attrs: { type: "button", title: "Key sheet" }, on: { click: () => void this.showKeys() } },
       h("kbd", {}, this.keys.hint("key_sheet")),
       "Keys",
     );
@@ -378,7 +378,7 @@ export class App {
     const found = this.keys.find(chord, ["global", ...this.screen.scopes], focusOf(event.target));
     if (!found) return;
     let done = true;
-    if (found.id === "key_sheet") void showKeySheet(this);
+    if (found.id === "key_sheet") void this.showKeys();
     else if (found.id === "next_region") this.nextRegion();
     else done = this.screen.perform(found.id, found.ten);
     if (!done && found.id === "stage") {
@@ -403,7 +403,12 @@ export class App {
   }
 
   private async showStuck(): Promise<void> {
-    await showUnsent(this);
+    await showUnsent(this.outbox, this.parts);
+  }
+
+  private async showKeys(): Promise<void> {
+    await showKeySheet(this.keys, (keys) => void this.savePrefs({ keys }));
+    this.focusStage();
   }
 }
 

@@ -1,8 +1,7 @@
 /** The sheet of keys, where every key can be changed. */
 
-import type { App } from "./app";
 import { fill, h } from "./dom";
-import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyOverrides, type Scope } from "./keys";
+import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";
 import { ask } from "./ui";
 
 const HEADINGS: readonly (readonly [Scope, string])[] = [
@@ -17,8 +16,8 @@ const HEADINGS: readonly (readonly [Scope, string])[] = [
 
 const label = (id: ActionId): string => DEFAULT_ACTIONS.find((action) => action.id === id)?.label ?? id;
 
-export async function showKeySheet(app: App): Promise<void> {
-  const { keys } = app;
+/** Shows the sheet until it is closed; `store` saves changed keys. */
+export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, string[]>) => void): Promise<void> {
   const note = h("p", { class: "note", attrs: { role: "status", "aria-live": "polite" } });
   const list = h("div", { class: "key-sheet" });
   let waiting: ActionId | null = null;
@@ -26,7 +25,7 @@ export async function showKeySheet(app: App): Promise<void> {
   const save = (overrides: KeyOverrides): void => {
     keys.override(overrides);
     const stored = Object.fromEntries(Object.entries(overrides).map(([id, chords]) => [id, [...(chords ?? [])]]));
-    void app.savePrefs({ keys: stored });
+    store(stored);
     draw();
   };
   const draw = (): void => {
@@ -97,5 +96,4 @@ export async function showKeySheet(app: App): Promise<void> {
   );
   window.removeEventListener("keydown", pressed, true);
   if (choice === "reset") save({});
-  app.focusStage();
 }

@@ -1,20 +1,20 @@
 /** Two versions of an answer, one of this page and one of another tab or machine. */
 
-import type { App } from "./app";
 import { h } from "./dom";
+import type { Parts } from "./parts";
 import { ask } from "./ui";
 import type { Answer } from "./wire";
 
 /** An answer in words, for reading beside another. */
-export function describe(app: App, answer: Answer): string[] {
+export function describe(parts: Parts, answer: Answer): string[] {
   if (answer.kind === "mask_text") {
-    const lines = answer.masks.map((mask) => `${app.parts.phrases(mask.parts)}${mask.soft ? "" : " (no ring)"}: ${mask.text || "—"}`);
+    const lines = answer.masks.map((mask) => `${parts.phrases(mask.parts)}${mask.soft ? "" : " (no ring)"}: ${mask.text || "—"}`);
     if (answer.count_reason) lines.push(`reason: ${answer.count_reason.replaceAll("_", " ")}`);
     if (answer.note) lines.push(`note: ${answer.note}`);
     return lines.length > 0 ? lines : ["no masks"];
   }
   const lines = [`verdict: ${answer.verdict}`];
-  if (answer.parts.length > 0) lines.push(`parts: ${app.parts.phrases(answer.parts)}`);
+  if (answer.parts.length > 0) lines.push(`parts: ${parts.phrases(answer.parts)}`);
   if (answer.kind === "pair" && answer.edit_type) lines.push(`edit type: ${answer.edit_type}`);
   if (answer.kind === "style" && answer.style) lines.push(`style: ${answer.style}`);
   if (answer.kind === "style" && answer.extent) lines.push(`extent: ${answer.extent}`);
@@ -38,9 +38,9 @@ export function both<A extends Answer>(mine: A, theirs: A): A {
 }
 
 /** Shows both and lets the person choose. Without a choice, this page's version stays. */
-export async function mergeAnswers<A extends Answer>(app: App, mine: A, theirs: A): Promise<A> {
+export async function mergeAnswers<A extends Answer>(parts: Parts, mine: A, theirs: A): Promise<A> {
   const column = (title: string, answer: A): HTMLElement =>
-    h("section", { class: "merge-column" }, h("h3", {}, title), h("ul", {}, ...describe(app, answer).map((line) => h("li", {}, line))));
+    h("section", { class: "merge-column" }, h("h3", {}, title), h("ul", {}, ...describe(parts, answer).map((line) => h("li", {}, line))));
   const choice = await ask(
     "This task was changed in another window",
     [

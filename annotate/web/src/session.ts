@@ -175,7 +175,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
     const conflict = conflictOf(outcome);
     if (conflict) {
-      const merged = await mergeAnswers(this.app, conflict.mine as A, conflict.theirs.answer as A);
+      const merged = await mergeAnswers(this.app.parts, conflict.mine as A, conflict.theirs.answer as A);
       this.rev = conflict.theirs.rev;
       await this.app.outbox.discard(this.chain);
       await this.app.outbox.setRev(this.chain, this.rev);

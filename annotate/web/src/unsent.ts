@@ -1,19 +1,20 @@
 /** What the server did not take: shown in full, so that no text is ever out of reach. */
 
-import type { App } from "./app";
 import { h } from "./dom";
 import { describe } from "./merge";
+import type { Outbox } from "./outbox";
+import type { Parts } from "./parts";
 import { ask } from "./ui";
 
-export async function showUnsent(app: App): Promise<void> {
-  const stuck = app.outbox.waiting.filter((item) => item.problem !== null);
+export async function showUnsent(outbox: Outbox, parts: Parts): Promise<void> {
+  const stuck = outbox.waiting.filter((item) => item.problem !== null);
   const entries = stuck.map((item) =>
     h(
       "section",
       { class: "unsent" },
       h("h3", {}, `Task ${item.task}: ${item.event.kind}`),
       h("p", { class: "trouble" }, item.problem?.detail ?? ""),
-      h("ul", {}, ...(item.event.answer ? describe(app, item.event.answer) : []).map((line) => h("li", {}, line))),
+      h("ul", {}, ...(item.event.answer ? describe(parts, item.event.answer) : []).map((line) => h("li", {}, line))),
     ),
   );
   const choice = await ask(
@@ -25,5 +26,5 @@ export async function showUnsent(app: App): Promise<void> {
     ],
   );
   if (choice !== "discard") return;
-  for (const chain of new Set(stuck.map((item) => item.chain))) await app.outbox.discard(chain);
+  for (const chain of new Set(stuck.map((item) => item.chain))) await outbox.discard(chain);
 }

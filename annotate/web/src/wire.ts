@@ -1,4 +1,4 @@
-/** What goes over the wire, as `annotate/src/wire.rs` declares it. */
+/** What goes over the wire, as `annotate/src/wire` declares it. */
 
 export type Role = "annotator" | "reviewer" | "admin";
 export type TaskKind = "mask_text" | "pair" | "style";

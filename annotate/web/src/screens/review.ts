@@ -273,7 +273,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
       mergeBox,
       h("h2", {}, "Merge and edit"),
       h("ul", { class: "others" }, ...candidates.filter((_, index) => index !== selected).flatMap((other) =>
-        describe(app, other.revision.answer).map((line) => h("li", {}, `${other.author_name}: ${line}`)),
+        describe(app.parts, other.revision.answer).map((line) => h("li", {}, `${other.author_name}: ${line}`)),
       )),
       merging.element,
       h(
@@ -406,7 +406,7 @@ function unfinished(key: string, chosen: Answer): Answer {
 /** An answer in words; what no other candidate says is marked. */
 function lines(app: App, answer: Answer, candidates: readonly Candidate[], own: number): HTMLElement[] {
   const others = new Set(
-    candidates.filter((_, index) => index !== own).flatMap((candidate) => describe(app, candidate.revision.answer)),
+    candidates.filter((_, index) => index !== own).flatMap((candidate) => describe(app.parts, candidate.revision.answer)),
   );
-  return describe(app, answer).map((line) => h("li", { class: candidates.length > 1 && !others.has(line) ? "differs" : "" }, line));
+  return describe(app.parts, answer).map((line) => h("li", { class: candidates.length > 1 && !others.has(line) ? "differs" : "" }, line));
 }

@@ -50,7 +50,7 @@ export async function openShelf(app: App): Promise<Screen> {
         "button",
         { class: "shelf-item", attrs: { type: "button", "aria-pressed": "false" } },
         h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`),
-        ...describe(app, item.answer).map((line) => h("span", {}, line)),
+        ...describe(app.parts, item.answer).map((line) => h("span", {}, line)),
       );
       button.addEventListener("click", () => {
         play(item, button).catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));

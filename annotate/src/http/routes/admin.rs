@@ -1,0 +1,83 @@
+//! Settings, users and tokens.
+
+use crate::Error;
+use crate::http::app::{Context, Reply, json};
+use crate::store::{IssuedToken, TokenUse};
+use crate::wire::{NewToken, NewUser, Settings, TokenShown, UserChange};
+
+/// Days a token of a new user is good for.
+const TOKEN_DAYS: u32 = 90;
+const DAY: i64 = 24 * 60 * 60 * 1000;
+
+pub(super) fn settings(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.settings()?)
+}
+
+pub(super) fn put_settings(cx: &Context) -> Result<Reply, Error> {
+    let settings: Settings = cx.body()?;
+    cx.app.store.put_settings(cx.who()?.id, settings, cx.now)?;
+    json(&cx.app.store.settings()?)
+}
+
+pub(super) fn users(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.users()?)
+}
+
+fn shown(token: IssuedToken) -> TokenShown {
+    TokenShown {
+        user: token.user,
+        id: token.id,
+        token: token.token,
+        expires: token.expires,
+    }
+}
+
+pub(super) fn add_user(cx: &Context) -> Result<Reply, Error> {
+    let new: NewUser = cx.body()?;
+    let user = cx
+        .app
+        .store
+        .add_user(Some(cx.who()?.id), &new.name, new.role, cx.now)?;
+    let expires = cx.now + i64::from(TOKEN_DAYS) * DAY;
+    json(&shown(cx.app.store.issue(
+        user.id,
+        TokenUse::Token,
+        expires,
+        cx.now,
+    )?))
+}
+
+pub(super) fn change_user(cx: &Context) -> Result<Reply, Error> {
+    let change: UserChange = cx.body()?;
+    let user = cx.app.store.change_user(
+        Some(cx.who()?.id),
+        cx.id()?,
+        change.role,
+        change.active,
+        cx.now,
+    )?;
+    json(&user)
+}
+
+pub(super) fn tokens(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.tokens(cx.id()?)?)
+}
+
+pub(super) fn add_token(cx: &Context) -> Result<Reply, Error> {
+    let new: NewToken = cx.body()?;
+    if !(1..=365).contains(&new.days) {
+        return Err(Error::invalid("days", "a token is good for 1 to 365 days"));
+    }
+    let expires = cx.now + i64::from(new.days) * DAY;
+    json(&shown(cx.app.store.issue(
+        cx.id()?,
+        TokenUse::Token,
+        expires,
+        cx.now,
+    )?))
+}
+
+pub(super) fn revoke(cx: &Context) -> Result<Reply, Error> {
+    cx.app.store.revoke(cx.id()?)?;
+    Ok(Reply::Empty)
+}

@@ -1,0 +1,134 @@
+//! Figures of the project, and the log.
+
+use std::sync::Arc;
+
+use crate::Error;
+use crate::http::app::{App, Context, Reply, json};
+use crate::lock::lock;
+use crate::quality::Figures;
+use crate::state::LogKind;
+use crate::store::AuditFilter;
+use crate::wire::{EditType, Funnel, Person, QuotaRow, TaskKind, Week};
+
+/// Weeks the dashboard shows.
+const WEEKS: i64 = 12;
+const DAY: i64 = 24 * 60 * 60 * 1000;
+
+/// How old figures of agreement may be, in milliseconds.
+const FIGURES_AGE: i64 = 60_000;
+
+pub(super) fn figures(app: &App, now: i64) -> Result<Arc<Figures>, Error> {
+    let known = lock(&app.figures).clone();
+    if let Some((at, figures)) = known
+        && (0..FIGURES_AGE).contains(&(now - at))
+    {
+        return Ok(figures);
+    }
+    let figures = Arc::new(Figures::of(app.store.as_ref())?);
+    *lock(&app.figures) = Some((now, Arc::clone(&figures)));
+    Ok(figures)
+}
+
+pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
+    let mut funnel = Funnel {
+        counts: TaskKind::ALL
+            .iter()
+            .map(|&kind| (kind, Default::default()))
+            .collect(),
+        weeks: Vec::new(),
+    };
+    for (kind, state, count) in cx.app.store.funnel()? {
+        funnel.counts.entry(kind).or_default().insert(state, count);
+    }
+    // The first day of the epoch was a Thursday.
+    let week = 7 * DAY;
+    let this = (cx.now - 4 * DAY).div_euclid(week) * week + 4 * DAY;
+    let bounds: Vec<i64> = (0..=WEEKS)
+        .map(|back| this + week - (WEEKS - back) * week)
+        .collect();
+    let counts = cx.app.store.weeks(bounds.clone())?;
+    let medians = &figures(&cx.app, cx.now)?.secs_by_time;
+    for (index, counts) in counts.into_iter().enumerate() {
+        let inside = |at: &&(i64, f64)| (bounds[index]..bounds[index + 1]).contains(&at.0);
+        let mut secs: Vec<f64> = medians
+            .iter()
+            .filter(inside)
+            .map(|(_, secs)| *secs)
+            .collect();
+        funnel.weeks.push(Week {
+            start: bounds[index],
+            submitted: counts.submitted,
+            accepted: counts.accepted,
+            returned: counts.returned,
+            median_secs: datasets_spec::quantile::median(&mut secs),
+        });
+    }
+    json(&funnel)
+}
+
+pub(super) fn people(cx: &Context) -> Result<Reply, Error> {
+    let figures = figures(&cx.app, cx.now)?;
+    let people: Vec<Person> = cx
+        .app
+        .store
+        .people()?
+        .into_iter()
+        .map(|counts| {
+            let known = figures
+                .people
+                .get(&counts.user.id)
+                .cloned()
+                .unwrap_or_default();
+            let gold = counts.gold.len();
+            Person {
+                done: counts.done,
+                median_secs: known.median_secs,
+                accepted: counts.accepted,
+                returned: counts.returned,
+                draft_unchanged: known.draft_unchanged,
+                draft_distance: known.draft_distance,
+                gold_items: gold as i64,
+                gold_score: (gold > 0).then(|| counts.gold.iter().sum::<f64>() / gold as f64),
+                agreement: known.agreement,
+                last_seen: counts.last_seen,
+                user: counts.user,
+            }
+        })
+        .collect();
+    json(&people)
+}
+
+pub(super) fn agreement(cx: &Context) -> Result<Reply, Error> {
+    json(&figures(&cx.app, cx.now)?.agreement)
+}
+
+pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
+    let wanted = i64::from(cx.app.store.settings()?.quota);
+    let rows: Vec<QuotaRow> = cx
+        .app
+        .store
+        .kept()?
+        .into_iter()
+        .filter_map(|(category, edit_type, kept)| {
+            Some(QuotaRow {
+                category: category.unwrap_or_default(),
+                edit_type: EditType::parse(&edit_type)?,
+                kept,
+                wanted,
+            })
+        })
+        .collect();
+    json(&rows)
+}
+
+pub(super) fn audit(cx: &Context) -> Result<Reply, Error> {
+    cx.only(&["actor", "kind", "task", "before", "limit"])?;
+    let filter = AuditFilter {
+        actor: cx.number("actor")?,
+        kind: cx.one_of("kind", LogKind::parse)?,
+        task: cx.number("task")?,
+        before: cx.number("before")?,
+        limit: cx.limit(200)?,
+    };
+    json(&cx.app.store.audit(filter)?)
+}

@@ -1,0 +1,71 @@
+//! Health, metrics, and the files of the front end.
+
+use axum::body::Body;
+use axum::http::header;
+use axum::response::Response;
+
+use crate::Error;
+use crate::http::app::{Context, Reply, set, text};
+use crate::http::assets;
+use crate::lock::lock;
+
+fn plain(text: String) -> Reply {
+    let mut response = Response::new(Body::from(text));
+    set(
+        &mut response,
+        header::CONTENT_TYPE,
+        "text/plain; charset=utf-8",
+    );
+    set(&mut response, header::CACHE_CONTROL, "no-store");
+    Reply::Full(response)
+}
+
+pub(super) fn healthy(_: &Context) -> Result<Reply, Error> {
+    Ok(plain("ok\n".to_owned()))
+}
+
+pub(super) fn ready(cx: &Context) -> Result<Reply, Error> {
+    cx.app.store.check()?;
+    *lock(&cx.app.read_only) = None;
+    Ok(plain("ready\n".to_owned()))
+}
+
+pub(super) fn metrics(cx: &Context) -> Result<Reply, Error> {
+    let leases = cx.app.store.leases(cx.now)?.len() as i64;
+    let gauges = [
+        (
+            "annotate_log_entries",
+            "Entries of the log.",
+            cx.app.store.last_seq()?,
+        ),
+        ("annotate_leases", "Leases held, up to a thousand.", leases),
+        (
+            "annotate_motions",
+            "Motions of the dataset.",
+            cx.app.motions.len() as i64,
+        ),
+        (
+            "annotate_read_only",
+            "Whether nothing can be saved.",
+            i64::from(lock(&cx.app.read_only).is_some()),
+        ),
+    ];
+    Ok(plain(cx.app.metrics.text(&gauges)))
+}
+
+pub(super) fn asset(cx: &Context) -> Result<Reply, Error> {
+    let asset = assets::find(&cx.path).ok_or_else(|| Error::not_found("file"))?;
+    let known = text(&cx.headers, &header::IF_NONE_MATCH) == Some(asset.etag.as_str());
+    let mut response = Response::new(if known {
+        Body::empty()
+    } else {
+        Body::from(asset.bytes)
+    });
+    if known {
+        *response.status_mut() = axum::http::StatusCode::NOT_MODIFIED;
+    }
+    set(&mut response, header::CONTENT_TYPE, asset.mime);
+    set(&mut response, header::CACHE_CONTROL, "no-cache");
+    set(&mut response, header::ETAG, &asset.etag);
+    Ok(Reply::Full(response))
+}

@@ -1,0 +1,62 @@
+//! Reviews.
+
+use super::tasks::task_of;
+use crate::Error;
+use crate::answer;
+use crate::http::app::{Context, Reply, json};
+use crate::store::ReviewClaimed;
+use crate::wire::{Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView};
+
+pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
+    let request: ReviewRequest = cx.body()?;
+    let who = cx.who()?;
+    let claimed = cx
+        .app
+        .store
+        .review_next(who.id, request.queue, request.kind, cx.now)?;
+    let detail = match claimed {
+        ReviewClaimed::Nothing(empty) => {
+            return json(&ReviewNext {
+                review: None,
+                empty: Some(empty),
+            });
+        }
+        ReviewClaimed::Task(detail) => *detail,
+    };
+    let answers: Vec<_> = detail
+        .candidates
+        .iter()
+        .map(|(revision, _)| revision.answer.clone())
+        .collect();
+    let mut candidates = Vec::new();
+    for (revision, author_name) in detail.candidates {
+        let mask = revision.answer.joints();
+        candidates.push(Candidate {
+            draft_distance: crate::quality::draft_distance(
+                cx.app.store.as_ref(),
+                &revision.answer,
+            )?,
+            joints: mask.iter().map(datasets_spec::Joint::index).collect(),
+            author_name,
+            revision,
+        });
+    }
+    json(&ReviewNext {
+        review: Some(ReviewView {
+            task: task_of(&cx.app, detail.task, None)?,
+            lease: detail.lease,
+            candidates,
+            distance: answer::spread(&answers),
+            comments: detail.comments,
+        }),
+        empty: None,
+    })
+}
+
+pub(super) fn review(cx: &Context) -> Result<Reply, Error> {
+    let new: NewReview = cx.body()?;
+    if new.decision != Decision::Merge && new.answer.is_some() {
+        return Err(Error::invalid("answer", "only a merge brings an answer"));
+    }
+    json(&cx.app.store.review(cx.who()?.id, new, cx.now)?)
+}

@@ -1,0 +1,105 @@
+//! Logging in and out, and who is logged in.
+
+use axum::http::header;
+use axum::response::Response;
+use serde::Serialize;
+
+use crate::Error;
+use crate::http::app::{App, Context, Reply, cookie, json, reply_response, set};
+use crate::lock::lock;
+use crate::model::MAX_REQUESTS_PER_MINUTE;
+use crate::store::{TokenUse, Who};
+use crate::wire::{Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project};
+
+/// Most logins a minute from one address.
+const LOGINS_PER_MINUTE: u32 = 10;
+/// Seconds between renewals of a lease.
+const HEARTBEAT_SECS: i64 = 60;
+const DAY: i64 = 24 * 60 * 60 * 1000;
+/// Days a browser stays logged in.
+const SESSION_DAYS: i64 = 7;
+
+pub(super) fn log_in(cx: &Context) -> Result<Reply, Error> {
+    cx.app
+        .limiter
+        .count("logins", &cx.peer.to_string(), LOGINS_PER_MINUTE, cx.now)?;
+    let login: Login = cx.body()?;
+    let who =
+        cx.app
+            .store
+            .authenticate(&login.token, &[TokenUse::Token, TokenUse::Once], cx.now)?;
+    let session = cx.app.store.issue(
+        who.id,
+        TokenUse::Session,
+        cx.now + SESSION_DAYS * DAY,
+        cx.now,
+    )?;
+    let mut reply = full_json(&me_of(&cx.app, &who)?)?;
+    let age = SESSION_DAYS * DAY / 1000;
+    set_cookie(cx, &mut reply, &session.token, age);
+    Ok(Reply::Full(reply))
+}
+
+fn set_cookie(cx: &Context, response: &mut Response, value: &str, age: i64) {
+    let name = cx.app.cookie_name();
+    let secure = if cx.app.config.secure { "; Secure" } else { "" };
+    let cookie =
+        format!("{name}={value}; HttpOnly; SameSite=Strict; Path=/; Max-Age={age}{secure}");
+    set(response, header::SET_COOKIE, &cookie);
+}
+
+fn full_json<T: Serialize>(value: &T) -> Result<Response, Error> {
+    Ok(reply_response(json(value)?))
+}
+
+pub(super) fn log_out(cx: &Context) -> Result<Reply, Error> {
+    if let Some(token) = cookie(&cx.headers, cx.app.cookie_name()) {
+        cx.app.store.log_out(&token)?;
+    }
+    let mut response = reply_response(Reply::Empty);
+    set_cookie(cx, &mut response, "", 0);
+    Ok(Reply::Full(response))
+}
+
+pub(super) fn me(cx: &Context) -> Result<Reply, Error> {
+    json(&me_of(&cx.app, cx.who()?)?)
+}
+
+fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
+    let settings = app.store.settings()?;
+    let read_only = lock(&app.read_only).clone();
+    if read_only.is_some() && app.store.check().is_ok() {
+        *lock(&app.read_only) = None;
+    }
+    Ok(Me {
+        user: crate::wire::User {
+            id: who.id,
+            name: who.name.clone(),
+            role: who.role,
+            active: true,
+        },
+        limits: Limits {
+            text_chars: MAX_TEXT_CHARS,
+            events: MAX_EVENTS,
+            body_bytes: MAX_BODY_BYTES,
+            suggestions_per_minute: MAX_REQUESTS_PER_MINUTE,
+            lease_secs: i64::from(settings.lease_minutes) * 60,
+            heartbeat_secs: HEARTBEAT_SECS,
+        },
+        project: Project {
+            name: settings.name,
+            min_masks: settings.min_masks,
+            max_masks: settings.max_masks,
+            styles: settings.styles,
+            templates: settings.templates,
+        },
+        prefs: app.store.prefs(who.id)?,
+        model: app
+            .config
+            .model
+            .as_ref()
+            .map(|model| model.name().to_owned()),
+        read_only: lock(&app.read_only).clone(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+    })
+}

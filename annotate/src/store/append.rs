@@ -1,0 +1,393 @@
+//! Events of a task: drafts, submissions, skips and undo.
+
+use super::claim::lease_end;
+use super::db::{Tx, params};
+use super::log::{self, Body, Entry, Reply};
+use super::project;
+use super::records::{Millis, TaskRecord};
+use super::replies::{full_key, hash_of, parsed, replay};
+use crate::Error;
+use crate::answer;
+use crate::state::{LogKind, Purpose};
+use crate::wire::{
+    Answer, Code, EventKind, EventResult, Lease, MAX_TEXT_CHARS, NewEvent, Problem, Revision,
+    RevisionState, Settings,
+};
+
+/// Longest time an event can say its author was at it.
+const MAX_SECS: f64 = 3600.0;
+
+/// Context of an event: its author, its task, the settings and the time.
+struct Taking {
+    user: i64,
+    task: TaskRecord,
+    settings: Settings,
+    now: Millis,
+}
+
+/// Takes events of a task, in order, up to the first that fails.
+pub(super) fn append(
+    tx: &mut dyn Tx,
+    user: i64,
+    id: i64,
+    events: &[NewEvent],
+    now: Millis,
+) -> Result<Vec<EventResult>, Error> {
+    // The plus keeps to the index on tasks: a task has few entries in the log, a person has many.
+    let known = tx.one(
+        "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1",
+        params![id, user],
+    )?;
+    if known.is_none() {
+        return Err(Error::not_found("task"));
+    }
+    let settings = project::settings(tx)?;
+    let mut results = Vec::new();
+    for event in events {
+        let taking = Taking {
+            user,
+            task: log::task(tx, id)?,
+            settings: settings.clone(),
+            now,
+        };
+        let result = match taking.event(tx, event) {
+            Ok(result) => result,
+            Err(Error::Refused(problem)) => refused(tx, &taking, event, *problem)?,
+            Err(error) => return Err(error),
+        };
+        let ok = result.status == 200;
+        results.push(result);
+        if !ok {
+            break;
+        }
+    }
+    Ok(results)
+}
+
+/// The answer to an event that left nothing in the log.
+fn refused(
+    tx: &mut dyn Tx,
+    taking: &Taking,
+    event: &NewEvent,
+    problem: Problem,
+) -> Result<EventResult, Error> {
+    Ok(EventResult {
+        idem_key: event.idem_key.clone(),
+        status: problem.status,
+        seq: None,
+        rev: log::revision(tx, taking.task.id, taking.user)?.map_or(0, |mine| mine.rev),
+        state: Some(taking.task.state),
+        lease: annotate_lease(tx, taking.task.id, taking.user)?,
+        problem: Some(problem),
+    })
+}
+
+fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>, Error> {
+    Ok(log::lease_of(tx, task, user)?
+        .filter(|held| held.purpose == Purpose::Annotate)
+        .map(|held| held.lease))
+}
+
+impl Taking {
+    fn event(&self, tx: &mut dyn Tx, event: &NewEvent) -> Result<EventResult, Error> {
+        let key = full_key(self.user, &event.idem_key)?;
+        let request = hash_of(&(self.task.id, event))?;
+        if let Some(result) = replay(tx, &key, &request)? {
+            return parsed(&result);
+        }
+        if event.note.chars().count() > MAX_TEXT_CHARS {
+            return Err(Error::invalid("note", "the note is too long"));
+        }
+        let mine = log::revision(tx, self.task.id, self.user)?;
+        match event.kind {
+            EventKind::Draft | EventKind::Submit => self.answer(tx, event, key, request, mine),
+            EventKind::Skip | EventKind::Postpone => self.skip(tx, event, key, request),
+            EventKind::Undo => self.undo(tx, event, key, request, mine),
+            EventKind::SuggestionUsed => self.suggestion_used(tx, event, key, request),
+        }
+    }
+
+    fn entry(&self, epoch: Option<i64>, body: Body) -> Entry {
+        Entry {
+            at: self.now,
+            actor: Some(self.user),
+            task: Some(self.task.id),
+            epoch,
+            body,
+        }
+    }
+
+    /// Writes an entry and gives its sender's answer, which is the answer to its key from then on.
+    fn log(
+        &self,
+        tx: &mut dyn Tx,
+        entry: &Entry,
+        event: &NewEvent,
+        key: String,
+        problem: Option<Problem>,
+    ) -> Result<EventResult, Error> {
+        let mut answered = None;
+        log::write(tx, entry, |tx, seq| {
+            let result = EventResult {
+                idem_key: event.idem_key.clone(),
+                status: problem.as_ref().map_or(200, |problem| problem.status),
+                seq: Some(seq),
+                rev: log::revision(tx, self.task.id, self.user)?.map_or(0, |mine| mine.rev),
+                state: Some(log::task(tx, self.task.id)?.state),
+                lease: annotate_lease(tx, self.task.id, self.user)?,
+                problem,
+            };
+            let text = serde_json::to_string(&result).map_err(|error| Error::Row {
+                table: "event",
+                problem: error.to_string(),
+            })?;
+            answered = Some(result);
+            Ok(Some(Reply {
+                idem_key: key,
+                base_rev: event.base_rev,
+                result: text,
+            }))
+        })?;
+        answered.ok_or(Error::Closed)
+    }
+
+    fn answer(
+        &self,
+        tx: &mut dyn Tx,
+        event: &NewEvent,
+        key: String,
+        request: String,
+        mine: Option<Revision>,
+    ) -> Result<EventResult, Error> {
+        let answer = event
+            .answer
+            .clone()
+            .ok_or_else(|| Error::invalid("answer", "the answer is missing"))?;
+        answer::check_draft(&answer, self.task.kind)?;
+        self.check_suggestions(tx, &answer)?;
+        if event.kind == EventKind::Submit {
+            answer::check_submission(&answer, self.task.kind, &self.settings)?;
+        }
+        let rev = mine.as_ref().map_or(0, |mine| mine.rev);
+        let secs = if event.secs.is_finite() {
+            event.secs.clamp(0.0, MAX_SECS)
+        } else {
+            0.0
+        };
+        let held = log::lease_of(tx, self.task.id, self.user)?.filter(|held| {
+            held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
+        });
+        if event.base_rev != rev {
+            let mut problem = Problem::new(
+                Code::StaleRevision,
+                format!(
+                    "this was made from revision {}, and {rev} is the current one; both are in the log",
+                    event.base_rev
+                ),
+            );
+            if let Some(mine) = mine {
+                problem = problem.with_theirs(mine);
+            }
+            let body = Body::DraftSaved {
+                answer,
+                rev,
+                secs: 0.0,
+                kept_aside: Some(Code::StaleRevision.to_string()),
+                request,
+            };
+            return self.log(
+                tx,
+                &self.entry(Some(event.lease_epoch), body),
+                event,
+                key,
+                Some(problem),
+            );
+        }
+        let Some(held) = held else {
+            let handed_in = mine.is_some_and(|mine| {
+                !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
+            });
+            let detail = if handed_in {
+                "your answer is handed in; take it back before changing it"
+            } else {
+                "the lease on this task ended and somebody else took the place; what you wrote is kept as your draft"
+            };
+            let body = Body::DraftSaved {
+                answer,
+                rev: if handed_in { rev } else { rev + 1 },
+                secs,
+                kept_aside: handed_in.then(|| Code::LeaseLost.to_string()),
+                request,
+            };
+            let problem = Problem::new(Code::LeaseLost, detail);
+            return self.log(
+                tx,
+                &self.entry(Some(event.lease_epoch), body),
+                event,
+                key,
+                Some(problem),
+            );
+        };
+        let epoch = Some(held.lease.epoch);
+        if event.kind == EventKind::Draft {
+            let body = Body::DraftSaved {
+                answer,
+                rev: rev + 1,
+                secs,
+                kept_aside: None,
+                request,
+            };
+            return self.log(tx, &self.entry(epoch, body), event, key, None);
+        }
+        let mut answers = handed_in(tx, self.task.id, self.user)?;
+        answers.push(answer.clone());
+        let score = self
+            .task
+            .gold
+            .as_ref()
+            .map(|gold| 1.0 - answer::distance(gold, &answer));
+        let body = Body::Submitted {
+            answer,
+            rev: rev + 1,
+            secs,
+            distance: answer::spread(&answers),
+            request,
+        };
+        let result = self.log(tx, &self.entry(epoch, body), event, key, None)?;
+        if let Some(score) = score {
+            log::note(tx, &self.entry(None, Body::GoldScored { score }))?;
+        }
+        Ok(result)
+    }
+
+    /// Suggestions an answer names have to be of its task.
+    fn check_suggestions(&self, tx: &mut dyn Tx, answer: &Answer) -> Result<(), Error> {
+        for (_, suggestion) in answer.texts() {
+            if let Some(id) = suggestion {
+                self.check_suggestion(tx, id)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
+        let found = tx.one(
+            "SELECT 1 FROM suggestion WHERE id = ?1 AND task = ?2",
+            params![id, self.task.id],
+        )?;
+        match found {
+            Some(_) => Ok(()),
+            None => Err(Error::invalid(
+                "suggestion",
+                format!("suggestion {id} is not of this task"),
+            )),
+        }
+    }
+
+    fn skip(
+        &self,
+        tx: &mut dyn Tx,
+        event: &NewEvent,
+        key: String,
+        request: String,
+    ) -> Result<EventResult, Error> {
+        let postponed = event.kind == EventKind::Postpone;
+        if !postponed && event.reason.is_none() {
+            return Err(Error::invalid(
+                "reason",
+                "a task is skipped for a reason; choose one",
+            ));
+        }
+        let held = log::lease_of(tx, self.task.id, self.user)?
+            .filter(|held| {
+                held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
+            })
+            .ok_or_else(|| {
+                Error::refused(
+                    Code::LeaseLost,
+                    "the lease on this task ended; there is nothing to skip",
+                )
+            })?;
+        let body = Body::Skipped {
+            postponed,
+            reason: event.reason.filter(|_| !postponed),
+            note: event.note.trim().to_owned(),
+            request,
+        };
+        self.log(
+            tx,
+            &self.entry(Some(held.lease.epoch), body),
+            event,
+            key,
+            None,
+        )
+    }
+
+    fn undo(
+        &self,
+        tx: &mut dyn Tx,
+        event: &NewEvent,
+        key: String,
+        request: String,
+        mine: Option<Revision>,
+    ) -> Result<EventResult, Error> {
+        let mine = mine.filter(|mine| mine.state == RevisionState::Submitted);
+        let Some(mine) = mine else {
+            return Err(Error::wrong_state(
+                self.task.state,
+                "taken back: no answer of yours waits for review",
+            ));
+        };
+        log::check_move(self.task.state, LogKind::Undone, "taken back")?;
+        let epoch = 1 + tx.number(
+            "SELECT epoch FROM task WHERE id = ?1",
+            params![self.task.id],
+        )?;
+        let body = Body::Undone {
+            rev: mine.rev + 1,
+            expires: lease_end(&self.settings, self.now),
+            request,
+        };
+        self.log(tx, &self.entry(Some(epoch), body), event, key, None)
+    }
+
+    fn suggestion_used(
+        &self,
+        tx: &mut dyn Tx,
+        event: &NewEvent,
+        key: String,
+        request: String,
+    ) -> Result<EventResult, Error> {
+        let (Some(suggestion), Some(used)) = (event.suggestion, event.used) else {
+            return Err(Error::invalid(
+                "suggestion",
+                "the suggestion, or what became of it, is missing",
+            ));
+        };
+        self.check_suggestion(tx, suggestion)?;
+        let body = Body::SuggestionUsed {
+            suggestion,
+            used,
+            request,
+        };
+        self.log(
+            tx,
+            &self.entry(Some(event.lease_epoch), body),
+            event,
+            key,
+            None,
+        )
+    }
+}
+
+/// Answers to a task that are handed in, those of one author apart.
+fn handed_in(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>, Error> {
+    tx.query(
+        "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2
+           AND state IN ('submitted', 'accepted', 'superseded') ORDER BY author",
+        params![task, but],
+    )?
+    .iter()
+    .map(|row| row.json(0))
+    .collect()
+}

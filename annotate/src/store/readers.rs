@@ -1,0 +1,52 @@
+//! Connections that read, beside the one thread that writes.
+
+use std::sync::{Condvar, Mutex, PoisonError};
+
+use super::group::caught;
+use crate::Error;
+use crate::lock::lock;
+
+/// Connections of a store that read.
+const READERS: usize = 4;
+
+/// A pool of connections, each lent to one thread at a time.
+pub(crate) struct Readers<C> {
+    free: Mutex<Vec<C>>,
+    returned: Condvar,
+}
+
+impl<C> Readers<C> {
+    /// Opens all connections.
+    pub(crate) fn open(connect: impl Fn() -> Result<C, Error>) -> Result<Self, Error> {
+        let free = (0..READERS).map(|_| connect()).collect::<Result<_, _>>()?;
+        Ok(Self {
+            free: Mutex::new(free),
+            returned: Condvar::new(),
+        })
+    }
+
+    /// Works with a connection as soon as one is free; `end` is called also after an error or a panic.
+    pub(crate) fn with(
+        &self,
+        work: impl FnOnce(&mut C) -> Result<(), Error>,
+        end: impl FnOnce(&mut C),
+    ) -> Result<(), Error> {
+        let mut connection = {
+            let mut free = lock(&self.free);
+            loop {
+                if let Some(connection) = free.pop() {
+                    break connection;
+                }
+                free = self
+                    .returned
+                    .wait(free)
+                    .unwrap_or_else(PoisonError::into_inner);
+            }
+        };
+        let outcome = caught(|| work(&mut connection));
+        end(&mut connection);
+        lock(&self.free).push(connection);
+        self.returned.notify_one();
+        outcome
+    }
+}

@@ -1,0 +1,270 @@
+//! Reviews: which task a reviewer is given, and what a decision does.
+
+use super::claim::{MINUTE, expire, lease_end, prolong, take};
+use super::db::{Tx, params};
+use super::log::{self, Body, Entry, Reply};
+use super::project;
+use super::records::{Millis, ReviewClaimed, ReviewDetail};
+use super::replies::{full_key, hash_of, parsed, replay};
+use crate::Error;
+use crate::answer;
+use crate::state::{LogKind, Purpose};
+use crate::wire::{
+    Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, RevisionState,
+    TaskKind,
+};
+
+const DAY: Millis = 24 * 60 * MINUTE;
+
+/// Claims the next task of a review queue.
+pub(super) fn next(
+    tx: &mut dyn Tx,
+    user: i64,
+    queue: ReviewQueue,
+    kind: Option<TaskKind>,
+    now: Millis,
+) -> Result<ReviewClaimed, Error> {
+    expire(tx, user, now)?;
+    let settings = project::settings(tx)?;
+    let kinds = kind.map_or("", TaskKind::as_str);
+    let sql = format!(
+        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
+         WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1",
+        log::LEASE_COLUMNS
+    );
+    let task = match tx.one(&sql, params![user, kinds])? {
+        Some(row) => {
+            let held = log::read_lease(&row)?;
+            if held.lease.expires < lease_end(&settings, now) - MINUTE {
+                prolong(tx, &held, &settings, now)?;
+            }
+            Some(held.lease.task)
+        }
+        None => {
+            // The share of the sample is a bound for its own queue and lets everything through elsewhere.
+            let (order, share, back) = match queue {
+                ReviewQueue::Disagreement => ("COALESCE(t.distance, -1) DESC, t.id", 100, 0_i64),
+                ReviewQueue::Sample => ("t.shuffle, t.id", i64::from(settings.review_percent), 0),
+                ReviewQueue::Returned => ("t.id", 100, 1),
+            };
+            let sql = format!(
+                "SELECT t.id FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND (?2 = '' OR t.kind = ?2)
+                   AND t.shuffle < ?3 AND t.came_back >= ?4
+                   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft')
+                 ORDER BY {order} LIMIT 1"
+            );
+            let found = tx.one(&sql, params![user, kinds, share, back])?;
+            let task = found.map(|row| row.int(0)).transpose()?;
+            if let Some(task) = task {
+                take(tx, user, task, Purpose::Review, &settings, now)?;
+            }
+            task
+        }
+    };
+    let Some(task) = task else {
+        let of_kind = "t.gold IS NULL AND (?1 = '' OR t.kind = ?1)";
+        return Ok(ReviewClaimed::Nothing(ReviewEmpty {
+            waiting: tx.number(
+                &format!("SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'submitted'"),
+                params![kinds],
+            )?,
+            mine: tx.number(
+                &format!(
+                    "SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'submitted'
+                       AND EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')"
+                ),
+                params![kinds, user],
+            )?,
+            in_review: tx.number(
+                &format!("SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'in_review'"),
+                params![kinds],
+            )?,
+        }));
+    };
+    detail(tx, user, task).map(|detail| ReviewClaimed::Task(Box::new(detail)))
+}
+
+/// A task as its reviewer sees it.
+fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
+    let task = log::task(tx, id)?;
+    let lease = log::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
+    let sql = format!(
+        "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+         WHERE r.task = ?1 AND r.state IN ('submitted', 'returned') ORDER BY r.state DESC, r.author",
+        log::REVISION_COLUMNS
+    );
+    let candidates = tx
+        .query(&sql, params![id])?
+        .iter()
+        .map(|row| Ok((log::read_revision(row, 0)?, row.string(7)?)))
+        .collect::<Result<_, Error>>()?;
+    let comments = tx
+        .query(
+            "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq",
+            params![id],
+        )?
+        .iter()
+        .map(|row| row.string(0))
+        .collect::<Result<_, Error>>()?;
+    Ok(ReviewDetail {
+        task,
+        lease,
+        candidates,
+        comments,
+    })
+}
+
+/// Takes a decision.
+pub(super) fn review(
+    tx: &mut dyn Tx,
+    user: i64,
+    review: &NewReview,
+    now: Millis,
+) -> Result<ReviewDone, Error> {
+    let key = full_key(user, &review.idem_key)?;
+    let request = hash_of(review)?;
+    if let Some(result) = replay(tx, &key, &request)? {
+        return parsed(&result);
+    }
+    let settings = project::settings(tx)?;
+    let task = log::task(tx, review.task)?;
+    let mine = log::revision(tx, task.id, user)?;
+    if mine.is_some_and(|mine| mine.state != RevisionState::Draft) {
+        return Err(Error::refused(
+            Code::OwnWork,
+            "you answered this task yourself; somebody else has to review it",
+        ));
+    }
+    if task.gold.is_some() {
+        return Err(Error::wrong_state(
+            task.state,
+            "reviewed: its answer is known",
+        ));
+    }
+    log::check_move(task.state, log_kind(review.decision), "decided so")?;
+    let comment = review.comment.trim().to_owned();
+    if comment.chars().count() > MAX_TEXT_CHARS {
+        return Err(Error::invalid("comment", "the comment is too long"));
+    }
+    let needs_comment = matches!(
+        review.decision,
+        Decision::Return | Decision::Drop | Decision::Reopen
+    );
+    if needs_comment && comment.is_empty() {
+        return Err(Error::invalid(
+            "comment",
+            "say why; the author and the log need it",
+        ));
+    }
+    let held = tx.query(
+        &format!(
+            "SELECT {} FROM lease l WHERE l.task = ?1 AND l.purpose = 'review'",
+            log::LEASE_COLUMNS
+        ),
+        params![task.id],
+    )?;
+    let held = held.first().map(log::read_lease).transpose()?;
+    let ours = held
+        .as_ref()
+        .is_some_and(|held| held.lease.user == user && held.lease.epoch == review.lease_epoch);
+    let needs_lease = matches!(
+        review.decision,
+        Decision::Accept | Decision::Merge | Decision::Return
+    );
+    let somebody_else = held.is_some_and(|held| held.lease.user != user);
+    if (needs_lease && !ours) || somebody_else {
+        return Err(Error::refused(
+            Code::LeaseLost,
+            "your lease on this review ended; take the task again from the queue",
+        ));
+    }
+    let authors: Vec<i64> = tx
+        .query(
+            "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
+            params![task.id],
+        )?
+        .iter()
+        .map(|row| row.int(0))
+        .collect::<Result<_, _>>()?;
+    let chosen = match review.author {
+        None => authors.clone(),
+        Some(author) if authors.contains(&author) => vec![author],
+        Some(author) => {
+            return Err(Error::invalid(
+                "author",
+                format!("user {author} has no answer that waits for review"),
+            ));
+        }
+    };
+    let body = match review.decision {
+        Decision::Accept => match chosen.as_slice() {
+            [author] => Body::Accepted {
+                author: *author,
+                comment,
+                request,
+            },
+            _ => {
+                return Err(Error::invalid(
+                    "author",
+                    format!("{} answers wait; choose one", chosen.len()),
+                ));
+            }
+        },
+        Decision::Merge => {
+            let answer = review
+                .answer
+                .clone()
+                .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
+            answer::check_submission(&answer, task.kind, &settings)?;
+            Body::Merged {
+                answer,
+                comment,
+                request,
+            }
+        }
+        Decision::Return => Body::Returned {
+            authors: chosen,
+            comment,
+            until: now + Millis::from(settings.returned_days) * DAY,
+            request,
+        },
+        Decision::Drop => Body::Dropped { comment, request },
+        Decision::Reopen => Body::Reopened { comment, request },
+    };
+    let entry = Entry {
+        at: now,
+        actor: Some(user),
+        task: Some(task.id),
+        epoch: Some(review.lease_epoch),
+        body,
+    };
+    let mut done = None;
+    log::write(tx, &entry, |tx, seq| {
+        let answer = ReviewDone {
+            seq,
+            state: log::task(tx, task.id)?.state,
+        };
+        let result = serde_json::to_string(&answer).map_err(|error| Error::Row {
+            table: "event",
+            problem: error.to_string(),
+        })?;
+        done = Some(answer);
+        Ok(Some(Reply {
+            idem_key: key,
+            base_rev: 0,
+            result,
+        }))
+    })?;
+    done.ok_or(Error::Closed)
+}
+
+/// The log entry of a decision.
+fn log_kind(decision: Decision) -> LogKind {
+    match decision {
+        Decision::Accept => LogKind::Accepted,
+        Decision::Merge => LogKind::Merged,
+        Decision::Return => LogKind::Returned,
+        Decision::Drop => LogKind::Dropped,
+        Decision::Reopen => LogKind::Reopened,
+    }
+}

@@ -1,0 +1,671 @@
+//! The operations of the store, each one transaction.
+
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard};
+
+use super::db::{self, Database, Tx, params};
+use super::log::{self, Body, Entry};
+use super::records::{
+    AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
+    MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ShelfFilter,
+    TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
+};
+use super::{append, claim, import, people, project, read, review};
+use crate::Error;
+use crate::lock::lock;
+use crate::state::{Purpose, ReleaseReason};
+use crate::wire::{
+    Audit, AuditEntry, Code, EventResult, HeldLease, Home, Job, Lease, NewEvent, NewReview, Prefs,
+    ReviewDone, ReviewQueue, Role, Settings, Suggestion, TaskKind, TaskState, TokenInfo, User,
+};
+
+/// Tasks imported in a transaction: few enough that others need not wait long.
+const IMPORT_GROUP: usize = 500;
+
+/// A store of tasks, answers and people. Every operation that changes something is one transaction,
+/// durable when it returns. The caller gives the times: a store has no clock.
+pub struct Store {
+    db: Box<dyn Database>,
+    known: Mutex<people::Known>,
+}
+
+impl Store {
+    pub(super) fn new(db: Box<dyn Database>) -> Self {
+        Self {
+            db,
+            known: Mutex::default(),
+        }
+    }
+
+    fn known(&self) -> MutexGuard<'_, people::Known> {
+        lock(&self.known)
+    }
+
+    /// [`Self::write`] of people or tokens, after which nothing is known of any.
+    fn write_people<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let outcome = self.write(work);
+        self.known().clear();
+        outcome
+    }
+
+    fn write<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        db::write(self.db.as_ref(), work)
+    }
+
+    fn read<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        db::read(self.db.as_ref(), work)
+    }
+
+    /// Takes motions; those that are known keep their place.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<(), Error> {
+        for group in motions.chunks(IMPORT_GROUP) {
+            let group = group.to_vec();
+            self.write(move |tx| project::put_motions(tx, &group))?;
+        }
+        Ok(())
+    }
+
+    /// Takes tasks; those whose key is known stay as they are.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn import(
+        &self,
+        actor: Option<i64>,
+        tasks: Vec<NewTask>,
+        now: Millis,
+    ) -> Result<Imported, Error> {
+        let mut done = Imported::default();
+        for group in tasks.chunks(IMPORT_GROUP) {
+            let group = group.to_vec();
+            let some = self.write(move |tx| import::import(tx, actor, &group, now))?;
+            done.new += some.new;
+            done.known += some.known;
+        }
+        Ok(done)
+    }
+
+    /// Claims the next task of a kind, or gives the one that is held, and looks `ahead` tasks ahead.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn claim(
+        &self,
+        user: i64,
+        kind: TaskKind,
+        ahead: usize,
+        now: Millis,
+    ) -> Result<Claimed, Error> {
+        // In one transaction: the writer has at hand what a reader would have to fetch again after
+        // every commit.
+        self.write(move |tx| {
+            Ok(match claim::claim(tx, user, kind, now)? {
+                Ok(task) => Claimed::Task {
+                    detail: Box::new(read::detail(tx, user, task)?),
+                    upcoming: claim::upcoming(tx, user, kind, ahead)?,
+                },
+                Err(empty) => Claimed::Nothing(empty),
+            })
+        })
+    }
+
+    /// Claims a certain task.
+    ///
+    /// # Errors
+    /// `task_full`, `not_found`, `wrong_state`; or the store fails.
+    pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail, Error> {
+        self.write(move |tx| {
+            claim::claim_task(tx, user, task, now)?;
+            read::detail(tx, user, task)
+        })
+    }
+
+    /// Prolongs a lease.
+    ///
+    /// # Errors
+    /// `lease_lost`; or the store fails.
+    pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease, Error> {
+        self.write(move |tx| {
+            let settings = project::settings(tx)?;
+            let held = log::lease(tx, lease)?.filter(|held| held.lease.user == user);
+            let held = held.ok_or_else(|| {
+                Error::refused(
+                    Code::LeaseLost,
+                    "this lease ended; take the task again if it still wants answers",
+                )
+            })?;
+            // A place kept for its author is no lease to work with, and ends when it was said to.
+            if held.purpose == Purpose::Returned {
+                return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
+            }
+            claim::prolong_bundle(tx, &held, &settings, now)
+        })
+    }
+
+    /// Gives a lease back; a reviewer may take one away.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<(), Error> {
+        let who = who.clone();
+        self.write(move |tx| {
+            let held = log::lease(tx, lease)?
+                .filter(|held| held.lease.user == who.id || who.role >= Role::Reviewer)
+                .ok_or_else(|| Error::not_found("lease"))?;
+            let reason = if held.lease.user == who.id {
+                ReleaseReason::GivenBack
+            } else {
+                ReleaseReason::TakenAway
+            };
+            claim::end(tx, &held, Some(who.id), reason, now)
+        })
+    }
+
+    /// Takes events of a task, in order, up to the first that fails.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn append(
+        &self,
+        user: i64,
+        task: i64,
+        events: Vec<NewEvent>,
+        now: Millis,
+    ) -> Result<Vec<EventResult>, Error> {
+        self.write(move |tx| append::append(tx, user, task, &events, now))
+    }
+
+    /// A task as somebody may see it.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn task(&self, who: &Who, task: i64) -> Result<TaskDetail, Error> {
+        let who = who.clone();
+        self.read(move |tx| {
+            if who.role < Role::Reviewer && !read::concerns(tx, who.id, task)? {
+                return Err(Error::not_found("task"));
+            }
+            read::detail(tx, who.id, task)
+        })
+    }
+
+    /// A task, for the server itself.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn task_record(&self, task: i64) -> Result<TaskRecord, Error> {
+        self.read(move |tx| log::task(tx, task))
+    }
+
+    /// Claims the next task to be reviewed.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn review_next(
+        &self,
+        user: i64,
+        queue: ReviewQueue,
+        kind: Option<TaskKind>,
+        now: Millis,
+    ) -> Result<ReviewClaimed, Error> {
+        self.write(move |tx| review::next(tx, user, queue, kind, now))
+    }
+
+    /// Takes a decision.
+    ///
+    /// # Errors
+    /// `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`; or the store fails.
+    pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone, Error> {
+        self.write(move |tx| review::review(tx, user, &new, now))
+    }
+
+    /// Makes a hidden gold task of an accepted one.
+    ///
+    /// # Errors
+    /// `wrong_state`, `not_found`; or the store fails.
+    pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+        self.write(move |tx| import::make_gold(tx, actor, task, now))
+    }
+
+    /// Motions by their hashes.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>, Error> {
+        self.read(move |tx| project::motions(tx, &hashes))
+    }
+
+    /// All motions.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn all_motions(&self) -> Result<Vec<MotionRecord>, Error> {
+        self.read(project::all_motions)
+    }
+
+    /// Motions of a split, without one, for previews: up to `limit` of them.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>, Error> {
+        let hash = hash.to_owned();
+        self.read(move |tx| project::partners(tx, &hash, limit))
+    }
+
+    /// What somebody finds when they come in.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn home(&self, user: i64, now: Millis) -> Result<Home, Error> {
+        self.read(move |tx| read::home(tx, user, now))
+    }
+
+    /// Accepted answers.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>, Error> {
+        self.read(move |tx| read::shelf(tx, user, &filter))
+    }
+
+    /// Tasks by kind and state.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>, Error> {
+        self.read(read::funnel)
+    }
+
+    /// Counts of some weeks, given by their starts and the end of the last one.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>, Error> {
+        self.read(move |tx| read::weeks(tx, &bounds))
+    }
+
+    /// What everybody did.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn people(&self) -> Result<Vec<PersonCounts>, Error> {
+        self.read(read::people)
+    }
+
+    /// Answers handed in, by task, after a task, so many tasks at a time.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn labels(&self, after: i64, limit: usize) -> Result<Vec<Label>, Error> {
+        self.read(move |tx| read::labels(tx, after, limit))
+    }
+
+    /// The keys of the tasks that follow a key, so many of them; none after the last.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>, Error> {
+        let after = after.to_owned();
+        self.read(move |tx| read::next_keys(tx, after, count))
+    }
+
+    /// Answers handed in to some tasks, with the task, by its key and by author.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::labels_of(tx, &keys))
+    }
+
+    /// Accepted answers to some tasks, by the key of their task.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::accepted(tx, &keys))
+    }
+
+    /// Those of some tasks that were dropped or skipped: with who, why and when.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
+        let keys = keys.clone();
+        self.read(move |tx| read::rejects(tx, &keys))
+    }
+
+    /// Pairs kept by category and edit type.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>, Error> {
+        self.read(read::kept)
+    }
+
+    /// Leases that are held.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>, Error> {
+        self.read(move |tx| read::leases(tx, now))
+    }
+
+    /// Entries of the log, newest first.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn audit(&self, filter: AuditFilter) -> Result<Audit, Error> {
+        self.read(move |tx| read::audit(tx, &filter))
+    }
+
+    /// Entries of the log after a place, oldest first.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn log(&self, after: i64, limit: usize) -> Result<Vec<AuditEntry>, Error> {
+        self.read(move |tx| read::log(tx, after, limit))
+    }
+
+    /// The last place of the log.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn last_seq(&self) -> Result<i64, Error> {
+        self.read(|tx| tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[]))
+    }
+
+    /// Whether a task concerns somebody: they hold it or answered it.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn concerns(&self, user: i64, task: i64) -> Result<bool, Error> {
+        self.read(move |tx| read::concerns(tx, user, task))
+    }
+
+    /// Suggestions by their ids.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn suggestions(&self, ids: Vec<i64>) -> Result<Vec<Suggestion>, Error> {
+        self.read(move |tx| project::suggestions(tx, &ids))
+    }
+
+    /// Keeps a suggestion.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_suggestion(
+        &self,
+        task: i64,
+        suggestion: NewSuggestion,
+        now: Millis,
+    ) -> Result<Suggestion, Error> {
+        self.write(move |tx| project::put_suggestion(tx, task, &suggestion, now))
+    }
+
+    /// A suggestion made of the same prompt before.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn cached_suggestion(&self, prompt_hash: &str) -> Result<Option<NewSuggestion>, Error> {
+        let hash = prompt_hash.to_owned();
+        self.read(move |tx| project::cached_suggestion(tx, &hash))
+    }
+
+    /// Something the program remembers about the store, such as what was imported last.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn note(&self, name: &str) -> Result<Option<String>, Error> {
+        let name = format!("note:{name}");
+        self.read(move |tx| {
+            let row = tx.one("SELECT body FROM setting WHERE name = ?1", params![&name])?;
+            row.map(|row| row.string(0)).transpose()
+        })
+    }
+
+    /// Remembers something.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_note(&self, name: &str, text: &str) -> Result<(), Error> {
+        let (name, text) = (format!("note:{name}"), text.to_owned());
+        self.write(move |tx| {
+            tx.execute(
+                "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
+                params![&name, &text],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// The settings.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn settings(&self) -> Result<Settings, Error> {
+        self.read(project::settings)
+    }
+
+    /// Changes the settings.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
+        self.write(move |tx| project::put_settings(tx, actor, settings, now))
+    }
+
+    /// Somebody's preferences.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn prefs(&self, user: i64) -> Result<Prefs, Error> {
+        self.read(move |tx| project::prefs(tx, user))
+    }
+
+    /// Changes somebody's preferences.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<(), Error> {
+        self.write(move |tx| project::put_prefs(tx, user, &prefs))
+    }
+
+    /// All users.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn users(&self) -> Result<Vec<User>, Error> {
+        self.read(people::users)
+    }
+
+    /// Adds a user.
+    ///
+    /// # Errors
+    /// `invalid` for a bad or taken name; or the store fails.
+    pub fn add_user(
+        &self,
+        actor: Option<i64>,
+        name: &str,
+        role: Role,
+        now: Millis,
+    ) -> Result<User, Error> {
+        let name = name.to_owned();
+        self.write_people(move |tx| people::add(tx, actor, &name, role, now))
+    }
+
+    /// Changes a user. The last active admin stays one.
+    ///
+    /// # Errors
+    /// `invalid`, `not_found`; or the store fails.
+    pub fn change_user(
+        &self,
+        actor: Option<i64>,
+        user: i64,
+        role: Option<Role>,
+        active: Option<bool>,
+        now: Millis,
+    ) -> Result<User, Error> {
+        self.write_people(move |tx| people::change(tx, actor, user, role, active, now))
+    }
+
+    /// Makes a token.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn issue(
+        &self,
+        user: i64,
+        purpose: TokenUse,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<IssuedToken, Error> {
+        self.write_people(move |tx| people::issue(tx, user, purpose, expires, now))
+    }
+
+    /// Whose token this is, if it is good for this use. One that is good once is used up.
+    ///
+    /// # Errors
+    /// `unauthenticated`; or the store fails.
+    pub fn authenticate(
+        &self,
+        token: &str,
+        purposes: &[TokenUse],
+        now: Millis,
+    ) -> Result<Who, Error> {
+        let hash = people::hash(token);
+        let changes = {
+            let known = self.known();
+            if let Some(who) = known.find(&hash, purposes, now) {
+                return Ok(who);
+            }
+            known.changes()
+        };
+        let purposes = purposes.to_vec();
+        let found = {
+            let (hash, purposes) = (hash.clone(), purposes.clone());
+            self.read(move |tx| people::find(tx, &hash, &purposes, now))?
+        };
+        if found.needs_note {
+            return self.write(move |tx| people::used(tx, &hash, &purposes, now));
+        }
+        let who = found.who.clone();
+        self.known().put(hash, found, changes, now);
+        Ok(who)
+    }
+
+    /// Somebody's tokens.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>, Error> {
+        self.read(move |tx| people::tokens(tx, user))
+    }
+
+    /// Makes a token useless.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn revoke(&self, token: i64) -> Result<(), Error> {
+        self.write_people(move |tx| people::revoke(tx, token))
+    }
+
+    /// Makes a session useless.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn log_out(&self, token: &str) -> Result<(), Error> {
+        let hash = people::hash(token);
+        self.write_people(move |tx| {
+            tx.execute(
+                "UPDATE token SET revoked = 1 WHERE hash = ?1",
+                params![&hash],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// Keeps what is known of a job; an id of 0 makes a new one.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_job(&self, job: Job) -> Result<Job, Error> {
+        self.write(move |tx| project::put_job(tx, job))
+    }
+
+    /// Jobs, newest first.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn jobs(&self) -> Result<Vec<Job>, Error> {
+        self.read(project::jobs)
+    }
+
+    /// Logs an export.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn log_export(
+        &self,
+        actor: Option<i64>,
+        body: serde_json::Value,
+        now: Millis,
+    ) -> Result<(), Error> {
+        self.write(move |tx| {
+            let entry = Entry {
+                at: now,
+                actor,
+                task: None,
+                epoch: None,
+                body: Body::Exported { export: body },
+            };
+            log::note(tx, &entry).map(|_| ())
+        })
+    }
+
+    /// Makes the projections again from the log; gives the names of the tables that differed.
+    ///
+    /// # Errors
+    /// The store fails, or an entry of the log cannot be read.
+    pub fn rebuild(&self) -> Result<Vec<&'static str>, Error> {
+        self.write(log::rebuild)
+    }
+
+    /// Findings of a check of the whole store: places missing in the log, projections that do not follow from it.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn verify(&self) -> Result<Vec<String>, Error> {
+        db::rehearse(self.db.as_ref(), log::verify)
+    }
+
+    /// Writes a copy of the store to a new file.
+    ///
+    /// # Errors
+    /// The store fails, or the file exists.
+    pub fn backup(&self, path: &Path) -> Result<(), Error> {
+        self.db.backup(path)
+    }
+
+    /// Whether a write would be taken now.
+    ///
+    /// # Errors
+    /// It would not.
+    pub fn check(&self) -> Result<(), Error> {
+        self.db.check()
+    }
+}

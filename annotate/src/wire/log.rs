@@ -1,0 +1,55 @@
+//! The log, changes, and the guide.
+
+use serde::{Deserialize, Serialize};
+
+/// An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AuditEntry {
+    /// Place in the log.
+    pub seq: i64,
+    /// When.
+    pub at: i64,
+    /// Who; none for the program itself.
+    pub actor: Option<i64>,
+    /// Their name.
+    pub actor_name: Option<String>,
+    /// What.
+    pub kind: String,
+    /// Task.
+    pub task: Option<i64>,
+    /// The rest, as it was logged.
+    pub body: serde_json::Value,
+}
+
+/// `GET audit`: newest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Audit {
+    /// Entries.
+    pub entries: Vec<AuditEntry>,
+    /// To be passed as `before` for more.
+    pub next: Option<i64>,
+}
+
+/// An entry of `GET stream` (event `change`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Change {
+    /// Place in the log.
+    pub seq: i64,
+    /// What happened.
+    pub kind: String,
+    /// Task.
+    pub task: Option<i64>,
+    /// Whether it concerns a task of mine.
+    pub mine: bool,
+}
+
+/// `GET guide`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Guide {
+    /// Plain text.
+    pub text: String,
+}

@@ -1,0 +1,436 @@
+//! Closed lists of names.
+
+/// Declares an enum of a closed list of names, with the list and the names.
+macro_rules! names {
+    ($(#[doc = $doc:literal])* pub enum $name:ident { $( #[doc = $item_doc:literal] $item:ident = $text:literal, )* }) => {
+        $(#[doc = $doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+        pub enum $name {
+            $( #[doc = $item_doc] #[serde(rename = $text)] $item, )*
+        }
+
+        impl $name {
+            /// All of them, in order.
+            pub const ALL: &'static [$name] = &[$( $name::$item, )*];
+
+            /// The name on the wire and in the store.
+            pub fn as_str(self) -> &'static str {
+                match self { $( $name::$item => $text, )* }
+            }
+
+            /// The one of this name.
+            pub fn parse(text: &str) -> Option<Self> {
+                match text { $( $text => Some($name::$item), )* _ => None }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(self.as_str())
+            }
+        }
+    };
+}
+pub(crate) use names;
+
+names! {
+    /// What somebody may do. Each role may do what those before it may.
+    pub enum Role {
+        /// Answers tasks.
+        Annotator = "annotator",
+        /// Judges answers of others.
+        Reviewer = "reviewer",
+        /// Imports, exports, settings and users.
+        Admin = "admin",
+    }
+}
+
+names! {
+    /// What is asked.
+    pub enum TaskKind {
+        /// Which parts take part, and what each does.
+        MaskText = "mask_text",
+        /// What turns one motion into another.
+        Pair = "pair",
+        /// Which style one motion is of, against another.
+        Style = "style",
+    }
+}
+
+names! {
+    /// Where a task stands. The moves between them are in `state::MOVES`.
+    pub enum TaskState {
+        /// Wants answers; nobody is at it.
+        Open = "open",
+        /// Somebody is at it.
+        Leased = "leased",
+        /// Has all answers it wants.
+        Submitted = "submitted",
+        /// A reviewer is at it.
+        InReview = "in_review",
+        /// Decided; its answer is exported.
+        Accepted = "accepted",
+        /// Sent back to its author.
+        Returned = "returned",
+        /// Taken out, with a reason.
+        Dropped = "dropped",
+    }
+}
+
+names! {
+    /// Where an answer stands.
+    pub enum RevisionState {
+        /// Being written; counts for nothing.
+        Draft = "draft",
+        /// Handed in.
+        Submitted = "submitted",
+        /// Taken by a reviewer.
+        Accepted = "accepted",
+        /// Sent back with a comment.
+        Returned = "returned",
+        /// Another answer to the task was taken.
+        Superseded = "superseded",
+    }
+}
+
+names! {
+    /// What is said of a pair.
+    pub enum Verdict {
+        /// Usable; has a description, parts and, for fine-grained pairs, an edit type.
+        Keep = "keep",
+        /// A motion no person would make.
+        Unnatural = "unnatural",
+        /// The difference cannot be put into words.
+        Unclear = "unclear",
+        /// No difference to be seen.
+        Identical = "identical",
+    }
+}
+
+names! {
+    /// What a fine-grained edit changes.
+    pub enum EditType {
+        /// How far.
+        Amplitude = "amplitude",
+        /// How fast.
+        Speed = "speed",
+        /// How hard.
+        Force = "force",
+        /// Where.
+        Spatial = "spatial",
+        /// When.
+        Timing = "timing",
+        /// Anything else.
+        Other = "other",
+    }
+}
+
+names! {
+    /// How much of the body a style shows in.
+    pub enum Extent {
+        /// Pelvis and legs.
+        Lower = "lower",
+        /// Spine, head and arms.
+        Upper = "upper",
+        /// All of it.
+        Whole = "whole",
+    }
+}
+
+names! {
+    /// Why a task is skipped.
+    pub enum SkipReason {
+        /// The motion is damaged.
+        BrokenMotion = "broken_motion",
+        /// What happens cannot be told.
+        CannotTell = "cannot_tell",
+        /// The caption contradicts the motion.
+        WrongCaption = "wrong_caption",
+        /// Not work for this person.
+        NotForMe = "not_for_me",
+        /// Said in the note.
+        Other = "other",
+    }
+}
+
+names! {
+    /// Why an answer has fewer or more masks than the project asks for.
+    pub enum CountReason {
+        /// Nothing else takes part.
+        SingleAction = "single_action",
+        /// More parts than that take part, each for itself.
+        ManyActions = "many_actions",
+        /// The clip is too short for more.
+        TooShort = "too_short",
+        /// Said in the note.
+        Other = "other",
+    }
+}
+
+names! {
+    /// What the browser can say of a task.
+    pub enum EventKind {
+        /// Keep this answer as it is, unfinished.
+        Draft = "draft",
+        /// Hand this answer in.
+        Submit = "submit",
+        /// Not this one, for a reason.
+        Skip = "skip",
+        /// Not now; it comes back after the others.
+        Postpone = "postpone",
+        /// Take the answer handed in back.
+        Undo = "undo",
+        /// A suggestion was used, edited or discarded.
+        SuggestionUsed = "suggestion_used",
+    }
+}
+
+names! {
+    /// What became of a suggestion.
+    pub enum SuggestionUse {
+        /// Taken as it was.
+        Used = "used",
+        /// Taken and changed.
+        Edited = "edited",
+        /// Not taken.
+        Discarded = "discarded",
+    }
+}
+
+names! {
+    /// Where a suggestion came from.
+    pub enum SuggestionSource {
+        /// Parts that move, from the activity of the joints.
+        Heat = "heat",
+        /// A mask the dataset came with, or the pipeline made.
+        Import = "import",
+        /// A text by a language model.
+        Llm = "llm",
+    }
+}
+
+names! {
+    /// Which submitted tasks a reviewer is given.
+    pub enum ReviewQueue {
+        /// Those whose answers differ most first.
+        Disagreement = "disagreement",
+        /// Drawn at random.
+        Sample = "sample",
+        /// Those that had been sent back before.
+        Returned = "returned",
+    }
+}
+
+names! {
+    /// What a reviewer decides.
+    pub enum Decision {
+        /// Take one of the answers.
+        Accept = "accept",
+        /// Take an answer the reviewer made of them.
+        Merge = "merge",
+        /// Send answers back with a comment.
+        Return = "return",
+        /// Take the task out.
+        Drop = "drop",
+        /// Undo a decision.
+        Reopen = "reopen",
+    }
+}
+
+names! {
+    /// Layouts of an export.
+    pub enum ExportFormat {
+        /// The tables `masks` and `pairs` of the dataset itself, where the other stages look for them.
+        Dataset = "dataset",
+        /// Tables `annotations`, `labels`, `rejects`, `agreement` and, if asked for, `events`.
+        Parquet = "parquet",
+        /// `mask_all.json`, `part_annotations.json` and lists of pairs, as in the STANCE release.
+        Stance = "stance",
+        /// Table `labels` for spreadsheets.
+        Csv = "csv",
+    }
+}
+
+names! {
+    /// Layouts of an import.
+    pub enum ImportFormat {
+        /// New motions, masks and pairs of the dataset the server was started on.
+        Dataset = "dataset",
+        /// `{"mask_all": …, "part_annotations": …}` of a STANCE release.
+        Stance = "stance",
+        /// The table `annotations` of an export.
+        Annotations = "annotations",
+    }
+}
+
+names! {
+    /// What can be bound to a key.
+    pub enum Action {
+        /// Play or pause.
+        PlayPause = "play_pause",
+        /// One frame back; ten with Shift.
+        StepBack = "step_back",
+        /// One frame on; ten with Shift.
+        StepForward = "step_forward",
+        /// To the first frame.
+        GoStart = "go_start",
+        /// To the last frame.
+        GoEnd = "go_end",
+        /// Loop from here.
+        LoopIn = "loop_in",
+        /// Loop to here.
+        LoopOut = "loop_out",
+        /// No loop.
+        LoopClear = "loop_clear",
+        /// Slower.
+        Slower = "slower",
+        /// Faster.
+        Faster = "faster",
+        /// Toggle UPPER_BODY.
+        Part1 = "part_1",
+        /// Toggle LOWER_BODY.
+        Part2 = "part_2",
+        /// Toggle BOTH_ARMS.
+        Part3 = "part_3",
+        /// Toggle LEFT_ARM.
+        Part4 = "part_4",
+        /// Toggle RIGHT_ARM.
+        Part5 = "part_5",
+        /// Soft ring on or off.
+        SoftRing = "soft_ring",
+        /// New mask card.
+        MaskNew = "mask_new",
+        /// Next card.
+        CardNext = "card_next",
+        /// Card before.
+        CardPrevious = "card_previous",
+        /// Blend preview.
+        Preview = "preview",
+        /// Another partner for the preview.
+        PreviewPartner = "preview_partner",
+        /// Take the suggestion of the heat strip.
+        AcceptHeat = "accept_heat",
+        /// Pair: unnatural.
+        Unnatural = "unnatural",
+        /// Pair: unclear.
+        Unclear = "unclear",
+        /// Pair: identical.
+        Identical = "identical",
+        /// Side by side or ghost.
+        SideBySide = "side_by_side",
+        /// Swap the two motions.
+        Swap = "swap",
+        /// To the largest difference.
+        LargestDifference = "largest_difference",
+        /// To the text.
+        Text = "text",
+        /// Back to the stage.
+        Stage = "stage",
+        /// Hand in and go on.
+        Submit = "submit",
+        /// Undo.
+        Undo = "undo",
+        /// Redo.
+        Redo = "redo",
+        /// Skip with a reason.
+        Skip = "skip",
+        /// Postpone.
+        Postpone = "postpone",
+        /// Review: accept.
+        ReviewAccept = "review_accept",
+        /// Review: return.
+        ReviewReturn = "review_return",
+        /// Review: merge.
+        ReviewMerge = "review_merge",
+        /// The sheet of keys.
+        KeySheet = "key_sheet",
+        /// Camera from the front.
+        CameraFront = "camera_front",
+        /// Camera from the side.
+        CameraSide = "camera_side",
+        /// Camera from above.
+        CameraTop = "camera_top",
+        /// Camera follows the root or not.
+        CameraFollow = "camera_follow",
+        /// Delete this mask card.
+        MaskDelete = "mask_delete",
+        /// Take the draft.
+        DraftUse = "draft_use",
+        /// Next edit type.
+        EditType = "edit_type",
+        /// Next template phrase.
+        Template = "template",
+        /// Next style.
+        Style = "style",
+        /// Next extent.
+        Extent = "extent",
+        /// Stretch the longer clip for viewing.
+        Align = "align",
+        /// Next pair of the bundle.
+        BundleNext = "bundle_next",
+        /// Pair of the bundle before.
+        BundlePrevious = "bundle_previous",
+        /// Review: first answer.
+        Candidate1 = "candidate_1",
+        /// Review: second answer.
+        Candidate2 = "candidate_2",
+        /// Review: third answer.
+        Candidate3 = "candidate_3",
+        /// Review: fourth answer.
+        Candidate4 = "candidate_4",
+        /// Review: drop.
+        ReviewDrop = "review_drop",
+        /// Next region of the page.
+        NextRegion = "next_region",
+    }
+}
+
+names! {
+    /// The code of a problem. Codes are stable; texts are not.
+    pub enum Code {
+        /// 401: no valid session or token.
+        Unauthenticated = "unauthenticated",
+        /// 403: the role does not allow it.
+        Forbidden = "forbidden",
+        /// 403: a request with a cookie lacks `X-Annotate: 1`.
+        Csrf = "csrf",
+        /// 403: a request with a cookie comes from another origin.
+        WrongOrigin = "wrong_origin",
+        /// 403: reviewers do not review their own work.
+        OwnWork = "own_work",
+        /// 404: no such thing, or not yours to see.
+        NotFound = "not_found",
+        /// 405: the route has no such method.
+        MethodNotAllowed = "method_not_allowed",
+        /// 400: not the JSON the route takes; `detail` says where.
+        BadRequest = "bad_request",
+        /// 413: the body is too large.
+        TooLarge = "too_large",
+        /// 422: understood and refused; `field` says what.
+        Invalid = "invalid",
+        /// 422: fewer or more masks than the project asks for, and no `count_reason`.
+        MaskCount = "mask_count",
+        /// 409: `base_rev` is not the current revision; `theirs` holds it.
+        StaleRevision = "stale_revision",
+        /// 409: the lease is no longer yours; what was sent is kept as your draft.
+        LeaseLost = "lease_lost",
+        /// 409: the task has all the people it wants.
+        TaskFull = "task_full",
+        /// 409: the task's state does not allow it.
+        WrongState = "wrong_state",
+        /// 409: the same `idem_key` was used for something else.
+        KeyReused = "key_reused",
+        /// 429: too many; `retry_after_secs` says when.
+        RateLimited = "rate_limited",
+        /// 503: no language model is configured.
+        NoModel = "no_model",
+        /// 502: the language model failed or took too long.
+        ModelFailed = "model_failed",
+        /// 503: not done within 15 seconds.
+        Timeout = "timeout",
+        /// 507: the disk is full or read-only; nothing is taken until it is not.
+        ReadOnly = "read_only",
+        /// 500: a defect of the server; the log says more.
+        Internal = "internal",
+    }
+}

@@ -1,0 +1,104 @@
+//! Reviews.
+
+use serde::{Deserialize, Serialize};
+
+use super::answer::{Answer, Revision};
+use super::names::{Decision, ReviewQueue, TaskKind, TaskState};
+use super::task::{Lease, Task};
+
+/// `POST review/next`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReviewRequest {
+    /// Which tasks.
+    pub queue: ReviewQueue,
+    /// Of one kind alone.
+    #[serde(default)]
+    pub kind: Option<TaskKind>,
+}
+
+/// Answer to `POST review/next`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReviewNext {
+    /// The task and its answers.
+    pub review: Option<ReviewView>,
+    /// Why there is none.
+    pub empty: Option<ReviewEmpty>,
+}
+
+/// Why there is nothing to review.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReviewEmpty {
+    /// Submitted tasks of the queue.
+    pub waiting: i64,
+    /// Of these, those I answered myself.
+    pub mine: i64,
+    /// Of these, those another reviewer is at.
+    pub in_review: i64,
+}
+
+/// A task to be judged.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReviewView {
+    /// The task.
+    pub task: Task,
+    /// My lease.
+    pub lease: Lease,
+    /// The answers handed in.
+    pub candidates: Vec<Candidate>,
+    /// How far the answers are apart, 0 to 1; none for a single answer.
+    pub distance: Option<f64>,
+    /// Comments of earlier rounds, oldest first.
+    pub comments: Vec<String>,
+}
+
+/// An answer to be judged.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Candidate {
+    /// The answer.
+    pub revision: Revision,
+    /// Name of its author.
+    pub author_name: String,
+    /// Body joints its masks take, hard or soft, for the stage.
+    pub joints: Vec<usize>,
+    /// Edit distance of its texts from the drafts they began as, 0 to 1.
+    pub draft_distance: Option<f64>,
+}
+
+/// `POST reviews`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NewReview {
+    /// Made by the browser, unique.
+    pub idem_key: String,
+    /// Task.
+    pub task: i64,
+    /// Fencing number of the lease; not looked at for `reopen` and `drop`.
+    #[serde(default)]
+    pub lease_epoch: i64,
+    /// What is decided.
+    pub decision: Decision,
+    /// Author of the answer that is accepted or returned; all of them if none.
+    #[serde(default)]
+    pub author: Option<i64>,
+    /// The answer, for `merge`.
+    #[serde(default)]
+    pub answer: Option<Answer>,
+    /// Needed for `return`, `drop` and `reopen`.
+    #[serde(default)]
+    pub comment: String,
+}
+
+/// Answer to `POST reviews`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReviewDone {
+    /// Its place in the log.
+    pub seq: i64,
+    /// State of the task after it.
+    pub state: TaskState,
+}

@@ -1,0 +1,132 @@
+//! Figures of the dashboard.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::names::{EditType, TaskKind, TaskState};
+use super::people::User;
+
+/// A figure with its interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Lower end of the 95 % bootstrap interval.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+    /// Items it is of.
+    pub items: usize,
+}
+
+/// `GET stats/funnel`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Funnel {
+    /// Tasks by kind and state.
+    pub counts: BTreeMap<TaskKind, BTreeMap<TaskState, i64>>,
+    /// Weeks, oldest first.
+    pub weeks: Vec<Week>,
+}
+
+/// A week of work.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Week {
+    /// Its Monday, midnight UTC.
+    pub start: i64,
+    /// Answers handed in.
+    pub submitted: i64,
+    /// Answers accepted.
+    pub accepted: i64,
+    /// Answers returned.
+    pub returned: i64,
+    /// Median seconds of an answer.
+    pub median_secs: Option<f64>,
+}
+
+/// `GET stats/people`: one for each person.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Person {
+    /// Who.
+    pub user: User,
+    /// Answers handed in.
+    pub done: i64,
+    /// Median seconds of an answer.
+    pub median_secs: Option<f64>,
+    /// Answers accepted.
+    pub accepted: i64,
+    /// Answers sent back.
+    pub returned: i64,
+    /// Share of texts that began as a draft and were left unchanged.
+    pub draft_unchanged: Option<f64>,
+    /// Mean edit distance from the draft, 0 to 1.
+    pub draft_distance: Option<f64>,
+    /// Gold tasks answered.
+    pub gold_items: i64,
+    /// Mean score on gold tasks, 0 to 1.
+    pub gold_score: Option<f64>,
+    /// Agreement with others (mean Jaccard of joint sets).
+    pub agreement: Option<Estimate>,
+    /// Last time anything came from them.
+    pub last_seen: Option<i64>,
+}
+
+/// `GET stats/agreement`. Figures are none below 30 shared items.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Agreement {
+    /// One for each of the release's parts, and `overall` of their decisions together.
+    pub parts: Vec<PartAgreement>,
+    /// Mean Jaccard index of joint sets.
+    pub jaccard: Option<Estimate>,
+    /// Krippendorff's alpha of masks with the MASI distance.
+    pub alpha_masi: Option<Estimate>,
+    /// Figures of pair verdicts.
+    pub verdicts: Option<PartAgreement>,
+    /// Tasks with two answers or more.
+    pub shared_items: usize,
+    /// Share of answers that reviewers took as they were.
+    pub accepted_share: Option<Estimate>,
+    /// Draft edit distance where drafts were shown, and where they were withheld.
+    pub draft_distance: Option<f64>,
+    /// Seconds per answer with drafts and without.
+    pub secs_with_and_without_draft: Option<[f64; 2]>,
+}
+
+/// Agreement on one decision.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PartAgreement {
+    /// Name of the part.
+    pub part: String,
+    /// Items with two answers or more.
+    pub items: usize,
+    /// Share of pairs of answers that agree.
+    pub raw: Option<Estimate>,
+    /// Krippendorff's alpha, nominal; takes missing answers.
+    pub krippendorff_alpha: Option<Estimate>,
+    /// Fleiss' kappa over items with the most common number of answers.
+    pub fleiss_kappa: Option<Estimate>,
+    /// Cohen's kappa, averaged over pairs of people by the items they share.
+    pub cohen_kappa: Option<Estimate>,
+    /// Gwet's AC1.
+    pub gwet_ac1: Option<Estimate>,
+}
+
+/// `GET stats/quota`: one for each category and edit type.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuotaRow {
+    /// Category; empty where the source gives none.
+    pub category: String,
+    /// Edit type.
+    pub edit_type: EditType,
+    /// Pairs kept: answered `keep` and not sent back.
+    pub kept: i64,
+    /// Pairs wanted; 0 for no bound.
+    pub wanted: i64,
+}
