@@ -7,6 +7,70 @@
 //! commits scores; [`sweep`] plans ablations.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
+//!
+//! ```
+//! use std::collections::BTreeMap;
+//!
+//! use datasets_spec::record::{EditRow, ItemRow};
+//! use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Skeleton, Split};
+//! use eval::evaluators::{Evaluators, MotionEncoder};
+//! use eval::metric::{Part, of_part};
+//! use eval::protocol::Protocol;
+//! use eval::score::score;
+//! use eval::table::Table;
+//! use eval::{EncoderError, format};
+//!
+//! /// An encoder that sees the height of the first frame and how far the motion gets.
+//! struct Path;
+//!
+//! impl MotionEncoder for Path {
+//!     fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+//!         let latent = |motion: &&Motion| {
+//!             let [first, last] = [0, motion.len() - 1].map(|frame| motion.pose(frame).transl);
+//!             vec![1.0 + first.y, last.x - first.x]
+//!         };
+//!         Ok(motions.iter().map(latent).collect())
+//!     }
+//!     fn hash(&self) -> String {
+//!         "00ff".to_owned()
+//!     }
+//!     fn recipe(&self) -> String {
+//!         "path".to_owned()
+//!     }
+//! }
+//!
+//! // Items: a body that stands, and as target one that slides along x, each at its own speed.
+//! let slide = |speed: f64| {
+//!     let pose = |frame| {
+//!         let mut pose = Pose::REST;
+//!         pose.transl.x = speed * f64::from(frame);
+//!         pose
+//!     };
+//!     let poses: Vec<Pose> = (0..20).map(pose).collect();
+//!     Motion::from_poses(Fps::STORE, &poses)
+//! };
+//! let mut items = Vec::new();
+//! for speed in 0..4 {
+//!     let mut item = ItemRow::blank(&MotionId::parse(&format!("slide{speed}"))?, Split::Test);
+//!     item.instruction = "slide".to_owned();
+//!     let target = slide(0.01 * f64::from(speed))?;
+//!     item.set_motions(&slide(0.0)?, Some(&target), None);
+//!     item.id = item.content_id();
+//!     items.push(item);
+//! }
+//! // Edits are the rows of `stance edit`; without any, the given systems are scored.
+//! let edits: Vec<EditRow> = Vec::new();
+//! let evaluators = Evaluators {
+//!     encoder: &Path,
+//!     classifier: None,
+//!     skeleton: &Skeleton::smplx_neutral(),
+//! };
+//! let scores = score(&items, &edits, evaluators, &Protocol::default(), &NoProgress)?;
+//! let tables = Table::from_scores(&scores, &BTreeMap::new(), &of_part(Part::Paper));
+//! println!("{}", format::text::render(&tables));
+//! assert!(tables[0].rows.iter().any(|row| row.system == "Identity"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod answers;
 pub mod compare;

@@ -1,4 +1,4 @@
-//! Table A4: where the time of editing a window goes.
+//! Table A4: time to edit a window, by stage.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::format::grid::Grid;
 
-/// Seconds for one window, and what they make of the rate.
+/// Seconds for one window, by stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowTimes {
@@ -19,8 +19,8 @@ pub struct WindowTimes {
     pub coordinator_secs: f64,
     /// Finding SMPL-X parameters.
     pub fit_secs: f64,
-    /// Windows generated together, on average: 1 where the times are a latency, as published, more
-    /// where windows share the time of a batch. None where it was not recorded.
+    /// Average batch size: 1 where the times are latencies, as published; more where windows share a
+    /// batch. None where it was not recorded.
     #[serde(default)]
     pub batch: Option<f64>,
 }
@@ -54,13 +54,13 @@ impl WindowTimes {
         self.diffusion_secs + self.coordinator_secs + self.fit_secs
     }
 
-    /// Whether the times are those that a single window takes.
+    /// Whether the times are those of a single window.
     pub fn is_latency(&self) -> bool {
         self.batch == Some(1.0)
     }
 
-    /// Frames of a window to the second. All of them count, as in the paper, also the two that the
-    /// window before has made already.
+    /// Frames per second. As in the paper, all frames of a window count, also the two that repeat the
+    /// window before.
     pub fn fps(&self) -> f64 {
         self.window as f64 / self.total_secs()
     }
@@ -91,8 +91,8 @@ const fn published(
     }
 }
 
-/// Lays rows out as Table A4, each with a name: what a single window takes, and apart from it what
-/// is left of that where windows are generated together. Either part is left out if it has no rows.
+/// Lays named rows out as Table A4: one table of latencies, one of times shared by a batch. A table
+/// without rows is left out.
 pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
     let part = |title: &str, wanted: &dyn Fn(&WindowTimes) -> bool| Grid {
         title: title.to_owned(),

@@ -1,6 +1,5 @@
-//! Drawings as SVG text: motions as strips of figures, and plots. Nothing is rasterised and nothing
-//! refers to anything outside the drawing. Text takes the colour of its surroundings
-//! (`currentColor`), so that a drawing suits a light and a dark page.
+//! Drawings as SVG: motions as strips of figures, and plots. A drawing is self-contained, and its text
+//! uses `currentColor`, so it suits light and dark pages.
 
 pub mod plot;
 pub mod raster;
@@ -8,13 +7,13 @@ pub mod strip;
 
 use glam::DVec2;
 
-/// Fonts of a drawing, from the best liked to the surest.
+/// Font family of drawings, preferred fonts first.
 const FONT: &str = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif";
 
-/// Style of what should stand back, such as the numbers of an axis.
+/// Style of secondary text, such as the numbers of an axis.
 const FAINT: &str = r#"opacity="0.65""#;
 
-/// Begins a drawing that is as large as it says, or narrower where there is no room.
+/// Opens a drawing of the given size, which shrinks on a narrower page.
 fn open(svg: &mut String, width: f64, height: f64, title: &str) {
     svg.push_str(&format!(
         r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} {height:.0}" width="{width:.0}" height="{height:.0}" role="img" font-family="{FONT}" fill="currentColor" style="max-width:100%;height:auto"><title>{}</title>"#,
@@ -40,8 +39,8 @@ fn line(svg: &mut String, from: DVec2, to: DVec2) {
     ));
 }
 
-/// Takes the meaning off the characters that XML and HTML act on, inside and outside of attributes,
-/// and drops the control characters XML forbids.
+/// Escapes text for XML and HTML, inside and outside of attributes, and drops the control characters
+/// XML forbids.
 pub fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for c in text.chars() {
@@ -64,7 +63,7 @@ pub fn escaped(text: &str) -> String {
 pub struct Rgb(pub [f64; 3]);
 
 impl Rgb {
-    /// The colour part of the way from this one to another.
+    /// The colour at a share of the way from this one to another.
     pub fn towards(self, other: Self, share: f64) -> Self {
         Self(std::array::from_fn(|i| {
             self.0[i] + share * (other.0[i] - self.0[i])

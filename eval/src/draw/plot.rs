@@ -12,8 +12,8 @@ pub struct Curve {
     /// Abscissa and ordinate of each point, from left to right. A point that is not finite, or not
     /// positive on a logarithmic axis, interrupts the line.
     pub points: Vec<(f64, f64)>,
-    /// Half the interval of each point, drawn as a bar about it; none for a bare line. One that is not
-    /// finite, or 0, is left out.
+    /// Half width of the interval of each point, drawn as an error bar; empty for a bare line. Values
+    /// that are 0 or not finite are left out.
     pub intervals: Vec<f64>,
 }
 
@@ -34,7 +34,7 @@ pub struct Plot {
     pub title: String,
     /// What the abscissa counts.
     pub x_label: String,
-    /// Names of the abscissas 0, 1, 2 and so on, where they are no numbers; empty where they are.
+    /// Names of the abscissas 0, 1, 2 and so on on a categorical axis; empty on a numeric one.
     pub x_names: Vec<String>,
     /// What the ordinate measures.
     pub y_label: String,
@@ -49,7 +49,7 @@ pub struct Plot {
 pub struct Bars {
     /// Title above the bars.
     pub title: String,
-    /// What tells the bars apart.
+    /// Label of the axis.
     pub x_label: String,
     /// Label and height of each bar, from left to right.
     pub bars: Vec<(String, f64)>,
@@ -60,9 +60,9 @@ pub struct Bars {
 pub struct HeatMap {
     /// Title above the cells; empty for none.
     pub title: String,
-    /// What tells the columns apart, and the columns.
+    /// Label of the horizontal axis, and its values.
     pub x: (String, Vec<String>),
-    /// What tells the rows apart, and the rows, from top to bottom.
+    /// Label of the vertical axis, and its values from top to bottom.
     pub y: (String, Vec<String>),
     /// Values, row after row; one that is not finite is left blank.
     pub values: Vec<f64>,
@@ -72,7 +72,7 @@ pub struct HeatMap {
 const COLD: Rgb = Rgb([214.0, 230.0, 244.0]);
 const HOT: Rgb = Rgb([244.0, 178.0, 110.0]);
 
-/// Draws a value for every pair of settings as one SVG document.
+/// Draws a heat map as one SVG document.
 ///
 /// # Panics
 /// If there is not one value for every pair.
@@ -140,8 +140,8 @@ pub fn heat_map(map: &HeatMap) -> String {
     svg
 }
 
-/// Colours of the lines: the first six of Okabe and Ito's palette, which all kinds of colour vision
-/// tell apart, in an order that puts the best readable on light and dark first.
+/// Colours of the lines: the first six of the colour-blind safe palette of Okabe and Ito, those with
+/// most contrast on light and dark pages first.
 const COLOURS: [&str; 6] = [
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9",
 ];
@@ -151,12 +151,12 @@ const SIZE: DVec2 = DVec2::new(640.0, 300.0);
 /// Space around the axes in pixels: left and top, right and bottom.
 const MARGIN_START: DVec2 = DVec2::new(64.0, 34.0);
 const MARGIN_END: DVec2 = DVec2::new(16.0, 46.0);
-/// Ticks wanted on an axis; their number varies so that they fall on round numbers.
+/// Target number of ticks on an axis; the actual number varies, so that ticks fall on round numbers.
 const NUM_TICKS: f64 = 5.0;
-/// Decades from which on only powers of ten have a tick.
+/// From this many decades on, only powers of ten have a tick.
 const SPARSE_DECADES: f64 = 3.0;
-/// Points of a curve that are drawn as they are. Longer curves are drawn by the extremes of each
-/// of half as many pieces, which looks the same and keeps a long training run's drawing small.
+/// Longest curve that is drawn point by point. A longer one is drawn by the minimum and maximum of each
+/// of half as many pieces, which looks the same and keeps the file small.
 const MAX_POINTS: usize = 1200;
 /// Share of the range that is added below and above the curves.
 const PADDING: f64 = 0.04;
@@ -195,8 +195,8 @@ pub fn plot(plot: &Plot) -> String {
     svg
 }
 
-/// Draws counts as bars, one SVG document: from left to right where all labels have room side by side,
-/// else below each other. Negative heights are drawn as none.
+/// Draws counts as bars in one SVG document: vertical bars if all labels fit side by side, else
+/// horizontal ones. Negative heights are drawn as 0.
 pub fn bar_chart(chart: &Bars) -> String {
     let bars = &chart.bars;
     let highest = bars
@@ -224,7 +224,7 @@ pub fn bar_chart(chart: &Bars) -> String {
     svg
 }
 
-/// The height of a bar; one that is not a number has none.
+/// The height of a bar; NaN has height 0.
 fn bar_height(value: f64) -> f64 {
     if value.is_finite() {
         value.max(0.0)
@@ -259,7 +259,7 @@ fn standing_bars(svg: &mut String, chart: &Bars, highest: f64, slot: f64) {
     axis_label(svg, SIZE, &chart.x_label);
 }
 
-/// Pixels from one lying bar to the next.
+/// Distance of horizontal bars in pixels.
 const BAR_ROW: f64 = 15.0;
 
 fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
@@ -299,8 +299,8 @@ fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
     text(svg, at, "middle", 12.0, &turned, &chart.x_label);
 }
 
-/// The counts of values in intervals of equal, round width, labelled by where each begins; values
-/// that are not finite are left out. There are at most `max_bins` intervals and one more.
+/// A histogram with bins of equal, round width, labelled by their lower ends; values that are not
+/// finite are left out. There are at most `max_bins + 1` bins.
 pub fn histogram(values: &[f64], max_bins: usize) -> Vec<(String, f64)> {
     let finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     let Some((low, high)) = extent(finite.iter().copied()) else {
@@ -523,7 +523,7 @@ impl Curve {
     }
 }
 
-/// A point with its ordinate on the scale, if it has a place there.
+/// A point with its ordinate on the scale; none if it cannot be drawn.
 fn on_scale((x, y): (f64, f64), scale: Scale) -> Option<(f64, f64)> {
     let y = match scale {
         Scale::Linear => y,
@@ -540,7 +540,7 @@ fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// A range that is not a point.
+/// A range of non-zero width.
 fn widened(low: f64, high: f64) -> (f64, f64) {
     if high > low {
         (low, high)

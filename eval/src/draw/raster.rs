@@ -1,6 +1,6 @@
-//! Drawings as pixels: PNG of a still one, GIF of a moving one.
+//! Drawings as pixels: PNG of one drawing, GIF of an animation.
 //!
-//! The font comes with the program, so a picture is the same on every machine.
+//! The font is embedded, so a picture is the same on every machine.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 use super::strip::{Row, Style, moment};
 
-/// Pictures of a second of a GIF. Times are stored in hundredths, and many viewers slow down
-/// anything shorter than two of them.
+/// Frame rate of a GIF. Delays are stored in hundredths of a second, and many viewers slow down
+/// delays shorter than two of them.
 const GIF_FPS: f64 = 20.0;
-/// Most pictures of a GIF: half a minute.
+/// Most frames of a GIF: half a minute.
 const MAX_FRAMES: usize = 600;
 /// How coarsely the colours of a GIF are chosen, from 1 (best) to 30 (fastest).
 const QUANTISER_SPEED: i32 = 10;

@@ -34,8 +34,8 @@ impl Row {
     }
 }
 
-/// From where the figures are looked at, relative to the way the first clip faces at its start. Both
-/// show the figure facing right, the way time runs.
+/// Direction of the camera, relative to the heading of the first clip at its start. In both views the
+/// figure faces right, the direction of time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum View {
     /// From the front right and slightly above.
@@ -61,7 +61,7 @@ pub struct Style {
     pub width: f64,
     /// Figures in each row; a shorter clip has as many as it has frames.
     pub num_figures: usize,
-    /// From where the figures are looked at.
+    /// Direction of the camera.
     pub view: View,
 }
 
@@ -94,7 +94,7 @@ const LABEL_WIDTH: f64 = 126.0;
 const LABEL_CHARS: usize = 15;
 /// Pixels from one line of a label to the next.
 const LABEL_LINE: f64 = 15.0;
-/// Pixels that length and way take below a label.
+/// Height of the line below a label with duration and distance, in pixels.
 const FACTS_HEIGHT: f64 = 34.0;
 /// Space around the drawing in pixels.
 const MARGIN: f64 = 8.0;
@@ -102,8 +102,8 @@ const MARGIN: f64 = 8.0;
 const TIME_HEIGHT: f64 = 30.0;
 /// Pixels to a metre where there is room: a standing figure is about 115 pixels high.
 const PIXELS_PER_M: f64 = 68.0;
-/// Metres from one figure to the next below which figures are drawn smaller instead: less than the
-/// span of two arms, more than a walking body needs.
+/// Least distance of figures in metres; figures are scaled down to keep it. Less than the arm span,
+/// more than a walking body needs.
 const MIN_SLOT_M: f64 = 1.0;
 /// Radius of the drawn head in metres, and how far its centre lies behind the eyes.
 const HEAD_RADIUS_M: f64 = 0.1;
@@ -124,7 +124,7 @@ const TRUNK: [usize; 4] = [16, 17, 2, 1];
 
 /// A limb is drawn as a whole, those farther away first.
 struct Limb {
-    /// Keypoints in the order a pen would follow.
+    /// Keypoints in drawing order.
     chains: &'static [&'static [usize]],
     left: bool,
     width_m: f64,
@@ -161,8 +161,8 @@ const LIMBS: [Limb; 5] = [
 
 /// Draws clips below each other as one SVG document.
 ///
-/// Figures stand at equal distances and are sampled at equal times; how far they walk is written
-/// under the label, how high they are is shown. Colours run from orange at the start to blue at the
+/// Figures stand at equal distances and are sampled at equal times. Their height is shown to scale; the
+/// distance they walk is written under the label. Colours run from orange at the start to blue at the
 /// end. The right limbs are in full colour, the left ones pale. All rows share one camera, so a clip
 /// that faces another way is seen from another side.
 pub fn strip(rows: &[Row], style: &Style) -> String {
@@ -227,7 +227,7 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
 /// Drawings with titles, in columns of one width in pixels.
 pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String {
     const TITLE_HEIGHT: f64 = 30.0;
-    /// Pixels a character of a title takes at most.
+    /// Largest width of a character of a title in pixels.
     const TITLE_CHAR: f64 = 7.5;
     let columns = columns.max(1);
     let title_chars = ((width - 2.0 * MARGIN) / TITLE_CHAR) as usize;
@@ -286,8 +286,8 @@ const PANEL_CHARS: usize = 34;
 /// Pixels to a metre in a panel: raised arms of a standing figure fit.
 const PANEL_PIXELS_PER_M: f64 = 92.0;
 
-/// Draws clips beside each other as they are at one time, as one frame of a moving picture. The
-/// colour is that of the time within the longest clip; a clip that has ended stands as it ended.
+/// Draws the poses of several clips at one time side by side, as one frame of an animation. The colour
+/// follows the time within the longest clip; a clip that has ended keeps its last pose.
 pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
     let camera = Camera::facing(rows, style.view);
     let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
@@ -477,8 +477,8 @@ impl<'a> Drawn<'a> {
     }
 }
 
-/// A text on lines of at most so many characters, broken at spaces; only a word longer than a line is
-/// broken within.
+/// Wraps a text at spaces to lines of at most so many characters; only a word longer than a line is
+/// split.
 fn lines(text: &str, max_chars: usize) -> Vec<String> {
     let mut lines: Vec<String> = vec![String::new()];
     let mut room = max_chars;
@@ -504,7 +504,7 @@ fn lines(text: &str, max_chars: usize) -> Vec<String> {
     lines
 }
 
-/// How a figure is put on the page.
+/// Position and scale of a figure on the page.
 struct Pen {
     /// Where the ground under the pelvis is, in pixels.
     origin: DVec2,
@@ -574,7 +574,7 @@ impl Figure {
         svg.push_str(&format!(
             r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
         ));
-        // A joint turns the bones that hang from it.
+        // A joint rotates the bones below it.
         let turned = KEYPOINT_PARENTS
             .iter()
             .enumerate()

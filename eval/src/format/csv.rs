@@ -8,8 +8,8 @@ const HEAD: &str = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95
                     takes,targets,sources,instructions,gallery,ranked,fid_items,latent_width,\
                     items_digest,behind_identity";
 
-/// Writes the rows of the table of scores with a head line, after RFC 4180 but for the line ends,
-/// which are those of Unix. Numbers keep all their digits.
+/// Writes the rows of the table of scores with a header line, as RFC 4180 but with Unix line ends.
+/// Numbers keep all their digits.
 pub fn render(scores: &[ScoreRow]) -> String {
     let mut text = format!("{HEAD}\n");
     for (row, behind) in scores.iter().zip(behind_identity(scores)) {

@@ -1,9 +1,9 @@
 //! Small tables of text: a head, and rows with a name.
 
-/// A table whose cells are text already.
+/// A table of text cells.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Grid {
-    /// What stands above the table.
+    /// Title.
     pub title: String,
     /// Names of the columns, that of the row names first.
     pub head: Vec<String>,

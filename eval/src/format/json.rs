@@ -129,7 +129,7 @@ mod tests {
                 (row.gallery, row.ranked, row.fid_items, row.latent_width)
             );
             assert_eq!(read.items_digest, row.items_digest);
-            // Which varies most is good in that one metric, and bad elsewhere.
+            // The sample system is better than identity in Multimodality alone.
             let is_last = row.system == "MotionReFit tiny";
             let is_given = [REAL_DATA, IDENTITY].contains(&row.system.as_str());
             let is_behind = !is_given && is_last == (row.metric != "Multimodality");

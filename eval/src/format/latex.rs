@@ -63,14 +63,14 @@ pub fn render(tables: &[Table]) -> String {
     text
 }
 
-/// A text that ends with its line, as a comment must.
+/// A text on one line, as a comment needs.
 pub(super) fn comment(text: &str) -> String {
     text.chars()
         .map(|c| if c.is_control() { ' ' } else { c })
         .collect()
 }
 
-/// Takes the meaning off the ten characters TeX acts on.
+/// Escapes the characters that are special in TeX.
 pub(super) fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for c in text.chars() {

@@ -51,7 +51,7 @@ pub fn render(tables: &[Table]) -> String {
     text
 }
 
-/// Takes the meaning off characters that Markdown or the HTML inside it would act on.
+/// Escapes the characters that are special in Markdown and in the HTML within it.
 fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for c in text.chars() {

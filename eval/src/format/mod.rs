@@ -9,14 +9,14 @@ pub mod text;
 
 use crate::table::Row;
 
-/// What stands where a value was not measured.
+/// Placeholder of a value that was not measured.
 pub(crate) const ABSENT: &str = "–";
-/// What follows the name of a row that was not measured, where each row stands for itself.
+/// Suffix of the name of a published row, in formats without a heading for them.
 const PUBLISHED: &str = "(published)";
-/// What stands above rows that were not measured, where they can be set apart.
+/// Heading of the published rows.
 pub(crate) const PUBLISHED_HEADING: &str = "Published, not measured here";
 
-/// Rows of one group stand together, apart from those of the next.
+/// Groups of rows, which formats separate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RowGroup {
     Baseline,

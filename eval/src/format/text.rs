@@ -3,13 +3,13 @@
 use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
 use crate::table::{Cell, Column, Table};
 
-/// Columns a terminal is assumed to have.
+/// Assumed width of a terminal in characters.
 pub const MAX_WIDTH: usize = 160;
 /// Spaces between columns.
 const GAP: usize = 2;
-/// The shortest a system name is cut to.
+/// Shortest width a system name is cut to.
 const MIN_NAME_WIDTH: usize = 8;
-/// Mark of the best measured value, as a terminal need not have bold type.
+/// Mark of the best measured value.
 const BEST: char = '*';
 
 /// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped and
@@ -152,7 +152,7 @@ fn push_line(text: &mut String, line: &str) {
     text.push('\n');
 }
 
-/// The cells of a column, all of one width: means end and half widths begin in the same place.
+/// The cells of a column, aligned at the end of the means.
 fn column_texts(table: &Table, index: usize) -> Vec<String> {
     let column = &table.columns[index];
     let parts: Vec<(String, String)> = table
@@ -179,17 +179,17 @@ fn cell_parts(cell: Option<&Cell>, column: &Column) -> (String, String) {
     } else {
         mean
     };
-    // As in the paper, a half width below one goes without its zero, which leaves the names room.
+    // As in the paper, a half width below one has no leading zero, which saves width.
     let half_width = cell.ci_text(column.metric).replacen("±0.", "±.", 1);
     (mean, half_width)
 }
 
-/// Characters of a text, each of which is taken to fill one column.
+/// Width of a text; every character is assumed to be one column wide.
 fn width(text: &str) -> usize {
     text.chars().count()
 }
 
-/// A text in at most so many columns, without its middle if it is longer.
+/// A text in at most so many columns; a longer one loses its middle.
 fn cut(text: &str, max_width: usize) -> String {
     // Control characters of a system's name must not move the cursor.
     let text: String = text

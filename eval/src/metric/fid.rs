@@ -25,8 +25,7 @@ pub static FID_RAW: Metric = Metric {
     measure: Measure::Set(|sample| of_sample(sample, |latents| &latents.raw)),
 };
 
-/// The distance of each set from the real data. Resamples take the quicker of two ways, which
-/// agree to 1e-6.
+/// The distance of each set from the real data. Resamples use a quicker form, which agrees to 1e-6.
 fn of_sample(
     sample: &SetSample<'_>,
     of: fn(&Latents) -> &Matrix,
@@ -51,7 +50,7 @@ fn of_sample(
 /// Smallest set a covariance can be estimated from.
 pub const MIN_ROWS: usize = 2;
 
-/// A normal distribution: what a set of latents is taken for.
+/// A normal distribution fitted to a set of latents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaussian {
     mean: Vec<f64>,
@@ -116,8 +115,8 @@ impl Gaussian {
     }
 }
 
-/// One side of a Fréchet distance, prepared for being compared with many others: the square root
-/// of its covariance is computed once.
+/// One side of a Fréchet distance, with the root of its covariance computed once for many
+/// comparisons.
 #[derive(Clone, Debug)]
 pub struct Reference {
     gaussian: Gaussian,

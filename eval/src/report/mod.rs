@@ -1,4 +1,4 @@
-//! A run in one HTML file that needs nothing beside itself.
+//! A run as one self-contained HTML file.
 
 mod details;
 mod result_tables;
@@ -29,13 +29,13 @@ pub struct Report {
     pub charts: Vec<Chart>,
     /// Edited motions.
     pub strips: Vec<Strip>,
-    /// Name and value of what is to be known of the dataset.
+    /// Names and values of facts about the dataset.
     pub facts: Vec<(String, String)>,
-    /// Name and value of versions and seeds.
+    /// Names and values of versions and seeds.
     pub settings: Vec<(String, String)>,
     /// Settings of the systems and stages.
     pub details: Vec<Details>,
-    /// Commands that make the same numbers again, in order.
+    /// Commands that reproduce the numbers, in order.
     pub commands: Vec<String>,
 }
 
@@ -44,9 +44,9 @@ pub struct Report {
 pub struct Card {
     /// What it counts or measures.
     pub label: String,
-    /// The number as it is to be read.
+    /// The number as text.
     pub value: String,
-    /// What to compare it with; empty for nothing.
+    /// A reference value or remark; may be empty.
     pub note: String,
 }
 

@@ -64,7 +64,7 @@ pub(super) fn html(tables: &[Table]) -> String {
     html
 }
 
-/// Columns from which on a table takes the whole width of the page.
+/// Least number of columns of a table that takes the whole width of the page.
 const WIDE_COLUMNS: usize = 5;
 
 /// Two head lines: families of columns, such as E2S, above their members.

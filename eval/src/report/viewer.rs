@@ -15,13 +15,13 @@ use crate::draw::strip::Row;
 pub struct Strip {
     /// The instruction.
     pub caption: String,
-    /// The item: its id, kind or whatever finds it again.
+    /// Id or kind of the item.
     pub note: String,
     /// The motions, such as original, edited and target.
     pub rows: Vec<Row>,
 }
 
-/// The program of the viewer. It makes its elements from the data and loads nothing.
+/// The script of the viewer. It builds its elements from the data and loads nothing.
 pub(super) const SCRIPT: &str = include_str!("viewer.js");
 
 /// Millimetres in a metre: the unit of stored positions.
@@ -32,14 +32,14 @@ pub(super) fn script_source() -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
 }
 
-/// Place and data of the viewer; empty without motions.
+/// Element and data of the viewer; empty without motions.
 pub(super) fn body(strips: &[Strip]) -> String {
     if strips.is_empty() {
         return String::new();
     }
     let items: Vec<_> = strips.iter().map(item).collect();
     let data = json!({ "parents": KEYPOINT_PARENTS, "items": items });
-    // Within a script element only the markup that ends it has a meaning.
+    // Within a script element only its end tag is special.
     let data = data.to_string().replace('<', "\\u003c");
     format!(
         "<p class=\"head\">All motions of an item on one clock. Drag to orbit, scroll to zoom; \
@@ -50,7 +50,7 @@ pub(super) fn body(strips: &[Strip]) -> String {
 }
 
 fn item(strip: &Strip) -> serde_json::Value {
-    // One origin for all motions of an item: how they lie towards each other is part of the edit.
+    // One origin for all motions of an item: their relative position is part of the edit.
     let origin = strip
         .rows
         .iter()
@@ -68,8 +68,8 @@ fn item(strip: &Strip) -> serde_json::Value {
     json!({ "caption": strip.caption, "note": strip.note, "fps": fps, "motions": motions })
 }
 
-/// Positions in millimetres from the origin, little-endian, 16 bits each; what lies further away
-/// than 32 m is drawn there.
+/// Positions in millimetres from the origin, little-endian, 16 bits each; positions beyond 32 m are
+/// clamped.
 fn points(keypoints: &Keypoints, origin: DVec3) -> String {
     let mut bytes = Vec::with_capacity(keypoints.points.len() * size_of_val(&KEYPOINT_PARENTS));
     for point in keypoints.points.iter().flatten() {
