@@ -1,10 +1,31 @@
-//! The contract between the stages of `stance`: motion types, skeleton, body parts, kinematics,
-//! canonical segments, and the tables on disk.
+//! The contract between the stages of `stance`: ids, splits, body parts, and the tables on disk.
 //!
 //! Everything is y up, in metres, radians and seconds; the character's left is +x at rest and it
-//! faces +z. This crate knows no foreign file format, no network, no HTTP and no command line.
+//! faces +z. Motions, skeletons and what is computed with them are the crate `kinematics`. This crate
+//! knows no foreign file format, no network, no HTTP and no command line.
 //!
-//! Read [`Motion`] and [`dataset::Dataset`] first; the format document is the crate's `README.md`.
+//! Read [`record::MotionRow`] and [`Dataset`] first; the format document is the crate's `README.md`.
+//!
+//! ```
+//! use datasets_spec::dataset::commit_rows;
+//! use datasets_spec::record::QuarantineRow;
+//! use datasets_spec::{Dataset, Skeleton};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! let row = QuarantineRow {
+//!     path: "walk.bvh".to_owned(),
+//!     source_hash: String::new(),
+//!     code: "E-BVH-FRAMES".to_owned(),
+//!     reason: "found 3 rows of motion, expected 4".to_owned(),
+//!     byte_offset: Some(812),
+//!     stage: "read".to_owned(),
+//! };
+//! let rows = [row];
+//! commit_rows(folder.path(), &rows, None, &Skeleton::smplx_neutral(), "plan", "example")?;
+//! let dataset = Dataset::open(folder.path())?;
+//! assert_eq!(dataset.read::<QuarantineRow>(None)?, rows);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod card;
 mod croissant;

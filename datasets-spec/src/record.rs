@@ -694,6 +694,31 @@ impl ItemRow {
 }
 
 impl EditRow {
+    /// The answer to an item, of a system without name, checkpoint, settings and errors: the maker
+    /// fills them in.
+    pub fn answering(item: &ItemRow, motion: &Motion) -> Self {
+        Self {
+            id: item.id.clone(),
+            split: item.split,
+            system: String::new(),
+            checkpoint_hash: String::new(),
+            settings_hash: String::new(),
+            settings: String::new(),
+            source_id: item.source_id.to_string(),
+            target_id: item.target_id.to_string(),
+            instruction: item.instruction.clone(),
+            kind: item.task.clone(),
+            seed: 0,
+            fps: motion.fps().get() as f32,
+            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            fit_error_m: None,
+            bone_drift_m: None,
+        }
+    }
+
     /// The motion of the row.
     ///
     /// # Errors

@@ -6,6 +6,20 @@
 //!
 //! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
 //! and [`compose::Stream`] first.
+//!
+//! ```
+//! use corpus::{CorpusOptions, write_corpus};
+//! use datasets_spec::NoProgress;
+//! use pipeline::ingest::{IngestOptions, ingest};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! let (sources, out) = (folder.path().join("sources"), folder.path().join("dataset"));
+//! let options = CorpusOptions { clips: 4, ..CorpusOptions::default() };
+//! write_corpus(&sources, &options, &NoProgress)?;
+//! let report = ingest(&[sources], &out, &IngestOptions::default(), "example", &NoProgress)?;
+//! assert_eq!(report.accounting.ingested, 4);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod annotation;
 pub mod answers;

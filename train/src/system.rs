@@ -105,24 +105,14 @@ impl SystemIdentity {
     /// The row of an edit.
     pub fn row(&self, item: &ItemRow, motion: &Motion, misfit: Misfit, seed: Seed) -> EditRow {
         EditRow {
-            id: item.id.clone(),
-            split: item.split,
             system: self.name.clone(),
             checkpoint_hash: self.checkpoint_hash.clone(),
             settings_hash: self.settings_hash(),
             settings: self.settings.clone(),
-            source_id: item.source_id.to_string(),
-            target_id: item.target_id.to_string(),
-            instruction: item.instruction.clone(),
-            kind: item.task.clone(),
             seed: seed.0,
-            fps: motion.fps().get() as f32,
-            n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-            transl: motion.transl().to_vec(),
-            global_orient: motion.global_orient().to_vec(),
-            body_pose: motion.body_pose().to_vec(),
             fit_error_m: Some(misfit.fit_error_m),
             bone_drift_m: Some(misfit.bone_drift_m),
+            ..EditRow::answering(item, motion)
         }
     }
 }

@@ -5,6 +5,16 @@
 //! faces +z. This crate reads and writes no file.
 //!
 //! Read [`Motion`] and [`Skeleton`] first.
+//!
+//! ```
+//! use kinematics::{Fps, Motion, Pose, Resample, Skeleton};
+//!
+//! let motion = Motion::from_poses(Fps::new(60.0)?, &[Pose::REST; 61])?;
+//! let stored = Resample::Exact.apply(&motion, Fps::STORE)?;
+//! let keypoints = Skeleton::smplx_neutral().motion_keypoints(&stored);
+//! assert_eq!(keypoints.points.len(), 21);
+//! # Ok::<(), kinematics::Error>(())
+//! ```
 
 pub mod canonical;
 mod error;

@@ -70,24 +70,8 @@ fn item(index: usize, task: &str) -> ItemRow {
 /// What a system made of an item.
 fn answer(system: &str, item: &ItemRow, motion: &Motion) -> EditRow {
     EditRow {
-        id: item.id.clone(),
-        split: item.split,
         system: system.to_owned(),
-        checkpoint_hash: String::new(),
-        settings_hash: String::new(),
-        settings: String::new(),
-        source_id: String::new(),
-        target_id: String::new(),
-        instruction: item.instruction.clone(),
-        kind: item.task.clone(),
-        seed: 0,
-        fps: motion.fps().get() as f32,
-        n_frames: 4,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        fit_error_m: None,
-        bone_drift_m: None,
+        ..EditRow::answering(item, motion)
     }
 }
 

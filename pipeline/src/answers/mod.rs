@@ -374,24 +374,14 @@ impl Answers {
             .map(|(index, seed, motion, fit_error_m)| {
                 let item = &items[index];
                 EditRow {
-                    id: item.id.clone(),
-                    split: item.split,
                     system: options.system.clone(),
                     checkpoint_hash: checkpoint_hash.clone(),
                     settings_hash: settings_hash.clone(),
                     settings: options.settings.clone(),
-                    source_id: item.source_id.to_string(),
-                    target_id: item.target_id.to_string(),
-                    instruction: item.instruction.clone(),
-                    kind: item.task.clone(),
                     seed: seed.0,
                     fps: item.fps,
-                    n_frames: i32::try_from(motion.len()).unwrap_or(i32::MAX),
-                    transl: motion.transl().to_vec(),
-                    global_orient: motion.global_orient().to_vec(),
-                    body_pose: motion.body_pose().to_vec(),
                     fit_error_m,
-                    bone_drift_m: None,
+                    ..EditRow::answering(item, &motion)
                 }
             })
             .collect();

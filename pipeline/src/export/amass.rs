@@ -9,6 +9,7 @@ use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Progress};
 use rayon::prelude::*;
 
+use super::paths::{safe_path, unique};
 use crate::Error;
 use crate::write::amass;
 
@@ -51,24 +52,9 @@ pub(super) fn write(
     Ok(total)
 }
 
-/// A relative path for an id that stays inside the folder, and is not taken even where names that
-/// differ in case alone are one.
+/// A relative path for an id, named as files of the release are.
 pub(super) fn file_name(id: &str, taken: &mut BTreeSet<String>) -> String {
-    let parts: Vec<String> = id
-        .split('/')
-        .map(|part| match part {
-            "" | "." | ".." => "_".to_owned(),
-            part => part.replace(['\\', ':'], "_"),
-        })
-        .collect();
-    let stem = parts.join("/");
-    let mut name = format!("{stem}{NAME_END}");
-    let mut number = 1;
-    while !taken.insert(name.to_lowercase()) {
-        number += 1;
-        name = format!("{stem}-{number}{NAME_END}");
-    }
-    name
+    format!("{}{NAME_END}", unique(safe_path(id), taken))
 }
 
 #[cfg(test)]
@@ -128,16 +114,5 @@ mod tests {
             let [a, b] = [&before, &after].map(|row| rotation(row.global_orient[frame]));
             assert!(angle_between(a, b) < 1e-6);
         }
-    }
-
-    #[test]
-    fn no_id_leaves_the_folder_or_meets_another() {
-        let mut taken = BTreeSet::new();
-        let mut name = |id: &str| file_name(id, &mut taken);
-        assert_eq!(name("KIT/3/kick"), "KIT/3/kick_stageii.npz");
-        assert_eq!(name("../../etc/x"), "_/_/etc/x_stageii.npz");
-        assert_eq!(name("/x"), "_/x_stageii.npz");
-        assert_eq!(name("kit/3/KICK"), "kit/3/KICK-2_stageii.npz");
-        assert_eq!(name("c:\\x"), "c__x_stageii.npz");
     }
 }

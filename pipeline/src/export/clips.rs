@@ -8,6 +8,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 
+use super::paths::{safe_path, unique};
 use crate::{Error, write};
 
 /// Writes a BVH file for each clip.
@@ -65,57 +66,4 @@ fn each(
     }
     progress.finish(&format!("{count} clips"));
     Ok(count)
-}
-
-/// A relative path of an id that every file system takes: characters with a meaning become `_`, and
-/// no part is empty or a dot path.
-pub(super) fn safe_path(id: &str) -> String {
-    let parts: Vec<String> = id
-        .split('/')
-        .map(|part| {
-            let safe: String = part
-                .chars()
-                .map(|c| match c {
-                    '\\' | ':' | '*' | '?' | '"' | '<' | '>' | '|' => '_',
-                    c => c,
-                })
-                .collect();
-            match safe.trim_matches(['.', ' ']) {
-                "" => "_".to_owned(),
-                _ => safe,
-            }
-        })
-        .collect();
-    parts.join("/")
-}
-
-/// The path, with a number where a path that differs in case alone is taken.
-pub(super) fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
-    let mut candidate = path.clone();
-    let mut number = 1;
-    while !taken.insert(candidate.to_lowercase()) {
-        number += 1;
-        candidate = format!("{path}_{number}");
-    }
-    candidate
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ids_become_paths_inside_the_folder() {
-        for (id, path) in [
-            ("a/b", "a/b"),
-            ("../../etc/passwd", "_/_/etc/passwd"),
-            ("robot.glb#Dance", "robot.glb#Dance"),
-            ("a//b: c", "a/_/b_ c"),
-        ] {
-            assert_eq!(safe_path(id), path);
-        }
-        let mut taken = BTreeSet::new();
-        assert_eq!(unique("Walk".to_owned(), &mut taken), "Walk");
-        assert_eq!(unique("walk".to_owned(), &mut taken), "walk_2");
-    }
 }

@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::clips::{safe_path, unique};
+use super::paths::{safe_path, unique};
 use super::{Layout, Staging, amass, item_stem};
 use crate::{Error, write};
 
@@ -106,15 +106,7 @@ pub fn export_edits(
             Ok(Said { file, ..clip.said })
         })
         .collect::<Result<_, Error>>()?;
-    let path = folder.path.join(LIST);
-    let mut text = serde_json::to_vec_pretty(&said).map_err(|source| {
-        Error::from(datasets_spec::Error::Json {
-            path: path.clone(),
-            source,
-        })
-    })?;
-    text.push(b'\n');
-    fs::write(&path, text).map_err(Error::io("write", &path))?;
+    folder.write_json(LIST, &said)?;
     folder.publish(out)?;
     progress.finish(&format!("{} motions", said.len()));
     Ok(said.len() as u64)

@@ -49,7 +49,7 @@ struct File {
 
 /// The stem of the files of an item.
 pub(crate) fn item_stem(id: &str) -> String {
-    super::clips::safe_path(&id.replace('/', "_"))
+    super::paths::safe_path(&id.replace('/', "_"))
 }
 
 /// Writes items to a new folder: `sources/ID.npz` with SMPL-X parameters in AMASS's layout (z up) and
@@ -121,15 +121,7 @@ pub fn export_items(
         up: "z",
         items: written,
     };
-    let path = folder.path.join(LIST);
-    let mut text = serde_json::to_vec_pretty(&list).map_err(|source| {
-        Error::from(datasets_spec::Error::Json {
-            path: path.clone(),
-            source,
-        })
-    })?;
-    text.push(b'\n');
-    fs::write(&path, text).map_err(Error::io("write", &path))?;
+    folder.write_json(LIST, &list)?;
     folder.publish(out)?;
     progress.finish(&format!("{} items", items.len()));
     Ok(motions)

@@ -9,6 +9,7 @@ mod edits;
 mod humanml3d;
 mod items;
 mod lerobot;
+mod paths;
 mod stance;
 mod webdataset;
 
@@ -19,6 +20,7 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Progress};
+use serde::Serialize;
 
 use crate::Error;
 
@@ -127,6 +129,19 @@ impl Staging {
             path,
             published: false,
         })
+    }
+
+    /// Writes a JSON document, indented and with a line end.
+    fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), Error> {
+        let path = self.path.join(name);
+        let mut text = serde_json::to_vec_pretty(value).map_err(|source| {
+            Error::from(datasets_spec::Error::Json {
+                path: path.clone(),
+                source,
+            })
+        })?;
+        text.push(b'\n');
+        fs::write(&path, text).map_err(Error::io("write", &path))
     }
 
     fn publish(mut self, out: &Path) -> Result<(), Error> {

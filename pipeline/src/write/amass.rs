@@ -11,9 +11,10 @@
 use std::io;
 
 use datasets_spec::{Motion, Skeleton};
-use glam::DQuat;
 use kinematics::rotation::to_axis_angle;
 use pickle::npz::Writer;
+
+use crate::source::smpl::y_up_from_z_up;
 
 /// Joints of a row of `poses` in the SMPL-H layout.
 const SMPLH_JOINTS: usize = 52;
@@ -37,7 +38,7 @@ struct Parameters {
 
 impl Parameters {
     fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
-        let file_from_motion = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
+        let file_from_motion = y_up_from_z_up().conjugate();
         let rest_pelvis = skeleton.rest(0);
         let (mut root, mut trans) = (Vec::new(), Vec::new());
         for pose in motion.poses() {
@@ -146,7 +147,7 @@ mod tests {
     use std::io::Cursor;
 
     use datasets_spec::{Fps, Pose};
-    use glam::DVec3;
+    use glam::{DQuat, DVec3};
     use pickle::npz::Archive;
 
     use super::*;

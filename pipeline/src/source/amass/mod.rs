@@ -13,6 +13,7 @@ use kinematics::{motion, resample};
 
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
+use super::smpl::y_up_from_z_up;
 use crate::check::FLAG_FPS_DOUBTFUL;
 use crate::clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, RotationSource, SourceClip};
 use crate::feature::smpl_body;
@@ -117,14 +118,6 @@ pub(crate) enum Parsed<'a> {
         /// What it is.
         reason: String,
     },
-}
-
-/// Carries AMASS's z-up coordinates to y up: `(x, y, z)` becomes `(x, z, -y)`, a quarter turn about
-/// x. A body facing -y in the file faces +z in the store.
-///
-/// HumanML3D maps to `(-x, z, y)` instead: the same up to a half turn about the vertical.
-fn y_up_from_z_up() -> DQuat {
-    DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
 }
 
 /// Reads an archive as a motion of the given body. `path` tells the subset, whose known frame rate
