@@ -7,7 +7,7 @@ use crate::pose::{KeypointFrame, Pose};
 use crate::rotation;
 use crate::skeleton::Skeleton;
 
-/// Frames of a window, the fixed ones included (paper Sec. 5; released configuration).
+/// Frames of a window, the fixed ones included (paper Sec. 5.1; released configuration).
 pub const WINDOW_FRAMES: usize = 16;
 /// Leading frames of a window that are given, not generated.
 pub const FIXED_FRAMES: usize = 2;

@@ -115,7 +115,7 @@ pub(super) struct Pairing {
     pub(super) wording: f64,
     /// Where the partner and the annotated motion meet, or the two motions of a pair.
     pub(super) crop: Crop,
-    /// Where the donor and what the two motions of a pair share meet, in a whole-clip triplet.
+    /// Overlap of the donor with the pair's common frames (whole-clip triplets only).
     pub(super) donor: Crop,
 }
 

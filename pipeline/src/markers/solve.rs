@@ -95,7 +95,7 @@ pub struct Solved {
 pub fn solve(markers: &Markers, skeleton: &Skeleton) -> Result<Solved, SolveError> {
     let set = recognise(&markers.labels)?;
     let mut markers = markers.clone();
-    let worn = Worn::of(&markers);
+    let worn = LabelledMarkers::of(&markers);
     let (turn, up) = up_turn(&markers, &worn).ok_or(SolveError::NoBody { set })?;
     for position in &mut markers.positions {
         let turned = turn * DVec3::from_array(position.map(f64::from));
@@ -171,7 +171,7 @@ fn recognise(labels: &[String]) -> Result<&'static str, SolveError> {
 }
 
 /// The markers whose place is known.
-struct Worn {
+struct LabelledMarkers {
     /// Column of each among the labels.
     columns: Vec<usize>,
     names: Vec<String>,
@@ -179,7 +179,7 @@ struct Worn {
     offsets: Vec<DVec3>,
 }
 
-impl Worn {
+impl LabelledMarkers {
     fn of(markers: &Markers) -> Self {
         let mut worn = Self {
             columns: Vec::new(),
@@ -207,7 +207,7 @@ struct Frames {
 }
 
 impl Frames {
-    fn of(markers: &Markers, worn: &Worn) -> Self {
+    fn of(markers: &Markers, worn: &LabelledMarkers) -> Self {
         let count = markers.labels.len().max(1);
         let points = markers
             .positions
@@ -238,7 +238,7 @@ impl Frames {
 }
 
 /// The turn to y up, by where the upper markers are from the lower ones, and the file's up axis.
-fn up_turn(markers: &Markers, worn: &Worn) -> Option<(DQuat, &'static str)> {
+fn up_turn(markers: &Markers, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
     let frames = Frames::of(markers, worn);
     // Heads, chests and hips are above feet; whichever there are.
     let level = |joint: usize| match joint {

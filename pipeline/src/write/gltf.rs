@@ -237,8 +237,8 @@ impl Builder {
     }
 }
 
-/// A joint's rotations as quaternions `[L * 4]`, of two signs always the one nearer to the frame
-/// before, as some viewers mix the numbers as they are.
+/// A joint's rotations as quaternions `[L * 4]`. Signs are chosen for continuity, because some viewers
+/// interpolate components linearly.
 fn joint_rotations(motion: &Motion, joint: usize) -> Vec<f32> {
     let mut previous = DQuat::IDENTITY;
     (0..motion.len())

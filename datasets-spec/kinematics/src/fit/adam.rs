@@ -117,9 +117,10 @@ impl AdamFit {
                     let mean_bias = 1.0 - BETAS[0].powi(step);
                     let root_bias = (1.0 - BETAS[1].powi(step)).sqrt();
                     for at in 0..PARAMETERS {
-                        let slope = gradient[at] * scale;
-                        mean[at] += (1.0 - BETAS[0]) * (slope - mean[at]);
-                        variance[at] = BETAS[1] * variance[at] + (1.0 - BETAS[1]) * slope * slope;
+                        let gradient = gradient[at] * scale;
+                        mean[at] += (1.0 - BETAS[0]) * (gradient - mean[at]);
+                        variance[at] =
+                            BETAS[1] * variance[at] + (1.0 - BETAS[1]) * gradient * gradient;
                         let size = variance[at].sqrt() / root_bias + EPS;
                         parameters[at] -= self.learning_rate / mean_bias * mean[at] / size;
                     }

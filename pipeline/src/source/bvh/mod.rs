@@ -659,11 +659,6 @@ fn parse_rows(
                 at += 1;
                 break;
             }
-            if let Some((value, end)) = plain_number(bytes, at) {
-                values.push(value);
-                at = end;
-                continue;
-            }
             let start = at;
             while at < bytes.len() && !bytes[at].is_ascii_whitespace() {
                 at += 1;
@@ -709,133 +704,10 @@ fn is_line_end(byte: u8) -> bool {
     byte == b'\n' || byte == b'\r'
 }
 
-/// Powers of ten that `f64` holds exactly.
-const EXACT_POWERS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
-    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
-];
-
-/// Digits below which a mantissa is below 2^53, hence exact.
-const EXACT_DIGITS: usize = 15;
-
-/// Reads a number of the form that motion files are full of, such as -12.345678 or 5.1e-06, and
-/// where it ends; none if it is anything else, which [`parse_number`] then handles.
-///
-/// Digits are taken eight at a time from one 64-bit word.
-fn plain_number(bytes: &[u8], at: usize) -> Option<(f64, usize)> {
-    let negative = bytes.get(at) == Some(&b'-');
-    let mut at = at + usize::from(negative);
-    let (mut mantissa, whole_digits) = eight_digits(bytes, at)?;
-    at += whole_digits;
-    let mut decimals = 0;
-    if bytes.get(at) == Some(&b'.') {
-        let (fraction, found) = eight_digits(bytes, at + 1)?;
-        mantissa = mantissa * INTEGER_POWERS[found] + fraction;
-        decimals = found;
-        at += 1 + found;
-        if found == INTEGER_POWERS.len() - 1 {
-            let (fraction, found) = eight_digits(bytes, at)?;
-            mantissa = mantissa.wrapping_mul(INTEGER_POWERS[found]) + fraction;
-            decimals += found;
-            at += found;
-        }
-    }
-    let num_digits = whole_digits + decimals;
-    if num_digits == 0 || num_digits > EXACT_DIGITS {
-        return None;
-    }
-    let mut end = *bytes.get(at)?;
-    if matches!(end, b'e' | b'E') && bytes.get(at + 1) == Some(&b'-') {
-        let (exponent, found) = eight_digits(bytes, at + 2)?;
-        decimals += usize::try_from(exponent).ok().filter(|_| found > 0)?;
-        at += 2 + found;
-        end = *bytes.get(at)?;
-    }
-    if !end.is_ascii_whitespace() {
-        return None;
-    }
-    let magnitude = mantissa as f64 / EXACT_POWERS.get(decimals)?;
-    Some((if negative { -magnitude } else { magnitude }, at))
-}
-
-const INTEGER_POWERS: [u64; 9] = [
-    1,
-    10,
-    100,
-    1_000,
-    10_000,
-    100_000,
-    1_000_000,
-    10_000_000,
-    100_000_000,
-];
-
-/// The number that up to eight digits make, and how many there are; none within eight bytes of the
-/// end.
-///
-/// # Source
-/// Lemire, "Number Parsing at a Gigabyte per Second" (2021), section 6.
-fn eight_digits(bytes: &[u8], at: usize) -> Option<(u64, usize)> {
-    const ZEROS: u64 = 0x3030_3030_3030_3030;
-    const TOP_BITS: u64 = 0x8080_8080_8080_8080;
-    /// Added to a byte, carries into its top bit from ten on.
-    const TO_TOP_BIT: u64 = 0x7676_7676_7676_7676;
-    /// Every other pair of digits.
-    const PAIRS: u64 = 0x0000_00FF_0000_00FF;
-    let word: [u8; 8] = bytes.get(at..at.checked_add(8)?)?.try_into().ok()?;
-    let digits = u64::from_le_bytes(word) ^ ZEROS;
-    let no_digit = (digits.wrapping_add(TO_TOP_BIT) | digits) & TOP_BITS;
-    let count = no_digit.trailing_zeros() / 8;
-    // Shifted to the end of the word, so that zeros stand before them.
-    let digits = digits.checked_shl(64 - 8 * count).unwrap_or(0);
-    let pairs = digits.wrapping_mul(10).wrapping_add(digits >> 8);
-    let value = (pairs & PAIRS)
-        .wrapping_mul(100 + (1_000_000 << 32))
-        .wrapping_add(((pairs >> 16) & PAIRS).wrapping_mul(1 + (10_000 << 32)))
-        >> 32;
-    Some((value, count as usize))
-}
-
 /// Parses a decimal number, correctly rounded; none if it is no number or not finite.
-///
-/// Motion files hold numbers of few digits. For those, digits and power of ten are both exact in
-/// `f64`, so one multiplication or division rounds correctly (Clinger 1990) and costs a third of
-/// the general algorithm, which handles the rest.
 fn parse_number(token: &[u8]) -> Option<f64> {
-    let (negative, digits) = match token {
-        [b'-', rest @ ..] => (true, rest),
-        [b'+', rest @ ..] => (false, rest),
-        _ => (false, token),
-    };
-    let mut mantissa = 0u64;
-    let mut num_digits = 0usize;
-    let mut num_decimals = 0i32;
-    let mut seen_point = false;
-    let mut at = 0;
-    while let Some(&byte) = digits.get(at) {
-        match byte {
-            b'0'..=b'9' => {
-                mantissa = mantissa
-                    .wrapping_mul(10)
-                    .wrapping_add(u64::from(byte - b'0'));
-                num_digits += 1;
-                num_decimals += i32::from(seen_point);
-            }
-            b'.' if !seen_point => seen_point = true,
-            b'e' | b'E' if num_digits > 0 => break,
-            _ => return None,
-        }
-        at += 1;
-    }
-    if num_digits == 0 {
-        return None;
-    }
-    if at == digits.len() && num_digits <= EXACT_DIGITS {
-        let magnitude = mantissa as f64 / EXACT_POWERS[num_decimals as usize];
-        return Some(if negative { -magnitude } else { magnitude });
-    }
-    let text = std::str::from_utf8(token).ok()?;
-    text.parse::<f64>().ok().filter(|value| value.is_finite())
+    let number = fast_float2::parse::<f64, _>(token).ok();
+    number.filter(|value| value.is_finite())
 }
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
@@ -1046,25 +918,6 @@ mod tests {
             ] {
                 prop_assert_eq!(parse_number(text.as_bytes()), text.parse().ok(), "{}", text);
             }
-        }
-
-        #[test]
-        fn plain_numbers_parse_as_all_others(
-            value in -1e6..1e6f64,
-            digits in 0usize..12,
-            shift in 0i32..9,
-        ) {
-            let scientific = format!("{:.digits$e}", value * 10f64.powi(-shift));
-            for text in [format!("{value:.digits$}"), scientific, format!("{value:e}")] {
-                // Words are read eight bytes at a time, so the number must not be the last one.
-                let line = format!("{text} 0.0 0.0 0.0\n");
-                if let Some((found, end)) = plain_number(line.as_bytes(), 0) {
-                    prop_assert_eq!(Some(found), text.parse().ok(), "{}", text);
-                    prop_assert_eq!(end, text.len());
-                }
-            }
-            let usual = format!("{value:.6} 0.0 0.0 0.0\n");
-            prop_assert!(plain_number(usual.as_bytes(), 0).is_some(), "{}", usual);
         }
 
         #[test]
