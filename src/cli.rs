@@ -145,4 +145,6 @@ pub(crate) enum Command {
     Sweep(cmd::sweep::Args),
     Report(cmd::page::Args),
     Render(cmd::render::Args),
+    Completions(cmd::completions::Args),
+    Man(cmd::completions::ManArgs),
 }

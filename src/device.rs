@@ -11,9 +11,11 @@ pub(crate) enum Kind {
     /// The processor, by burn's fastest backend for it
     #[default]
     Cpu,
-    /// An NVIDIA card, in a program built with `--features cuda`
+    /// The processor, by burn-ndarray: slower, and independent of the kernels of this program
+    Ndarray,
+    /// An NVIDIA GPU, in a program built with `--features cuda`
     Cuda,
-    /// A card through Vulkan, in a program built with `--features wgpu`
+    /// A GPU through Vulkan, in a program built with `--features wgpu`
     Wgpu,
 }
 
@@ -26,12 +28,20 @@ pub(crate) struct DeviceArgs {
     /// Device that models run on
     #[arg(long, value_enum, default_value_t)]
     device: Kind,
+    /// Compose models of the backend's own operations, without the fused ones for the processor
+    #[arg(long)]
+    no_fused: bool,
 }
 
 impl DeviceArgs {
     /// Chooses the device of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        choose(self.device, 1)
+        self.choose_of(1)
+    }
+
+    fn choose_of(&self, count: usize) -> anyhow::Result<()> {
+        train::model::fused::set_enabled(!self.no_fused);
+        choose(self.device, count)
     }
 }
 
@@ -49,21 +59,39 @@ pub(crate) struct TrainDeviceArgs {
 impl TrainDeviceArgs {
     /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        choose(self.one.device, self.devices.into())
+        self.one.choose_of(self.devices.into())
     }
 }
 
 fn choose(kind: Kind, count: usize) -> anyhow::Result<()> {
     let devices = match kind {
         // A second copy of the processor would share its cores with the first.
-        Kind::Cpu if count > 1 => bail!("--devices counts cards; the processor is one device"),
+        Kind::Cpu | Kind::Ndarray if count > 1 => {
+            bail!("--devices counts GPUs; the processor is one device")
+        }
         Kind::Cpu => vec![Device::flex()],
+        Kind::Ndarray => vec![ndarray()?],
         Kind::Cuda => cuda(count)?,
         Kind::Wgpu => wgpu(count)?,
     };
     // Chosen once, when the program starts.
     let _ = CHOSEN.set(devices);
     Ok(())
+}
+
+#[cfg(feature = "ndarray")]
+#[expect(clippy::unnecessary_wraps, reason = "without the feature it fails")]
+#[expect(
+    deprecated,
+    reason = "the independent backend that results are compared with"
+)]
+fn ndarray() -> anyhow::Result<Device> {
+    Ok(Device::ndarray())
+}
+
+#[cfg(not(feature = "ndarray"))]
+fn ndarray() -> anyhow::Result<Device> {
+    bail!("this program was built without --features ndarray; build it again with it")
 }
 
 #[cfg(feature = "cuda")]

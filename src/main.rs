@@ -57,5 +57,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Sweep(args) => cmd::sweep::run(args, global),
         Command::Report(args) => cmd::page::run(args, global),
         Command::Render(args) => cmd::render::run(args, global),
+        Command::Completions(args) => Ok(cmd::completions::run(args)),
+        Command::Man(args) => cmd::completions::man(args, global),
     }
 }

@@ -16,7 +16,7 @@ use crate::cli::Global;
 use crate::exit::Exit;
 use crate::{report, settings, stages};
 
-/// Build a whole dataset from your own folders: motions, masks, pairs, splits and triplets.
+/// Build a dataset from your own motions, without training: motions, masks, pairs, splits and triplets.
 ///
 /// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
 /// paths are relative to the file. Interrupted and run again, it continues.

@@ -12,9 +12,10 @@ use crate::cmd::run::{Plan, RunConfig, finish};
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 
-/// Run the whole chain on the built-in corpus: from motion files to a result table.
+/// Try the program: run the whole chain on the built-in motion corpus, without files of your own.
 ///
-/// It needs no download and no licence. Interrupted and run again, it continues.
+/// It needs no download and no licence, and ends with a result table. Interrupted and run again, it
+/// continues. `stance run` does the same with your own motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder for everything the demo makes

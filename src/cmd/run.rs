@@ -40,7 +40,7 @@ use crate::seeds::Seeds;
 use crate::session::{is_stopped, stopped, text_encoder, with_session};
 use crate::{report, settings, stages};
 
-/// Run the whole chain on your own folders: ingest, masks, triplets, training, edits, table.
+/// Run the whole chain on your own motions: build a dataset, train models on it, edit, and score the edits.
 ///
 /// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
 /// paths are relative to the file. Interrupted and run again, it continues.

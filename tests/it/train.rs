@@ -660,3 +660,40 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let refused = import(&broken).expect_code(1);
     assert!(refused.stderr.contains("broken.pth"), "{}", refused.stderr);
 }
+
+/// Losses of a run, as its metrics file has them.
+fn losses(run: &Path) -> Vec<f64> {
+    fs::read_to_string(run.join("metrics.jsonl"))
+        .expect("metrics")
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
+        .filter_map(|line| line["loss"].as_f64().or(line["val_loss"].as_f64()))
+        .collect()
+}
+
+#[test]
+fn training_is_the_same_without_the_fused_operations_and_on_another_backend() {
+    let workshop = Workshop::open();
+    let (dataset, toml) = (workshop.dataset(), workshop.path("small.toml"));
+    let train = |name: &str, more: &[&str]| {
+        let run = workshop.path(name);
+        let mut args = vec!["train", "motionrefit", arg(&dataset), "--out", arg(&run)];
+        args.extend(["--config", arg(&toml), "--steps", "6"]);
+        args.extend(more);
+        stance(&args).expect_code(0);
+        losses(&run)
+    };
+    let fused = train("fused", &[]);
+    assert!(!fused.is_empty());
+    let mut others = vec![train("composed", &["--no-fused"])];
+    if cfg!(feature = "ndarray") {
+        others.push(train("ndarray", &["--device", "ndarray"]));
+    }
+    for other in others {
+        assert_eq!(other.len(), fused.len());
+        for (a, b) in fused.iter().zip(&other) {
+            // Rounding of six steps.
+            assert!((a - b).abs() < 1e-4 * a, "{fused:?} {other:?}");
+        }
+    }
+}

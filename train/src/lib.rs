@@ -11,7 +11,6 @@
 
 pub mod checkpoint;
 pub mod compose;
-mod compute;
 pub mod config;
 pub mod coordinator;
 pub mod data;

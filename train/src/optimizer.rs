@@ -1,7 +1,4 @@
-//! AdamW, in one pass over memory where the processor computes.
-//!
-//! Composed of tensor operations a step walks fifteen times through arrays as large as the model,
-//! which none of them fits a cache; that is a tenth of a training step.
+//! AdamW, in one pass over memory on the processor ([`kernels::adamw`]).
 
 use burn::backend::Flex;
 use burn::backend::tensor::FloatTensor;
@@ -9,19 +6,10 @@ use burn::optim::{
     AdamW, AdamWConfig, AdamWState, AdaptiveMomentumState, LearningRate, ModuleOptimizer, Optimizer,
 };
 use burn::tensor::{DType, Device, Tensor};
-use kinematics::simd::lanes::{Kernel, dispatch};
-use rayon::prelude::*;
+use kernels::adamw::{self, BETAS, EPSILON, Factors};
+use kernels::on_workers;
 
-use crate::compute::on_workers;
-use crate::model::fused::is_processor;
-
-/// PyTorch's defaults: how fast the means of gradients and of their squares forget, and what is added to
-/// the root of the second.
-const BETAS: [f32; 2] = [0.9, 0.999];
-const EPSILON: f32 = 1e-8;
-
-/// Numbers a task steps through.
-const PART: usize = 1 << 14;
+use crate::model::fused::is_used;
 
 /// AdamW with PyTorch's defaults and a weight decay.
 pub fn adamw(weight_decay: f64) -> ModuleOptimizer {
@@ -64,7 +52,7 @@ impl Optimizer for OnePass {
             return self.composed.step(rate, tensor, grad, None);
         };
         let is_plain = |tensor: &Tensor<D>| {
-            is_processor(&tensor.device())
+            is_used(&tensor.device())
                 && tensor.dtype() == DType::F32
                 && !tensor.device().is_autodiff()
         };
@@ -74,32 +62,13 @@ impl Optimizer for OnePass {
             return self.composed.step(rate, tensor, grad, state);
         }
         let time = momentum.time + 1;
-        let correction = |beta: f32| 1.0 - beta.powi(time as i32);
-        let factors = Factors {
-            corrections: BETAS.map(correction),
-            kept: (1.0 - rate * f64::from(self.weight_decay)) as f32,
-            rate: rate as f32,
-        };
+        let factors = Factors::new(rate, self.weight_decay, time as i32);
         let [mut values, grad, mut first, mut second] =
             [tensor, grad, momentum.moment_1, momentum.moment_2].map(numbers);
         let gradients = grad.storage::<f32>();
+        let of_second = second.storage_mut::<f32>();
         let (of_values, of_first) = (values.storage_mut::<f32>(), first.storage_mut::<f32>());
-        on_workers(|| {
-            of_values
-                .par_chunks_mut(PART)
-                .zip(gradients.par_chunks(PART))
-                .zip(of_first.par_chunks_mut(PART))
-                .zip(second.storage_mut::<f32>().par_chunks_mut(PART))
-                .for_each(|(((values, gradients), first), second)| {
-                    dispatch(Step {
-                        values,
-                        gradients,
-                        first,
-                        second,
-                        factors,
-                    });
-                });
-        });
+        on_workers(|| adamw::step(of_values, gradients, of_first, of_second, factors));
         let [tensor, moment_1, moment_2] =
             [values, first, second].map(Tensor::from_primitive::<Flex>);
         let momentum = AdaptiveMomentumState {
@@ -116,7 +85,7 @@ impl Optimizer for OnePass {
     }
 }
 
-/// The numbers of a tensor on the processor, side by side and nothing else.
+/// The buffer of a tensor on the processor, contiguous and of exactly its numbers.
 fn numbers<const D: usize>(tensor: Tensor<D>) -> FloatTensor<Flex> {
     let count = tensor.shape().num_elements();
     let tensor = tensor
@@ -126,44 +95,6 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> FloatTensor<Flex> {
         tensor
     } else {
         FloatTensor::<Flex>::from_data(tensor.to_contiguous().into_data())
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Factors {
-    /// What the means are divided by, as they began at zero.
-    corrections: [f32; 2],
-    /// What weight decay leaves of a number.
-    kept: f32,
-    rate: f32,
-}
-
-struct Step<'a> {
-    values: &'a mut [f32],
-    gradients: &'a [f32],
-    first: &'a mut [f32],
-    second: &'a mut [f32],
-    factors: Factors,
-}
-
-impl Kernel for Step<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Factors {
-            corrections,
-            kept,
-            rate,
-        } = self.factors;
-        let moments = self.first.iter_mut().zip(self.second);
-        let numbers = self.values.iter_mut().zip(self.gradients);
-        for ((value, gradient), (first, second)) in numbers.zip(moments) {
-            *first = *first * BETAS[0] + gradient * (1.0 - BETAS[0]);
-            *second = *second * BETAS[1] + gradient * gradient * (1.0 - BETAS[1]);
-            let step = (*first / corrections[0]) / ((*second / corrections[1]).sqrt() + EPSILON);
-            *value = *value * kept - step * rate;
-        }
     }
 }
 

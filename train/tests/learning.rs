@@ -49,6 +49,30 @@ struct Waves {
     items: u64,
 }
 
+/// Waves of other phases than those trained on.
+struct HeldOut;
+
+impl WindowSource for HeldOut {
+    fn epoch_len(&self) -> u64 {
+        64
+    }
+
+    fn window_len(&self) -> usize {
+        WINDOW_NUMBERS
+    }
+
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        let waves = Waves { items: 64 };
+        waves.fill(epoch, 1_000 + first_item, num_items, batch)
+    }
+}
+
 const HEIGHTS: [(&str, f32); 2] = [("raise it", 0.5), ("lower it", -0.5)];
 
 impl WindowSource for Waves {
@@ -120,11 +144,11 @@ impl Progress for StopAfter<'_> {
 
 static SKELETON: LazyLock<Skeleton> = LazyLock::new(Skeleton::smplx_neutral);
 
-/// Trains on windows and validates on the same.
+/// Trains on windows and validates on others.
 fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
     Corpus {
         train: source,
-        val: source,
+        val: &HeldOut,
         instructions: &[],
         vectors: None,
         normalizer: Normalizer {
@@ -1055,7 +1079,9 @@ fn windows_without_an_instruction_stay_as_they_were() {
 }
 
 /// Windows whose two halves swing together, and windows whose halves come from two of them.
-struct Swings;
+struct Swings {
+    first: u64,
+}
 
 impl Swings {
     fn window(item: u64) -> Vec<f32> {
@@ -1081,6 +1107,7 @@ impl SegmentSource for Swings {
     }
 
     fn fill(&self, _epoch: u64, first: u64, num_items: usize, batch: &mut CoordinatorBatch) {
+        let first = self.first + first;
         let items = first..first + num_items as u64;
         batch.windows = items.clone().flat_map(Self::window).collect();
         batch.composed = items.map(|item| (item % 2) as f32).collect();
@@ -1100,8 +1127,8 @@ fn the_coordinator_learns_what_was_composed() {
     let normalizer = untrained_record().normalizer;
     let report = quietly(|session| {
         let segments = Segments {
-            train: &Swings,
-            val: &Swings,
+            train: &Swings { first: 0 },
+            val: &Swings { first: 2_000 },
             normalizer,
             skeleton: &SKELETON,
             dataset_hash: "0",
@@ -1152,35 +1179,43 @@ fn the_encoder_learns_to_tell_motions_apart() {
         ("raise both arms", &ARMS_UP),
         ("sit down", &SITTING),
     ];
-    let motions: Vec<(String, Motion, Vec<String>)> = (0..18)
-        .map(|index| {
-            let (text, turns) = kinds[index % kinds.len()];
-            let mut motion = walk(50 + 2 * index, 0.1 * index as f64, index as f64);
-            for frame in 0..motion.len() {
-                for (joint, turn) in turns {
-                    motion.set_axis_angle(frame, *joint, turn.as_vec3().to_array());
+    // Walks of other lengths, speeds and phases are held out.
+    let motions = |offset: f64| -> Vec<(String, Motion, Vec<String>)> {
+        (0..18)
+            .map(|index| {
+                let (text, turns) = kinds[index % kinds.len()];
+                let place = index as f64 + offset;
+                let mut motion = walk(50 + (2.0 * place) as usize, 0.1 * place, place);
+                for frame in 0..motion.len() {
+                    for (joint, turn) in turns {
+                        motion.set_axis_angle(frame, *joint, turn.as_vec3().to_array());
+                    }
                 }
-            }
-            (index.to_string(), motion, vec![text.to_owned()])
-        })
-        .collect();
-    let clips: Vec<CaptionedMotion<'_>> = motions
+                (index.to_string(), motion, vec![text.to_owned()])
+            })
+            .collect()
+    };
+    let [train, held_out] = [motions(0.0), motions(0.5)];
+    for recipe in [FeatureRecipe::Smpl135, FeatureRecipe::HumanMl3d] {
+        check_encoder(&train, &held_out, &kinds.map(|(text, _)| text), recipe);
+    }
+}
+
+fn views(motions: &[(String, Motion, Vec<String>)]) -> Vec<CaptionedMotion<'_>> {
+    motions
         .iter()
         .map(|(id, motion, captions)| CaptionedMotion {
             id,
             motion,
             captions,
         })
-        .collect();
-    for recipe in [FeatureRecipe::Smpl135, FeatureRecipe::HumanMl3d] {
-        check_encoder(&motions, &clips, &kinds.map(|(text, _)| text), recipe);
-    }
+        .collect()
 }
 
-/// Trains an encoder on 18 motions of three texts in turn and asks it for the text of each.
+/// Trains an encoder on 18 motions of three texts in turn and asks it for the texts of 18 others.
 fn check_encoder(
-    motions: &[(String, Motion, Vec<String>)],
-    clips: &[CaptionedMotion<'_>],
+    train: &[(String, Motion, Vec<String>)],
+    held_out: &[(String, Motion, Vec<String>)],
     kinds: &[&str; 3],
     recipe: FeatureRecipe,
 ) {
@@ -1196,8 +1231,8 @@ fn check_encoder(
         dir.path(),
         &config,
         TmrCorpus {
-            train: clips,
-            val: clips,
+            train: &views(train),
+            val: &views(held_out),
             skeleton: &SKELETON,
             dataset_hash: "0",
         },
@@ -1217,7 +1252,7 @@ fn check_encoder(
     assert!(last < 0.7 * first, "{recipe:?}: {first} fell to {last}");
 
     let encoder = TmrEncoder::load(dir.path(), Slot::Last, &Device::flex()).expect("loads");
-    let refs: Vec<&Motion> = motions.iter().map(|(_, motion, _)| motion).collect();
+    let refs: Vec<&Motion> = held_out.iter().map(|(_, motion, _)| motion).collect();
     let codes = encoder.encode(&refs).expect("encodes");
     let texts = encoder.encode_texts(kinds).expect("trained here");
     let cosine = |a: &[f32], b: &[f32]| {

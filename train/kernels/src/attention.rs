@@ -3,19 +3,19 @@
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
-use super::rows::{Mask, exp};
+use crate::rows::{Mask, exp};
 
 /// Sizes of an attention.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Heads<'a> {
+pub struct Heads<'a> {
     /// Tokens of a sequence.
-    pub(crate) length: usize,
+    pub length: usize,
     /// Width of a token.
-    pub(crate) width: usize,
+    pub width: usize,
     /// Heads.
-    pub(crate) count: usize,
+    pub count: usize,
     /// True where a token is padding, `[B, T]`.
-    pub(crate) padding: Option<&'a [bool]>,
+    pub padding: Option<&'a [bool]>,
 }
 
 impl Heads<'_> {
@@ -41,8 +41,8 @@ impl Heads<'_> {
 /// Rows of a small product that are summed together.
 const ROWS: usize = 4;
 
-/// A small matrix with room for whole blocks: rows in fours, and columns in [`LANES`]. What is beyond its size
-/// is zero or never looked at.
+/// A small matrix padded to whole blocks: rows to fours, columns to [`LANES`]. The padding is zero or never
+/// read.
 struct Small {
     values: Vec<f32>,
     stride: usize,
@@ -67,7 +67,7 @@ impl Small {
         &mut self.values[row * self.stride..][..self.stride]
     }
 
-    /// Takes over rows.
+    /// Copies rows.
     #[inline(always)]
     fn copy<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (row, from) in rows.enumerate() {
@@ -75,7 +75,7 @@ impl Small {
         }
     }
 
-    /// Takes over the columns of what these are the rows of.
+    /// Copies the transpose of rows.
     #[inline(always)]
     fn copy_transposed<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (column, from) in rows.enumerate() {
@@ -86,7 +86,7 @@ impl Small {
         }
     }
 
-    /// Becomes the product of the first columns of `a`, `depth` of them, and as many rows of `b`.
+    /// `self = a[:, ..depth] b[..depth, :]`.
     #[inline(always)]
     fn multiply(&mut self, a: &Self, b: &Self, depth: usize) {
         let stride = self.stride;
@@ -95,7 +95,7 @@ impl Small {
             let a: [&[f32]; ROWS] =
                 std::array::from_fn(|row| &a[row * (a.len() / ROWS)..][..depth]);
             let mut column = 0;
-            // Two blocks of columns at a time, so that no sum waits for the one before.
+            // Two blocks of columns at a time, to hide the latency of the additions.
             while column + 2 * LANES <= stride {
                 sum_block::<{ 2 * LANES }>(a, b, column, out, stride);
                 column += 2 * LANES;
@@ -107,8 +107,7 @@ impl Small {
     }
 }
 
-/// Some columns of the product of four rows and a matrix, of whose rows there are as many as numbers
-/// in these.
+/// `COLUMNS` columns, from `column` on, of the product of four rows with a matrix.
 #[inline(always)]
 fn sum_block<const COLUMNS: usize>(
     a: [&[f32]; ROWS],
@@ -133,7 +132,7 @@ fn sum_block<const COLUMNS: usize>(
     }
 }
 
-/// What whole blocks of numbers come to, taken two by two and a block at a time.
+/// Reduces whole blocks of numbers: blocks into lanes, then lanes in halves.
 #[inline(always)]
 fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [start; LANES];
@@ -154,13 +153,7 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
 
 /// Attends: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
 /// before dropout, `[B, heads, T, T]`.
-pub(crate) fn forward(
-    heads: Heads<'_>,
-    joint: &[f32],
-    mask: Mask,
-    weights: &mut [f32],
-    out: &mut [f32],
-) {
+pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32], out: &mut [f32]) {
     struct Sequence<'a> {
         heads: Heads<'a>,
         index: usize,
@@ -197,7 +190,7 @@ pub(crate) fn forward(
                 values.copy(part(2));
                 scores.multiply(&queries, &keys, head);
                 for query in 0..length {
-                    // What is beyond the keys is padding too, so that all blocks are whole.
+                    // The columns beyond the keys are padding too, so that all blocks are whole.
                     let scores = scores.row_mut(query);
                     scores[length..].fill(f32::NEG_INFINITY);
                     for (key, score) in scores[..length].iter_mut().enumerate() {
@@ -208,7 +201,7 @@ pub(crate) fn forward(
                     }
                     let largest = by_halves(scores, f32::NEG_INFINITY, f32::max);
                     for score in scores.iter_mut() {
-                        // A key that is padding has no weight at all.
+                        // Padding has weight zero.
                         let is_padding = *score == f32::NEG_INFINITY;
                         let weight = exp(*score - largest);
                         *score = if is_padding { 0.0 } else { weight };
@@ -252,7 +245,7 @@ pub(crate) fn forward(
 }
 
 /// The backward pass of [`forward`]: the gradient of `joint` from that of `out`.
-pub(crate) fn backward(
+pub fn backward(
     heads: Heads<'_>,
     joint: &[f32],
     mask: Mask,

@@ -1,7 +1,23 @@
-//! Vectorised kernels for models on the processor.
+//! Vectorised kernels for models on the processor, on plain slices of single precision.
+//!
+//! A tensor backend composes a transformer layer from elementary operations, each of which allocates
+//! and walks through an array of its own; on a processor that costs as much as the matrix products.
+//! [`attention`] and [`rows`] do the same steps reading and writing every array once, forwards and
+//! backwards. [`adamw`] is the optimiser in one pass.
 //!
 //! [`product`] multiplies matrices in single precision. Weights that do not change, as while sampling,
 //! are packed once ([`product::Packed`]).
 
+pub mod adamw;
+pub mod attention;
 mod memory;
 pub mod product;
+pub mod rows;
+
+/// Runs `work` on a pool thread, so that its nested parallel loops do not wake another thread for each
+/// split: from any other thread each split would put that thread to sleep, which on a virtual machine
+/// costs as much as a small product. `work` must not lock: while its thread waits for a part, it may run
+/// another such work.
+pub fn on_workers<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| work())
+}

@@ -9,10 +9,10 @@ const TASK_ROWS: usize = 16;
 /// What LayerNorm adds to the variance (PyTorch's default).
 const EPSILON: f32 = 1e-5;
 
-/// A dropout: which numbers of an array it drops follows from the key and their places alone, so
-/// that the mask need not be stored for the backward pass.
+/// A dropout mask. Which numbers of an array it drops depends on the key and their indices alone, so that
+/// the mask need not be stored for the backward pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Mask {
+pub struct Mask {
     /// Smallest hash, of 24 bits, of a number that is kept.
     threshold: i32,
     /// What kept numbers are multiplied with.
@@ -22,7 +22,7 @@ pub(crate) struct Mask {
 
 impl Mask {
     /// A mask that drops a number with probability `prob`.
-    pub(crate) fn new(prob: f64, key: u64) -> Self {
+    pub fn new(prob: f64, key: u64) -> Self {
         Self {
             threshold: (prob * f64::from(1u32 << 24)).round() as i32,
             scale: (1.0 / (1.0 - prob)) as f32,
@@ -31,7 +31,7 @@ impl Mask {
     }
 
     /// Whether anything is dropped.
-    pub(crate) fn is_active(self) -> bool {
+    pub fn is_active(self) -> bool {
         self.threshold > 0
     }
 
@@ -40,7 +40,7 @@ impl Mask {
     /// # Source
     /// The rounds are those of Chris Wellons' `lowbias32`; the key enters before and between them.
     #[inline(always)]
-    pub(crate) fn factor(self, index: u32) -> f32 {
+    pub fn factor(self, index: u32) -> f32 {
         let mut hash = index ^ self.key[0];
         hash = (hash ^ (hash >> 16)).wrapping_mul(0x7feb_352d);
         hash = (hash ^ self.key[1] ^ (hash >> 15)).wrapping_mul(0x846c_a68b);
@@ -54,7 +54,7 @@ impl Mask {
 }
 
 /// The factors of the first `count` numbers.
-pub(crate) fn factors(mask: Mask, count: usize) -> Vec<f32> {
+pub fn factors(mask: Mask, count: usize) -> Vec<f32> {
     struct Part<'a> {
         mask: Mask,
         first: usize,
@@ -84,7 +84,7 @@ pub(crate) fn factors(mask: Mask, count: usize) -> Vec<f32> {
 /// e^x, relative error below 2e-7, for vector instructions.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    /// Added and taken off again, it rounds to a whole number and leaves it in the last bits.
+    /// Adding and subtracting it rounds to an integer, which is then in the last bits of the sum.
     const SHIFT: f32 = 12_582_912.0;
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     // Below -87 the result is smaller than the smallest normal number; 88 is the last power.
@@ -101,13 +101,13 @@ pub(crate) fn exp(x: f32) -> f32 {
     series * f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23))
 }
 
-/// The exact GELU of a number and its slope. The error of both is below 1e-6.
+/// The exact GELU of a number and its derivative. The error of both is below 1e-6.
 ///
 /// # Source
-/// Abramowitz and Stegun 1964, formula 7.1.26, whose exponential is the density that the slope
-/// needs.
+/// Abramowitz and Stegun 1964, formula 7.1.26, whose exponential is the density in the
+/// derivative.
 #[inline(always)]
-pub(crate) fn gelu(x: f32) -> (f32, f32) {
+fn gelu(x: f32) -> (f32, f32) {
     /// 1 / sqrt(2 pi).
     const DENSITY: f32 = 0.398_942_3;
     let bell = exp(-0.5 * x * x);
@@ -123,7 +123,7 @@ pub(crate) fn gelu(x: f32) -> (f32, f32) {
 
 /// The sum of products of two rows.
 #[inline(always)]
-pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
+fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0.0f32; LANES];
     let (a, a_rest) = a.as_chunks::<LANES>();
     let (b, b_rest) = b.as_chunks::<LANES>();
@@ -147,14 +147,14 @@ pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
 
 /// Adds `factor` times a row to another.
 #[inline(always)]
-pub(crate) fn add_scaled(to: &mut [f32], factor: f32, row: &[f32]) {
+fn add_scaled(to: &mut [f32], factor: f32, row: &[f32]) {
     for (to, value) in to.iter_mut().zip(row) {
         *to += factor * value;
     }
 }
 
 /// Adds a bias to rows.
-pub(crate) fn add_bias(rows: &mut [f32], bias: &[f32]) {
+pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
     rows.par_chunks_mut(TASK_ROWS * bias.len())
         .for_each(|rows| {
             for row in rows.chunks_exact_mut(bias.len()) {
@@ -166,7 +166,7 @@ pub(crate) fn add_bias(rows: &mut [f32], bias: &[f32]) {
 }
 
 /// Sums of the columns of rows.
-pub(crate) fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
+pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
     let parts: Vec<Vec<f32>> = rows
         .par_chunks(TASK_ROWS * width)
         .map(|rows| {
@@ -190,13 +190,13 @@ fn total(parts: Vec<Vec<f32>>, width: usize) -> Vec<f32> {
     sums
 }
 
-/// `out = dropout(gelu(hidden + bias))`. With `slopes`, `hidden` becomes the slope of that, which is
-/// all the backward pass needs.
-pub(crate) fn gelu_dropout(
+/// `out = dropout(gelu(hidden + bias))`. With `derivatives`, `hidden` becomes the derivative of that, which
+/// is all the backward pass needs.
+pub fn gelu_dropout(
     hidden: &mut [f32],
     bias: &[f32],
     mask: Mask,
-    slopes: bool,
+    derivatives: bool,
     out: &mut [f32],
 ) {
     struct Rows<'a> {
@@ -204,7 +204,7 @@ pub(crate) fn gelu_dropout(
         out: &'a mut [f32],
         bias: &'a [f32],
         mask: Mask,
-        slopes: bool,
+        derivatives: bool,
         first: usize,
     }
     impl Kernel for Rows<'_> {
@@ -221,11 +221,11 @@ pub(crate) fn gelu_dropout(
                 if self.mask.is_active() {
                     for (column, ((hidden, out), bias)) in columns.enumerate() {
                         let factor = self.mask.factor(first.wrapping_add(column as u32));
-                        let (value, slope) = gelu(*hidden + bias);
+                        let (value, derivative) = gelu(*hidden + bias);
                         *out = value * factor;
-                        *hidden = slope * factor;
+                        *hidden = derivative * factor;
                     }
-                } else if self.slopes {
+                } else if self.derivatives {
                     for ((hidden, out), bias) in columns {
                         (*out, *hidden) = gelu(*hidden + bias);
                     }
@@ -248,24 +248,24 @@ pub(crate) fn gelu_dropout(
                 out,
                 bias,
                 mask,
-                slopes,
+                derivatives,
                 first: index * task,
             });
         });
 }
 
-/// Multiplies a gradient with recorded slopes; returns the sums of its columns.
-pub(crate) fn times_slopes(grad: &mut [f32], slopes: &[f32], width: usize) -> Vec<f32> {
+/// Multiplies a gradient by recorded derivatives; returns the sums of its columns.
+pub fn times_derivatives(grad: &mut [f32], derivatives: &[f32], width: usize) -> Vec<f32> {
     let task = TASK_ROWS * width;
     let parts: Vec<Vec<f32>> = grad
         .par_chunks_mut(task)
-        .zip(slopes.par_chunks(task))
-        .map(|(grad, slopes)| {
+        .zip(derivatives.par_chunks(task))
+        .map(|(grad, derivatives)| {
             let mut sums = vec![0.0; width];
             let rows = grad.chunks_exact_mut(width);
-            for (grad, slopes) in rows.zip(slopes.chunks_exact(width)) {
-                for ((grad, slope), sum) in grad.iter_mut().zip(slopes).zip(&mut sums) {
-                    *grad *= slope;
+            for (grad, derivatives) in rows.zip(derivatives.chunks_exact(width)) {
+                for ((grad, derivative), sum) in grad.iter_mut().zip(derivatives).zip(&mut sums) {
+                    *grad *= derivative;
                     *sum += *grad;
                 }
             }
@@ -277,15 +277,17 @@ pub(crate) fn times_slopes(grad: &mut [f32], slopes: &[f32], width: usize) -> Ve
 
 /// The trainable numbers of a layer norm.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Norm<'a> {
-    pub(crate) gamma: &'a [f32],
-    pub(crate) beta: &'a [f32],
+pub struct Norm<'a> {
+    /// Factors of the normalised numbers.
+    pub gamma: &'a [f32],
+    /// Added after that.
+    pub beta: &'a [f32],
 }
 
 /// `out = norm(residual + dropout(branch + bias))`. `branch` becomes the normalised rows before
 /// gamma and beta; the inverse deviations of the rows are returned. Both are what the backward pass
 /// needs.
-pub(crate) fn residual_norm(
+pub fn residual_norm(
     branch: &mut [f32],
     bias: &[f32],
     residual: &[f32],
@@ -376,16 +378,20 @@ fn sum(row: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + rest.iter().sum::<f32>()
 }
 
-/// Gradients of [`residual_norm`] of the trainable numbers.
-pub(crate) struct NormGrads {
-    pub(crate) gamma: Vec<f32>,
-    pub(crate) beta: Vec<f32>,
-    pub(crate) bias: Vec<f32>,
+/// Gradients of the trainable numbers of [`residual_norm`].
+#[derive(Clone, Debug)]
+pub struct NormGrads {
+    /// Of gamma.
+    pub gamma: Vec<f32>,
+    /// Of beta.
+    pub beta: Vec<f32>,
+    /// Of the bias of the branch.
+    pub bias: Vec<f32>,
 }
 
 /// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch`
 /// that of the branch. Without dropout they are equal and `branch` is left alone.
-pub(crate) fn residual_norm_backward(
+pub fn residual_norm_backward(
     grad: &mut [f32],
     normalised: &[f32],
     scales: &[f32],
@@ -491,7 +497,7 @@ mod tests {
     }
 
     #[test]
-    fn gelu_and_its_slope_match_a_sum_of_the_bell_curve() {
+    fn gelu_and_its_derivative_match_a_sum_of_the_bell_curve() {
         // The cumulative distribution by the trapezoidal rule, in double precision.
         let bell = |x: f64| (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
         let step = 1e-4;
@@ -500,9 +506,12 @@ mod tests {
             below += 0.5 * step * (bell(x) + bell(x + step));
             x = -9.0 + f64::from(index + 1) * step;
             if index % 97 == 0 {
-                let (value, slope) = gelu(x as f32);
+                let (value, derivative) = gelu(x as f32);
                 assert!((f64::from(value) - x * below).abs() < 1e-6, "{x}");
-                assert!((f64::from(slope) - below - x * bell(x)).abs() < 1e-6, "{x}");
+                assert!(
+                    (f64::from(derivative) - below - x * bell(x)).abs() < 1e-6,
+                    "{x}"
+                );
             }
         }
     }

@@ -1,12 +1,11 @@
-//! Dropout whose mask, on a processor, follows from a key and the place of a number.
+//! Dropout whose mask, on a processor, depends on a key and the index of a number alone.
 
 use std::cell::Cell;
 
 use burn::nn::Dropout;
 use burn::tensor::{Device, Tensor, TensorData};
 
-use super::fused::is_processor;
-use crate::compute::rows::{Mask, factors};
+use super::fused::{dropout_factors, is_used};
 
 /// The probability with which numbers are dropped here and now: zero outside training and where the
 /// layer is frozen.
@@ -58,12 +57,11 @@ fn mixed(x: u64) -> u64 {
 pub fn drop_out<const D: usize>(dropout: &Dropout, x: Tensor<D>) -> Tensor<D> {
     let device = x.device();
     let prob = probability(dropout, &device);
-    if prob == 0.0 || !is_processor(&device) {
+    if prob == 0.0 || !is_used(&device) {
         return dropout.forward(x);
     }
     let shape = x.shape();
-    let mask = Mask::new(prob, draw_key());
-    let factors = factors(mask, shape.num_elements());
+    let factors = dropout_factors(prob, draw_key(), shape.num_elements());
     x * Tensor::from_data(TensorData::new(factors, shape), &device)
 }
 
@@ -89,10 +87,7 @@ mod tests {
                 .build()
                 .expect("a pool")
         };
-        let mask = |threads| {
-            let mask = Mask::new(0.25, 3);
-            pool(threads).install(|| factors(mask, 100_000))
-        };
+        let mask = |threads| pool(threads).install(|| dropout_factors(0.25, 3, 100_000));
         assert_eq!(mask(1), mask(2));
         let kept = dropped(5, &device);
         assert!(

@@ -1,10 +1,11 @@
-//! The encoder layer on a processor: one operation with a backward pass of its own.
+//! The encoder layer on a processor: one operation with a backward pass of its own. This is the only
+//! file that calls the kernels for a model; the model files are plain burn modules.
 //!
 //! Composed of tensor operations, a layer walks some forty times through arrays of activations, half
-//! of them to copy, mask or sum what another operation could have given. Here every array is read
-//! and written once, and the backward pass is written out. The layer is the same function, which
-//! the tests hold against the composed one.
+//! of them only to copy, mask or sum. Here every array is read and written once. Tests compare the layer
+//! with the composed one, also on another backend.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -14,13 +15,12 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use kernels::attention::{self, Heads};
+use kernels::on_workers;
 use kernels::product::{Matrix, Packed, Write, multiply};
-
-use crate::compute::attention::{self, Heads};
-use crate::compute::on_workers;
-use crate::compute::rows::{
-    Mask, Norm, add_bias, column_sums, gelu_dropout, residual_norm, residual_norm_backward,
-    times_slopes,
+use kernels::rows::{
+    Mask, Norm, add_bias, column_sums, factors, gelu_dropout, residual_norm,
+    residual_norm_backward, times_derivatives,
 };
 
 /// Numbers of a tensor of the processor's backend.
@@ -28,9 +28,22 @@ type Buffer = FloatTensor<Flex>;
 /// The same with a place in the graph of gradients.
 type Tracked = FloatTensor<Autodiff<Flex>>;
 
-/// Whether a device computes in the memory of the processor.
-pub(crate) fn is_processor(device: &Device) -> bool {
-    device.clone().inner() == Device::flex()
+static ENABLED: AtomicBool = AtomicBool::new(true);
+
+/// Switches the fused operations of this process on or off. Without them every model is composed of
+/// burn's own operations; results are equal up to rounding.
+pub fn set_enabled(is_enabled: bool) {
+    ENABLED.store(is_enabled, Ordering::Relaxed);
+}
+
+/// Whether the fused operations are used on a device: only in the memory of the processor.
+pub(crate) fn is_used(device: &Device) -> bool {
+    ENABLED.load(Ordering::Relaxed) && device.clone().inner() == Device::flex()
+}
+
+/// The factors of a dropout: 0 with probability `prob`, otherwise `1 / (1 - prob)`.
+pub(crate) fn dropout_factors(prob: f64, key: u64, count: usize) -> Vec<f32> {
+    factors(Mask::new(prob, key), count)
 }
 
 /// The trainable tensors of a layer, the vectors being the biases of the four weights,
@@ -70,6 +83,9 @@ impl PreparedLayer {
 
     /// Prepares a layer for inference; none where its tensors lie elsewhere.
     pub(crate) fn for_inference(tensors: LayerTensors, num_heads: usize) -> Option<Self> {
+        if !is_used(&tensors.weights[0].device()) {
+            return None;
+        }
         let weights = all(tensors.weights.map(plain))?;
         let vectors = all(tensors.vectors.map(plain))?;
         Some(Self::new(weights, vectors, num_heads))
@@ -80,7 +96,7 @@ impl PreparedLayer {
     }
 }
 
-/// What the parts of a batch are dropped by.
+/// Dropout masks of the parts of a layer.
 #[derive(Clone, Copy, Debug)]
 struct Masks {
     weights: Mask,
@@ -105,7 +121,7 @@ impl Masks {
     }
 }
 
-/// What the backward pass needs of a forward pass, `R` being rows of all sequences together.
+/// Intermediate results that the backward pass needs; `R` is the number of rows of all sequences.
 #[derive(Debug, Default)]
 struct Saved {
     /// Queries, keys and values, `[R, 3 d]`.
@@ -118,8 +134,8 @@ struct Saved {
     first: (Vec<f32>, Vec<f32>),
     /// What enters the feed-forward block, `[R, d]`.
     middle: Vec<f32>,
-    /// Slopes of the dropped-out GELU, `[R, f]`.
-    slopes: Vec<f32>,
+    /// Derivatives of the dropped-out GELU, `[R, f]`.
+    derivatives: Vec<f32>,
     /// Its values, `[R, f]`.
     hidden: Vec<f32>,
     /// As `first`, of the second norm.
@@ -136,15 +152,15 @@ impl PreparedLayer {
         }
     }
 
-    /// Applies the layer to sequences without dropout; `room` is written over.
-    fn infer(&self, x: &[f32], heads: Heads<'_>, room: &mut Saved, out: &mut [f32]) {
-        self.forward(x, heads, Masks::new(0.0, 0), false, room, out);
+    /// Applies the layer to sequences without dropout; `scratch` is overwritten.
+    fn infer(&self, x: &[f32], heads: Heads<'_>, scratch: &mut Saved, out: &mut [f32]) {
+        self.forward(x, heads, Masks::new(0.0, 0), false, scratch, out);
     }
 
     fn product(&self, x: &[f32], weight: usize, out: &mut Vec<f32>) {
         let x = Matrix::new(x, self.weights[weight].layout().shape()[0]);
         let packed = &self.packed[weight];
-        fit(out, x.rows() * packed.columns());
+        resize(out, x.rows() * packed.columns());
         multiply(x, packed, out, Write::Replace);
     }
 
@@ -155,13 +171,13 @@ impl PreparedLayer {
         }
     }
 
-    /// `out` is as large as `x`; `saved` is written over.
+    /// `out` is as large as `x`; `saved` is overwritten.
     fn forward(
         &self,
         x: &[f32],
         heads: Heads<'_>,
         masks: Masks,
-        with_slopes: bool,
+        with_derivatives: bool,
         saved: &mut Saved,
         out: &mut [f32],
     ) {
@@ -172,19 +188,19 @@ impl PreparedLayer {
             attended,
             first,
             middle,
-            slopes,
+            derivatives,
             hidden,
             second,
         } = saved;
         self.product(x, IN_PROJ, joint);
         add_bias(joint, bias(IN_PROJ));
         let rows = x.len() / heads.width;
-        fit(weights, rows * heads.count * heads.length);
-        fit(attended, x.len());
+        resize(weights, rows * heads.count * heads.length);
+        resize(attended, x.len());
         attention::forward(heads, joint, masks.weights, weights, attended);
 
         self.product(attended, OUT_PROJ, &mut first.0);
-        fit(middle, x.len());
+        resize(middle, x.len());
         first.1 = residual_norm(
             &mut first.0,
             bias(OUT_PROJ),
@@ -194,9 +210,15 @@ impl PreparedLayer {
             middle,
         );
 
-        self.product(middle, LINEAR1, slopes);
-        fit(hidden, slopes.len());
-        gelu_dropout(slopes, bias(LINEAR1), masks.hidden, with_slopes, hidden);
+        self.product(middle, LINEAR1, derivatives);
+        resize(hidden, derivatives.len());
+        gelu_dropout(
+            derivatives,
+            bias(LINEAR1),
+            masks.hidden,
+            with_derivatives,
+            hidden,
+        );
         self.product(hidden, LINEAR2, &mut second.0);
         second.1 = residual_norm(
             &mut second.0,
@@ -209,8 +231,8 @@ impl PreparedLayer {
     }
 }
 
-/// Makes room for `count` numbers, all of which are to be written over.
-fn fit(values: &mut Vec<f32>, count: usize) {
+/// Resizes a buffer whose numbers will all be overwritten.
+fn resize(values: &mut Vec<f32>, count: usize) {
     values.resize(count, 0.0);
 }
 
@@ -218,8 +240,8 @@ fn fit(values: &mut Vec<f32>, count: usize) {
 #[derive(Debug)]
 pub(crate) struct PreparedEncoder {
     layers: Vec<PreparedLayer>,
-    /// What a pass needs on its way, kept for the next.
-    room: Mutex<Saved>,
+    /// Scratch buffers of a pass, kept for the next.
+    scratch: Mutex<Saved>,
 }
 
 impl PreparedEncoder {
@@ -228,7 +250,7 @@ impl PreparedEncoder {
         let layers = layers.into_iter().collect::<Option<_>>()?;
         Some(Self {
             layers,
-            room: Mutex::default(),
+            scratch: Mutex::default(),
         })
     }
 
@@ -240,25 +262,25 @@ impl PreparedEncoder {
         let [_, length, _] = x.dims();
         let x = plain(x)?.to_contiguous();
         let (mut from, mut to) = (numbers(&x).to_vec(), vec![0.0; numbers(&x).len()]);
-        // Another pass meanwhile finds none and makes its own.
-        let lock = || self.room.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut room = std::mem::take(&mut *lock());
+        // A concurrent pass finds empty buffers and allocates its own.
+        let lock = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut scratch = std::mem::take(&mut *lock());
         on_workers(|| {
             for layer in &self.layers {
-                layer.infer(&from, layer.heads(length, None), &mut room, &mut to);
+                layer.infer(&from, layer.heads(length, None), &mut scratch, &mut to);
                 std::mem::swap(&mut from, &mut to);
             }
         });
-        *lock() = room;
+        *lock() = scratch;
         Some(Tensor::from_primitive::<Flex>(shaped_like(from, &x)))
     }
 }
 
-/// A layer on its way back.
+/// Backward pass of the fused layer.
 #[derive(Debug)]
 struct LayerBackward;
 
-/// What it goes by.
+/// Saved tensors for the backward pass.
 #[derive(Debug)]
 struct LayerState {
     layer: PreparedLayer,
@@ -330,7 +352,7 @@ impl LayerState {
         let of_linear2 = of_weight(LINEAR2, &saved.hidden, of_output);
         let (left, right) = self.back(of_output, LINEAR2);
         let mut of_hidden = product(left, &right);
-        let of_bias1 = times_slopes(&mut of_hidden, &saved.slopes, hidden_width);
+        let of_bias1 = times_derivatives(&mut of_hidden, &saved.derivatives, hidden_width);
         let of_linear1 = of_weight(LINEAR1, &saved.middle, &of_hidden);
         let (left, right) = self.back(&of_hidden, LINEAR1);
         multiply(left, &right, &mut residual, Write::Add);
@@ -402,7 +424,7 @@ impl LayerState {
     }
 }
 
-/// Room for the gradient of a branch, where it differs from that of the residual.
+/// Buffer for the gradient of a branch, where it differs from that of the residual.
 fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
     if mask.is_active() {
         vec![0.0; count]
@@ -425,6 +447,9 @@ pub(crate) fn encoder_layer(
     prob: f64,
     draw_key: impl FnOnce() -> u64,
 ) -> Option<Tensor<3>> {
+    if !is_used(&x.device()) {
+        return None;
+    }
     let [_, length, _] = x.dims();
     if !x.device().is_autodiff() {
         let weights = all(tensors.weights.map(plain))?;

@@ -4,7 +4,7 @@ pub mod clip;
 pub mod coordinator;
 pub mod denoiser;
 pub mod dropout;
-pub(crate) mod fused;
+pub mod fused;
 pub mod motionrefit;
 pub mod pose_net;
 pub mod position;

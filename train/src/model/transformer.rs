@@ -396,6 +396,31 @@ mod tests {
         }
     }
 
+    /// The same layer on another backend: its products, its autodiff, its normalisation.
+    #[cfg(feature = "ndarray")]
+    #[test]
+    fn the_fused_layer_is_that_of_burn_ndarray() {
+        #[expect(deprecated, reason = "the independent backend")]
+        let devices = [Device::flex(), Device::ndarray()].map(Device::autodiff);
+        let (batch, length) = (9, 11);
+        let numbers: Vec<f32> = (0..batch * length * 24)
+            .map(|index| 2.0 * (index as f32 * 0.37).sin())
+            .collect();
+        let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
+        let [ours, theirs] = devices.map(|device| {
+            let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1)).expect("known layers");
+            let data = TensorData::new(numbers.clone(), [batch, length, 24]);
+            let x = Tensor::<3>::from_data(data, &device);
+            let padding = padding_of(&lengths, length, &device)
+                .unsqueeze_dim::<3>(1)
+                .unsqueeze_dim::<4>(2);
+            run(&layer, &x, |layer, x| layer.forward(x, Some(&padding)))
+        });
+        for (ours, theirs) in ours.iter().zip(&theirs) {
+            check_equal(ours, theirs, 3e-5);
+        }
+    }
+
     #[test]
     fn dropout_repeats_with_the_key_and_its_gradient_matches_finite_differences() {
         let device = Device::flex().autodiff();

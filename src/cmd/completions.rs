@@ -1,0 +1,49 @@
+//! `stance completions` and `stance man`
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use crate::cli::{Cli, Global};
+use crate::exit::Exit;
+use crate::report;
+
+/// Print the completions of a shell: bash, zsh, fish, elvish or powershell.
+///
+/// For bash: stance completions bash > ~/.local/share/bash-completion/completions/stance
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+pub(crate) fn run(args: &Args) -> Exit {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "stance", &mut script);
+    report::text(&String::from_utf8_lossy(&script));
+    Exit::Done
+}
+
+/// Write the man pages, one for each verb.
+#[derive(clap::Args, Debug)]
+pub(crate) struct ManArgs {
+    /// Folder to write, such as ~/.local/share/man/man1
+    #[arg(long)]
+    out: PathBuf,
+}
+
+pub(crate) fn man(args: &ManArgs, global: &Global) -> anyhow::Result<Exit> {
+    let out = &args.out;
+    std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    clap_mangen::generate_to(Cli::command(), out)
+        .with_context(|| format!("cannot write to {}", out.display()))?;
+    if global.json {
+        report::json(&serde_json::json!({ "out": out }))?;
+    } else {
+        report::text(&format!("man pages in {}", out.display()));
+    }
+    Ok(Exit::Done)
+}
