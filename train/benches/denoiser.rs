@@ -1,7 +1,7 @@
 //! Training and sampling of the denoiser at the size of the paper.
 //!
 //! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Times are to be read
-//! against the matrix product of the same run.
+//! against the matrix products of the same run.
 
 use std::hint::black_box;
 
@@ -11,12 +11,15 @@ use burn::tensor::{Device, Distribution, Tensor};
 use datasets_spec::Seed;
 use divan::Bencher;
 use divan::counter::ItemsCount;
+use kernels::on_workers;
+use kernels::product::{Matrix, Packed, Write, multiply};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use train::config::{NetworkConfig, Preset, TrainConfig};
 use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::{Prediction, Schedule, ScheduleName, training_loss};
 use train::model::denoiser::Denoiser;
+use train::model::fused;
 use train::model::weights::draw;
 use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
@@ -70,6 +73,18 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
 /// Forward, loss, backward and AdamW of 64 windows.
 #[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
 fn training_step(bencher: Bencher, dropout: f64) {
+    step(bencher, dropout);
+}
+
+/// The same composed of the backend's operations, whose products are those of the crate `gemm`.
+#[divan::bench(sample_count = 5, sample_size = 1)]
+fn training_step_without_kernels(bencher: Bencher) {
+    fused::set_enabled(false);
+    step(bencher, 0.0);
+    fused::set_enabled(true);
+}
+
+fn step(bencher: Bencher, dropout: f64) {
     let device = Device::flex().autodiff();
     let batch = noisy_batch(&Device::flex());
     let diffusion = TrainConfig::preset(Preset::Paper).diffusion;
@@ -109,6 +124,18 @@ fn forward(bencher: Bencher) {
 /// 100 guided steps.
 #[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
 fn sample(bencher: Bencher, batch: usize) {
+    generate(bencher, batch);
+}
+
+/// The same composed of the backend's operations.
+#[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
+fn sample_without_kernels(bencher: Bencher, batch: usize) {
+    fused::set_enabled(false);
+    generate(bencher, batch);
+    fused::set_enabled(true);
+}
+
+fn generate(bencher: Bencher, batch: usize) {
     let device = Device::flex();
     let network = denoiser(0.1, &device.clone().autodiff()).valid();
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
@@ -140,14 +167,41 @@ fn sample(bencher: Bencher, batch: usize) {
     });
 }
 
-/// The backend's matrix product at the largest shape of a training step, in floating-point
-/// operations a second.
-#[divan::bench(sample_count = 20)]
-fn matrix_product(bencher: Bencher) {
+/// Shapes of the products of a training step (rows of 64 windows) and of a guided step of sampling (two
+/// windows), as rows, depth, columns.
+const PRODUCTS: [[usize; 3]; 4] = [
+    [BATCH * (1 + WINDOW_FRAMES), 512, 2048],
+    [BATCH * (1 + WINDOW_FRAMES), 2048, 512],
+    [2 * (1 + WINDOW_FRAMES), 512, 2048],
+    [2 * (1 + WINDOW_FRAMES), 2048, 512],
+];
+
+/// The backend's matrix product, which is that of the crate `gemm`, in floating-point operations a
+/// second.
+#[divan::bench(args = PRODUCTS, sample_count = 20)]
+fn product_of_gemm(bencher: Bencher, [m, k, n]: [usize; 3]) {
     let device = Device::flex();
-    let [m, k, n] = [BATCH * (1 + WINDOW_FRAMES), 512, 2048];
     let (a, b) = (normal([m, k], &device), normal([k, n], &device));
     bencher
         .counter(ItemsCount::new(2 * m * k * n))
         .bench_local(|| black_box(a.clone().matmul(b.clone())));
+}
+
+/// Our product with a factor packed before, as a weight is.
+#[divan::bench(args = PRODUCTS, sample_count = 20)]
+fn product_of_kernels(bencher: Bencher, [m, k, n]: [usize; 3]) {
+    let numbers = |count: usize| -> Vec<f32> {
+        (0..count)
+            .map(|index| (index as f32 * 0.37).sin())
+            .collect()
+    };
+    let (a, b) = (numbers(m * k), numbers(k * n));
+    let packed = Packed::new(Matrix::new(&b, n));
+    let mut out = vec![0.0; m * n];
+    bencher
+        .counter(ItemsCount::new(2 * m * k * n))
+        .bench_local(|| {
+            on_workers(|| multiply(Matrix::new(&a, k), &packed, &mut out, Write::Replace));
+            black_box(out[0])
+        });
 }

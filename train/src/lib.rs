@@ -1,13 +1,56 @@
 //! Models, diffusion, trainer and editor for text-guided motion editing.
 //!
-//! Batches come in through [`data::WindowSource`] as normalised windows, and edited motions go out
-//! of [`sample::Editor`] as keypoints. The crate reads and writes run folders and the files of text
-//! encoders only: it never opens a dataset, chooses a device or reads the clock, and nothing but
-//! [`text::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a
-//! [`Session`].
+//! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained
+//! editor answers test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. The
+//! crate chooses no device and reads no clock or environment, and nothing but
+//! [`text::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a [`Session`].
 //!
 //! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
 //! [`model::denoiser::Denoiser`].
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use std::sync::atomic::AtomicBool;
+//! use std::time::Instant;
+//!
+//! use burn::tensor::Device;
+//! use datasets_spec::{Dataset, NoProgress, Seed};
+//! use train::config::{Preset, TrainConfig};
+//! use train::registry::open_system;
+//! use train::stage::editor::{EditorInputs, train_editor};
+//! use train::system::{EditConfig, SystemSource, answer_items};
+//! use train::text::source::TextEncoderSource;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let (device, begun) = (Device::flex(), Instant::now());
+//! let session = train::Session {
+//!     device: &device,
+//!     more_devices: &[],
+//!     progress: &NoProgress,
+//!     stop: &AtomicBool::new(false),
+//!     clock: &|| begun.elapsed(),
+//! };
+//! // `stance train motionrefit DATASET --out RUN`
+//! let (dataset, run) = (Path::new("DATASET"), Path::new("RUN"));
+//! let config = TrainConfig::preset(Preset::Tiny);
+//! let text_encoder = TextEncoderSource::default();
+//! let inputs = EditorInputs {
+//!     compose: &TrainConfig::compose_preset(Preset::Tiny),
+//!     windows: None,
+//!     text_encoder: &text_encoder,
+//! };
+//! let report = train_editor(dataset, run, &config, &inputs, &session)?;
+//! assert!(report.is_complete);
+//! // `stance edit RUN --items ITEMS --out EDITS`
+//! let items = Dataset::open(Path::new("ITEMS"))?;
+//! let source = SystemSource::best(run, text_encoder.clone());
+//! let edit = EditConfig::default();
+//! let mut system = open_system(&source, &edit, &items.skeleton()?, &device)?;
+//! let out = Path::new("EDITS");
+//! answer_items(&mut *system, &items, out, edit.takes, Seed(0), "me", &session)?;
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod checkpoint;
 pub mod compose;

@@ -1,6 +1,8 @@
 //! The cache of Hugging Face's tools, and downloads into it.
 //!
-//! Nothing is ever downloaded but by [`HubCache::fetch`]. Files lie where Hugging Face's own tools
+//! Only [`HubCache::fetch`] downloads. The crate `hf-hub` (0.5) has the same cache layout and resumes
+//! downloads too, but renames what arrived without comparing it with its checksum, and brings an HTTP
+//! client of its own beside ureq 3. Files lie where Hugging Face's own tools
 //! put and find them: `models--OWNER--NAME/snapshots/COMMIT/FILE` is a link to
 //! `blobs/CHECKSUM`, and `refs/main` names the commit.
 
