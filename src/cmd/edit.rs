@@ -32,9 +32,9 @@ use crate::stages::{self, note_remarks, per_window};
 /// Edit motions by instruction with a trained editor.
 ///
 /// Either test items, into a table that `stance eval` scores; or one motion, from a file or a
-/// dataset. Several --text are laid over each other, each on what the one before made. --during
-/// asks for something of some frames alone. --history keeps the edits of one motion, to go on from
-/// and to take back.
+/// dataset. Several --text are applied one after another, each to the result of the one before.
+/// --during edits some frames alone. --history keeps the edits of one motion, to be continued and
+/// undone.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Run folder of the editor
@@ -218,7 +218,7 @@ fn profile(times: &EditTimes) -> String {
     grids.iter().map(Grid::text).collect()
 }
 
-/// What is asked for, one edit after another.
+/// The instructions, one layer after another.
 fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
         return vec![args.during.clone()];
@@ -490,7 +490,7 @@ impl Interactive<'_> {
         .write(out, self.global)
     }
 
-    /// Reads instructions until they end. What a line cannot do is said, and the next is read.
+    /// Reads instructions until end of file. On a terminal a failing line is reported and the next is read.
     fn read_lines(&mut self, history: &mut EditHistory) -> anyhow::Result<()> {
         let input = std::io::stdin();
         if input.is_terminal() {
@@ -510,7 +510,7 @@ impl Interactive<'_> {
         Ok(())
     }
 
-    /// Does what a line says; false ends.
+    /// Executes a line; false ends the session.
     fn follow(&mut self, history: &mut EditHistory, line: &str) -> anyhow::Result<bool> {
         match parse_line(line, &history.current()?)? {
             None => return Ok(true),

@@ -21,7 +21,7 @@ use crate::cmd::render::holds_items;
 use crate::exit::Exit;
 use crate::report;
 
-/// Say what a dataset, a clip of it, a shard, a manifest or a motion file holds.
+/// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
 /// A dataset's files are checked against their hashes first.
 #[derive(clap::Args, Debug)]

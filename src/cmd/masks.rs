@@ -25,10 +25,10 @@ use crate::report;
 pub(crate) struct Args {
     /// Dataset folder
     dataset: PathBuf,
-    /// Write the masks as lines to judge
+    /// Write the masks as lines to review
     #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "replace"])]
     drafts: Option<PathBuf>,
-    /// Take judged lines as the dataset's masks
+    /// Use reviewed lines as the dataset's masks
     #[arg(
         long,
         value_name = "FILE",
@@ -36,10 +36,10 @@ pub(crate) struct Args {
         conflicts_with = "replace"
     )]
     accept: Option<PathBuf>,
-    /// Who judged
+    /// Name of the reviewer
     #[arg(long)]
     author: Option<String>,
-    /// Derive the masks again although people have judged some
+    /// Derive the masks again even if people have reviewed some
     #[arg(long)]
     replace: bool,
 }

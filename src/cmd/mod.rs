@@ -1,4 +1,4 @@
-//! One module per verb: its arguments and what it calls.
+//! One module per verb: its arguments, and the library functions it calls.
 
 pub(crate) mod annotate;
 pub(crate) mod build;

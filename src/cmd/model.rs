@@ -23,7 +23,7 @@ use crate::exit::Exit;
 use crate::report;
 use crate::session::{hub_cache, text_encoder};
 
-/// Take over networks the released program trained, and give it those trained here.
+/// Import networks of the released program, and export networks to it.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -34,7 +34,7 @@ pub(crate) struct Args {
 enum Action {
     Import(ImportArgs),
     Export(ExportArgs),
-    /// Download the CLIP text encoder into the hub's cache, or go on with a download
+    /// Download the CLIP text encoder into the hub's cache, or resume a download
     ///
     /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
     /// HF_ENDPOINT names; what arrives is checked against the sums the server announces.
@@ -48,7 +48,7 @@ enum Action {
 struct ImportArgs {
     /// The checkpoint
     file: PathBuf,
-    /// What it holds
+    /// Its network
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
     /// Settings the network was made with
@@ -57,7 +57,7 @@ struct ImportArgs {
     /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
     #[arg(long, value_name = "FILE", required_unless_present = "features")]
     range: Option<PathBuf>,
-    /// What an evaluation encoder sees of a motion
+    /// Features of an evaluation encoder
     #[arg(long, value_enum, required_if_eq("model", "tmr"), requires = "stats")]
     features: Option<Features>,
     /// Folder with the mean.pt and std.pt of those features

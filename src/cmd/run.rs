@@ -74,7 +74,7 @@ pub(crate) struct RunConfig {
     ingest: IngestConfig,
     #[serde(default)]
     masks: MaskConfig,
-    /// What is made beside the editor.
+    /// Optional stages.
     #[serde(default)]
     stages: Stages,
     /// Style pairs from labels.
@@ -107,7 +107,7 @@ pub(crate) struct RunConfig {
     eval: Protocol,
 }
 
-/// What a run makes beside dataset, encoder and editor, where the data allow.
+/// Stages beside dataset, encoder and editor; each is skipped where the data do not allow it.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Stages {
@@ -428,7 +428,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// What the stages came to.
+/// Results of the stages.
 struct Done<'a> {
     plan: &'a Plan,
     seeds: String,

@@ -22,7 +22,7 @@ use crate::{report, settings};
 
 /// Train a model on a dataset, continue its run, or plot its losses.
 ///
-/// The run folder holds the resolved settings, what was fitted to the training split, the metrics
+/// The run folder holds the resolved settings, the normaliser and vocabulary, the metrics
 /// and the checkpoints. The same command continues an interrupted run exactly where it stopped; an
 /// interrupt saves and ends.
 #[derive(clap::Args, Debug)]

@@ -79,6 +79,9 @@ impl std::str::FromStr for Slot {
     }
 }
 
+/// Kind of a run folder with a motion encoder trained elsewhere, on features that do not depend on the body.
+pub(crate) const MOTION_KIND: &str = "tmr-motion";
+
 /// Files of a checkpoint by name.
 pub type Files = BTreeMap<String, Vec<u8>>;
 
@@ -89,7 +92,7 @@ pub type Files = BTreeMap<String, Vec<u8>>;
 pub struct RunRecord<C> {
     /// Version of the run folder.
     pub format: u32,
-    /// What was trained.
+    /// Kind of model.
     pub kind: String,
     /// Programs that made the run, by name.
     pub versions: BTreeMap<String, String>,
@@ -108,7 +111,7 @@ pub struct RunRecord<C> {
     pub config: C,
 }
 
-/// Weights that a run goes on from.
+/// A step in the lineage of a checkpoint: weights that the run continued from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ancestor {
@@ -126,7 +129,7 @@ pub struct Ancestor {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Inheritance {
-    /// The run itself goes on, with other settings.
+    /// The run itself continues, with other settings.
     Extend,
     /// A new run begins with them.
     Init,
@@ -137,9 +140,9 @@ pub enum Inheritance {
 pub struct Start<'a> {
     /// The run folder.
     pub run: &'a Path,
-    /// Whether the run that is there goes on with other settings, of those that may change.
+    /// Whether an existing run continues with other settings, of those that may change.
     pub extend: bool,
-    /// Run folder whose weights a new run begins with. What was fitted to its training split holds for
+    /// Run folder whose weights a new run begins with. What was fitted to its training split is kept for
     /// the new run too.
     pub init: Option<&'a Path>,
 }
@@ -167,7 +170,7 @@ impl Start<'_> {
             .transpose()
     }
 
-    /// The range of model units that holds for the run, unless it is to be fitted.
+    /// The normaliser of the run, if it is not to be fitted.
     ///
     /// # Errors
     /// A record cannot be read.
@@ -196,7 +199,7 @@ impl Start<'_> {
 }
 
 /// Settings that `extend` may change, without the name of the section they are recorded in: they
-/// decide how far and how fast a run goes, not what is learned from what.
+/// affect the length and the speed of a run, not the network or the data.
 const EXTENDABLE: [&str; 11] = [
     "keep_epochs",
     "length.epochs",
@@ -235,8 +238,7 @@ pub fn check_skeleton(
     let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
     let trained: Trained =
         serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
-    if trained.kind == crate::tmr::MOTION_KIND {
-        // Trained elsewhere, on features that do not depend on the body.
+    if trained.kind == MOTION_KIND {
         return Ok(());
     }
     let hash = skeleton.hash();
@@ -423,7 +425,7 @@ impl Run {
         })
     }
 
-    /// Records the settings that the run goes on with, if they are others than before.
+    /// Records the settings of an extended run.
     pub(crate) fn settle(&self) -> Result<(), Error> {
         match &self.extended {
             Some((record, lineage)) => write_record(&self.dir.join(CONFIG), record, lineage),
@@ -573,7 +575,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
-/// What was trained in a run folder.
+/// The kind of model in a run folder.
 pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     #[derive(Deserialize)]
     struct Kind {
@@ -644,7 +646,7 @@ pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Re
     })
 }
 
-/// Takes a file out of a checkpoint.
+/// Removes a file from the files of a checkpoint.
 pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<u8>, Error> {
     files.remove(name).ok_or_else(|| Error::Corrupt {
         path: run_dir.join("checkpoint"),
@@ -663,7 +665,7 @@ pub(crate) fn weights_hash<C: Serialize>(config: &C, files: &[&[u8]]) -> String 
     hasher.finalize().to_hex().to_string()
 }
 
-/// What identifies the weights of a checkpoint, as whoever uses them names them.
+/// Identifies the weights of a checkpoint, as editors and tables do.
 fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
     let weights: Vec<&[u8]> = files
         .iter()
@@ -673,7 +675,7 @@ fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
     weights_hash(config, &weights)
 }
 
-/// A count of the place in a run that its newest checkpoint was made at; 0 if it is not known.
+/// The step of a checkpoint; 0 if it is not recorded.
 fn step_of(files: &Files, field: &str) -> u64 {
     files
         .get(STATE)

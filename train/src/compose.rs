@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// Settings and seed of the composer. Rate and anchor hold while editing too: the network knows no
-/// other frames.
+/// Settings and seed of the composer. Rate and anchor apply while editing too, because the network was
+/// trained on such frames alone.
 ///
 /// Records of version 1.3 and before hold the same as a JSON document in a string, which is read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,7 +15,7 @@ use crate::Error;
 pub struct ComposeRecord {
     /// The settings.
     pub config: ComposeConfig,
-    /// The seed of what was drawn.
+    /// The seed of the composer's draws.
     pub seed: Seed,
 }
 

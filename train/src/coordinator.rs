@@ -175,7 +175,7 @@ pub struct Segments<'a> {
     pub compose: &'a ComposeRecord,
 }
 
-/// What is recorded of a coordinator's run.
+/// Record of a coordinator's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoordinatorRecord {

@@ -135,8 +135,7 @@ fn system_name(editor: &Editor) -> String {
     name
 }
 
-/// What an editor edits with, as rows of edits record it. What does not change a result, such as the
-/// size of a batch, is left out.
+/// Settings of an editor as rows of edits record them: those that change a result, so not the batch size.
 fn settings_document(editor: &Editor, slot: Slot, settings: &EditSettings) -> serde_json::Value {
     let coordinator = editor.has_coordinator().then_some(settings.coordinator);
     let record = &editor.record().config;

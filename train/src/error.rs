@@ -155,7 +155,7 @@ pub enum Error {
     Misfit {
         /// What does not fit.
         what: &'static str,
-        /// In what it differs.
+        /// The difference.
         problem: String,
     },
     /// An evaluation encoder cannot do what it is asked for.
@@ -210,7 +210,7 @@ pub enum Error {
     /// Reading or writing a file failed.
     #[error("cannot {action} {}", path.display())]
     Io {
-        /// What was tried, as a verb.
+        /// The action, as a verb.
         action: &'static str,
         /// The file.
         path: PathBuf,

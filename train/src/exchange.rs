@@ -1,4 +1,4 @@
-//! Models from and for the released program: weights under its names, and the range of model units.
+//! Models from and for the released program: weights under its names, and the normaliser.
 
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,7 @@ const TABLES: [&str; 4] = [
     "embed_prog_ind.sequence_pos_encoder.pos_encoding",
 ];
 
-/// Name of the file the range of model units is exported to.
+/// Name of the file that the normaliser is exported to.
 const RANGE: &str = "range.json";
 
 /// Makes a run folder of an editor trained elsewhere.
@@ -181,7 +181,7 @@ pub fn import_motion_encoder(
     let skeleton = Skeleton::smplx_neutral();
     let run = Run::open(
         run_dir,
-        &RunRecord::new(tmr::MOTION_KIND, "imported", &skeleton, record),
+        &RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record),
     )?;
     run.write(Slot::Best, &files.into())
 }
@@ -202,7 +202,7 @@ pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> 
 }
 
 /// Writes the network of a run as one safetensors file under the released names, the position tables
-/// the released program asks for included, and the range of model units as JSON. Returns the files.
+/// the released program asks for included, and the normaliser as JSON. Returns the files.
 ///
 /// # Errors
 /// The folder is no run of the editor or the coordinator, its checkpoint is damaged, its network has
@@ -265,7 +265,7 @@ fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error
     safetensors::serialize(tensors, None).map_err(weights)
 }
 
-/// Reads the range of model units of the released program: an array of one object, which is a
+/// Reads the normaliser of the released program: an array of one object, which is a
 /// dictionary whose value holds the lower bound and the upper, one number or one for each axis.
 ///
 /// # Errors

@@ -29,7 +29,7 @@ pub struct EditHistory {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HistoryStep {
-    /// What was asked for, of which frames.
+    /// The instructions and their frames.
     pub instructions: Vec<TimedInstruction>,
     /// Seed of the noise.
     pub seed: u64,
@@ -168,7 +168,7 @@ impl EditHistory {
         }
     }
 
-    /// Adds an edit. What was taken back before is gone.
+    /// Adds an edit. Undone edits are discarded.
     pub fn push(
         &mut self,
         instructions: Vec<TimedInstruction>,

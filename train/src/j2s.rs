@@ -64,8 +64,8 @@ pub struct J2sConfig {
     pub preset: J2sPreset,
     /// Width of its hidden layers.
     pub width: usize,
-    /// Standard deviation in metres of the noise on training points: what a network is given are
-    /// the points another one made.
+    /// Standard deviation in metres of the noise on training points, because the network is applied to
+    /// generated points.
     pub noise_m: f64,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -142,7 +142,7 @@ pub struct FitErrors {
     pub frames_per_sec: f64,
 }
 
-/// What training came to.
+/// Result of training.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct J2sReport {
     /// The settings.
@@ -336,7 +336,7 @@ fn draw_poses(motions: &[Motion], count: usize, mut rng: datasets_spec::Rng) -> 
         .collect()
 }
 
-/// What a network sees of poses and what it is to give.
+/// Inputs and targets of a network for poses.
 fn samples(
     poses: &[Pose],
     config: &J2sConfig,

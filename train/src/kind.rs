@@ -1,5 +1,5 @@
-//! What a model offers to the rest of the program: to be trained from a dataset folder and, if it edits
-//! motions, to be opened as a system.
+//! The interface of a model to the rest of the program: it is trained from a dataset folder and, if it
+//! edits motions, opened as a system.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ use crate::{Error, Session};
 pub struct ModelKind {
     /// Name on the command line and in run folders.
     pub name: &'static str,
-    /// What it is, in one line.
+    /// Description in one line.
     pub about: &'static str,
     /// Trains it on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,

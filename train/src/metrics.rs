@@ -1,4 +1,4 @@
-//! Reading back what a run wrote of its losses.
+//! Reading the losses that a run logged.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! What a training run needs of the program around it.
+//! Context of a run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -6,8 +6,7 @@ use std::time::Duration;
 use burn::tensor::Device;
 use datasets_spec::Progress;
 
-/// The surroundings of a run: where it computes, whom it tells, who may stop it and what time it
-/// is.
+/// Context of a run: device, progress sink, stop flag, clock.
 #[derive(Clone, Copy)]
 pub struct Session<'a> {
     /// Device tensors live on, without automatic differentiation.

@@ -82,7 +82,7 @@ pub struct EditedMotions {
     pub times: EditTimes,
 }
 
-/// Which system made an edit, and how: what tells its rows from those of others.
+/// Identity of a system in rows of edits: name, weights and settings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SystemIdentity {
     /// Name in tables.
@@ -184,7 +184,7 @@ impl SystemSource {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EditConfig {
-    /// Name of the system in tables; `None` for one that says what it is.
+    /// Name of the system in tables; `None` for one made of its settings.
     pub name: Option<String>,
     /// Edits of every item, each with a sampling seed of its own.
     pub takes: u64,
@@ -368,7 +368,7 @@ pub struct Answers {
 }
 
 /// Edits the items of a folder and commits items and edits as a dataset of their own. Take `n` of
-/// `takes` is sampled with `seed + n`. What is there by the same plan is not made again.
+/// `takes` is sampled with `seed + n`. A table made by the same plan is kept.
 ///
 /// # Errors
 /// A folder cannot be read or written, or as [`EditSystem::edit`].

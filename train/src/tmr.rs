@@ -1,4 +1,4 @@
-//! The encoder motions are judged by: training and use.
+//! The evaluation encoder: training and use.
 
 use std::ops::Range;
 use std::path::Path;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, Start, read_for_use, read_kind, take, weights_hash,
+    self, Files, MOTION_KIND, Run, RunRecord, Slot, Start, read_for_use, read_kind, take, weights_hash,
 };
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
@@ -28,9 +28,7 @@ use crate::{Error, Session};
 pub(crate) const KIND: &str = "tmr";
 const WEIGHTS: &str = "tmr.safetensors";
 
-/// Kind of a run folder with a motion encoder trained elsewhere.
-pub(crate) const MOTION_KIND: &str = "tmr-motion";
-/// Its weights.
+/// Weights of a motion encoder trained elsewhere.
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
 /// Motions or texts encoded at a time.
@@ -216,7 +214,7 @@ impl TmrConfig {
     }
 }
 
-/// A motion and what it is said to show.
+/// A motion and its captions.
 #[derive(Clone, Copy, Debug)]
 pub struct CaptionedMotion<'a> {
     /// Names the motion in errors.
@@ -240,7 +238,7 @@ pub struct TmrCorpus<'a> {
     pub dataset_hash: &'a str,
 }
 
-/// What is recorded of an encoder's run.
+/// Record of an encoder's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TmrRecord {
@@ -507,7 +505,7 @@ fn fit_features(recipe: FeatureRecipe, clips: &[Clip]) -> Result<FeatureStats, E
     )
 }
 
-/// Draws batches of clips; what is drawn depends on the seed and the step alone.
+/// Samples batches of clips; a batch depends on the seed and the step alone.
 #[derive(Clone, Copy)]
 struct ClipSampler<'a> {
     clips: &'a [Clip],
@@ -635,7 +633,7 @@ fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error>
     from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
 }
 
-/// What is recorded of a motion encoder trained elsewhere.
+/// Record of a motion encoder trained elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionEncoderRecord {

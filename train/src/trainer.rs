@@ -78,7 +78,7 @@ impl TrainerConfig {
     }
 }
 
-/// What a training run came to.
+/// Result of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrainReport {
     /// Steps made, those of earlier sessions included.

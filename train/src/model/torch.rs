@@ -20,9 +20,9 @@ pub struct StateDictOptions<'a> {
     /// Keys of dictionaries that may lie around the weights, outermost first; a key that is not
     /// there is passed over.
     pub nested: &'a [&'a str],
-    /// What is taken off the front of names, each once at most and in this order.
+    /// Prefixes removed from names, each at most once and in this order.
     pub strip: &'a [&'a str],
-    /// What a name must begin with once stripped; without any, all are kept.
+    /// Prefixes of the names that are kept, after stripping; empty keeps all.
     pub keep: &'a [&'a str],
 }
 

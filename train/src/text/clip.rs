@@ -135,7 +135,7 @@ impl ClipFiles {
         };
         Ok(Self {
             weights: first("weights", &WEIGHTS)?,
-            // The list of merges says the same, and is only what is left to those without it.
+            // The list of merges holds the same; it is the fallback without the vocabulary.
             tokenizer: first("tokenizer", &TOKENIZERS[..1])?,
         })
     }

@@ -289,13 +289,13 @@ impl HubCache {
     }
 
     /// Downloads a file of a model into the cache, unless it is there, and holds it against its
-    /// checksum. A download that was interrupted goes on where it stopped. `progress` is told how
+    /// checksum. An interrupted download is resumed. `progress` is told how
     /// many bytes there are, and of how many where that is known. None if the server has no such
     /// file.
     ///
     /// # Errors
     /// The server cannot be reached or fails, another process is fetching the same file, the
-    /// content is not what the checksum says, or the cache cannot be written. What was downloaded
+    /// content does not match the checksum, or the cache cannot be written. What was downloaded
     /// is kept, unless it is wrong.
     pub fn fetch(
         &self,
