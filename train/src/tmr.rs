@@ -12,7 +12,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{
-    self, Files, MOTION_KIND, Run, RunRecord, Slot, Start, read_for_use, read_kind, take, weights_hash,
+    self, Files, MOTION_KIND, Run, RunRecord, Slot, Start, read_for_use, read_kind, take,
+    weights_hash,
 };
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
