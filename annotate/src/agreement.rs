@@ -9,6 +9,7 @@
 
 use std::collections::BTreeMap;
 
+use datasets_spec::quantile::quantile;
 use datasets_spec::{JointSet, Seed};
 use rand::RngExt;
 
@@ -47,14 +48,7 @@ pub fn estimate<T: Sync>(
             figure(&drawn)
         })
         .collect();
-    values.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        let last = values.len().saturating_sub(1);
-        values
-            .get((share * last as f64).round() as usize)
-            .copied()
-            .unwrap_or(value)
-    };
+    let mut at = |share: f64| quantile(&mut values, share).unwrap_or(value);
     Some(Estimate {
         value,
         low: at(0.025),

@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use datasets_spec::quantile::quantile;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row as _, ShardReader, read_column};
 use datasets_spec::{
@@ -133,11 +134,10 @@ impl MotionLibrary {
                 .iter()
                 .flat_map(|clip| clip[part].iter().copied())
                 .collect();
-            all.sort_by(f64::total_cmp);
-            let last = all.len().saturating_sub(1);
-            let reference = all.get((REFERENCE_QUANTILE * last as f64).round() as usize);
-            // A dataset of statues still has a scale.
-            reference.copied().unwrap_or(0.0).max(0.05)
+            // A dataset of clips that do not move still has a scale.
+            quantile(&mut all, REFERENCE_QUANTILE)
+                .unwrap_or(0.0)
+                .max(0.05)
         }))
     }
 

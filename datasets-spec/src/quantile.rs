@@ -1,14 +1,15 @@
 //! Quantiles and medians of measured values.
 
 /// The value that a share of the values lies below, by nearest rank, so that it is one of them; none
-/// if there are no values. Sorts the values.
+/// if there are no values. Reorders the values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
-    values.sort_unstable_by(f64::total_cmp);
-    Some(values[(share * last as f64).round() as usize])
+    let place = (share * last as f64).round() as usize;
+    let (_, value, _) = values.select_nth_unstable_by(place, f64::total_cmp);
+    Some(*value)
 }
 
-/// The middle value, or the mean of the two middle ones; none if there are no values. Sorts the
+/// The middle value, or the mean of the two middle ones; none if there are no values. Reorders the
 /// values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);

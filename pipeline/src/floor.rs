@@ -1,5 +1,6 @@
 //! Where the floor is: files put it anywhere, the store has it at y = 0.
 
+use datasets_spec::quantile::quantile;
 use datasets_spec::{Fps, Pose, Skeleton};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -39,11 +40,11 @@ pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
 /// The vertical shift in metres that puts the floor at y = 0, from the positions of both ankles and
 /// both feet in every frame, by the rule of [`put_on_floor`].
 pub(crate) fn shift(feet: &[[DVec3; FOOT_JOINTS.len()]], fps: Fps) -> f64 {
-    let lowest: Vec<f64> = feet
+    let mut lowest: Vec<f64> = feet
         .iter()
         .map(|frame| frame.iter().fold(f64::INFINITY, |low, p| low.min(p.y)))
         .collect();
-    let Some(floor) = percentile(&lowest, FLOOR_PERCENTILE) else {
+    let Some(floor) = quantile(&mut lowest, FLOOR_PERCENTILE) else {
         return 0.0;
     };
     let touches = feet.windows(2).any(|pair| {
@@ -56,15 +57,6 @@ pub(crate) fn shift(feet: &[[DVec3; FOOT_JOINTS.len()]], fps: Fps) -> f64 {
         return 0.0;
     }
     -floor
-}
-
-/// The value below which a share of the values lies; none if there are no values.
-pub(crate) fn percentile(values: &[f64], share: f64) -> Option<f64> {
-    let last = values.len().checked_sub(1)?;
-    let at = (share * last as f64).round() as usize;
-    let mut partly_sorted = values.to_vec();
-    let (_, value, _) = partly_sorted.select_nth_unstable_by(at, f64::total_cmp);
-    Some(*value)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use datasets_spec::Dataset;
+use datasets_spec::quantile::quantile;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
 use serde::Serialize;
@@ -42,15 +43,12 @@ pub struct Spread {
 impl Spread {
     /// The spread of numbers; none of none.
     fn of(mut numbers: Vec<f64>) -> Option<Self> {
-        numbers.sort_by(f64::total_cmp);
-        let last = numbers.len().checked_sub(1)?;
-        // The nearest rank, so that every quantile is a number that was measured.
-        let at = |share: f64| numbers[(share * last as f64).round() as usize];
+        let mut at = |share: f64| quantile(&mut numbers, share);
         Some(Self {
-            p5: at(0.05),
-            p50: at(0.5),
-            p95: at(0.95),
-            max: numbers[last],
+            p5: at(0.05)?,
+            p50: at(0.5)?,
+            p95: at(0.95)?,
+            max: at(1.0)?,
         })
     }
 }

@@ -2,10 +2,11 @@
 
 use super::claim::lease_end;
 use super::db::{Tx, params};
-use super::log::{self, Body, Entry, Reply};
+use super::entry::{Body, Entry, Reply};
 use super::project;
 use super::records::{Millis, TaskRecord};
 use super::replies::{full_key, hash_of, parsed, replay};
+use super::{apply, log, rows};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
@@ -46,7 +47,7 @@ pub(super) fn append(
     for event in events {
         let taking = Taking {
             user,
-            task: log::task(tx, id)?,
+            task: rows::task(tx, id)?,
             settings: settings.clone(),
             now,
         };
@@ -75,7 +76,7 @@ fn refused(
         idem_key: event.idem_key.clone(),
         status: problem.status,
         seq: None,
-        rev: log::revision(tx, taking.task.id, taking.user)?.map_or(0, |mine| mine.rev),
+        rev: rows::revision(tx, taking.task.id, taking.user)?.map_or(0, |mine| mine.rev),
         state: Some(taking.task.state),
         lease: annotate_lease(tx, taking.task.id, taking.user)?,
         problem: Some(problem),
@@ -83,7 +84,7 @@ fn refused(
 }
 
 fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>, Error> {
-    Ok(log::lease_of(tx, task, user)?
+    Ok(rows::lease_of(tx, task, user)?
         .filter(|held| held.purpose == Purpose::Annotate)
         .map(|held| held.lease))
 }
@@ -98,7 +99,7 @@ impl Taking {
         if event.note.chars().count() > MAX_TEXT_CHARS {
             return Err(Error::invalid("note", "the note is too long"));
         }
-        let mine = log::revision(tx, self.task.id, self.user)?;
+        let mine = rows::revision(tx, self.task.id, self.user)?;
         match event.kind {
             EventKind::Draft | EventKind::Submit => self.answer(tx, event, key, request, mine),
             EventKind::Skip | EventKind::Postpone => self.skip(tx, event, key, request),
@@ -132,8 +133,8 @@ impl Taking {
                 idem_key: event.idem_key.clone(),
                 status: problem.as_ref().map_or(200, |problem| problem.status),
                 seq: Some(seq),
-                rev: log::revision(tx, self.task.id, self.user)?.map_or(0, |mine| mine.rev),
-                state: Some(log::task(tx, self.task.id)?.state),
+                rev: rows::revision(tx, self.task.id, self.user)?.map_or(0, |mine| mine.rev),
+                state: Some(rows::task(tx, self.task.id)?.state),
                 lease: annotate_lease(tx, self.task.id, self.user)?,
                 problem,
             };
@@ -174,7 +175,7 @@ impl Taking {
         } else {
             0.0
         };
-        let held = log::lease_of(tx, self.task.id, self.user)?.filter(|held| {
+        let held = rows::lease_of(tx, self.task.id, self.user)?.filter(|held| {
             held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
         });
         if event.base_rev != rev {
@@ -298,7 +299,7 @@ impl Taking {
                 "a task is skipped for a reason; choose one",
             ));
         }
-        let held = log::lease_of(tx, self.task.id, self.user)?
+        let held = rows::lease_of(tx, self.task.id, self.user)?
             .filter(|held| {
                 held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
             })
@@ -338,7 +339,7 @@ impl Taking {
                 "taken back: no answer of yours waits for review",
             ));
         };
-        log::check_move(self.task.state, LogKind::Undone, "taken back")?;
+        apply::check_move(self.task.state, LogKind::Undone, "taken back")?;
         let epoch = 1 + tx.number(
             "SELECT epoch FROM task WHERE id = ?1",
             params![self.task.id],

@@ -2,9 +2,10 @@
 
 use super::db::{Tx, params};
 use super::draw::percent;
-use super::log::{self, Body, Entry};
+use super::entry::{Body, Entry};
 use super::project;
 use super::records::Millis;
+use super::{apply, log, rows};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, Empty, Lease, RevisionState, Settings, TaskKind, TaskState};
@@ -23,10 +24,10 @@ const FOR_ME: &str = "t.claimable = 1
 pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<(), Error> {
     let sql = format!(
         "SELECT {} FROM lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     for row in tx.query(&sql, params![now, keep, EXPIRED_AT_ONCE])? {
-        let held = log::read_lease(&row)?;
+        let held = rows::read_lease(&row)?;
         end(tx, &held, None, ReleaseReason::Expired, now)?;
     }
     Ok(())
@@ -34,7 +35,7 @@ pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<(), Erro
 
 pub(super) fn end(
     tx: &mut dyn Tx,
-    held: &log::LeaseRow,
+    held: &rows::LeaseRow,
     actor: Option<i64>,
     reason: ReleaseReason,
     now: Millis,
@@ -94,7 +95,7 @@ pub(super) fn take(
 
 pub(super) fn prolong(
     tx: &mut dyn Tx,
-    held: &log::LeaseRow,
+    held: &rows::LeaseRow,
     settings: &Settings,
     now: Millis,
 ) -> Result<Lease, Error> {
@@ -121,7 +122,7 @@ pub(super) fn prolong(
 /// [`prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
 pub(super) fn prolong_bundle(
     tx: &mut dyn Tx,
-    held: &log::LeaseRow,
+    held: &rows::LeaseRow,
     settings: &Settings,
     now: Millis,
 ) -> Result<Lease, Error> {
@@ -129,14 +130,14 @@ pub(super) fn prolong_bundle(
         "SELECT {} FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2
            AND t.bundle = (SELECT bundle FROM task WHERE id = ?3) ORDER BY l.id",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     let rest = tx.query(
         &sql,
         params![held.lease.user, held.lease.id, held.lease.task],
     )?;
     for row in rest {
-        prolong(tx, &log::read_lease(&row)?, settings, now)?;
+        prolong(tx, &rows::read_lease(&row)?, settings, now)?;
     }
     prolong(tx, held, settings, now)
 }
@@ -154,10 +155,10 @@ pub(super) fn claim(
         "SELECT {} FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
          ORDER BY t.bundle, t.bundle_index, l.id LIMIT 1",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
-        let held = log::read_lease(&row)?;
+        let held = rows::read_lease(&row)?;
         if held.lease.expires < lease_end(&settings, now) - MINUTE {
             prolong_bundle(tx, &held, &settings, now)?;
         }
@@ -278,7 +279,7 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
     for row in counts {
         let count = row.int(1)?;
         empty.total += count;
-        match log::state(row.text(0)?)? {
+        match rows::state(row.text(0)?)? {
             TaskState::Submitted | TaskState::InReview | TaskState::Accepted => empty.done += count,
             TaskState::Dropped => empty.dropped += count,
             TaskState::Open | TaskState::Leased | TaskState::Returned => {}
@@ -310,8 +311,8 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
 pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
-    let task = log::task(tx, id)?;
-    match log::lease_of(tx, id, user)? {
+    let task = rows::task(tx, id)?;
+    match rows::lease_of(tx, id, user)? {
         Some(held) if held.purpose == Purpose::Annotate => {
             prolong(tx, &held, &settings, now)?;
             return Ok(());
@@ -330,7 +331,7 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
     if known.is_none() {
         return Err(Error::not_found("task"));
     }
-    if let Some(mine) = log::revision(tx, id, user)?
+    if let Some(mine) = rows::revision(tx, id, user)?
         && mine.state != RevisionState::Draft
         && mine.state != RevisionState::Returned
     {
@@ -339,7 +340,7 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
             "taken again: your answer is handed in",
         ));
     }
-    log::check_move(task.state, LogKind::Claimed, "taken")?;
+    apply::check_move(task.state, LogKind::Claimed, "taken")?;
     let free = tx.number("SELECT claimable FROM task WHERE id = ?1", params![id])?;
     if free == 0 && task.gold.is_none() {
         return Err(Error::refused(

@@ -2,9 +2,10 @@
 
 use super::db::{Tx, params};
 use super::draw::{draw, percent};
-use super::log::{self, Body, Entry, LoggedTask};
+use super::entry::{Body, Entry, LoggedTask};
 use super::project;
 use super::records::{Imported, Millis, NewTask};
+use super::{log, rows};
 use crate::Error;
 use crate::wire::Settings;
 
@@ -93,7 +94,7 @@ fn put_task(
 
 /// Makes a hidden gold task of an accepted one.
 pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Result<i64, Error> {
-    let task = log::task(tx, id)?;
+    let task = rows::task(tx, id)?;
     let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
     let Some(row) = row else {
         return Err(Error::wrong_state(

@@ -9,9 +9,11 @@
 //! the tables beside the log; `db` hides which database it is.
 
 mod append;
+mod apply;
 mod claim;
 pub(crate) mod db;
 mod draw;
+mod entry;
 mod group;
 mod import;
 mod log;
@@ -21,9 +23,11 @@ mod postgres;
 mod project;
 mod read;
 mod readers;
+mod rebuild;
 mod records;
 mod replies;
 mod review;
+mod rows;
 mod sqlite;
 #[expect(
     clippy::module_inception,

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use sha2::{Digest, Sha256};
 
 use super::db::{Row, Tx, params};
-use super::log::{self, Body, Entry};
+use super::entry::{Body, Entry};
+use super::log;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
 use crate::Error;
 use crate::wire::{Code, Role, TokenInfo, User};

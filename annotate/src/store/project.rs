@@ -1,7 +1,8 @@
 //! Settings, preferences, motions, suggestions and jobs.
 
 use super::db::{Row, Tx, params};
-use super::log::{self, Body, Entry};
+use super::entry::{Body, Entry};
+use super::log;
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use crate::Error;
 use crate::wire::{Job, Prefs, Settings, Suggestion, SuggestionSource};

@@ -3,11 +3,12 @@
 use datasets_spec::quantile;
 
 use super::db::{Row, Tx, Value, params};
-use super::log::{self, NUM_TASK_COLUMNS};
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
     ShelfFilter, TaskDetail, TaskRecord, WeekCounts,
 };
+use super::rows;
+use super::rows::NUM_TASK_COLUMNS;
 use super::{people, project};
 use crate::Error;
 use crate::state::Purpose;
@@ -19,15 +20,15 @@ use crate::wire::{
 const DAY: Millis = 24 * 60 * 60 * 1000;
 
 pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
-    let held = log::lease_of(tx, task, user)?.is_some();
-    Ok(held || log::revision(tx, task, user)?.is_some())
+    let held = rows::lease_of(tx, task, user)?.is_some();
+    Ok(held || rows::revision(tx, task, user)?.is_some())
 }
 
 /// A task as somebody may see it whom it concerns.
 pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, Error> {
-    let task = log::task(tx, id)?;
-    let held = log::lease_of(tx, id, user)?;
-    let mine = log::revision(tx, id, user)?;
+    let task = rows::task(tx, id)?;
+    let held = rows::lease_of(tx, id, user)?;
+    let mine = rows::revision(tx, id, user)?;
     let blind = match &held {
         Some(held) => held.blind,
         None => {
@@ -82,7 +83,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
             task: row.int(0)?,
             mine: row
                 .opt_text(1)?
-                .map(|state| log::revision_state(&state))
+                .map(|state| rows::revision_state(&state))
                 .transpose()?,
             verdict: row.opt_text(2)?.and_then(|verdict| Verdict::parse(&verdict)),
             leased: row.flag(3)?,
@@ -143,7 +144,7 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         .map(|row| {
             Ok(ReturnedTask {
                 task: row.int(0)?,
-                kind: log::task_kind(row.text(1)?)?,
+                kind: rows::task_kind(row.text(1)?)?,
                 until: row.int(2)?,
                 comment: row.opt_text(3)?.unwrap_or_default(),
             })
@@ -151,12 +152,12 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         .collect::<Result<_, Error>>()?;
     let sql = format!(
         "SELECT {} FROM lease l WHERE l.usr = ?1 AND l.purpose = 'annotate' ORDER BY l.expires DESC, l.id",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     let held = tx
         .query(&sql, params![user])?
         .iter()
-        .map(|row| log::read_lease(row).map(|held| held.lease))
+        .map(|row| rows::read_lease(row).map(|held| held.lease))
         .collect::<Result<_, _>>()?;
     let handed_in = "state IN ('submitted', 'accepted', 'superseded', 'returned')";
     let mut secs = tx
@@ -196,7 +197,7 @@ pub(super) fn shelf(
     user: i64,
     filter: &ShelfFilter,
 ) -> Result<Vec<AcceptedAnswer>, Error> {
-    let columns = log::TASK_COLUMNS;
+    let columns = rows::TASK_COLUMNS;
     let part = filter
         .part
         .as_deref()
@@ -231,7 +232,7 @@ pub(super) fn shelf(
 fn read_accepted(row: &Row) -> Result<AcceptedAnswer, Error> {
     let from = NUM_TASK_COLUMNS;
     Ok(AcceptedAnswer {
-        task: log::read_task(row)?,
+        task: rows::read_task(row)?,
         author: row.int(from)?,
         merged: row.flag(from + 1)?,
         answer: row.json(from + 2)?,
@@ -260,7 +261,7 @@ pub(super) fn accepted(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<AcceptedA
     let sql = format!(
         "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq FROM task t JOIN accepted a ON a.task = t.id
          WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key",
-        log::TASK_COLUMNS
+        rows::TASK_COLUMNS
     );
     tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])?
         .iter()
@@ -276,15 +277,15 @@ pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<La
            SELECT COALESCE(MAX(x.task), 0) FROM (
              SELECT DISTINCT task FROM revision WHERE state <> 'draft' AND task > ?1 ORDER BY task LIMIT ?2) x)
          ORDER BY r.task, r.author",
-        log::REVISION_COLUMNS
+        rows::REVISION_COLUMNS
     );
     tx.query(&sql, params![after, limit as i64])?
         .iter()
         .map(|row| {
             Ok(Label {
-                revision: log::read_revision(row, 0)?,
+                revision: rows::read_revision(row, 0)?,
                 task: row.int(0)?,
-                kind: log::task_kind(row.text(7)?)?,
+                kind: rows::task_kind(row.text(7)?)?,
                 gold: row.flag(8)?,
                 category: row.opt_text(9)?,
                 source: row.string(10)?,
@@ -300,7 +301,7 @@ pub(super) fn labels_of(
     tx: &mut dyn Tx,
     keys: &KeyRange,
 ) -> Result<Vec<(TaskRecord, Label)>, Error> {
-    let (task, revision) = (log::TASK_COLUMNS, log::REVISION_COLUMNS);
+    let (task, revision) = (rows::TASK_COLUMNS, rows::REVISION_COLUMNS);
     let sql = format!(
         "SELECT {task}, r.blind, {revision} FROM task t JOIN revision r ON r.task = t.id
          WHERE r.state <> 'draft' AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author"
@@ -308,9 +309,9 @@ pub(super) fn labels_of(
     tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])?
         .iter()
         .map(|row| {
-            let task = log::read_task(row)?;
+            let task = rows::read_task(row)?;
             let label = Label {
-                revision: log::read_revision(row, NUM_TASK_COLUMNS + 1)?,
+                revision: rows::read_revision(row, NUM_TASK_COLUMNS + 1)?,
                 task: task.id,
                 kind: task.kind,
                 gold: task.gold.is_some(),
@@ -326,7 +327,7 @@ pub(super) fn labels_of(
 }
 
 pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
-    let columns = log::TASK_COLUMNS;
+    let columns = rows::TASK_COLUMNS;
     let from = NUM_TASK_COLUMNS;
     let mut all = Vec::new();
     let skipped = format!(
@@ -342,7 +343,7 @@ pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, E
     for sql in [dropped, skipped] {
         for row in tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])? {
             all.push(Reject {
-                task: log::read_task(&row)?,
+                task: rows::read_task(&row)?,
                 user: row.opt_int(from)?,
                 reason: row.string(from + 1)?,
                 note: row.string(from + 2)?,
@@ -373,8 +374,8 @@ pub(super) fn funnel(tx: &mut dyn Tx) -> Result<Vec<(TaskKind, TaskState, i64)>,
     .iter()
     .map(|row| {
         Ok((
-            log::task_kind(row.text(0)?)?,
-            log::state(row.text(1)?)?,
+            rows::task_kind(row.text(0)?)?,
+            rows::state(row.text(1)?)?,
             row.int(2)?,
         ))
     })
@@ -447,16 +448,16 @@ pub(super) fn leases(tx: &mut dyn Tx, now: Millis) -> Result<Vec<HeldLease>, Err
     let sql = format!(
         "SELECT {}, COALESCE(u.name, ''), t.kind FROM lease l JOIN task t ON t.id = l.task
          LEFT JOIN usr u ON u.id = l.usr WHERE l.expires > ?1 ORDER BY l.expires, l.id LIMIT 1000",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     tx.query(&sql, params![now])?
         .iter()
         .map(|row| {
-            let held = log::read_lease(row)?;
+            let held = rows::read_lease(row)?;
             Ok(HeldLease {
                 lease: Lease::clone(&held.lease),
                 user_name: row.string(7)?,
-                kind: log::task_kind(row.text(8)?)?,
+                kind: rows::task_kind(row.text(8)?)?,
                 purpose: held.purpose.to_string(),
             })
         })

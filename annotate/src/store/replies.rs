@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::db::{Tx, params};
-use super::log;
+use super::entry;
 use crate::Error;
 use crate::wire::Code;
 
@@ -34,12 +34,12 @@ pub(super) fn full_key(user: i64, key: &str) -> Result<String, Error> {
 pub(super) fn replay(tx: &mut dyn Tx, key: &str, request: &str) -> Result<Option<String>, Error> {
     let sql = format!(
         "SELECT {}, result FROM event WHERE idem_key = ?1",
-        log::ENTRY_COLUMNS
+        entry::ENTRY_COLUMNS
     );
     let Some(row) = tx.one(&sql, params![key])? else {
         return Ok(None);
     };
-    let (_, entry) = log::read_entry(&row)?;
+    let (_, entry) = entry::read_entry(&row)?;
     if entry.body.request() != Some(request) {
         return Err(Error::refused(
             Code::KeyReused,

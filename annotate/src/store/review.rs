@@ -2,10 +2,11 @@
 
 use super::claim::{MINUTE, expire, lease_end, prolong, take};
 use super::db::{Tx, params};
-use super::log::{self, Body, Entry, Reply};
+use super::entry::{Body, Entry, Reply};
 use super::project;
 use super::records::{Millis, ReviewClaimed, ReviewDetail};
 use super::replies::{full_key, hash_of, parsed, replay};
+use super::{apply, log, rows};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
@@ -30,11 +31,11 @@ pub(super) fn next(
     let sql = format!(
         "SELECT {} FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1",
-        log::LEASE_COLUMNS
+        rows::LEASE_COLUMNS
     );
     let task = match tx.one(&sql, params![user, kinds])? {
         Some(row) => {
-            let held = log::read_lease(&row)?;
+            let held = rows::read_lease(&row)?;
             if held.lease.expires < lease_end(&settings, now) - MINUTE {
                 prolong(tx, &held, &settings, now)?;
             }
@@ -86,17 +87,17 @@ pub(super) fn next(
 
 /// A task as its reviewer sees it.
 fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
-    let task = log::task(tx, id)?;
-    let lease = log::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
+    let task = rows::task(tx, id)?;
+    let lease = rows::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task = ?1 AND r.state IN ('submitted', 'returned') ORDER BY r.state DESC, r.author",
-        log::REVISION_COLUMNS
+        rows::REVISION_COLUMNS
     );
     let candidates = tx
         .query(&sql, params![id])?
         .iter()
-        .map(|row| Ok((log::read_revision(row, 0)?, row.string(7)?)))
+        .map(|row| Ok((rows::read_revision(row, 0)?, row.string(7)?)))
         .collect::<Result<_, Error>>()?;
     let comments = tx
         .query(
@@ -127,8 +128,8 @@ pub(super) fn review(
         return parsed(&result);
     }
     let settings = project::settings(tx)?;
-    let task = log::task(tx, review.task)?;
-    let mine = log::revision(tx, task.id, user)?;
+    let task = rows::task(tx, review.task)?;
+    let mine = rows::revision(tx, task.id, user)?;
     if mine.is_some_and(|mine| mine.state != RevisionState::Draft) {
         return Err(Error::refused(
             Code::OwnWork,
@@ -141,7 +142,7 @@ pub(super) fn review(
             "reviewed: its answer is known",
         ));
     }
-    log::check_move(task.state, log_kind(review.decision), "decided so")?;
+    apply::check_move(task.state, log_kind(review.decision), "decided so")?;
     let comment = review.comment.trim().to_owned();
     if comment.chars().count() > MAX_TEXT_CHARS {
         return Err(Error::invalid("comment", "the comment is too long"));
@@ -159,11 +160,11 @@ pub(super) fn review(
     let held = tx.query(
         &format!(
             "SELECT {} FROM lease l WHERE l.task = ?1 AND l.purpose = 'review'",
-            log::LEASE_COLUMNS
+            rows::LEASE_COLUMNS
         ),
         params![task.id],
     )?;
-    let held = held.first().map(log::read_lease).transpose()?;
+    let held = held.first().map(rows::read_lease).transpose()?;
     let ours = held
         .as_ref()
         .is_some_and(|held| held.lease.user == user && held.lease.epoch == review.lease_epoch);
@@ -242,7 +243,7 @@ pub(super) fn review(
     log::write(tx, &entry, |tx, seq| {
         let answer = ReviewDone {
             seq,
-            state: log::task(tx, task.id)?.state,
+            state: rows::task(tx, task.id)?.state,
         };
         let result = serde_json::to_string(&answer).map_err(|error| Error::Row {
             table: "event",

@@ -4,13 +4,14 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
 use super::db::{self, Database, Tx, params};
-use super::log::{self, Body, Entry};
+use super::entry::{Body, Entry};
 use super::records::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
     MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ShelfFilter,
     TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
 };
 use super::{append, claim, import, people, project, read, review};
+use super::{log, rebuild, rows};
 use crate::Error;
 use crate::lock::lock;
 use crate::state::{Purpose, ReleaseReason};
@@ -139,7 +140,7 @@ impl Store {
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease, Error> {
         self.write(move |tx| {
             let settings = project::settings(tx)?;
-            let held = log::lease(tx, lease)?.filter(|held| held.lease.user == user);
+            let held = rows::lease(tx, lease)?.filter(|held| held.lease.user == user);
             let held = held.ok_or_else(|| {
                 Error::refused(
                     Code::LeaseLost,
@@ -161,7 +162,7 @@ impl Store {
     pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<(), Error> {
         let who = who.clone();
         self.write(move |tx| {
-            let held = log::lease(tx, lease)?
+            let held = rows::lease(tx, lease)?
                 .filter(|held| held.lease.user == who.id || who.role >= Role::Reviewer)
                 .ok_or_else(|| Error::not_found("lease"))?;
             let reason = if held.lease.user == who.id {
@@ -206,7 +207,7 @@ impl Store {
     /// # Errors
     /// `not_found`; or the store fails.
     pub fn task_record(&self, task: i64) -> Result<TaskRecord, Error> {
-        self.read(move |tx| log::task(tx, task))
+        self.read(move |tx| rows::task(tx, task))
     }
 
     /// Claims the next task to be reviewed.
@@ -642,7 +643,7 @@ impl Store {
     /// # Errors
     /// The store fails, or an entry of the log cannot be read.
     pub fn rebuild(&self) -> Result<Vec<&'static str>, Error> {
-        self.write(log::rebuild)
+        self.write(rebuild::rebuild)
     }
 
     /// Findings of a check of the whole store: places missing in the log, projections that do not follow from it.
@@ -650,7 +651,7 @@ impl Store {
     /// # Errors
     /// The store fails.
     pub fn verify(&self) -> Result<Vec<String>, Error> {
-        db::rehearse(self.db.as_ref(), log::verify)
+        db::rehearse(self.db.as_ref(), rebuild::verify)
     }
 
     /// Writes a copy of the store to a new file.

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use annotate::wire::{EventResults, Role, TaskKind};
 use serde_json::json;
 
-use crate::support::{START, Site, bare_motion, bare_task, masks, submit};
+use crate::support::{START, Site, bare_motion, bare_task, masks, peak_memory_mb, submit};
 
 fn size() -> [usize; 3] {
     let text = std::env::var("ANNOTATE_LOAD").unwrap_or_else(|_| "8x15x2000".to_owned());
@@ -29,17 +29,6 @@ fn size() -> [usize; 3] {
 fn at(times: &mut [Duration], share: f64) -> Duration {
     times.sort();
     times[((times.len() - 1) as f64 * share).round() as usize]
-}
-
-/// Largest resident memory of this process, in MB.
-fn peak_memory_mb() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
-    line.split_whitespace()
-        .nth(1)?
-        .parse::<u64>()
-        .ok()
-        .map(|kb| kb / 1024)
 }
 
 #[test]

@@ -521,3 +521,12 @@ pub(crate) fn bare_motion() -> MotionRecord {
         action: None,
     }
 }
+
+/// Peak memory of this process in MB since the last call.
+pub(crate) fn peak_memory_mb() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
+    let kb: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    std::fs::write("/proc/self/clear_refs", "5").ok()?;
+    Some(kb / 1024)
+}

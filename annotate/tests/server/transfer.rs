@@ -18,7 +18,8 @@ use datasets_spec::table::read_rows;
 use serde_json::json;
 
 use crate::support::{
-    Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, key, masks, pair, style,
+    Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, key, masks, pair,
+    peak_memory_mb, style,
 };
 
 /// A job once it has ended.
@@ -328,15 +329,6 @@ fn splits_are_kept_apart() {
         "test",
     );
     assert!(leak.expect_err("a leak").to_string().contains("split"));
-}
-
-/// Peak memory of this process in MB since the last call.
-fn peak_memory_mb() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM"))?;
-    let kb: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    std::fs::write("/proc/self/clear_refs", "5").ok()?;
-    Some(kb / 1024)
 }
 
 /// Many tasks in every layout. The short form runs with the others; how long a long one takes, and how little

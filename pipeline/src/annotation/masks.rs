@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::quantile::quantile;
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
@@ -151,8 +152,8 @@ pub fn automatic_masks(
         return Err(Error::NoTrainMotions);
     }
     let reference: [f64; Region::ALL.len()] = std::array::from_fn(|region| {
-        let all = train.iter().map(|activity| activity[region]).collect();
-        quantile(all, config.clip_quantile)
+        let mut all: Vec<f64> = train.iter().map(|activity| activity[region]).collect();
+        quantile(&mut all, config.clip_quantile).unwrap_or(0.0)
     });
     let mut masks = Vec::new();
     for (row, activity) in motions.iter().zip(&activities) {
@@ -191,7 +192,7 @@ fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; 
         .collect();
     Region::ALL.map(|region| {
         let joints = region.joints();
-        let speeds = carried
+        let mut speeds: Vec<f64> = carried
             .windows(2)
             .map(|pair| {
                 let moved: f64 = joints
@@ -201,17 +202,8 @@ fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; 
                 moved / joints.len() as f64 * motion.fps().get()
             })
             .collect();
-        quantile(speeds, frame_quantile)
+        quantile(&mut speeds, frame_quantile).unwrap_or(0.0)
     })
-}
-
-/// The value that a share of the others stays below, by nearest rank; 0 without values.
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len().checked_sub(1) {
-        Some(last) => values[(share * last as f64).round() as usize],
-        None => 0.0,
-    }
 }
 
 fn parts_of(active: &BTreeSet<Region>) -> Vec<BodyPart> {
@@ -419,12 +411,5 @@ mod tests {
         let mut row = swinging("clip", Split::Train, &WHOLE_BODY);
         row.action = None;
         assert!(parts(&[row], "clip").is_empty());
-    }
-
-    #[test]
-    fn quantiles_by_nearest_rank() {
-        assert_eq!(quantile(vec![3.0, 1.0, 2.0, 5.0, 4.0], 0.75), 4.0);
-        assert_eq!(quantile(vec![2.0], 0.95), 2.0);
-        assert_eq!(quantile(Vec::new(), 0.5), 0.0);
     }
 }

@@ -8,12 +8,12 @@
 use std::f64::consts::FRAC_PI_2;
 
 use datasets_spec::Skeleton;
+use datasets_spec::quantile::quantile;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 use kinematics::rotation::{arc, slerp};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
-use crate::floor::percentile;
 
 /// The constant rotation of each body joint; the identity where the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
@@ -376,8 +376,8 @@ fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Opt
     };
     let (ankle_heights, foot_heights) = (heights(ankle), heights(foot));
     let band = FLAT_BAND * track.leg_length();
-    let ankle_low = percentile(&ankle_heights, LOWEST_SHARE)? + band;
-    let foot_low = percentile(&foot_heights, LOWEST_SHARE)? + band;
+    let ankle_low = quantile(&mut ankle_heights.clone(), LOWEST_SHARE)? + band;
+    let foot_low = quantile(&mut foot_heights.clone(), LOWEST_SHARE)? + band;
     let mut normal = DVec3::ZERO;
     let mut direction = DVec3::ZERO;
     for frame in 0..track.num_frames() {

@@ -1,0 +1,470 @@
+//! Projections: what an entry changes in the tables beside the log.
+
+use super::db::{Tx, params};
+use super::entry::{Body, Entry, LoggedTask, json};
+use super::records::Millis;
+use super::rows::state;
+use crate::Error;
+use crate::state::{LogKind, Purpose, targets};
+use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState};
+
+/// Leases one entry can make; the id of a lease is the sequence number of its entry times this, plus
+/// a number.
+const LEASES_PER_ENTRY: i64 = 100;
+
+/// Whether an entry is legal where the task stands.
+pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<(), Error> {
+    if targets(state, kind).is_empty() {
+        return Err(Error::wrong_state(state, what));
+    }
+    Ok(())
+}
+
+/// Changes the projections as an entry says.
+pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Error> {
+    if let Body::Imported { task } = &entry.body {
+        return import(tx, seq, entry, task);
+    }
+    let Some(task) = entry.task else {
+        return Ok(());
+    };
+    let before = state_of(tx, task)?;
+    let kind = entry.body.kind();
+    change(tx, seq, entry, task)?;
+    let after = state_of(tx, task)?;
+    if targets(before, kind).contains(&after) {
+        return Ok(());
+    }
+    Err(Error::Row {
+        table: "task",
+        problem: format!(
+            "entry {seq} ({kind}) would move task {task} from {before} to {after}, which is no legal move"
+        ),
+    })
+}
+
+fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState, Error> {
+    let row = tx.one("SELECT state FROM task WHERE id = ?1", params![task])?;
+    state(row.ok_or_else(|| Error::not_found("task"))?.text(0)?)
+}
+
+fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<(), Error> {
+    let id = entry.task.ok_or_else(|| Error::Row {
+        table: "event",
+        problem: format!("entry {seq} imports no task"),
+    })?;
+    let state = if task.accepted.is_some() {
+        TaskState::Accepted
+    } else {
+        TaskState::Open
+    };
+    let claimable = task.accepted.is_none() && task.gold.is_none();
+    tx.execute(
+        "INSERT INTO task (id, key, kind, source, target, split, bundle, bundle_index, category, hint, style,
+           priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, distance)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, NULL)",
+        params![
+            id,
+            &task.key,
+            task.kind.as_str(),
+            &task.source,
+            task.target.clone(),
+            &task.split,
+            task.bundle,
+            task.bundle_index,
+            task.category.clone(),
+            task.hint.clone(),
+            task.style.clone(),
+            task.priority,
+            task.shuffle,
+            task.wanted,
+            task.gold.as_ref().map(json).transpose()?,
+            task.extra.as_ref().map(json).transpose()?,
+            state.as_str(),
+            claimable
+        ],
+    )?;
+    if let Some(answer) = &task.accepted {
+        let actor = entry.actor.unwrap_or(0);
+        tx.execute(
+            "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq) VALUES (?1, ?2, ?2, ?3, 0, ?4, ?5)",
+            params![id, actor, json(answer)?, entry.at, seq],
+        )?;
+    }
+    Ok(())
+}
+
+/// A lease to be made.
+struct NewLease {
+    id: i64,
+    task: i64,
+    user: i64,
+    epoch: i64,
+    expires: Millis,
+    purpose: Purpose,
+    blind: bool,
+}
+
+fn put_lease(tx: &mut dyn Tx, lease: &NewLease) -> Result<(), Error> {
+    end_lease_of(tx, lease.task, lease.user)?;
+    tx.execute(
+        "INSERT INTO lease (id, task, usr, epoch, expires, purpose, blind) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        params![
+            lease.id,
+            lease.task,
+            lease.user,
+            lease.epoch,
+            lease.expires,
+            lease.purpose.as_str(),
+            lease.blind
+        ],
+    )?;
+    tx.execute(
+        "UPDATE task SET epoch = ?2 WHERE id = ?1",
+        params![lease.task, lease.epoch],
+    )?;
+    Ok(())
+}
+
+fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<(), Error> {
+    tx.execute(
+        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
+        params![task, user],
+    )?;
+    Ok(())
+}
+
+fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute("DELETE FROM lease WHERE task = ?1", params![task])?;
+    Ok(())
+}
+
+/// Id of the lease an entry makes.
+pub(crate) fn lease_id(seq: i64, number: usize) -> i64 {
+    seq * LEASES_PER_ENTRY + number as i64
+}
+
+fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Error> {
+    let actor = entry.actor.unwrap_or(0);
+    match &entry.body {
+        Body::Claimed {
+            purpose,
+            expires,
+            blind,
+        } => {
+            put_lease(
+                tx,
+                &NewLease {
+                    id: lease_id(seq, 0),
+                    task,
+                    user: actor,
+                    epoch: entry.epoch.unwrap_or(0),
+                    expires: *expires,
+                    purpose: *purpose,
+                    blind: *blind,
+                },
+            )?;
+            match purpose {
+                Purpose::Review => set_state(tx, task, TaskState::InReview),
+                Purpose::Annotate | Purpose::Returned => refresh(tx, task),
+            }
+        }
+        Body::Renewed { lease, expires } => {
+            tx.execute(
+                "UPDATE lease SET expires = ?2 WHERE id = ?1",
+                params![*lease, *expires],
+            )?;
+            Ok(())
+        }
+        Body::Released { lease, purpose, .. } => {
+            tx.execute("DELETE FROM lease WHERE id = ?1", params![*lease])?;
+            match purpose {
+                Purpose::Review => set_state(tx, task, TaskState::Submitted),
+                Purpose::Annotate | Purpose::Returned => refresh(tx, task),
+            }
+        }
+        Body::DraftSaved {
+            answer,
+            rev,
+            secs,
+            kept_aside,
+            ..
+        } => {
+            if kept_aside.is_some() {
+                return Ok(());
+            }
+            put_revision(tx, entry, task, RevisionState::Draft, answer, *rev, *secs)
+        }
+        Body::Submitted {
+            answer,
+            rev,
+            secs,
+            distance,
+            ..
+        } => {
+            put_revision(
+                tx,
+                entry,
+                task,
+                RevisionState::Submitted,
+                answer,
+                *rev,
+                *secs,
+            )?;
+            end_lease_of(tx, task, actor)?;
+            tx.execute(
+                "DELETE FROM skip WHERE task = ?1 AND usr = ?2",
+                params![task, actor],
+            )?;
+            tx.execute(
+                "UPDATE task SET distance = ?2 WHERE id = ?1",
+                params![task, *distance],
+            )?;
+            refresh(tx, task)
+        }
+        Body::Skipped {
+            postponed,
+            reason,
+            note,
+            ..
+        } => {
+            end_lease_of(tx, task, actor)?;
+            tx.execute(
+                "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+                 ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
+                   reason = excluded.reason, note = excluded.note, at = excluded.at",
+                params![task, actor, *postponed, reason.map(SkipReason::as_str), note, entry.at],
+            )?;
+            refresh(tx, task)
+        }
+        Body::Returned {
+            authors,
+            comment,
+            until,
+            ..
+        } => {
+            end_leases(tx, task)?;
+            let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![task])?;
+            for (number, &author) in authors.iter().enumerate() {
+                tx.execute(
+                    "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2",
+                    params![task, author],
+                )?;
+                put_lease(
+                    tx,
+                    &NewLease {
+                        id: lease_id(seq, number),
+                        task,
+                        user: author,
+                        epoch: epoch + 1 + number as i64,
+                        expires: *until,
+                        purpose: Purpose::Returned,
+                        blind: false,
+                    },
+                )?;
+            }
+            tx.execute("UPDATE task SET came_back = 1 WHERE id = ?1", params![task])?;
+            let author = (authors.len() == 1).then(|| authors[0]);
+            put_review(tx, seq, entry, task, author, comment)?;
+            refresh(tx, task)
+        }
+        Body::Accepted {
+            author, comment, ..
+        } => {
+            tx.execute(
+                "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
+                 WHERE task = ?1 AND state = 'submitted'",
+                params![task, *author],
+            )?;
+            tx.execute(
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq)
+                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CAST(?4 AS BIGINT), CAST(?5 AS BIGINT) FROM revision WHERE task = ?1 AND author = ?2",
+                params![task, *author, actor, entry.at, seq],
+            )?;
+            end_leases(tx, task)?;
+            put_review(tx, seq, entry, task, Some(*author), comment)?;
+            set_state(tx, task, TaskState::Accepted)
+        }
+        Body::Merged {
+            answer, comment, ..
+        } => {
+            tx.execute(
+                "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
+                params![task],
+            )?;
+            tx.execute(
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq) VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5)",
+                params![task, actor, json(answer)?, entry.at, seq],
+            )?;
+            end_leases(tx, task)?;
+            put_review(tx, seq, entry, task, None, comment)?;
+            set_state(tx, task, TaskState::Accepted)
+        }
+        Body::Dropped { comment, .. } => {
+            end_leases(tx, task)?;
+            put_review(tx, seq, entry, task, None, comment)?;
+            set_state(tx, task, TaskState::Dropped)
+        }
+        Body::Reopened { comment, .. } => {
+            tx.execute("DELETE FROM accepted WHERE task = ?1", params![task])?;
+            tx.execute(
+                "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
+                params![task],
+            )?;
+            put_review(tx, seq, entry, task, None, comment)?;
+            refresh(tx, task)
+        }
+        Body::Undone { rev, expires, .. } => {
+            tx.execute(
+                "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
+                params![task, actor, *rev, entry.at],
+            )?;
+            let blind = tx.number(
+                "SELECT blind FROM revision WHERE task = ?1 AND author = ?2",
+                params![task, actor],
+            )?;
+            put_lease(
+                tx,
+                &NewLease {
+                    id: lease_id(seq, 0),
+                    task,
+                    user: actor,
+                    epoch: entry.epoch.unwrap_or(0),
+                    expires: *expires,
+                    purpose: Purpose::Annotate,
+                    blind: blind != 0,
+                },
+            )?;
+            tx.execute(
+                "DELETE FROM gold_score WHERE task = ?1 AND usr = ?2",
+                params![task, actor],
+            )?;
+            refresh(tx, task)
+        }
+        Body::SuggestionUsed {
+            suggestion, used, ..
+        } => {
+            tx.execute(
+                "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
+                params![seq, task, actor, *suggestion, used.as_str()],
+            )?;
+            Ok(())
+        }
+        Body::GoldScored { score } => {
+            tx.execute(
+                "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
+                 ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
+                params![task, actor, *score, entry.at],
+            )?;
+            Ok(())
+        }
+        Body::Imported { .. }
+        | Body::RoleChanged { .. }
+        | Body::SettingsChanged { .. }
+        | Body::Exported { .. } => Ok(()),
+    }
+}
+
+fn put_review(
+    tx: &mut dyn Tx,
+    seq: i64,
+    entry: &Entry,
+    task: i64,
+    author: Option<i64>,
+    comment: &str,
+) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO review (seq, task, reviewer, decision, author, comment, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        params![
+            seq,
+            task,
+            entry.actor.unwrap_or(0),
+            entry.body.kind().as_str(),
+            author,
+            comment,
+            entry.at
+        ],
+    )?;
+    Ok(())
+}
+
+fn put_revision(
+    tx: &mut dyn Tx,
+    entry: &Entry,
+    task: i64,
+    state: RevisionState,
+    answer: &Answer,
+    rev: i64,
+    secs: f64,
+) -> Result<(), Error> {
+    let actor = entry.actor.unwrap_or(0);
+    let edit_type = match answer {
+        Answer::Pair { edit_type, .. } => *edit_type,
+        Answer::MaskText { .. } | Answer::Style { .. } => None,
+    };
+    let blind = tx.number(
+        "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
+        params![task, actor],
+    )?;
+    tx.execute(
+        "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)
+         ON CONFLICT (task, author) DO UPDATE SET rev = excluded.rev, state = excluded.state,
+           answer = excluded.answer, at = excluded.at, secs = revision.secs + excluded.secs,
+           blind = CASE WHEN excluded.blind = 1 THEN 1 ELSE revision.blind END,
+           verdict = excluded.verdict, edit_type = excluded.edit_type",
+        params![
+            task,
+            actor,
+            rev,
+            state.as_str(),
+            json(answer)?,
+            entry.at,
+            secs,
+            blind,
+            answer.verdict().map(crate::wire::Verdict::as_str),
+            edit_type.map(EditType::as_str)
+        ],
+    )?;
+    Ok(())
+}
+
+fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> {
+    tx.execute(
+        "UPDATE task SET state = ?2, claimable = 0,
+           leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
+        params![task, state.as_str()],
+    )?;
+    Ok(())
+}
+
+/// Counts answers and leases of a task that is not decided, and sets its state by them.
+fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    let row = tx
+        .one(
+            "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
+               (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
+               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'annotate'),
+               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
+             FROM task WHERE id = ?1",
+            params![task],
+        )?
+        .ok_or_else(|| Error::not_found("task"))?;
+    let (wanted, gold) = (row.int(0)?, row.flag(1)?);
+    let (submitted, active, kept) = (row.int(2)?, row.int(3)?, row.int(4)?);
+    let state = if submitted >= wanted {
+        TaskState::Submitted
+    } else if active > 0 {
+        TaskState::Leased
+    } else if kept > 0 {
+        TaskState::Returned
+    } else {
+        TaskState::Open
+    };
+    let claimable = !gold && submitted + active + kept < wanted;
+    tx.execute(
+        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1",
+        params![task, state.as_str(), submitted, active + kept, claimable],
+    )?;
+    Ok(())
+}

@@ -1,0 +1,222 @@
+//! Entries of the log: what each says, and how it is stored.
+
+use serde::{Deserialize, Serialize};
+
+use super::db::Row;
+use super::records::Millis;
+use crate::Error;
+use crate::state::{LogKind, Purpose, ReleaseReason};
+use crate::wire::{Answer, Role, Settings, SkipReason, SuggestionUse, TaskKind};
+
+/// Version of the entries' bodies.
+pub(super) const VERSION: i64 = 1;
+/// A task as the log keeps it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct LoggedTask {
+    pub(crate) key: String,
+    pub(crate) kind: TaskKind,
+    pub(crate) source: String,
+    pub(crate) target: Option<String>,
+    pub(crate) split: String,
+    pub(crate) bundle: Option<i64>,
+    pub(crate) bundle_index: i64,
+    pub(crate) category: Option<String>,
+    pub(crate) hint: Option<String>,
+    pub(crate) style: Option<String>,
+    pub(crate) priority: i64,
+    pub(crate) shuffle: i64,
+    pub(crate) wanted: u32,
+    pub(crate) gold: Option<Answer>,
+    pub(crate) extra: Option<serde_json::Value>,
+    pub(crate) accepted: Option<Answer>,
+}
+
+/// What an entry says. `request` is a hash of what was asked, by which a key used again is known to
+/// be the same request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub(crate) enum Body {
+    Imported {
+        task: Box<LoggedTask>,
+    },
+    Claimed {
+        purpose: Purpose,
+        expires: Millis,
+        blind: bool,
+    },
+    Renewed {
+        lease: i64,
+        expires: Millis,
+    },
+    Released {
+        lease: i64,
+        user: i64,
+        purpose: Purpose,
+        reason: ReleaseReason,
+    },
+    DraftSaved {
+        answer: Answer,
+        rev: i64,
+        secs: f64,
+        /// Why it became no revision, if so.
+        kept_aside: Option<String>,
+        request: String,
+    },
+    Submitted {
+        answer: Answer,
+        rev: i64,
+        secs: f64,
+        distance: Option<f64>,
+        request: String,
+    },
+    Skipped {
+        postponed: bool,
+        reason: Option<SkipReason>,
+        note: String,
+        request: String,
+    },
+    Returned {
+        authors: Vec<i64>,
+        comment: String,
+        until: Millis,
+        request: String,
+    },
+    Accepted {
+        author: i64,
+        comment: String,
+        request: String,
+    },
+    Merged {
+        answer: Answer,
+        comment: String,
+        request: String,
+    },
+    Dropped {
+        comment: String,
+        request: String,
+    },
+    Reopened {
+        comment: String,
+        request: String,
+    },
+    Undone {
+        rev: i64,
+        expires: Millis,
+        request: String,
+    },
+    SuggestionUsed {
+        suggestion: i64,
+        used: SuggestionUse,
+        request: String,
+    },
+    GoldScored {
+        score: f64,
+    },
+    RoleChanged {
+        user: i64,
+        name: String,
+        role: Role,
+        active: bool,
+    },
+    SettingsChanged {
+        settings: Box<Settings>,
+    },
+    Exported {
+        export: serde_json::Value,
+    },
+}
+
+impl Body {
+    pub(crate) fn kind(&self) -> LogKind {
+        match self {
+            Self::Imported { .. } => LogKind::Imported,
+            Self::Claimed { .. } => LogKind::Claimed,
+            Self::Renewed { .. } => LogKind::Renewed,
+            Self::Released { .. } => LogKind::Released,
+            Self::DraftSaved { .. } => LogKind::DraftSaved,
+            Self::Submitted { .. } => LogKind::Submitted,
+            Self::Skipped { .. } => LogKind::Skipped,
+            Self::Returned { .. } => LogKind::Returned,
+            Self::Accepted { .. } => LogKind::Accepted,
+            Self::Merged { .. } => LogKind::Merged,
+            Self::Dropped { .. } => LogKind::Dropped,
+            Self::Reopened { .. } => LogKind::Reopened,
+            Self::Undone { .. } => LogKind::Undone,
+            Self::SuggestionUsed { .. } => LogKind::SuggestionUsed,
+            Self::GoldScored { .. } => LogKind::GoldScored,
+            Self::RoleChanged { .. } => LogKind::RoleChanged,
+            Self::SettingsChanged { .. } => LogKind::SettingsChanged,
+            Self::Exported { .. } => LogKind::Exported,
+        }
+    }
+
+    /// The hash of the request that made it.
+    pub(crate) fn request(&self) -> Option<&str> {
+        match self {
+            Self::DraftSaved { request, .. }
+            | Self::Submitted { request, .. }
+            | Self::Skipped { request, .. }
+            | Self::Returned { request, .. }
+            | Self::Accepted { request, .. }
+            | Self::Merged { request, .. }
+            | Self::Dropped { request, .. }
+            | Self::Reopened { request, .. }
+            | Self::Undone { request, .. }
+            | Self::SuggestionUsed { request, .. } => Some(request),
+            _ => None,
+        }
+    }
+}
+
+/// An entry of the log.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Entry {
+    pub(crate) at: Millis,
+    pub(crate) actor: Option<i64>,
+    pub(crate) task: Option<i64>,
+    pub(crate) epoch: Option<i64>,
+    pub(crate) body: Body,
+}
+
+/// The key an entry answers to, and what is answered.
+pub(crate) struct Reply {
+    pub(crate) idem_key: String,
+    pub(crate) base_rev: i64,
+    pub(crate) result: String,
+}
+
+pub(super) fn json<T: Serialize>(value: &T) -> Result<String, Error> {
+    serde_json::to_string(value).map_err(|error| Error::Row {
+        table: "event",
+        problem: error.to_string(),
+    })
+}
+
+/// Columns of [`read_entry`].
+pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
+
+/// Reads an entry of [`ENTRY_COLUMNS`], with its place.
+pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
+    let seq = row.int(0)?;
+    if row.int(6)? != VERSION {
+        return Err(Error::Row {
+            table: "event",
+            problem: format!(
+                "entry {seq} is of version {}, this program knows {VERSION}",
+                row.int(6)?
+            ),
+        });
+    }
+    let body = serde_json::from_str(row.text(5)?).map_err(|error| Error::Row {
+        table: "event",
+        problem: format!("entry {seq}: {error}"),
+    })?;
+    let entry = Entry {
+        at: row.int(1)?,
+        actor: row.opt_int(2)?,
+        task: row.opt_int(3)?,
+        epoch: row.opt_int(4)?,
+        body,
+    };
+    Ok((seq, entry))
+}
