@@ -394,10 +394,11 @@ impl TrainConfig {
     /// `w = 3`, which is weight 4 here); what it leaves open is as released. `Official`: the released
     /// configuration (8 layers, smooth L1, batch 256, 4,000 epochs); `algorithms` section 10 lists
     /// where the two differ. `Tiny`: our choice. It uses the rescaled schedule, under which the last
-    /// step is almost pure noise, so that sampling from pure noise starts where training ended; it
-    /// shows the network the fixed frames as the editor will; and it predicts the change, without
-    /// clipping, because noise does not fit through so narrow a network. A change that is amplified
-    /// overshoots, so that guidance is light.
+    /// step is almost pure noise, so that sampling starts where training ended. It shows the network the
+    /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
+    /// own errors from window to window. It predicts the residual of a linear extrapolation, unclipped:
+    /// noise does not fit through so narrow a network, and windows of the residual join smoothly.
+    /// Guidance is light, because an amplified change overshoots.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self {
@@ -497,7 +498,7 @@ impl TrainConfig {
                 diffusion: DiffusionConfig {
                     num_steps: 50,
                     schedule: ScheduleName::Rescaled,
-                    prediction: Prediction::Change,
+                    prediction: Prediction::Residual,
                     loss: Loss::SmoothL1,
                     fixed_frames: FixedFrames::Clean,
                     previous: PreviousFrames::Inpainted,
@@ -507,7 +508,7 @@ impl TrainConfig {
                     guidance: 1.25,
                     temperature: 1.0,
                     generated_starts: 0.0,
-                    fixed_noise: 0.0,
+                    fixed_noise: 0.02,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Learned,
@@ -531,7 +532,7 @@ impl TrainConfig {
                         warmup_steps: 50,
                         weight_decay: 0.01,
                         max_gradient_norm: None,
-                        ema_decay: None,
+                        ema_decay: Some(0.99),
                     },
                     batch_size: 64,
                     micro_batch_size: Some(256),

@@ -322,7 +322,7 @@ impl<'a> Fit<'a> {
         model_fps: Fps,
         skeleton: &Skeleton,
     ) -> Result<(Motion, Misfit), Error> {
-        let mut frames = item.at_own_rate(frames, model_fps);
+        let mut frames = item.at_own_rate(frames, model_fps, self.method);
         if self.keypoints < NUM_KEYPOINTS {
             complete(&mut frames, item, skeleton)?;
         }

@@ -241,28 +241,68 @@ impl EditItem {
         })
     }
 
-    /// Brings keypoints of the model's rate to that of the edit, each point on the straight line
-    /// between two frames, and to the length of the original.
+    /// Resamples keypoints from the model's rate to that of the edit, and to the length of the original.
+    /// The published fit interpolates each coordinate linearly; the exact fit uses a Catmull-Rom spline,
+    /// because straight lines put all acceleration into the frames of the model.
     ///
     /// # Panics
     /// If the frames do not cover the original.
-    pub fn at_own_rate(&self, frames: &[KeypointFrame], model_fps: Fps) -> Vec<KeypointFrame> {
+    pub fn at_own_rate(
+        &self,
+        frames: &[KeypointFrame],
+        model_fps: Fps,
+        fit: FitMethod,
+    ) -> Vec<KeypointFrame> {
         let step = model_fps.get() / self.fps.get();
         (0..self.original.len())
             .map(|frame| {
                 let at = frame as f64 * step;
-                // Rates are quotients: what is a millionth of a frame past one, is that one.
-                let before = (at + 1e-6).floor();
-                let share = (at - before).max(0.0);
-                let before = &frames[before as usize];
+                // The tolerance absorbs the rounding of a quotient of rates.
+                let before = (at + 1e-6).floor() as usize;
+                let share = (at - before as f64).max(0.0);
                 if share < 1e-6 {
-                    return *before;
+                    return frames[before];
                 }
-                let after = &frames[(at + 1e-6).floor() as usize + 1];
-                std::array::from_fn(|slot| before[slot].lerp(after[slot], share))
+                match fit {
+                    FitMethod::Paper => std::array::from_fn(|slot| {
+                        frames[before][slot].lerp(frames[before + 1][slot], share)
+                    }),
+                    FitMethod::Exact => catmull_rom(frames, before, share),
+                }
             })
             .collect()
     }
+}
+
+/// A Catmull-Rom spline through frames, between `before` and the frame after it. Past either end it goes
+/// on as the parabola through the last three frames.
+fn catmull_rom(frames: &[KeypointFrame], before: usize, share: f64) -> KeypointFrame {
+    let after = before + 1;
+    let (b, c) = (&frames[before], &frames[after]);
+    if frames.len() == 2 {
+        return std::array::from_fn(|slot| b[slot].lerp(c[slot], share));
+    }
+    let beyond = |end: &KeypointFrame, next: &KeypointFrame, third: &KeypointFrame| {
+        std::array::from_fn(|slot| 3.0 * (end[slot] - next[slot]) + third[slot])
+    };
+    let a = match before.checked_sub(1) {
+        Some(first) => frames[first],
+        None => beyond(b, c, &frames[after + 1]),
+    };
+    let d = match frames.get(after + 1) {
+        Some(last) => *last,
+        None => beyond(c, b, &a),
+    };
+    let (t, t2, t3) = (share, share * share, share * share * share);
+    let weights = [
+        0.5 * (-t3 + 2.0 * t2 - t),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+        0.5 * (t3 - t2),
+    ];
+    std::array::from_fn(|slot| {
+        a[slot] * weights[0] + b[slot] * weights[1] + c[slot] * weights[2] + d[slot] * weights[3]
+    })
 }
 
 /// Frames at the model's rate that cover a motion.

@@ -25,9 +25,9 @@ use train::sample::{
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 
-/// A body that walks along a curve, with its arms and one leg swinging. Slow enough for the straight
-/// lines between two frames at 20/3 fps to stay within 1 mm of the points' own ways, and fast enough
-/// for the root to be 3 cm away a frame later.
+/// A body that walks along a curve, with its arms and one leg swinging. Slow enough for the splines
+/// through frames at 20/3 fps to stay within 1 mm of the points' paths, and fast enough for the root to
+/// move 6 cm a frame.
 #[derive(Clone, Copy)]
 struct Walk {
     /// Of the root, in m/s and rad/s.
@@ -49,7 +49,7 @@ impl Walk {
             ..Pose::REST
         };
         pose.rotations[0] = DQuat::from_rotation_y(heading) * from_axis_angle(DVec3::X * 0.1);
-        let swing = |[low, high]: [f64; 2]| low + (high - low) * (0.5 - 0.5 * (0.5 * secs).cos());
+        let swing = |[low, high]: [f64; 2]| low + (high - low) * (0.5 - 0.5 * (1.0 * secs).cos());
         pose.rotations[16] = from_axis_angle(DVec3::Z * swing(self.arms));
         pose.rotations[18] = from_axis_angle(DVec3::Y * -swing(self.arms));
         pose.rotations[1] = from_axis_angle(DVec3::X * swing(self.leg));
@@ -67,7 +67,7 @@ impl Walk {
 }
 
 const SOURCE: Walk = Walk {
-    speed: 0.6,
+    speed: 1.2,
     turn: 0.1,
     arms: [0.1, 0.5],
     leg: [0.0, -0.3],
@@ -81,7 +81,7 @@ const ARMS: Walk = Walk {
 
 /// Other legs, which go another way from the same place.
 const LEGS: Walk = Walk {
-    speed: -0.3,
+    speed: -0.6,
     turn: -0.2,
     leg: [-0.3, 0.1],
     ..SOURCE
