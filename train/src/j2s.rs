@@ -10,7 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
 use kinematics::fit::{AdamFit, FitOptions, Parameters, fit_pose};
 use kinematics::rotation::{from_axis_angle, from_six_d_rows, to_axis_angle, to_six_d_rows};
-use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
+use kinematics::skeleton::{FIT_KEYPOINTS, Joint, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
@@ -67,6 +67,10 @@ pub struct J2sConfig {
     /// Standard deviation in metres of the noise on training points, because the network is applied to
     /// generated points.
     pub noise_m: f64,
+    /// Whether a body is turned about the vertical until its hips face +z before the network sees it. The
+    /// network then never meets a root near half a turn, where its axis-angle vector jumps.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub faces_forward: bool,
     /// Settings that every training run has.
     #[serde(flatten)]
     pub run: RunSettings,
@@ -82,6 +86,9 @@ impl J2sConfig {
                 J2sPreset::Official => 64,
             },
             noise_m: 0.005,
+            // Six numbers of a rotation matrix do not jump, and the released network sees bodies as
+            // they stand.
+            faces_forward: preset == J2sPreset::Paper,
             run: RunSettings {
                 optimizer: OptimizerConfig {
                     learning_rate: 1e-3,
@@ -120,12 +127,17 @@ impl J2sConfig {
     }
 }
 
-/// A network of either kind.
+/// A network from keypoints to rotations.
 #[derive(Debug)]
-pub enum PoseNet {
-    /// That of the paper.
+pub struct PoseNet {
+    network: Network,
+    faces_forward: bool,
+}
+
+/// The two published networks.
+#[derive(Debug)]
+enum Network {
     Paper(Box<PaperPoseNet>),
-    /// That of the released code.
     Official(Box<OfficialPoseNet>),
 }
 
@@ -196,21 +208,25 @@ pub fn train_j2s<'a>(
     let run_dir = run.dir();
     let seed = Seed(config.run.seed);
     let device = session.device.clone().autodiff();
-    let (net, done) = match config.preset {
+    let (network, done) = match config.preset {
         J2sPreset::Paper => {
             let net = PaperPoseNet::new(config.width, &device);
             let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
             let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
-            (PoseNet::Paper(Box::new(net)), done)
+            (Network::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
             let net = OfficialPoseNet::new(config.width, &device);
             let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
             let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
-            (PoseNet::Official(Box::new(net)), done)
+            (Network::Official(Box::new(net)), done)
         }
+    };
+    let net = PoseNet {
+        network,
+        faces_forward: config.faces_forward,
     };
     let report = J2sReport {
         config: config.clone(),
@@ -350,8 +366,13 @@ fn samples(
             *point += DVec3::new(normal(), normal(), normal());
         }
     }
-    let wanted = poses.iter().flat_map(|pose| {
-        pose.rotations.into_iter().flat_map(|rotation| -> Vec<f32> {
+    let headings = config.faces_forward.then(|| face_forward(&mut frames));
+    let wanted = poses.iter().enumerate().flat_map(|(index, pose)| {
+        let mut rotations = pose.rotations;
+        if let Some(headings) = &headings {
+            rotations[0] = headings[index].inverse() * rotations[0];
+        }
+        rotations.into_iter().flat_map(|rotation| -> Vec<f32> {
             match config.preset {
                 J2sPreset::Paper => to_axis_angle(rotation).as_vec3().to_array().to_vec(),
                 J2sPreset::Official => to_six_d_rows(DMat3::from_quat(rotation))
@@ -361,6 +382,24 @@ fn samples(
         })
     });
     (inputs(&frames, config.preset), wanted.collect())
+}
+
+/// Turns each frame about the vertical through its pelvis until the hips face +z. Gives the headings: the
+/// rotations that turn the frames back.
+fn face_forward(frames: &mut [KeypointFrame]) -> Vec<DQuat> {
+    let [left, right] = [Joint::LeftHip, Joint::RightHip].map(Joint::index);
+    frames
+        .iter_mut()
+        .map(|frame| {
+            let across = frame[left] - frame[right];
+            let heading = DQuat::from_rotation_y((-across.z).atan2(across.x));
+            let (pelvis, back) = (frame[0], heading.inverse());
+            for point in frame {
+                *point = pelvis + back * (*point - pelvis);
+            }
+            heading
+        })
+        .collect()
 }
 
 /// Keypoints relative to the pelvis, as a network sees them.
@@ -392,11 +431,15 @@ impl PoseNet {
         let config = &record.config;
         let path = run_dir.join(WEIGHTS);
         let net = Self::from_safetensors(config.preset, config.width, bytes, "", &path, device)?;
+        let net = Self {
+            faces_forward: config.faces_forward,
+            ..net
+        };
         Ok((net, hash))
     }
 
     /// Loads a network from safetensors under the names it is published or recorded with, or those
-    /// it is saved with here.
+    /// it is saved with here. It sees bodies as they stand.
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.
@@ -418,30 +461,34 @@ impl PoseNet {
             from_safetensors_named(&mut net, bytes, prefix, path, names)?;
             Ok(net)
         }
-        Ok(match preset {
+        let network = match preset {
             J2sPreset::Paper => {
                 let net = PaperPoseNet::new(width, device);
-                Self::Paper(Box::new(load(net, bytes, prefix, path, &PAPER_NAMES)?))
+                Network::Paper(Box::new(load(net, bytes, prefix, path, &PAPER_NAMES)?))
             }
             J2sPreset::Official => {
                 let net = OfficialPoseNet::new(width, device);
-                Self::Official(Box::new(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?))
+                Network::Official(Box::new(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?))
             }
+        };
+        Ok(Self {
+            network,
+            faces_forward: false,
         })
     }
 
     fn to_safetensors(&self, path: &Path) -> Result<Vec<u8>, Error> {
-        match self {
-            Self::Paper(net) => to_safetensors(&**net, path),
-            Self::Official(net) => to_safetensors(&**net, path),
+        match &self.network {
+            Network::Paper(net) => to_safetensors(&**net, path),
+            Network::Official(net) => to_safetensors(&**net, path),
         }
     }
 
     /// Which of the two published networks it is.
     pub fn preset(&self) -> J2sPreset {
-        match self {
-            Self::Paper(_) => J2sPreset::Paper,
-            Self::Official(_) => J2sPreset::Official,
+        match self.network {
+            Network::Paper(_) => J2sPreset::Paper,
+            Network::Official(_) => J2sPreset::Official,
         }
     }
 
@@ -451,9 +498,9 @@ impl PoseNet {
     /// `[T, 84]` give `[T, 66]`, or `[T, 72]` give `[T, 132]`.
     pub fn raw(&self, points: Vec<f32>, num_frames: usize, device: &Device) -> Vec<f32> {
         let points = tensor(points, num_frames, device);
-        let out = match self {
-            Self::Paper(net) => net.forward(points),
-            Self::Official(net) => net.forward(points),
+        let out = match &self.network {
+            Network::Paper(net) => net.forward(points),
+            Network::Official(net) => net.forward(points),
         };
         out.into_data().try_to_vec().expect("floats")
     }
@@ -466,25 +513,32 @@ impl PoseNet {
         skeleton: &Skeleton,
         device: &Device,
     ) -> Vec<Pose> {
-        let numbers = self.raw(inputs(frames, self.preset()), frames.len(), device);
-        let width = match self {
-            Self::Paper(_) => PAPER_OUTPUT,
-            Self::Official(_) => OFFICIAL_OUTPUT,
+        let preset = self.preset();
+        let mut seen = frames.to_vec();
+        let headings = self.faces_forward.then(|| face_forward(&mut seen));
+        let numbers = self.raw(inputs(&seen, preset), frames.len(), device);
+        let width = match preset {
+            J2sPreset::Paper => PAPER_OUTPUT,
+            J2sPreset::Official => OFFICIAL_OUTPUT,
         };
         frames
             .iter()
             .zip(numbers.chunks_exact(width))
-            .map(|(frame, numbers)| {
+            .enumerate()
+            .map(|(index, (frame, numbers))| {
                 let row = numbers.chunks_exact(width / NUM_BODY_JOINTS);
                 let mut rotations = [DQuat::IDENTITY; NUM_BODY_JOINTS];
                 for (rotation, numbers) in rotations.iter_mut().zip(row) {
                     let at = |i: usize| f64::from(numbers[i]);
-                    *rotation = match self {
-                        Self::Paper(_) => from_axis_angle(DVec3::new(at(0), at(1), at(2))),
-                        Self::Official(_) => {
+                    *rotation = match preset {
+                        J2sPreset::Paper => from_axis_angle(DVec3::new(at(0), at(1), at(2))),
+                        J2sPreset::Official => {
                             DQuat::from_mat3(&from_six_d_rows(std::array::from_fn(at)))
                         }
                     };
+                }
+                if let Some(headings) = &headings {
+                    rotations[0] = headings[index] * rotations[0];
                 }
                 Pose {
                     transl: frame[0] - skeleton.rest(0),
