@@ -1,6 +1,7 @@
 //! Stages that several verbs share, with what the process adds to them: notes on stderr, and the times
 //! of editing beside the edits.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::{Dataset, Progress, Seed, Split};
@@ -85,6 +86,7 @@ pub(crate) fn edits(
         )
     })?;
     note_remarks(&made.remarks);
+    made.remarks.write(out)?;
     if let Some(times) = &made.times {
         per_window(times).write(out)?;
     }
@@ -96,6 +98,15 @@ pub(crate) fn note_remarks(remarks: &Remarks) {
     for line in remarks.lines() {
         report::note(&line);
     }
+}
+
+/// Words of the instructions that some system of the tables has never seen.
+pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String>> {
+    let mut words = BTreeSet::new();
+    for folder in edits {
+        words.extend(Remarks::read(folder)?.unknown_words);
+    }
+    Ok(words)
 }
 
 /// The times of editing, for one window.

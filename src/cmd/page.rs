@@ -77,13 +77,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         None => None,
     };
     let step = items.len().div_ceil(args.items.max(1)).max(1);
+    let unknown = stages::unknown_words(&args.edits)?;
     let strips: Vec<Strip> = items
         .iter()
         .step_by(step)
         .map(|item| {
             let mut made = answers.get(item.id.as_str()).cloned().unwrap_or_default();
             made.sort_by_key(|row| (row.system.clone(), row.seed));
-            strip_of(item, &made, skeleton)
+            strip_of(item, &made, skeleton, &unknown)
         })
         .collect::<anyhow::Result<_>>()?;
     let edited = || edits.iter();
@@ -181,11 +182,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// An item as it is drawn: the source first, the targets last, what was made of it between them.
+/// The strip of an item: the source first, then the edits, then the targets. The note names the words of
+/// the instruction that are among the `unknown` ones.
 pub(crate) fn strip_of(
     item: &ItemRow,
     made: &[&EditRow],
     skeleton: &Skeleton,
+    unknown: &BTreeSet<String>,
 ) -> anyhow::Result<Strip> {
     let edited = edited_joints(item)?;
     let mut rows = vec![Row::new("source", &item.source()?, skeleton)];
@@ -201,12 +204,22 @@ pub(crate) fn strip_of(
     for row in &mut rows {
         row.highlighted = edited;
     }
+    let mut note = format!(
+        "{:.8}, {}: {} edited towards {}",
+        item.id, item.task, item.source_id, item.target_id
+    );
+    let instruction = item.instruction.to_lowercase();
+    let words: BTreeSet<&str> = instruction
+        .split(|letter: char| !letter.is_alphanumeric())
+        .filter(|word| unknown.contains(*word))
+        .collect();
+    if !words.is_empty() {
+        let words: Vec<&str> = words.into_iter().collect();
+        note += &format!("; never seen in training: {}", words.join(", "));
+    }
     Ok(Strip {
         caption: item.instruction.clone(),
-        note: format!(
-            "{:.8}, {}: {} edited towards {}",
-            item.id, item.task, item.source_id, item.target_id
-        ),
+        note,
         rows,
     })
 }

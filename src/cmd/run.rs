@@ -1,5 +1,6 @@
 //! `stance run`
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -407,6 +408,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         .commit(&places.scores, &edits.skeleton, &global.holder())
         .context("stage eval")?;
 
+    let unknown = stages::unknown_words(&tables)?;
     let done = Done {
         plan: &plan,
         seeds: config.seeds.in_words(global),
@@ -415,6 +417,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         encoder: &encoder,
         editor: &editor,
         edits: &edits,
+        unknown: &unknown,
         scores: &scores,
     };
     let html = page(&done, &places)?;
@@ -437,6 +440,8 @@ struct Done<'a> {
     encoder: &'a TrainReport,
     editor: &'a TrainReport,
     edits: &'a Answered,
+    /// Words of the instructions that some system has never seen.
+    unknown: &'a BTreeSet<String>,
     scores: &'a Scores,
 }
 
@@ -646,7 +651,7 @@ fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
         .take(STRIPS)
         .map(|item| {
             let made: Vec<&EditRow> = edits.iter().filter(|row| row.id == item.id).collect();
-            strip_of(item, &made, skeleton)
+            strip_of(item, &made, skeleton, done.unknown)
         })
         .collect()
 }

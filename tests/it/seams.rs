@@ -270,6 +270,27 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
             "{word} is in no instruction"
         );
     }
+    // The report says so beside the instruction.
+    let (page, edits) = (workshop.path("page.html"), workshop.path("edits"));
+    let remarks = edits.join("remarks.json");
+    let first = asked[0].instruction.to_lowercase();
+    let word = first
+        .split(|letter: char| !letter.is_alphanumeric())
+        .max_by_key(|word| word.len())
+        .expect("a word");
+    let written = json!({ "num_short": 0, "unknown_words": [word] });
+    fs::write(&remarks, written.to_string()).expect("writes");
+    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
+    let html = fs::read_to_string(&page).expect("a page");
+    assert!(html.contains(&format!("never seen in training: {word}")));
+    fs::write(
+        &remarks,
+        json!({ "num_short": 0, "unknown_words": [] }).to_string(),
+    )
+    .expect("writes");
+    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
+    let html = fs::read_to_string(&page).expect("a page");
+    assert!(!html.contains("never seen in training"));
     let found = lengths("edits");
     assert_eq!(found.len(), 8);
     assert!(

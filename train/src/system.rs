@@ -117,8 +117,11 @@ impl SystemIdentity {
     }
 }
 
+/// File beside a table of edits with the warnings about them.
+const REMARKS: &str = "remarks.json";
+
 /// Warnings about edits: short clips and unknown words.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Remarks {
     /// Motions shorter than a window: they are edited with their last pose held, which is cut off
     /// again.
@@ -128,6 +131,31 @@ pub struct Remarks {
 }
 
 impl Remarks {
+    /// Reads the warnings beside a table of edits; there are none where another program made it.
+    ///
+    /// # Errors
+    /// The file is malformed or cannot be read.
+    pub fn read(edits: &Path) -> Result<Self, Error> {
+        let path = edits.join(REMARKS);
+        match std::fs::read(&path) {
+            Ok(bytes) => {
+                serde_json::from_slice(&bytes).map_err(|source| Error::Json { path, source })
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(Error::io("read", &path)(error)),
+        }
+    }
+
+    /// Writes the warnings beside a table of edits.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, edits: &Path) -> Result<(), Error> {
+        let path = edits.join(REMARKS);
+        let text = serde_json::to_vec_pretty(self).expect("words and a number serialise");
+        std::fs::write(&path, text).map_err(Error::io("write", &path))
+    }
+
     /// One line for each warning.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
