@@ -396,7 +396,8 @@ impl TrainConfig {
     /// where the two differ. `Tiny`: our choice. It uses the rescaled schedule, under which the last
     /// step is almost pure noise, so that sampling starts where training ended. It shows the network the
     /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
-    /// own errors from window to window. It predicts the residual of a linear extrapolation, unclipped:
+    /// own errors from window to window, and a fifth of the windows has no fixed frames, because the
+    /// instruction alone has to begin an edit. It predicts the residual of a linear extrapolation, unclipped:
     /// noise does not fit through so narrow a network, and windows of the residual join smoothly.
     /// Guidance is light, because an amplified change overshoots.
     pub fn preset(preset: Preset) -> Self {
@@ -507,7 +508,7 @@ impl TrainConfig {
                     motion_weight: 0.0,
                     guidance: 1.25,
                     temperature: 1.0,
-                    generated_starts: 0.0,
+                    generated_starts: 0.2,
                     fixed_noise: 0.02,
                 },
                 text: TextConfig {

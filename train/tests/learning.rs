@@ -132,6 +132,7 @@ fn change_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
     config.diffusion.prediction = Prediction::Change;
     config.diffusion.fixed_noise = 0.0;
+    config.diffusion.generated_starts = 0.0;
     config
 }
 
