@@ -14,7 +14,7 @@
 //! let options = CorpusOptions { clips: 3, ..CorpusOptions::default() };
 //! let third = clip(2, &options);
 //! assert_eq!(third.motion.fps().get(), corpus::CORPUS_FPS);
-//! assert!(!third.captions.is_empty());
+//! assert!(!third.sidecar.captions.is_empty());
 //! ```
 
 mod action;

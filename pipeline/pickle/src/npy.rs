@@ -261,7 +261,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Number of rows.
-    pub fn len(&self) -> usize {
+    pub fn num_rows(&self) -> usize {
         self.num_rows
     }
 

@@ -185,8 +185,8 @@ pub fn slerp(from: [f64; 4], to: [f64; 4], alpha: f64) -> [f64; 4] {
     for part in 0..4 {
         let to = to[part] * sign;
         let (less, more) = (to - from[part], to + from[part]);
-        chord = chord + less * less;
-        sum = sum + more * more;
+        chord += less * less;
+        sum += more * more;
     }
     let half = angle_of(chord.sqrt(), sum.sqrt());
     let angle = half + half;

@@ -202,10 +202,10 @@ pub(crate) fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Re
     };
     let trans = matrix(&mut archive, bytes, "trans")?;
     expect_columns("trans", &trans, 3)?;
-    let num_frames = trans.len();
+    let num_frames = trans.num_rows();
     for (key, found) in [
-        ("root orientations", root.len()),
-        ("body poses", body.len()),
+        ("root orientations", root.num_rows()),
+        ("body poses", body.num_rows()),
     ] {
         if found != num_frames {
             return Err(Rejected::read(
@@ -269,7 +269,7 @@ pub(crate) fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, 
 impl Parameters<'_> {
     /// Number of frames.
     pub(crate) fn num_frames(&self) -> usize {
-        self.trans.len()
+        self.trans.num_rows()
     }
 
     /// Whether all numbers of all frames can be stored.
