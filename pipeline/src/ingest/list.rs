@@ -5,9 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Progress;
+use datasets_spec::record::QuarantineRow;
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::clip::Rejected;
 use crate::source::Files;
 
 /// Bytes looked at to recognise a file.
@@ -140,5 +142,25 @@ pub(crate) fn read_head(path: &Path) -> Vec<u8> {
     match read {
         Ok(_) => head,
         Err(_) => Vec::new(),
+    }
+}
+
+/// The row of a file that was rejected; `key` names one of several motions of it.
+pub(super) fn quarantine_row(
+    file: &str,
+    key: &str,
+    source_hash: String,
+    rejected: Rejected,
+) -> QuarantineRow {
+    QuarantineRow {
+        path: match key {
+            "" => file.to_owned(),
+            key => format!("{file}#{key}"),
+        },
+        source_hash,
+        code: rejected.code.to_owned(),
+        reason: rejected.reason,
+        byte_offset: rejected.byte_offset,
+        stage: rejected.stage.to_owned(),
     }
 }

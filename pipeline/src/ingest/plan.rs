@@ -14,9 +14,8 @@ use datasets_spec::table::{Row, SCHEMA_VERSION};
 use datasets_spec::{Fps, MotionId, Progress, Split, Transaction};
 use rayon::prelude::*;
 
-use super::list::{Source, hash_sources, list_files};
+use super::list::{Source, hash_sources, list_files, quarantine_row};
 use super::options::IngestOptions;
-use super::rows::quarantine_row;
 use crate::Error;
 use crate::annotation::pairs::{PairList, names_of, originals, style_group};
 use crate::clip::Rejected;

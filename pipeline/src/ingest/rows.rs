@@ -1,6 +1,6 @@
 //! Rows of a clip, and of a file that was rejected.
 
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow};
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Skeleton, Split};
 
 use super::options::IngestOptions;
@@ -20,25 +20,6 @@ pub(super) struct ClipRows {
     pub(super) markers: Option<MarkerRow>,
     pub(super) edit_of: Option<EditOf>,
     pub(super) masks: Vec<SourceMask>,
-}
-
-pub(super) fn quarantine_row(
-    file: &str,
-    key: &str,
-    source_hash: String,
-    rejected: Rejected,
-) -> QuarantineRow {
-    QuarantineRow {
-        path: match key {
-            "" => file.to_owned(),
-            key => format!("{file}#{key}"),
-        },
-        source_hash,
-        code: rejected.code.to_owned(),
-        reason: rejected.reason,
-        byte_offset: rejected.byte_offset,
-        stage: rejected.stage.to_owned(),
-    }
 }
 
 pub(super) fn part_names(parts: &[BodyPart]) -> Vec<String> {

@@ -13,9 +13,10 @@ use datasets_spec::{Progress, Transaction};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::list::quarantine_row;
 use super::options::IngestOptions;
 use super::plan::{Item, Plan, source_hash};
-use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row, quarantine_row};
+use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row};
 use crate::Error;
 use crate::clip::{Outcome, Rejected};
 use crate::source::read_clip;

@@ -612,7 +612,7 @@ fn guess_by_words(bones: &[Bone<'_>]) -> Mapping {
             .filter(|&index| side_and_part(bones[index].name).1 != Some(Part::Pelvis))
             .collect();
         spine.reverse();
-        for (joint, bone) in spine_joints(&spine) {
+        for (joint, bone) in topology::spine_joints(&spine) {
             source_of[joint] = Some(bone);
         }
     }
@@ -621,16 +621,6 @@ fn guess_by_words(bones: &[Bone<'_>]) -> Mapping {
         name: format!("by words in names, {num_found} of {NUM_BODY_JOINTS} joints found"),
         origin: Origin::Words,
         source_of,
-    }
-}
-
-/// Which bones of a spine, lowest first, are which joints: the highest is the chest.
-pub(super) fn spine_joints(spine: &[usize]) -> Vec<(usize, usize)> {
-    match *spine {
-        [] => Vec::new(),
-        [chest] => vec![(9, chest)],
-        [lower, chest] => vec![(3, lower), (9, chest)],
-        [lower, .., chest] => vec![(3, lower), (6, spine[spine.len() / 2]), (9, chest)],
     }
 }
 

@@ -131,7 +131,7 @@ impl Tree<'_> {
                 body[joint] = Some(bone);
             }
         }
-        for (joint, bone) in super::joint_map::spine_joints(&spine) {
+        for (joint, bone) in spine_joints(&spine) {
             body[joint] = Some(bone);
         }
         match top[..] {
@@ -158,5 +158,15 @@ impl Tree<'_> {
             .filter(|chain| height(chain) > 0.0)
             .max_by(|a, b| height(a).total_cmp(&height(b)))?;
         Some((spine, arms, top))
+    }
+}
+
+/// Which bones of a spine, lowest first, are which joints: the highest is the chest.
+pub(super) fn spine_joints(spine: &[usize]) -> Vec<(usize, usize)> {
+    match *spine {
+        [] => Vec::new(),
+        [chest] => vec![(9, chest)],
+        [lower, chest] => vec![(3, lower), (9, chest)],
+        [lower, .., chest] => vec![(3, lower), (6, spine[spine.len() / 2]), (9, chest)],
     }
 }
