@@ -59,6 +59,9 @@ impl Better {
     }
 }
 
+/// Pairs of an item and its value, from several takes of each item.
+pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>;
+
 /// How a metric is computed, which also says what it needs.
 #[derive(Clone, Copy, Debug)]
 pub enum Measure {
@@ -69,7 +72,7 @@ pub enum Measure {
     /// resample; none where there are too few items.
     Set(fn(&SetSample<'_>) -> Result<Option<Vec<f64>>, Error>),
     /// From several takes of each item: pairs of an item and its value. Tables show their mean.
-    Takes(fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>),
+    Takes(TakesMeasure),
     /// From the rank of each edit's counterpart in a gallery.
     Rank(Counterpart, RankSummary),
 }

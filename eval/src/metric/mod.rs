@@ -18,7 +18,7 @@ pub mod retrieval;
 
 pub use definition::{
     Better, Counterpart, Latents, Measure, Metric, MotionSample, Part, RankSummary, SetSample,
-    TakesSample,
+    TakesMeasure, TakesSample,
 };
 
 /// All metrics in the order of the tables: the columns of the paper's Table 1 first.

@@ -161,7 +161,8 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
     ];
     let metrics = || {
         metric::ALL
-            .into_iter()
+            .iter()
+            .copied()
             .filter(|metric| !absent.contains(metric))
     };
     // Three tasks, four systems.

@@ -9,7 +9,7 @@ use super::resample::drawn;
 use crate::Error;
 use crate::metric::retrieval::{Retrieval, gallery_ranks};
 use crate::metric::{
-    self, Counterpart, Latents, Measure, Metric, RankSummary, SetSample, TakesSample,
+    self, Counterpart, Latents, Measure, Metric, RankSummary, SetSample, TakesMeasure, TakesSample,
 };
 use crate::protocol::{Protocol, Queries};
 
@@ -228,7 +228,7 @@ fn of_rank(rank: f64, summary: RankSummary) -> f64 {
 /// Values of items that come from all takes of a system.
 fn of_takes(
     system: &System<'_>,
-    value: fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>,
+    value: TakesMeasure,
     protocol: &Protocol,
     repeat: usize,
 ) -> Result<Vec<(usize, f64)>, Error> {
