@@ -862,7 +862,10 @@ fn walk(num_frames: usize, speed: f64, phase: f64) -> Motion {
 #[test]
 fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let dir = tempfile::tempdir().expect("a folder");
-    train(dir.path(), &small_config(10), &Waves { items: 20 });
+    let mut config = small_config(10);
+    // As published, an edit starts on the first frames of the original.
+    config.diffusion.generated_starts = 0.0;
+    train(dir.path(), &config, &Waves { items: 20 });
     let editor = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
     let skeleton = Skeleton::smplx_neutral();
     let record = &editor.record().config;
