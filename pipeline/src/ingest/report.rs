@@ -28,7 +28,7 @@ pub struct IngestReport {
     /// Lines of the list of pairs that no pair was made of.
     pub refused_pairs: Vec<RefusedLine>,
     /// What is worth knowing about the splits; what concerns the dataset rather than this run is
-    /// recorded as [`REMARKS_FACT`].
+    /// recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
     /// The rejected sources.
     pub quarantine: Vec<QuarantineRow>,

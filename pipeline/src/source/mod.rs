@@ -1,8 +1,8 @@
 //! Foreign motion files: what is recognised, and how one file becomes one clip.
 //!
 //! Everything that a foreign format does in its own way (units, up axis, joint names, frame rate,
-//! where labels are kept) ends here: a [`SourceClip`] is SMPL-X parameters with y up and in metres.
-//! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`].
+//! where labels are kept) ends here: a [`SourceClip`](crate::clip::SourceClip) is SMPL-X parameters with y up and in metres.
+//! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`](crate::clip::Rejected).
 
 mod files;
 mod format;
