@@ -10,13 +10,13 @@ use crate::cli::Global;
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Seeds {
-    /// Of the split of new clips.
+    /// Seed of the split of new clips.
     split: Option<u64>,
-    /// Of the test questions.
+    /// Seed of the test items.
     items: Option<u64>,
-    /// Of weights, noise and the stream of edits that models are trained on.
+    /// Seed of weights, noise and the training stream.
     train: Option<u64>,
-    /// Of the noise that edits are made from.
+    /// Seed of the sampling noise of edits.
     sample: Option<u64>,
 }
 

@@ -101,7 +101,7 @@ impl RunSettings {
         positive("val_every", self.val_every)
     }
 
-    /// Checks that a step is computed at once, for models whose loss cannot be split.
+    /// Refuses micro-batches for a model whose loss needs the whole batch.
     pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
         if self.micro_batch() == self.batch_size {
             return Ok(());

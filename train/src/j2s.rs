@@ -257,7 +257,7 @@ struct PoseTask<'a, M> {
     train: &'a [Motion],
     skeleton: &'a Skeleton,
     seed: Seed,
-    /// What the network sees and is to give on poses it is not trained on.
+    /// Inputs and targets of the validation poses.
     val: (Vec<f32>, Vec<f32>),
 }
 

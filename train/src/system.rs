@@ -430,7 +430,7 @@ pub fn answer_items(
         takes,
     );
     // The number counts changes of what the table holds.
-    let plan = plan_hash("edits-4", &inputs);
+    let plan = plan_hash("edits-5", &inputs);
     if let Ok(done) = Dataset::open_unverified(out)
         && done.manifest().plan(EditRow::TABLE) == plan
     {

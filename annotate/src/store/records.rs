@@ -353,7 +353,7 @@ pub struct Imported {
 /// What a token is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TokenUse {
-    /// Given to a person or a program, and used to log in or as a bearer.
+    /// Access token of a user or a program, for login or as a bearer token.
     Token,
     /// Good for one login.
     Once,

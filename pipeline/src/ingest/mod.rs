@@ -41,7 +41,7 @@ const SEED_FACT: &str = "seed";
 ///
 /// # Errors
 /// A source does not exist, there is no file at all, the dataset is locked or was made by another
-/// plan, or writing fails. What is wrong with single files is reported, not returned.
+/// plan, or writing fails. Faulty files are listed in the report and are no error.
 pub fn ingest(
     sources: &[PathBuf],
     out: &Path,

@@ -280,7 +280,7 @@ impl Plan {
         });
     }
 
-    /// Gives the styled clips of a list, with their copies and crops, the splits of their originals.
+    /// Puts each styled clip of a pair list, with its copies and crops, into the split of its original.
     /// A published split stays as it is.
     fn follow_originals(&mut self, list: &PairList) {
         let clips: BTreeMap<String, String> = self
