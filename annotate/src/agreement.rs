@@ -1,8 +1,8 @@
-//! How far people agree: raw agreement, Krippendorff's alpha, Fleiss' and Cohen's kappa, Gwet's AC1,
+//! Inter-annotator agreement: raw agreement, Krippendorff's alpha, Fleiss' and Cohen's kappa, Gwet's AC1,
 //! the Jaccard index of joint sets and alpha with the MASI distance, with bootstrap intervals.
 //!
-//! Items are resampled whole, so an interval speaks of other items, not of other people. A figure of
-//! fewer than [`MIN_ITEMS`] items is not given.
+//! The bootstrap resamples whole items, so an interval estimates the variation over items, not over
+//! people. A figure needs at least [`MIN_ITEMS`] items.
 //!
 //! # Source
 //! Krippendorff 2011 (alpha), Fleiss 1971, Cohen 1960, Gwet 2008 (AC1), Passonneau 2006 (MASI).
@@ -16,20 +16,20 @@ use rand::RngExt;
 use crate::answer::jaccard;
 use crate::wire::{Estimate, PartAgreement};
 
-/// Items a figure is of at least.
+/// Minimum number of items of a figure.
 pub const MIN_ITEMS: usize = 30;
-/// Resamples of an interval.
+/// Bootstrap resamples of an interval.
 const RESAMPLES: usize = 400;
 
-/// What people say of an item: who, and which of the labels.
+/// Answers to one item, each as (user id, label).
 pub type Item = Vec<(i64, usize)>;
 
-/// Items with two answers or more: the others say nothing about agreement.
+/// Items with two answers or more.
 fn shared<T>(items: &[Vec<T>]) -> Vec<&Vec<T>> {
     items.iter().filter(|item| item.len() > 1).collect()
 }
 
-/// A value with its 95 % interval over resampled items; none for too few items.
+/// A figure with its 95 % bootstrap interval, or `None` below [`MIN_ITEMS`] items.
 pub fn estimate<T: Sync>(
     items: &[T],
     figure: impl Fn(&[&T]) -> Option<f64> + Sync,
@@ -107,7 +107,7 @@ pub fn alpha<T>(items: &[&Vec<T>], distance: impl Fn(&T, &T) -> f64) -> Option<f
     ratio(observed, expected)
 }
 
-/// `1 - observed / expected`; 1 where nothing differs and nothing could.
+/// `1 - observed / expected`; 1 where both are zero.
 fn ratio(observed: f64, expected: f64) -> Option<f64> {
     if expected > 0.0 {
         Some(1.0 - observed / expected)
@@ -116,7 +116,7 @@ fn ratio(observed: f64, expected: f64) -> Option<f64> {
     }
 }
 
-/// Krippendorff's alpha of labels, by counts: the same as [`alpha`] with 0 and 1, in linear time.
+/// Krippendorff's alpha of nominal labels: [`alpha`] with distance 0 or 1, computed from counts in linear time.
 pub fn nominal_alpha(items: &[&Item]) -> Option<f64> {
     let mut totals: BTreeMap<usize, f64> = BTreeMap::new();
     let mut n = 0.0;
@@ -174,14 +174,15 @@ pub fn fleiss(items: &[&Item]) -> Option<f64> {
 }
 
 fn chance_corrected(agreed: f64, chance: f64) -> Option<f64> {
-    // Everybody says the same of everything: nothing is left to be explained.
+    // All labels are equal, so kappa is undefined; count full agreement as 1.
     if 1.0 - chance < 1e-12 {
         return (1.0 - agreed < 1e-12).then_some(1.0);
     }
     Some((agreed - chance) / (1.0 - chance))
 }
 
-/// Cohen's kappa of each pair of people over the items both answered, averaged by their number.
+/// Cohen's kappa of each pair of people over the items both answered, averaged with the number of items
+/// as weight.
 pub fn cohen(items: &[&Item]) -> Option<f64> {
     let mut pairs: BTreeMap<(i64, i64), Vec<(usize, usize)>> = BTreeMap::new();
     for item in items {
@@ -215,7 +216,7 @@ pub fn cohen(items: &[&Item]) -> Option<f64> {
     (weight > 0.0).then(|| total / weight)
 }
 
-/// Gwet's AC1 over `labels` labels: stays high where nearly everything has one label and people agree.
+/// Gwet's AC1 over `labels` labels. Unlike kappa it stays high where nearly all labels are equal.
 pub fn ac1(items: &[&Item], labels: usize) -> Option<f64> {
     let agreed = raw(items)?;
     let mut shares = vec![0.0; labels.max(2)];
@@ -237,7 +238,7 @@ pub fn ac1(items: &[&Item], labels: usize) -> Option<f64> {
     chance_corrected(agreed, chance)
 }
 
-/// All figures of one decision.
+/// All agreement figures of one decision.
 pub fn figures(part: &str, items: &[Item], labels: usize) -> PartAgreement {
     let shared: Vec<Item> = shared(items).into_iter().cloned().collect();
     PartAgreement {
@@ -266,7 +267,8 @@ pub fn mean_jaccard(items: &[&Vec<JointSet>]) -> Option<f64> {
     mean(&means)
 }
 
-/// MASI distance: one minus the Jaccard index, weighted down where neither set holds the other.
+/// MASI distance: `1 - J * M`, with the Jaccard index `J` and the monotonicity weight `M` (1 for equal sets,
+/// 2/3 for a subset, 1/3 for overlap, 0 for disjoint sets).
 pub fn masi(a: JointSet, b: JointSet) -> f64 {
     let common = a.intersection(b);
     let monotonicity = if a == b {
@@ -281,7 +283,7 @@ pub fn masi(a: JointSet, b: JointSet) -> f64 {
     1.0 - jaccard(a, b) * monotonicity
 }
 
-/// Alpha with the MASI distance. Sets that occur often are counted, not compared again and again.
+/// Krippendorff's alpha with the MASI distance. Equal sets are counted, so each distinct pair is compared once.
 pub fn masi_alpha(items: &[&Vec<JointSet>]) -> Option<f64> {
     let items: Vec<&&Vec<JointSet>> = items.iter().filter(|item| item.len() > 1).collect();
     let mut totals: BTreeMap<Vec<usize>, (JointSet, f64)> = BTreeMap::new();

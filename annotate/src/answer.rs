@@ -1,14 +1,14 @@
-//! Answers: which are acceptable, which joints they take, and how far two of them are apart.
+//! Answers: validation, the joints they select, and the distance between two answers.
 
 use datasets_spec::{BlendMask, BodyPart, JointSet};
 
 use crate::Error;
 use crate::wire::{Answer, Code, MAX_MASKS, MAX_TEXT_CHARS, Problem, Settings, TaskKind, Verdict};
 
-/// Checks an unfinished answer: it may lack anything, but holds nothing that could not be stored.
+/// Checks a draft: fields may be missing, but each present field must be valid.
 ///
 /// # Errors
-/// It is of another kind than the task, names an unknown part, or is too long.
+/// The answer has another kind than the task, names an unknown part, or is too long.
 pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     if answer.kind() != kind {
         return Err(Error::invalid(
@@ -55,11 +55,10 @@ pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     }
 }
 
-/// Checks an answer that is handed in.
+/// Checks a submitted answer.
 ///
 /// # Errors
-/// As [`check_draft`]; or something is missing, or the number of masks is not the one asked for and no
-/// reason is given.
+/// As [`check_draft`]; or a field is missing, or the number of masks is out of range and no reason is given.
 pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) -> Result<(), Error> {
     check_draft(answer, kind)?;
     let text_needed = |field: &str, text: &str| {
@@ -210,12 +209,12 @@ fn normal(text: &str) -> String {
     words.join(" ")
 }
 
-/// The parts that are known among the names.
+/// The known parts among the names.
 pub fn known_parts(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
-/// The mask of some parts; without its soft ring if that is off.
+/// The mask of some parts, with or without its soft ring.
 pub fn mask_of(parts: &[String], soft: bool) -> BlendMask {
     let mask = BlendMask::of_parts(&known_parts(parts));
     if soft {
@@ -224,8 +223,8 @@ pub fn mask_of(parts: &[String], soft: bool) -> BlendMask {
     BlendMask::new(mask.hard(), JointSet::EMPTY).unwrap_or(BlendMask::EMPTY)
 }
 
-/// The joints some parts take whole: what masks are compared by, so that LEFT_ARM and RIGHT_ARM
-/// together equal BOTH_ARMS.
+/// Hard joints of some parts. Masks are compared by them, so that LEFT_ARM with RIGHT_ARM equals
+/// BOTH_ARMS.
 pub fn joints(parts: &[String]) -> JointSet {
     BlendMask::of_parts(&known_parts(parts)).hard()
 }
@@ -240,7 +239,7 @@ impl Answer {
         }
     }
 
-    /// What it says of a pair.
+    /// The verdict on a pair.
     pub fn verdict(&self) -> Option<Verdict> {
         match self {
             Self::MaskText { .. } => None,
@@ -248,7 +247,7 @@ impl Answer {
         }
     }
 
-    /// Joints of all its masks together.
+    /// Union of the joints of all masks.
     pub fn joints(&self) -> JointSet {
         match self {
             Self::MaskText { masks, .. } => masks
@@ -258,7 +257,7 @@ impl Answer {
         }
     }
 
-    /// Its texts, each with the suggestion it began as.
+    /// The texts, each with the suggestion it started from.
     pub fn texts(&self) -> Vec<(&str, Option<i64>)> {
         match self {
             Self::MaskText { masks, .. } => masks
@@ -277,7 +276,7 @@ impl Answer {
     }
 }
 
-/// How much two sets of joints share: 1 if they are equal, also where both are empty.
+/// Jaccard index of two joint sets; 1 for two empty sets.
 pub fn jaccard(a: JointSet, b: JointSet) -> f64 {
     let union = a.union(b).len();
     if union == 0 {
@@ -286,8 +285,8 @@ pub fn jaccard(a: JointSet, b: JointSet) -> f64 {
     a.intersection(b).len() as f64 / union as f64
 }
 
-/// How far two answers are apart, 0 to 1: for masks, each mask against the nearest of the other
-/// answer by joint set, from both sides; for pairs, the verdict first, then the parts.
+/// Distance of two answers, 0 to 1. Masks: mean Jaccard distance of each mask to the nearest mask of the other
+/// answer, in both directions. Pairs: 1 for different verdicts, else by parts and label.
 pub fn distance(a: &Answer, b: &Answer) -> f64 {
     match (a, b) {
         (Answer::MaskText { masks: a, .. }, Answer::MaskText { masks: b, .. }) => {
@@ -322,7 +321,7 @@ pub fn distance(a: &Answer, b: &Answer) -> f64 {
     }
 }
 
-/// The largest distance among some answers; none for fewer than two.
+/// Largest distance between two of the answers, or `None` for fewer than two.
 pub fn spread(answers: &[Answer]) -> Option<f64> {
     let mut most = None;
     for (index, a) in answers.iter().enumerate() {

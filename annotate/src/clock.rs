@@ -1,8 +1,8 @@
-//! The clock a caller gives to the server.
+//! Clock passed to the server by its caller.
 
 use std::sync::Arc;
 
 use crate::store::Millis;
 
-/// Milliseconds since the epoch, now.
+/// Returns the current time in milliseconds since the epoch.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;

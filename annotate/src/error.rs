@@ -1,4 +1,4 @@
-//! What can go wrong, and which problem of the interface it is.
+//! Errors, and the problem document that a client receives for each.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use crate::wire::{Code, Problem, Revision, TaskState};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A request is refused; the problem is what its sender is told.
+    /// The request is refused; the problem is sent to the client.
     #[error("{}", .0.detail)]
     Refused(Box<Problem>),
     /// The store cannot be opened.
@@ -19,26 +19,26 @@ pub enum Error {
         /// Why, and what to do.
         reason: String,
     },
-    /// SQLite refuses.
+    /// An SQLite operation failed.
     #[error("the store cannot {action}")]
     Sqlite {
-        /// What was tried.
+        /// The operation.
         action: &'static str,
         /// The cause.
         source: rusqlite::Error,
     },
-    /// PostgreSQL refuses.
+    /// A PostgreSQL operation failed.
     #[cfg(feature = "postgres")]
     #[error("the store cannot {action}")]
     Postgres {
-        /// What was tried.
+        /// The operation.
         action: &'static str,
         /// The cause.
         source: postgres::Error,
     },
-    /// The store takes no writes.
+    /// The store accepts no writes.
     #[error(
-        "the store takes no writes: {reason}; free space on the disk, what is sent again is taken then"
+        "the store accepts no writes: {reason}; free disk space and send the request again"
     )]
     ReadOnly {
         /// Why.
@@ -47,7 +47,7 @@ pub enum Error {
     /// The writer has stopped.
     #[error("the store is closed")]
     Closed,
-    /// A row of the store does not hold what it should.
+    /// A row of the store is invalid.
     #[error(
         "table {table} of the store holds a row that cannot be read ({problem}); restore a backup, or rebuild the tables from the log with `stance annotate DATASET rebuild`"
     )]
@@ -60,7 +60,7 @@ pub enum Error {
     /// The dataset cannot be read.
     #[error(transparent)]
     Dataset(#[from] datasets_spec::Error),
-    /// A motion cannot be made.
+    /// A motion is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
     /// Motions cannot be blended.
@@ -69,19 +69,19 @@ pub enum Error {
     /// A file cannot be read or written.
     #[error("cannot {action} {}", path.display())]
     Io {
-        /// What was tried.
+        /// The operation.
         action: &'static str,
         /// The file.
         path: PathBuf,
         /// The cause.
         source: std::io::Error,
     },
-    /// An import is not what it should be.
+    /// The input of an import is invalid.
     #[error("cannot import {what}: {problem}")]
     Import {
         /// What.
         what: String,
-        /// What is wrong, and what would be right.
+        /// What is wrong, and how to correct it.
         problem: String,
     },
     /// The server cannot listen.
@@ -95,7 +95,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// Wraps an I/O error with what was tried on which file.
+    /// Adds the operation and the path to an I/O error.
     pub(crate) fn io(
         action: &'static str,
         path: impl Into<PathBuf>,
@@ -120,11 +120,11 @@ impl Error {
         Self::Refused(Box::new(problem))
     }
 
-    /// A thing that is not there, or not to be seen.
+    /// A missing resource, or one that the user may not see.
     pub(crate) fn not_found(what: &str) -> Self {
         Self::refused(
             Code::NotFound,
-            format!("there is no such {what}, or it is not yours to see"),
+            format!("no such {what}, or you may not see it"),
         )
     }
 
@@ -135,14 +135,14 @@ impl Error {
         )
     }
 
-    /// The problem its sender is told. What is nobody's business stays in the log of the server.
+    /// The problem sent to the client. Details of internal errors appear only in the server log.
     pub fn problem(&self) -> Problem {
         match self {
             Self::Refused(problem) => Problem::clone(problem),
             Self::ReadOnly { .. } => Problem::new(Code::ReadOnly, self.to_string()),
             _ => Problem::new(
                 Code::Internal,
-                "the server could not do this; its log says why",
+                "internal error; the server log has the details",
             ),
         }
     }
@@ -163,7 +163,7 @@ impl Problem {
         }
     }
 
-    /// With the revision the store has.
+    /// Adds the current revision of the store.
     pub(crate) fn with_theirs(mut self, revision: Revision) -> Self {
         self.theirs = Some(Box::new(revision));
         self
@@ -171,7 +171,7 @@ impl Problem {
 }
 
 impl Code {
-    /// Its HTTP status.
+    /// The HTTP status.
     pub fn status(self) -> u16 {
         match self {
             Self::Unauthenticated => 401,
@@ -194,31 +194,31 @@ impl Code {
         }
     }
 
-    /// What it means, in a line.
+    /// Meaning of the code in one line.
     pub fn title(self) -> &'static str {
         match self {
             Self::Unauthenticated => "Not logged in",
             Self::Forbidden => "Not allowed",
             Self::Csrf => "The header X-Annotate is missing",
-            Self::WrongOrigin => "From another site",
-            Self::OwnWork => "Own work",
+            Self::WrongOrigin => "Request from another site",
+            Self::OwnWork => "Reviewing your own work",
             Self::NotFound => "Not found",
             Self::MethodNotAllowed => "Method not allowed",
             Self::BadRequest => "Malformed request",
             Self::TooLarge => "Too large",
-            Self::Invalid => "Not acceptable as it is",
+            Self::Invalid => "Invalid value",
             Self::MaskCount => "Too few or too many masks",
             Self::StaleRevision => "Changed elsewhere",
             Self::LeaseLost => "The task was given to somebody else",
-            Self::TaskFull => "The task has all the people it wants",
-            Self::WrongState => "Not in this state",
+            Self::TaskFull => "The task has enough annotators",
+            Self::WrongState => "Not possible in this state",
             Self::KeyReused => "Key used before",
             Self::RateLimited => "Too many requests",
             Self::NoModel => "No language model",
             Self::ModelFailed => "The language model failed",
-            Self::Timeout => "Took too long",
-            Self::ReadOnly => "Nothing can be saved at present",
-            Self::Internal => "Defect of the server",
+            Self::Timeout => "Timeout",
+            Self::ReadOnly => "The store is read-only",
+            Self::Internal => "Internal server error",
         }
     }
 }

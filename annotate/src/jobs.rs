@@ -10,29 +10,29 @@ use crate::store::{Millis, MotionRecord, Store};
 use crate::transfer::{self, Exported, Selection, Taken};
 use crate::wire::{ExportFormat, ExportRequest, ImportFormat, Job};
 
-/// An import to be done.
+/// A requested import.
 #[derive(Debug)]
 pub(crate) struct Import {
     pub(crate) format: ImportFormat,
     pub(crate) dataset: PathBuf,
-    /// The server's own folder.
+    /// Data folder of the server.
     pub(crate) data: PathBuf,
     pub(crate) body: Vec<u8>,
 }
 
-/// The folder of a job's files.
+/// Folder of a job's files.
 pub(crate) fn folder(data: &Path, job: i64) -> PathBuf {
     data.join("exports").join(job.to_string())
 }
 
-/// Jobs that ran when the server last ended have failed.
+/// Marks jobs as failed that were running when the server last stopped.
 pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     for mut job in store.jobs()? {
         if job.state == "running" {
             "failed".clone_into(&mut job.state);
             job.finished = Some(now);
             job.messages
-                .push("the server ended while it ran; start it again".to_owned());
+                .push("the server stopped during this job; start the job again".to_owned());
             store.put_job(job)?;
         }
     }
@@ -55,7 +55,7 @@ fn new_job(kind: &str, format: &str, now: Millis) -> Job {
     }
 }
 
-/// Ends a job, whatever became of it.
+/// Records the result of a job.
 fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
     job.finished = Some(clock());
     match outcome {
@@ -65,7 +65,7 @@ fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>
             job.messages.push(error.to_string());
         }
     }
-    // A store that fails now has told others already.
+    // If the store fails here, requests report it.
     let _kept = store.put_job(job);
 }
 
@@ -114,7 +114,7 @@ fn run_import(
                 &mut |done, total| {
                     shown.done = done;
                     shown.total = Some(total);
-                    // Progress that is lost is made up for by the next.
+                    // A later report replaces one that was not stored.
                     let _kept = store.put_job(shown.clone());
                 },
             )?
@@ -131,7 +131,7 @@ fn run_import(
             let file = upload_in(&import.data, job.id, &import.body)?;
             let motions = known_motions(store)?;
             let taken = transfer::from_annotations(store, &motions, &file, Some(actor), clock());
-            // What cannot be removed now takes room and does no harm.
+            // A file that cannot be removed only uses space.
             let _removed = std::fs::remove_file(&file);
             taken?
         }
@@ -142,8 +142,8 @@ fn run_import(
     Ok(())
 }
 
-/// Keeps what was sent in a file of the server's own folder: in one that others write to, somebody
-/// could have put a link under its name.
+/// Stores an upload in the server's data folder. In a shared folder such as /tmp, another user could have
+/// placed a symbolic link under the name.
 fn upload_in(data: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
     let folder = data.join("imports");
     std::fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
@@ -201,7 +201,7 @@ pub(crate) fn start_export(
     Ok(job)
 }
 
-/// Writes an export into the log.
+/// Records an export in the log.
 ///
 /// # Errors
 /// The store fails.

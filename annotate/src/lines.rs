@@ -9,20 +9,20 @@ use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
-/// What a person decided about a draft.
+/// Decision of a person about a draft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Not looked at; the draft stays as it is.
+    /// Not judged; the draft stays.
     Todo,
-    /// The parts and the text of the line hold.
+    /// The parts and the text of the line replace the draft.
     Accept,
-    /// The draft is wrong and goes.
+    /// The draft is removed.
     Reject,
 }
 
-/// One line of the file: a draft and what a person made of it. To add a mask the pipeline did not
-/// propose, add a line with `mask` left empty.
+/// One line of the file: a draft and the decision about it. A line with empty `mask` adds a mask that the
+/// pipeline did not propose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Judgement {
@@ -39,12 +39,12 @@ pub struct Judgement {
     pub verdict: Verdict,
 }
 
-/// A line that cannot be taken.
+/// A refused line.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// Line number, from 1.
     pub line: usize,
-    /// What is wrong and what would be right.
+    /// What is wrong, and how to correct it.
     pub problem: String,
 }
 
@@ -66,10 +66,10 @@ pub fn drafts(masks: &[MaskRow]) -> Vec<Judgement> {
         .collect()
 }
 
-/// One JSON object a line.
+/// Writes one JSON object per line.
 ///
 /// # Errors
-/// A line cannot be written as JSON, which no judgement can cause.
+/// Serialisation fails, which no valid line can cause.
 pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Error> {
     let mut text = String::new();
     for judgement in judgements {
@@ -79,13 +79,13 @@ pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Err
     Ok(text)
 }
 
-/// Reads edited lines and turns them into the new masks of the dataset: drafts not looked at stay,
-/// accepted lines become masks of `author`, rejected ones go. Empty lines are passed over.
+/// Reads edited lines and returns the new masks of the dataset: pending drafts stay, accepted lines become
+/// masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
 /// `masks` are the dataset's present masks and `motions` its motions with their splits.
 ///
 /// # Errors
-/// The problems of all lines that cannot be taken; nothing is accepted then.
+/// The problems of all refused lines; then no line is accepted.
 pub fn accept(
     lines: &str,
     author: &str,
@@ -127,8 +127,7 @@ pub fn accept(
     Ok(rows)
 }
 
-/// The id of the judged mask and what it becomes: nothing if it was rejected. None for a line that
-/// says nothing about any mask.
+/// The id of the judged mask and its replacement (`None` if rejected). `None` for a pending line.
 fn judge(
     line: &str,
     author: &str,

@@ -1,8 +1,7 @@
-//! Drafts by a language model, over any endpoint that speaks the chat interface of OpenAI.
+//! Drafts by a language model behind an OpenAI-compatible chat endpoint.
 //!
-//! The address comes from whoever starts the server and from nowhere else; no redirect is followed.
-//! What comes back is text for a person to judge: capped, stripped of anything but plain characters,
-//! and never an answer. Without a model everything else works.
+//! Only the operator sets the address; redirects are not followed. A response is a draft for a person to judge,
+//! never an answer; it is truncated and stripped of control characters. Without a model everything else works.
 
 use std::time::Duration;
 
@@ -14,17 +13,17 @@ use crate::Error;
 use crate::store::{NewSuggestion, Store, TaskRecord};
 use crate::wire::{Code, SuggestionSource, TaskKind};
 
-/// Requests one person may cause in a minute.
+/// Rate limit of model requests per person.
 pub const MAX_REQUESTS_PER_MINUTE: u32 = 30;
-/// Longest a model may take.
+/// Timeout of a request to the model.
 const TIMEOUT: Duration = Duration::from_secs(12);
-/// Characters kept of a draft.
+/// Maximum length of a draft.
 const MAX_DRAFT_CHARS: usize = 300;
-/// Bytes read of a response.
+/// Maximum size of a response.
 const MAX_RESPONSE_BYTES: u64 = 256 * 1024;
-/// Characters of a caption that are passed on.
+/// Characters of a caption that are sent.
 const MAX_CAPTION_CHARS: usize = 500;
-/// Captions that are passed on.
+/// Maximum number of captions that are sent.
 const MAX_CAPTIONS: usize = 6;
 
 /// A language model behind an address.
@@ -91,10 +90,10 @@ fn sha(bytes: &[u8]) -> String {
 }
 
 impl Model {
-    /// A model. `url` is the base of its interface, such as `http://localhost:8000/v1`.
+    /// A model at base address `url`, such as `http://localhost:8000/v1`.
     ///
     /// # Errors
-    /// The address is none of HTTP, or holds a user or a password.
+    /// The address is not HTTP, or contains a user or a password.
     pub fn new(url: &str, name: &str, key: Option<String>) -> Result<Self, Error> {
         let refuse = |problem: &str| Error::Import {
             what: "the address of the language model".to_owned(),
@@ -130,7 +129,7 @@ impl Model {
         &self.name
     }
 
-    /// Asks for a draft, or takes the one an equal question got before.
+    /// Requests a draft, or returns the stored response to the same prompt.
     ///
     /// # Errors
     /// `model_failed`, or the store fails.
@@ -165,14 +164,14 @@ impl Model {
         }
         let response = self.ask(&body)?;
         let parsed: Response = serde_json::from_slice(&response)
-            .map_err(|_| failed("the language model answered something else than it should; write the text yourself".to_owned()))?;
+            .map_err(|_| failed("the language model sent an unexpected response; write the text yourself".to_owned()))?;
         let text = parsed
             .choices
             .first()
             .map(|choice| plain(&choice.message.content))
             .filter(|text| !text.is_empty())
             .ok_or_else(|| {
-                failed("the language model had nothing to say; write the text yourself".to_owned())
+                failed("the language model sent an empty response; write the text yourself".to_owned())
             })?;
         Ok(NewSuggestion {
             source: SuggestionSource::Llm,
@@ -190,7 +189,7 @@ impl Model {
     }
 
     fn ask(&self, body: &[u8]) -> Result<Vec<u8>, Error> {
-        // What the other side says of itself is not passed on: it could hold the key.
+        // Do not pass on the endpoint's own error text: it could contain the key.
         let failed = |problem: &str| {
             Error::refused(
                 Code::ModelFailed,
@@ -217,7 +216,7 @@ impl Model {
             .with_config()
             .limit(MAX_RESPONSE_BYTES)
             .read_to_vec()
-            .map_err(|_| failed("broke off, or said too much"))
+            .map_err(|_| failed("broke off, or sent too long a response"))
     }
 }
 
@@ -254,12 +253,12 @@ fn question(task: &TaskRecord, captions: &[&str], parts: &[BodyPart]) -> String 
     }
 }
 
-/// One line of plain characters.
+/// Collapses the text to one line without control characters.
 fn plain(text: &str) -> String {
     let spaced: String = text
         .chars()
         .map(|c| if c.is_control() || c.is_whitespace() { ' ' } else { c })
-        // Marks that turn the direction of writing around have no place in an instruction.
+        // Remove bidirectional control characters.
         .filter(|c| !matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'))
         .collect();
     let words: Vec<&str> = spaced.split_whitespace().collect();

@@ -1,8 +1,8 @@
 //! The motions of a dataset, as the browser draws them.
 //!
-//! Frames stay in the dataset: a clip is one page of its table and is read when it is asked for.
-//! Everything that is computed is computed here, by the code that training uses: kinematics,
-//! blending, activity. The browser only draws.
+//! Frames stay in the dataset: a clip is one page of its table, read on request.
+//! The server computes kinematics, blends and activity with the code that training uses; the browser
+//! only draws.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -25,7 +25,7 @@ use crate::wire::{PartInfo, SkeletonInfo};
 
 /// Rows of heat and difference: the parts of the release.
 pub const NUM_RELEASE_PARTS: usize = 5;
-/// The parts of the release, in the order of the keys and of all strips.
+/// The parts of the release, in the order of their keys and of the strips.
 pub const RELEASE_PARTS: [BodyPart; NUM_RELEASE_PARTS] = [
     BodyPart::UpperBody,
     BodyPart::LowerBody,
@@ -33,17 +33,17 @@ pub const RELEASE_PARTS: [BodyPart; NUM_RELEASE_PARTS] = [
     BodyPart::LeftArm,
     BodyPart::RightArm,
 ];
-/// Share of training frames that are slower than activity 1.
+/// Activity 1 is this quantile of the part's speed over training frames.
 const REFERENCE_QUANTILE: f64 = 0.95;
-/// Training clips the reference is measured on, evenly spaced over all.
+/// Number of training clips that the reference speed is measured on, evenly spaced.
 const REFERENCE_CLIPS: usize = 400;
-/// A part is suggested if it is active in more than this share of the frames …
+/// A part is suggested if it is active in more than this share of the frames.
 const SUGGESTED_SHARE: f64 = 0.2;
-/// … where active is this share of the reference.
+/// Relative speed above which a part is active.
 const ACTIVE: f32 = 0.4;
 /// Motions kept in memory.
 const CACHED: usize = 64;
-/// The chest (SMPL-X spine3), which carries the arms.
+/// The chest (SMPL-X spine3), parent of the arms.
 const CHEST: usize = 9;
 
 /// Where a motion is stored.
@@ -62,7 +62,7 @@ pub struct MotionLibrary {
     places: BTreeMap<String, Place>,
     reference: [f64; NUM_RELEASE_PARTS],
     cache: Mutex<VecDeque<(String, Arc<Motion>)>>,
-    /// Parts that move, of motions asked for before.
+    /// Cache of active parts by content hash.
     active: Mutex<BTreeMap<String, Vec<BodyPart>>>,
 }
 
@@ -75,7 +75,7 @@ impl std::fmt::Debug for MotionLibrary {
 }
 
 impl MotionLibrary {
-    /// Opens the motions of a dataset and measures how fast its training clips move.
+    /// Opens the motions of a dataset and measures the reference speeds of its training clips.
     ///
     /// # Errors
     /// The dataset cannot be read or holds no motions.
@@ -109,8 +109,8 @@ impl MotionLibrary {
         Ok(library)
     }
 
-    /// The 95th percentile of each part's speed over frames of training clips; over all clips where
-    /// none is of the training split.
+    /// The 95th percentile of each part's speed over frames of training clips, or of all clips without a
+    /// training split.
     fn measure(&self, dataset: &Dataset) -> Result<[f64; NUM_RELEASE_PARTS], Error> {
         let mut hashes = Vec::new();
         for split in [Some(datasets_spec::Split::Train), None] {
@@ -134,7 +134,7 @@ impl MotionLibrary {
                 .iter()
                 .flat_map(|clip| clip[part].iter().copied())
                 .collect();
-            // A dataset of clips that do not move still has a scale.
+            // Keep the scale positive for a dataset without movement.
             quantile(&mut all, REFERENCE_QUANTILE)
                 .unwrap_or(0.0)
                 .max(0.05)
@@ -151,7 +151,7 @@ impl MotionLibrary {
         self.places.is_empty()
     }
 
-    /// The skeleton all motions drive.
+    /// Skeleton of all motions.
     pub fn skeleton(&self) -> &Skeleton {
         &self.skeleton
     }
@@ -238,7 +238,7 @@ impl MotionLibrary {
         Ok(parts)
     }
 
-    /// Where two motions differ.
+    /// Distance of two motions by part.
     ///
     /// # Shapes
     /// `[6, T]` in metres: the root, then the parts of the release. `T` is the frames of the shorter
@@ -257,7 +257,7 @@ impl MotionLibrary {
         Ok(difference(&source, &target, &self.skeleton))
     }
 
-    /// The target at the rate of the source; stretched to its length if asked for.
+    /// The target at the rate of the source, or stretched to its length.
     fn in_step(
         &self,
         source: &Motion,
@@ -305,7 +305,7 @@ fn cropped(motion: &Motion, frames: usize) -> Result<Motion, Error> {
     )?)
 }
 
-/// The frames of a motion that are nearest to those of another of the same relative time.
+/// Samples a motion at the relative times of another one's frames (nearest frame).
 fn stretched(motion: &Motion, like: &Motion) -> Result<Motion, Error> {
     let last = motion.len() - 1;
     let steps = (like.len() - 1).max(1);
@@ -344,8 +344,8 @@ pub(crate) fn row_bytes(rows: &[Vec<f32>]) -> Vec<u8> {
         .collect()
 }
 
-/// The joints of each part whose movement counts for it. The pelvis and the chest carry others and
-/// have none of their own; collars hardly move.
+/// Joints whose speed counts as movement of the part. Root, chest and collars are excluded: they move with
+/// other parts or barely.
 fn moving_joints(part: BodyPart) -> Vec<usize> {
     let without = [0, 3, 9, 13, 14];
     part.mask()
@@ -356,8 +356,8 @@ fn moving_joints(part: BodyPart) -> Vec<usize> {
         .collect()
 }
 
-/// Positions relative to what carries them: arms to the chest and its turning, all else to the pelvis and
-/// the heading. So a turning, walking root does not light the arms, nor do arms that ride on the spine.
+/// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading.
+/// Movement of the root or the spine thus does not count as movement of the arms.
 fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<[DVec3; NUM_BODY_JOINTS]> {
     motion
         .poses()
@@ -450,7 +450,7 @@ fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) -> Vec<Vec<
             .collect()
     };
     let (a, b) = (relative(source), relative(target));
-    // Two takes start anywhere in the room; that is no difference.
+    // Takes may start at different places; align them first.
     let offset = DVec3::new(a[0].0.x - b[0].0.x, 0.0, a[0].0.z - b[0].0.z);
     let root = (0..frames)
         .map(|frame| a[frame].0.distance(b[frame].0 + offset) as f32)

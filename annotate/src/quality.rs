@@ -1,4 +1,4 @@
-//! How good the answers are: agreement, distance from drafts, times.
+//! Quality of the answers: agreement, distance from drafts, times.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::wire::{Agreement, Answer, Estimate, RevisionState, TaskKind, Verdict}
 /// Tasks read at a time.
 const BATCH: usize = 2000;
 
-/// Mean edit distance of the texts of an answer from the drafts they began as; none if none did.
+/// Mean edit distance of the texts of an answer from their drafts, or `None` without drafts.
 pub(crate) fn draft_distance(store: &Store, answer: &Answer) -> Result<Option<f64>, Error> {
     Ok(mean(&draft_distances(store, answer)?))
 }
@@ -57,7 +57,7 @@ pub(crate) struct PersonFigures {
 pub(crate) struct Figures {
     pub(crate) agreement: Agreement,
     pub(crate) people: BTreeMap<i64, PersonFigures>,
-    /// When each answer was handed in, and its seconds.
+    /// Time of each submission, and its seconds of work.
     pub(crate) secs_by_time: Vec<(i64, f64)>,
 }
 
@@ -70,7 +70,7 @@ struct Gathered {
 }
 
 impl Figures {
-    /// Goes through all answers that are handed in. Answers to gold tasks are no part of agreement.
+    /// Reads all submitted answers. Gold tasks are excluded from agreement.
     pub(crate) fn of(store: &Store) -> Result<Self, Error> {
         let mut people: BTreeMap<i64, Gathered> = BTreeMap::new();
         let mut secs_by_time = Vec::new();
@@ -178,7 +178,7 @@ impl Figures {
     }
 }
 
-/// Takes a task several people answered.
+/// Adds a task with several answers.
 fn shared(
     task: &[Label],
     parts: &mut [Vec<Item>],
@@ -212,7 +212,7 @@ fn shared(
         verdicts.push(item);
         return;
     }
-    // A part is marked if all joints it takes whole are in some mask: BOTH_ARMS marks both arms.
+    // A part counts as marked if one mask contains all its hard joints: BOTH_ARMS marks each arm.
     let covers = |answer: &Answer, part: usize| match answer {
         Answer::MaskText { masks, .. } => masks.iter().any(|mask| {
             let set = joints(&mask.parts);

@@ -1,42 +1,42 @@
-//! The legal moves of a task, as data. The store checks every event against this table, the tests
-//! walk it at random, and the document of the crate prints it.
+//! The legal state transitions of a task, as a table. The store checks every event against it, tests walk it
+//! at random, and the crate's README prints it.
 
 use crate::wire::{TaskState, names};
 
 names! {
-    /// What the log can say.
+    /// Kinds of log entries.
     pub enum LogKind {
-        /// A task came into being.
+        /// A task was created.
         Imported = "imported",
-        /// Somebody took a lease, to answer or to review.
+        /// A lease was taken, to answer or to review.
         Claimed = "claimed",
-        /// A lease was prolonged.
+        /// A lease was renewed.
         Renewed = "renewed",
-        /// A lease ended without an answer: given back, expired, or taken away.
+        /// A lease ended without an answer: given back, expired, or revoked.
         Released = "released",
-        /// An unfinished answer was kept.
+        /// A draft was saved.
         DraftSaved = "draft_saved",
-        /// An answer was handed in.
+        /// An answer was submitted.
         Submitted = "submitted",
-        /// A task was skipped or postponed by somebody.
+        /// A user skipped or postponed a task.
         Skipped = "skipped",
         /// Answers were sent back with a comment.
         Returned = "returned",
-        /// An answer was taken.
+        /// An answer was accepted.
         Accepted = "accepted",
-        /// An answer made by the reviewer was taken.
+        /// An answer merged by the reviewer was accepted.
         Merged = "merged",
-        /// A task was taken out.
+        /// A task was dropped.
         Dropped = "dropped",
         /// A decision was undone.
         Reopened = "reopened",
-        /// An answer handed in was taken back by its author.
+        /// The author withdrew a submitted answer.
         Undone = "undone",
-        /// Something became of a suggestion.
+        /// A suggestion was used, edited or discarded.
         SuggestionUsed = "suggestion_used",
-        /// An answer to a gold task was compared with the known one.
+        /// An answer to a gold task was scored.
         GoldScored = "gold_scored",
-        /// A user was added, or a role or access changed.
+        /// A user was added, or their role or access changed.
         RoleChanged = "role_changed",
         /// Settings were changed.
         SettingsChanged = "settings_changed",
@@ -46,13 +46,13 @@ names! {
 }
 
 names! {
-    /// What a lease is for.
+    /// Purpose of a lease.
     pub enum Purpose {
         /// To answer.
         Annotate = "annotate",
         /// To review.
         Review = "review",
-        /// A place kept for an author whose answer came back.
+        /// Reservation for an author whose answer was returned.
         Returned = "returned",
     }
 }
@@ -60,23 +60,23 @@ names! {
 names! {
     /// Why a lease ended without an answer.
     pub enum ReleaseReason {
-        /// Its holder gave it back.
+        /// The holder released it.
         GivenBack = "given_back",
-        /// It ran out.
+        /// It expired.
         Expired = "expired",
-        /// A reviewer took it.
+        /// A reviewer revoked it.
         TakenAway = "taken_away",
     }
 }
 
-/// A row of the table of moves.
+/// A row of the transition table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Move {
     /// State before.
     pub from: TaskState,
-    /// What happens.
+    /// Event.
     pub event: LogKind,
-    /// States it may lead to; which of them depends on the answers and leases that are left.
+    /// Possible next states; the remaining answers and leases decide which.
     pub to: &'static [TaskState],
 }
 
@@ -87,12 +87,12 @@ const fn row(from: TaskState, event: LogKind, to: &'static [TaskState]) -> Move 
 use LogKind as E;
 use TaskState::{Accepted, Dropped, InReview, Leased, Open, Returned, Submitted};
 
-/// States of a task that still wants answers.
+/// States of a task that needs more answers.
 const WANTING: &[TaskState] = &[Open, Leased, Returned];
-/// The same, or all answers are there.
+/// The same, or all answers are submitted.
 const ANY_UNDECIDED: &[TaskState] = &[Open, Leased, Returned, Submitted];
 
-/// Every legal move. What is not here is refused with `wrong_state`.
+/// All legal transitions. Others are refused with `wrong_state`.
 pub const MOVES: &[Move] = &[
     row(Open, E::Claimed, &[Leased]),
     row(Open, E::DraftSaved, &[Open]),
@@ -140,7 +140,7 @@ pub const MOVES: &[Move] = &[
     row(Dropped, E::SuggestionUsed, &[Dropped]),
 ];
 
-/// The states an event may lead to; none if it is not legal.
+/// Possible next states of an event; empty if it is not legal.
 pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
     MOVES
         .iter()
@@ -148,7 +148,7 @@ pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
         .map_or(&[], |row| row.to)
 }
 
-/// The table as Markdown, for the document of the crate.
+/// The table as Markdown, for the crate's README.
 pub fn markdown() -> String {
     let mut text = "| from | event | to |\n|---|---|---|\n".to_owned();
     for row in MOVES {

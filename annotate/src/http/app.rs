@@ -23,25 +23,25 @@ use crate::quality::Figures;
 use crate::store::{Millis, Store, Who};
 use crate::wire::{Code, Role};
 
-/// How long a server waits for a request unless told otherwise.
+/// Default timeout of a request.
 pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Who may use a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Everybody. Routes that change something still need the browser's own request.
+    /// Everybody. Routes that change something still need the header and origin of the page.
     Public,
-    /// Whoever is logged in with this role or a higher one.
+    /// Users with this role or a higher one.
     Role(Role),
-    /// The machine itself, or an admin.
+    /// Requests from loopback, or an admin.
     Local,
 }
 
-/// How a request becomes an answer.
+/// Kind of a handler.
 #[derive(Clone, Copy, Debug)]
 pub enum Handler {
-    /// By work that may wait for the store or the disk.
+    /// Blocking work on the store or the disk.
     Work(fn(&Context) -> Result<Reply, Error>),
-    /// By a stream of events.
+    /// A stream of server-sent events.
     Stream,
 }
 
@@ -52,15 +52,15 @@ pub struct Route {
     pub method: &'static str,
     /// Path, with parameters in braces.
     pub path: &'static str,
-    /// Who may use it.
+    /// Required role.
     pub access: Access,
-    /// Largest body.
+    /// Maximum size of the body in bytes.
     pub max_body: usize,
-    /// What it does.
+    /// Handler.
     pub handler: Handler,
 }
 
-/// A request that may be served.
+/// An authorised request.
 pub struct Context {
     pub(crate) app: Arc<App>,
     pub(crate) who: Option<Who>,
@@ -81,18 +81,18 @@ impl std::fmt::Debug for Context {
     }
 }
 
-/// An answer.
+/// A response.
 #[derive(Debug)]
 pub enum Reply {
     /// A JSON document.
     Json(Vec<u8>),
-    /// Nothing more to say.
+    /// 204 without a body.
     Empty,
-    /// A response with everything set.
+    /// A complete response.
     Full(Response),
 }
 
-/// What a server is started with.
+/// Settings of a server.
 pub struct ServerConfig {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
@@ -104,11 +104,11 @@ pub struct ServerConfig {
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
-    /// Longest a request may take, and its head to arrive; [`PATIENCE`] for people.
+    /// Timeout of a request and of its headers; [`PATIENCE`] in production.
     pub patience: Duration,
     /// Tells the time.
     pub clock: Clock,
-    /// Takes what the operator should read.
+    /// Receives messages for the operator.
     pub log: fn(&str),
 }
 
@@ -121,16 +121,16 @@ impl std::fmt::Debug for ServerConfig {
     }
 }
 
-/// What all requests share.
+/// State shared by all requests.
 pub(crate) struct App {
     pub(crate) store: Arc<Store>,
     pub(crate) motions: Arc<MotionLibrary>,
     pub(crate) config: ServerConfig,
     pub(crate) limiter: Limiter,
     pub(crate) metrics: Metrics,
-    /// Why nothing can be saved, if so.
+    /// Why the store accepts no writes, if it does not.
     pub(crate) read_only: Mutex<Option<String>>,
-    /// Figures of agreement and when they were made.
+    /// Cached agreement figures and their time.
     pub(crate) figures: Mutex<Option<(Millis, Arc<Figures>)>>,
     pub(crate) last_seq: tokio::sync::watch::Sender<i64>,
 }
@@ -159,7 +159,7 @@ impl Context {
     pub(super) fn id(&self) -> Result<i64, Error> {
         let text = self.params.get("id").map_or("", String::as_str);
         text.parse()
-            .map_err(|_| Error::not_found("thing of this number"))
+            .map_err(|_| Error::not_found("id"))
     }
 
     pub(super) fn param(&self, name: &str) -> &str {
@@ -170,12 +170,12 @@ impl Context {
         serde_json::from_slice(&self.body).map_err(|error| {
             Error::refused(
                 Code::BadRequest,
-                format!("the body is not what this route takes: {error}"),
+                format!("invalid body: {error}"),
             )
         })
     }
 
-    /// The parameters of the address, none but those known.
+    /// Checks that the query has only known parameters.
     pub(super) fn only(&self, known: &[&str]) -> Result<(), Error> {
         match self
             .query
@@ -186,7 +186,7 @@ impl Context {
             Some(name) => Err(Error::refused(
                 Code::BadRequest,
                 format!(
-                    "{name:?} is no parameter here; known are {}",
+                    "unknown query parameter {name:?}; expected {}",
                     known.join(", ")
                 ),
             )),
@@ -224,7 +224,7 @@ impl Context {
     }
 }
 
-/// A reply of one JSON document.
+/// A JSON reply.
 pub(super) fn json<T: Serialize>(value: &T) -> Result<Reply, Error> {
     serde_json::to_vec(value)
         .map(Reply::Json)
@@ -234,7 +234,7 @@ pub(super) fn json<T: Serialize>(value: &T) -> Result<Reply, Error> {
         })
 }
 
-/// A reply as an HTTP response.
+/// Converts a reply to an HTTP response.
 pub(super) fn reply_response(reply: Reply) -> Response {
     match reply {
         Reply::Full(response) => response,
@@ -252,18 +252,18 @@ pub(super) fn reply_response(reply: Reply) -> Response {
     }
 }
 
-/// Sets a header; a value that is none is left out.
+/// Sets a header; an invalid value is ignored.
 pub(super) fn set(response: &mut Response, name: HeaderName, value: &str) {
     if let Ok(value) = HeaderValue::from_str(value) {
         response.headers_mut().insert(name, value);
     }
 }
 
-/// The value of a header that is given once.
+/// The value of a header that occurs exactly once.
 pub(super) fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     let only = all.next()?;
-    // Two of them are one too many to trust either.
+    // Duplicate headers are ambiguous: trust neither.
     if all.next().is_some() {
         None
     } else {
@@ -283,13 +283,13 @@ pub(super) fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
         .map(|(_, value)| value.to_owned())
 }
 
-/// Runs work that may wait, where waiting holds nobody up.
+/// Runs blocking work on the blocking thread pool.
 pub(super) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
     match tokio::task::spawn_blocking(work).await {
         Ok(outcome) => outcome,
-        // The work panicked: a defect, which its own message in the log tells of.
+        // The work panicked; the panic message is in the log.
         Err(_) => Err(Error::Closed),
     }
 }

@@ -1,6 +1,6 @@
 //! The front end, embedded.
 
-/// Names and contents, as they are committed: `cargo build` needs no Node.
+/// Names and contents of the committed build, so that `cargo build` needs no Node.
 static FILES: &[(&str, &[u8])] = &[
     (
         "LICENSE-three.txt",
@@ -23,7 +23,7 @@ pub(super) struct Asset {
     pub(super) etag: String,
 }
 
-/// The file under a path of the server: `/assets/NAME`, or the page for its own addresses.
+/// The file at a path of the server: `/assets/NAME`, or the page at `/` and `/app/...`.
 pub(super) fn find(path: &str) -> Option<Asset> {
     let name = match path.strip_prefix("/assets/") {
         Some(name) => name,
@@ -70,7 +70,7 @@ mod tests {
                     .to_string_lossy()
                     .into_owned()
             })
-            // What says how the others were made is for the tests alone.
+            // The build manifest is used by tests only.
             .filter(|name| name != "manifest.json")
             .collect();
         let embedded: BTreeSet<String> = FILES.iter().map(|(name, _)| (*name).to_owned()).collect();

@@ -12,17 +12,17 @@ const MINUTE: Millis = 60_000;
 /// Maximum number of client addresses tracked.
 const MAX_CLIENTS: usize = 10_000;
 
-/// Counts of the last minute, by what is asked for and who asks.
+/// Counts of the last minute, by action and client.
 #[derive(Debug, Default)]
 pub(crate) struct Limiter {
     seen: Mutex<HashMap<(&'static str, String), VecDeque<Millis>>>,
 }
 
 impl Limiter {
-    /// Counts one more.
+    /// Counts one request.
     ///
     /// # Errors
-    /// `rate_limited`, with when to come back.
+    /// `rate_limited`, with the time to wait.
     pub(crate) fn count(
         &self,
         what: &'static str,
@@ -46,7 +46,7 @@ impl Limiter {
             let seconds = u64::try_from(wait).unwrap_or(0).div_ceil(1000).max(1);
             let mut problem = Problem::new(
                 Code::RateLimited,
-                format!("{most} a minute are too many of {what}; wait {seconds} s"),
+                format!("more than {most} {what} per minute; wait {seconds} s"),
             );
             problem.retry_after_secs = Some(seconds);
             return Err(Error::Refused(Box::new(problem)));
@@ -76,7 +76,7 @@ mod tests {
         limiter
             .count("logins", "a", 10, 60_000)
             .expect("room again");
-        // A clock that was set back does not lock anybody out.
+        // A clock set back locks nobody out.
         limiter.count("logins", "a", 1, -1_000_000).expect("room");
     }
 }

@@ -1,4 +1,4 @@
-//! Counts for Prometheus.
+//! Prometheus metrics.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crate::lock::lock;
 
-/// Upper ends of the classes of times, in seconds.
+/// Upper bounds of the latency buckets in seconds.
 const CLASSES: [f64; 9] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 5.0, 15.0];
 
 #[derive(Debug, Default, Clone)]
@@ -17,7 +17,7 @@ struct Times {
     sum: f64,
 }
 
-/// Requests by route and status, and the time they took.
+/// Requests by route and status, and their latencies.
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
     requests: Mutex<BTreeMap<(&'static str, &'static str, u16), u64>>,
@@ -45,11 +45,11 @@ impl Metrics {
         }
     }
 
-    /// The text a Prometheus server reads.
+    /// Metrics in the Prometheus text format.
     pub(crate) fn text(&self, gauges: &[(&str, &str, i64)]) -> String {
         let mut text = String::new();
         for (name, help, value) in gauges {
-            // Writing to text cannot fail.
+            // Writing to a string cannot fail.
             let _written = writeln!(
                 text,
                 "# HELP {name} {help}\n# TYPE {name} gauge\n{name} {value}"

@@ -1,8 +1,7 @@
 //! The server.
 //!
-//! Every route is a row of [`ROUTES`], with the role it needs; there is no other way to a handler.
-//! One function, `serve`, does what all requests have in common: it authenticates, checks the role and
-//! the origin, limits the body and the time, and writes the reply.
+//! Every route is a row of [`ROUTES`] with its required role. `serve` handles what all requests share: it
+//! authenticates, checks role and origin, limits body and time, and writes the reply.
 
 mod app;
 mod assets;
@@ -38,9 +37,9 @@ pub use crate::clock::Clock;
 pub use app::{Access, Context, Handler, PATIENCE, Reply, Route, ServerConfig};
 pub use routes::ROUTES;
 
-/// Connections served at once.
+/// Maximum number of concurrent connections.
 const CONNECTIONS: usize = 1024;
-/// What pages may do: their own scripts, styles and requests, and nothing else.
+/// Content security policy: pages load only scripts, styles and data of this server.
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 
@@ -62,7 +61,7 @@ impl Server {
     /// Starts a server and returns once it listens.
     ///
     /// # Errors
-    /// The address cannot be had, or the store does not answer.
+    /// The address cannot be bound, or the store does not answer.
     pub fn start(
         store: Arc<Store>,
         motions: Arc<MotionLibrary>,
@@ -107,7 +106,7 @@ impl Server {
         })
     }
 
-    /// Where it listens.
+    /// Address that the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -132,7 +131,7 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
         let (socket, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(_) => {
-                // Out of file descriptors, most likely: those in use come back.
+                // Most likely out of file descriptors: wait until some are closed.
                 tokio::time::sleep(Duration::from_millis(50)).await;
                 continue;
             }
@@ -140,7 +139,7 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
         let router = router.clone();
         tokio::spawn(async move {
             let _place = place;
-            // Small answers are not to wait for more to come.
+            // Send small responses at once.
             let _set = socket.set_nodelay(true);
             let service = hyper::service::service_fn(
                 move |request: hyper::Request<hyper::body::Incoming>| {
@@ -155,7 +154,7 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
                 .max_buf_size(64 * 1024)
                 .serve_connection(TokioIo::new(socket), service)
                 .await;
-            // A browser that goes away in the middle is no news.
+            // Ignore browsers that disconnect in mid-request.
             drop(served);
         });
     }
@@ -186,8 +185,8 @@ fn router(app: &Arc<App>) -> axum::Router {
         move |request: Request| async move {
             let path = request.uri().path().to_owned();
             let detail = match code {
-                Code::MethodNotAllowed => format!("{path} takes no {}", request.method()),
-                _ => format!("there is nothing at {path}"),
+                Code::MethodNotAllowed => format!("{path} does not support {}", request.method()),
+                _ => format!("{path} does not exist"),
             };
             let mut response = problem_response(&Problem::new(code, detail));
             harden(&mut response, secure);
@@ -202,7 +201,7 @@ fn router(app: &Arc<App>) -> axum::Router {
 async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Response {
     let begun = Instant::now();
     let outcome = match route.handler {
-        // Streams last; all else has its time.
+        // Event streams have no timeout.
         Handler::Stream => answer(Arc::clone(&app), route, request).await,
         Handler::Work(_) => {
             let patience = app.config.patience;
@@ -211,7 +210,7 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
                 Err(_) => Err(Error::refused(
                     Code::Timeout,
                     format!(
-                        "this took more than {} seconds; send it again: what carries a key is done once",
+                        "the request took more than {} seconds; send it again: a request with a key takes effect only once",
                         patience.as_secs_f64()
                     ),
                 )),
@@ -245,7 +244,7 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
     response
 }
 
-/// An error with its causes.
+/// Formats an error with its causes.
 fn chain(error: &Error) -> String {
     let mut text = error.to_string();
     let mut cause = std::error::Error::source(error);
@@ -290,8 +289,8 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     }
 }
 
-/// Bytes of a body that is too large that are still read: a browser that is cut off in the middle of
-/// sending does not see why.
+/// Bytes of a too large body that are still read: a browser whose upload is cut off does not show the
+/// response.
 const DRAINED_BYTES: usize = 32 * 1024 * 1024;
 
 async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
@@ -317,34 +316,34 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
     if total > limit {
         return Err(Error::refused(
             Code::TooLarge,
-            format!("a body has up to {limit} bytes here; send less at a time"),
+            format!("the body exceeds {limit} bytes; send less at a time"),
         ));
     }
     Ok(bytes.into())
 }
 
-/// The parameters of an address.
+/// Parses the query parameters.
 fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {
     let refused = |detail: String| Error::refused(Code::BadRequest, detail);
     let text = uri.query().unwrap_or("");
-    // The parser would take malformed escapes literally.
+    // The parser would accept malformed escapes literally.
     let is_escape = |rest: &str| {
         let digits = rest.as_bytes().get(..2);
         digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
     };
     if !text.split('%').skip(1).all(is_escape) {
-        return Err(refused("the address is not well escaped".to_owned()));
+        return Err(refused("the query has a malformed percent escape".to_owned()));
     }
     let mut pairs = BTreeMap::new();
     for (name, value) in form_urlencoded::parse(text.as_bytes()) {
         if pairs.insert(name.to_string(), value.into_owned()).is_some() {
-            return Err(refused(format!("{name:?} is given twice")));
+            return Err(refused(format!("query parameter {name:?} is given twice")));
         }
     }
     Ok(pairs)
 }
 
-/// Whether a request is let in, and as whom.
+/// Authorises a request and identifies its user.
 fn admit(
     app: &App,
     route: &Route,
@@ -374,13 +373,13 @@ fn admit(
     if who.role < needed {
         return Err(Error::refused(
             Code::Forbidden,
-            format!("this needs the role {needed}, yours is {}", who.role),
+            format!("this requires the role {needed}, yours is {}", who.role),
         ));
     }
     Ok(Some(who))
 }
 
-/// A request that changes something and comes with a cookie has to be the page's own.
+/// Checks that a changing request with a cookie comes from the page itself (CSRF protection).
 fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
     if text(headers, &HeaderName::from_static("x-annotate")) != Some("1") {
         return Err(Error::refused(
@@ -422,7 +421,7 @@ fn problem_response(problem: &Problem) -> Response {
     response
 }
 
-/// Sets what every answer carries.
+/// Sets the headers of every response.
 fn harden(response: &mut Response, secure: bool) {
     for (name, value) in [
         ("content-security-policy", CSP),

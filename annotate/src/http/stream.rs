@@ -1,4 +1,4 @@
-//! Server-sent events: what happens, as it happens.
+//! Server-sent events: log entries as they are written.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -20,14 +20,14 @@ use crate::wire::{Change, Code, Role};
 const LOOK: Duration = Duration::from_millis(300);
 /// How often a comment is sent, so that proxies keep the connection open.
 const BEAT: Duration = Duration::from_secs(15);
-/// Listeners at once.
+/// Maximum number of concurrent listeners.
 const LISTENERS: usize = 200;
-/// Most missed entries that are sent after a reconnect.
+/// Maximum number of missed entries sent after a reconnect.
 const MISSED: i64 = 1000;
 /// Entries read at a time.
 const BATCH: usize = 200;
 
-/// Looks at the end of the log for all listeners.
+/// Polls the end of the log for all listeners.
 pub(super) async fn watch(app: Arc<App>) {
     loop {
         tokio::time::sleep(LOOK).await;
@@ -35,7 +35,7 @@ pub(super) async fn watch(app: Arc<App>) {
             continue;
         }
         let store = Arc::clone(&app.store);
-        // A store that does not answer has nothing to tell.
+        // Skip this poll if the store does not answer.
         if let Ok(seq) = blocking(move || store.last_seq()).await {
             app.last_seq.send_if_modified(|known| {
                 let news = *known != seq;
@@ -46,7 +46,7 @@ pub(super) async fn watch(app: Arc<App>) {
     }
 }
 
-/// Events as a task sends them.
+/// Events sent by the polling task.
 struct Events(mpsc::Receiver<Event>);
 
 impl futures_core::Stream for Events {
@@ -69,7 +69,7 @@ pub(super) async fn open(context: Context) -> Result<Reply, Error> {
     if app.last_seq.receiver_count() >= LISTENERS {
         return Err(Error::refused(
             Code::RateLimited,
-            format!("{LISTENERS} pages listen already; reload later"),
+            format!("{LISTENERS} pages are already connected; reload later"),
         ));
     }
     let store = Arc::clone(&app.store);
@@ -79,7 +79,7 @@ pub(super) async fn open(context: Context) -> Result<Reply, Error> {
     let (sender, receiver) = mpsc::channel(16);
     let start = match from {
         Some(from) if newest - from > MISSED || from > newest => {
-            // There is room for the first one.
+            // The channel has capacity for the first event.
             let _sent = sender.try_send(Event::default().event("reset").data("{}"));
             newest
         }
@@ -92,7 +92,7 @@ pub(super) async fn open(context: Context) -> Result<Reply, Error> {
     Ok(Reply::Full(response))
 }
 
-/// Sends what happens until nobody listens any more.
+/// Sends new entries until the listener disconnects.
 async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<Event>) {
     let mut news = app.last_seq.subscribe();
     let comment = |text| Event::default().comment(text);
@@ -126,7 +126,7 @@ async fn listen(app: Arc<App>, who: Who, mut after: i64, sender: mpsc::Sender<Ev
     }
 }
 
-/// The events a user may see of the log after a sequence number, and the last number read.
+/// Log entries after a sequence number that a user may see, and the last number read.
 fn changes(store: &Store, who: &Who, after: i64) -> Result<(i64, Vec<Event>), Error> {
     let mut events = Vec::new();
     let mut last = after;

@@ -15,7 +15,7 @@ use crate::wire::{
     RevisionState, Settings,
 };
 
-/// Longest time an event can say its author was at it.
+/// Maximum working time that one event can report.
 const MAX_SECS: f64 = 3600.0;
 
 /// Context of an event: its author, its task, the settings and the time.
@@ -26,7 +26,7 @@ struct Taking {
     now: Millis,
 }
 
-/// Takes events of a task, in order, up to the first that fails.
+/// Applies events of a task in order, up to the first that fails.
 pub(super) fn append(
     tx: &mut dyn Tx,
     user: i64,
@@ -34,7 +34,7 @@ pub(super) fn append(
     events: &[NewEvent],
     now: Millis,
 ) -> Result<Vec<EventResult>, Error> {
-    // The plus keeps to the index on tasks: a task has few entries in the log, a person has many.
+    // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
     let known = tx.one(
         "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1",
         params![id, user],
@@ -65,7 +65,7 @@ pub(super) fn append(
     Ok(results)
 }
 
-/// The answer to an event that left nothing in the log.
+/// The reply to an event that was not logged.
 fn refused(
     tx: &mut dyn Tx,
     taking: &Taking,
@@ -118,7 +118,7 @@ impl Taking {
         }
     }
 
-    /// Writes an entry and gives its sender's answer, which is the answer to its key from then on.
+    /// Writes an entry and returns the reply, which is stored for repetitions of the same key.
     fn log(
         &self,
         tx: &mut dyn Tx,
@@ -182,7 +182,7 @@ impl Taking {
             let mut problem = Problem::new(
                 Code::StaleRevision,
                 format!(
-                    "this was made from revision {}, and {rev} is the current one; both are in the log",
+                    "this change is based on revision {}, but {rev} is current; both are in the log",
                     event.base_rev
                 ),
             );
@@ -209,9 +209,9 @@ impl Taking {
                 !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
             });
             let detail = if handed_in {
-                "your answer is handed in; take it back before changing it"
+                "your answer is submitted; undo the submission before changing it"
             } else {
-                "the lease on this task ended and somebody else took the place; what you wrote is kept as your draft"
+                "your lease on this task expired and somebody else has the task; your text is kept as a draft"
             };
             let body = Body::DraftSaved {
                 answer,
@@ -261,7 +261,7 @@ impl Taking {
         Ok(result)
     }
 
-    /// Suggestions an answer names have to be of its task.
+    /// Checks that the suggestions an answer names belong to its task.
     fn check_suggestions(&self, tx: &mut dyn Tx, answer: &Answer) -> Result<(), Error> {
         for (_, suggestion) in answer.texts() {
             if let Some(id) = suggestion {
@@ -280,7 +280,7 @@ impl Taking {
             Some(_) => Ok(()),
             None => Err(Error::invalid(
                 "suggestion",
-                format!("suggestion {id} is not of this task"),
+                format!("suggestion {id} does not belong to this task"),
             )),
         }
     }
@@ -296,7 +296,7 @@ impl Taking {
         if !postponed && event.reason.is_none() {
             return Err(Error::invalid(
                 "reason",
-                "a task is skipped for a reason; choose one",
+                "choose a reason for skipping the task",
             ));
         }
         let held = rows::lease_of(tx, self.task.id, self.user)?
@@ -306,7 +306,7 @@ impl Taking {
             .ok_or_else(|| {
                 Error::refused(
                     Code::LeaseLost,
-                    "the lease on this task ended; there is nothing to skip",
+                    "your lease on this task expired; there is nothing to skip",
                 )
             })?;
         let body = Body::Skipped {
@@ -336,7 +336,7 @@ impl Taking {
         let Some(mine) = mine else {
             return Err(Error::wrong_state(
                 self.task.state,
-                "taken back: no answer of yours waits for review",
+                "taken back: you have no answer waiting for review",
             ));
         };
         apply::check_move(self.task.state, LogKind::Undone, "taken back")?;
@@ -381,7 +381,7 @@ impl Taking {
     }
 }
 
-/// Answers to a task that are handed in, those of one author apart.
+/// Submitted answers to a task, except those of one author.
 fn handed_in(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>, Error> {
     tx.query(
         "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2

@@ -1,4 +1,4 @@
-//! Projections: what an entry changes in the tables beside the log.
+//! Projections: applies log entries to the derived tables.
 
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, LoggedTask, json};
@@ -8,11 +8,11 @@ use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
 use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState};
 
-/// Leases one entry can make; the id of a lease is the sequence number of its entry times this, plus
-/// a number.
+/// Maximum number of leases of one entry. The id of a lease is the sequence number of its entry times this,
+/// plus its index.
 const LEASES_PER_ENTRY: i64 = 100;
 
-/// Whether an entry is legal where the task stands.
+/// Checks that an entry is legal in the current state of the task.
 pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<(), Error> {
     if targets(state, kind).is_empty() {
         return Err(Error::wrong_state(state, what));
@@ -20,7 +20,7 @@ pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<
     Ok(())
 }
 
-/// Changes the projections as an entry says.
+/// Applies an entry to the projections.
 pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Error> {
     if let Body::Imported { task } = &entry.body {
         return import(tx, seq, entry, task);
@@ -94,7 +94,7 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
     Ok(())
 }
 
-/// A lease to be made.
+/// A lease to create.
 struct NewLease {
     id: i64,
     task: i64,
@@ -139,7 +139,7 @@ fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
     Ok(())
 }
 
-/// Id of the lease an entry makes.
+/// Id of a lease created by an entry.
 pub(crate) fn lease_id(seq: i64, number: usize) -> i64 {
     seq * LEASES_PER_ENTRY + number as i64
 }
@@ -438,7 +438,7 @@ fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> 
     Ok(())
 }
 
-/// Counts answers and leases of a task that is not decided, and sets its state by them.
+/// Counts the answers and leases of an undecided task and derives its state.
 fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
     let row = tx
         .one(

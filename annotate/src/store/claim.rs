@@ -1,4 +1,4 @@
-//! Leases: which task a person is given, and for how long.
+//! Leases: assignment of tasks to people for a limited time.
 
 use super::db::{Tx, params};
 use super::draw::percent;
@@ -10,11 +10,11 @@ use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, Empty, Lease, RevisionState, Settings, TaskKind, TaskState};
 
-/// Expired leases ended in a claim.
+/// Maximum number of expired leases that one claim ends.
 const EXPIRED_AT_ONCE: i64 = 200;
 pub(super) const MINUTE: Millis = 60_000;
 
-/// Conditions on a task `t` for somebody (`?2`) to be given it as new work.
+/// SQL condition: user `?2` can get task `t` as new work.
 const FOR_ME: &str = "t.claimable = 1
   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
   AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
@@ -62,7 +62,7 @@ pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
     now + Millis::from(settings.lease_minutes) * MINUTE
 }
 
-/// Takes a lease on a task that the caller has found free.
+/// Leases a task that the caller has checked to be free.
 pub(super) fn take(
     tx: &mut dyn Tx,
     user: i64,
@@ -142,7 +142,7 @@ pub(super) fn prolong_bundle(
     prolong(tx, held, settings, now)
 }
 
-/// The task that somebody works on next, or why there is none.
+/// The next task of a user, or why there is none.
 pub(super) fn claim(
     tx: &mut dyn Tx,
     user: i64,
@@ -197,7 +197,7 @@ pub(super) fn claim(
     Ok(Ok(first))
 }
 
-/// The next task for somebody and its bundle: a new one, or else one they postponed.
+/// The next task of a user with its bundle: a new one, else a postponed one.
 fn candidate(
     tx: &mut dyn Tx,
     user: i64,
@@ -221,7 +221,7 @@ fn candidate(
     Ok(None)
 }
 
-/// Hashes of the motions of the tasks that would follow.
+/// Hashes of the motions of the following tasks.
 pub(super) fn upcoming(
     tx: &mut dyn Tx,
     user: i64,
@@ -241,7 +241,7 @@ pub(super) fn upcoming(
     Ok(hashes)
 }
 
-/// A gold task, if it is time for one: by a draw that depends on who and how many answers they gave.
+/// A gold task, if one is due. The draw depends on the user and their number of answers.
 fn gold_task(
     tx: &mut dyn Tx,
     user: i64,
@@ -345,7 +345,7 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
     if free == 0 && task.gold.is_none() {
         return Err(Error::refused(
             Code::TaskFull,
-            "others have taken all places of this task; what you wrote is kept as your draft",
+            "the task has enough annotators by now; your text is kept as a draft",
         ));
     }
     take(tx, user, id, Purpose::Annotate, &settings, now)

@@ -1,18 +1,18 @@
-//! The little that both databases are asked for: values, rows, and transactions.
+//! Interface to SQLite and PostgreSQL: values, rows and transactions.
 //!
-//! Statements are written once, with `?1`, `?2` … for the parameters and types both databases have:
-//! whole numbers are `BIGINT`, truth values are 0 and 1, the rest is `TEXT` or double precision.
+//! Both databases share the SQL statements. Parameters are `?1`, `?2` …; integers are `BIGINT`, booleans are
+//! 0 and 1, other columns are `TEXT` or double precision.
 
 use crate::Error;
 
 /// A value of a parameter or a column.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value {
-    /// Missing.
+    /// NULL.
     Null,
-    /// A whole number.
+    /// An integer.
     Int(i64),
-    /// A number.
+    /// A floating-point number.
     Real(f64),
     /// Text.
     Text(String),
@@ -72,7 +72,7 @@ macro_rules! params {
 }
 pub(crate) use params;
 
-/// A row of an answer.
+/// A row of a result.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row(pub(crate) Vec<Value>);
 
@@ -160,34 +160,34 @@ impl Row {
 
 /// An open transaction.
 pub(crate) trait Tx {
-    /// Runs a statement; gives the rows it changed.
+    /// Runs a statement and returns the number of changed rows.
     fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error>;
-    /// Runs a question.
+    /// Runs a query.
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error>;
 
-    /// Runs a question that has at most one answer.
+    /// Runs a query with at most one row.
     fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>, Error> {
         Ok(self.query(sql, params)?.into_iter().next())
     }
 
-    /// Runs a question whose answer is one whole number; 0 without rows.
+    /// Runs a query for one integer; 0 without rows.
     fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64, Error> {
         self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
     }
 }
 
-/// Work of a transaction.
+/// Closure run in a transaction.
 pub(crate) type Work = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send>;
 
-/// A database: transactions that write, one after the other, and questions beside them.
+/// A database: write transactions run one after the other, read transactions beside them.
 pub(crate) trait Database: Send + Sync {
-    /// Runs work in a transaction; returns once it is durable. Work that fails leaves nothing behind.
+    /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
     fn write(&self, work: Work) -> Result<(), Error>;
-    /// Runs work that only asks, on a state that does not change meanwhile.
+    /// Runs read-only work on a consistent snapshot.
     fn read(&self, work: Work) -> Result<(), Error>;
-    /// Writes a copy of everything to a new file, while others go on.
+    /// Writes a backup to a new file without blocking others.
     fn backup(&self, path: &std::path::Path) -> Result<(), Error>;
-    /// Whether a write would be taken now.
+    /// Checks that the store accepts writes.
     fn check(&self) -> Result<(), Error>;
 }
 
@@ -220,7 +220,7 @@ fn with_value<T: Send + 'static>(
     receiver.try_recv().map_err(|_| Error::Closed)
 }
 
-/// Runs work that writes and takes everything back again, for its value alone.
+/// Runs work that writes, rolls it back, and returns its value.
 pub(crate) fn rehearse<T: Send + 'static>(
     db: &dyn Database,
     work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
@@ -235,11 +235,10 @@ pub(crate) fn rehearse<T: Send + 'static>(
         .try_recv()
         .map_err(|_| outcome.err().unwrap_or(Error::Closed))
 }
-/// Bytes that are written to see whether the store takes writes: more than any answer, so that a disk
-/// with room for a word only is not taken for one with room.
+/// Bytes of the write test: larger than any answer, so that a nearly full disk fails the test.
 const TRIED: usize = 64 * 1024;
 
-/// Writes something that nobody reads.
+/// Write test of [`Database`].
 pub(crate) fn try_writing(tx: &mut dyn Tx) -> Result<(), Error> {
     let body = Value::Text("-".repeat(TRIED));
     tx.execute(

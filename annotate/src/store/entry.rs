@@ -1,4 +1,4 @@
-//! Entries of the log: what each says, and how it is stored.
+//! Log entries: their kinds, and how they are stored.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use crate::wire::{Answer, Role, Settings, SkipReason, SuggestionUse, TaskKind};
 
 /// Version of the entries' bodies.
 pub(super) const VERSION: i64 = 1;
-/// A task as the log keeps it.
+/// A task in the log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct LoggedTask {
     pub(crate) key: String,
@@ -31,8 +31,7 @@ pub(crate) struct LoggedTask {
     pub(crate) accepted: Option<Answer>,
 }
 
-/// What an entry says. `request` is a hash of what was asked, by which a key used again is known to
-/// be the same request.
+/// Body of an entry. `request` is a hash of the request; it shows whether a repeated key repeats the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub(crate) enum Body {
@@ -58,7 +57,7 @@ pub(crate) enum Body {
         answer: Answer,
         rev: i64,
         secs: f64,
-        /// Why it became no revision, if so.
+        /// Why it did not become a revision, if it did not.
         kept_aside: Option<String>,
         request: String,
     },
@@ -150,7 +149,7 @@ impl Body {
         }
     }
 
-    /// The hash of the request that made it.
+    /// Hash of the request.
     pub(crate) fn request(&self) -> Option<&str> {
         match self {
             Self::DraftSaved { request, .. }
@@ -178,7 +177,7 @@ pub(crate) struct Entry {
     pub(crate) body: Body,
 }
 
-/// The key an entry answers to, and what is answered.
+/// Idempotency key of an entry, and the reply.
 pub(crate) struct Reply {
     pub(crate) idem_key: String,
     pub(crate) base_rev: i64,
@@ -195,7 +194,7 @@ pub(super) fn json<T: Serialize>(value: &T) -> Result<String, Error> {
 /// Columns of [`read_entry`].
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
-/// Reads an entry of [`ENTRY_COLUMNS`], with its place.
+/// Reads an entry of [`ENTRY_COLUMNS`] with its sequence number.
 pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
     let seq = row.int(0)?;
     if row.int(6)? != VERSION {

@@ -1,7 +1,7 @@
-//! One thread that writes and commits in groups.
+//! Group commit: one thread writes, and commits several transactions together.
 //!
-//! A commit waits for the disk. Work that arrives meanwhile queues up, and the next commit takes all of
-//! it, so many writers share one wait. Work that fails is rolled back alone.
+//! A commit waits for the disk. Work that arrives meanwhile is queued and shares the next commit. Work that
+//! fails is rolled back alone.
 
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
@@ -13,20 +13,20 @@ use crate::lock::lock;
 
 /// A connection that writes.
 pub(crate) trait Writer: Send + 'static {
-    /// Most pieces of work in one commit; bounds how long the first of them and other servers wait.
+    /// Maximum number of pieces of work in one commit; bounds the latency of the first one.
     const GROUP: usize;
 
     /// Begins a transaction.
     fn begin(&mut self) -> Result<(), Error>;
-    /// Does work; if it fails, nothing of it stays.
+    /// Does work; rolls it back if it fails.
     fn run(&mut self, work: Work) -> Result<(), Error>;
     /// Whether the transaction is still open.
     fn is_open(&self) -> bool;
     /// Makes the transaction durable.
     fn commit(&mut self) -> Result<(), Error>;
-    /// Gives the transaction up.
+    /// Rolls the transaction back.
     fn roll_back(&mut self);
-    /// Ends, once nobody can send work any more.
+    /// Runs once all senders are gone.
     fn close(self);
 }
 
@@ -35,9 +35,9 @@ struct Job {
     done: SyncSender<Result<(), Error>>,
 }
 
-/// A thread that does the work it is sent, in the order it is sent.
+/// A thread that runs queued work in order.
 pub(crate) struct WriterThread {
-    /// None once the store is being closed.
+    /// `None` while the store closes.
     jobs: Mutex<Option<Sender<Job>>>,
     handle: Mutex<Option<JoinHandle<()>>>,
 }
@@ -55,7 +55,7 @@ impl WriterThread {
         })
     }
 
-    /// Does work; returns once it is durable.
+    /// Queues work and returns once it is durable.
     pub(crate) fn write(&self, work: Work) -> Result<(), Error> {
         let (done, answer) = sync_channel(1);
         let jobs = lock(&self.jobs).clone().ok_or(Error::Closed)?;
@@ -69,18 +69,18 @@ impl Drop for WriterThread {
     fn drop(&mut self) {
         lock(&self.jobs).take();
         if let Some(handle) = lock(&self.handle).take() {
-            // A writer that panicked has nothing more to say.
+            // Ignore a writer that panicked.
             let _ended = handle.join();
         }
     }
 }
 
-/// Does work; a panic in it is an error.
+/// Does work; a panic becomes an error.
 pub(crate) fn caught(work: impl FnOnce() -> Result<(), Error>) -> Result<(), Error> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or(Err(Error::Closed))
 }
 
-/// Takes work from the queue, one commit for each group, until all senders are gone.
+/// Runs queued work with one commit per group, until all senders are gone.
 fn write_all<W: Writer>(mut writer: W, queue: &Receiver<Job>) {
     while let Ok(first) = queue.recv() {
         let mut group = vec![first];
@@ -98,7 +98,7 @@ fn write_group(writer: &mut impl Writer, group: Vec<Job>) {
     let mut answers = Vec::with_capacity(group.len());
     let outcome = run_group(writer, group, &mut answers);
     if outcome.is_err() && writer.is_open() {
-        // The commit failed; nothing of the group stays.
+        // The commit failed: the whole group is rolled back.
         writer.roll_back();
     }
     let failure = outcome.err().map(|error| match error {
@@ -112,7 +112,7 @@ fn write_group(writer: &mut impl Writer, group: Vec<Job>) {
                 reason: reason.clone(),
             }),
         };
-        // Somebody who went away does not wait for the answer.
+        // The sender may have gone away.
         let _told = done.send(answer);
     }
 }
@@ -133,7 +133,7 @@ fn run_group(
         let outcome = writer.run(job.work);
         answers.push((job.done, outcome));
         if !writer.is_open() {
-            // The database gave the whole transaction up: a full disk, most likely.
+            // The database rolled the whole transaction back, most likely because the disk is full.
             answers.extend(jobs.map(|job| (job.done, Ok(()))));
             return Err(Error::ReadOnly {
                 reason: "the disk is full or fails, or the database is gone".to_owned(),

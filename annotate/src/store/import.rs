@@ -1,4 +1,4 @@
-//! Tasks as they enter the store.
+//! Import of tasks into the store.
 
 use super::db::{Tx, params};
 use super::draw::{draw, percent};
@@ -9,10 +9,10 @@ use super::{log, rows};
 use crate::Error;
 use crate::wire::Settings;
 
-/// Answers a gold task takes: everybody's.
+/// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
-/// Takes tasks; those whose key is known stay as they are.
+/// Imports tasks; tasks with a known key stay unchanged.
 pub(super) fn import(
     tx: &mut dyn Tx,
     actor: Option<i64>,
@@ -45,7 +45,7 @@ fn put_task(
     settings: &Settings,
     now: Millis,
 ) -> Result<(), Error> {
-    // The tasks of a bundle go to the same people.
+    // All tasks of a bundle go to the same people.
     let group = task.bundle.as_deref().unwrap_or(&task.key);
     let wanted = if task.gold.is_some() {
         GOLD_WANTED
@@ -54,7 +54,7 @@ fn put_task(
     } else {
         1
     };
-    // Ids of bundles are numbers a browser holds exactly.
+    // Ids of bundles are below 2^53, which JavaScript numbers hold exactly.
     let bundle = task
         .bundle
         .as_deref()
@@ -92,14 +92,14 @@ fn put_task(
     Ok(())
 }
 
-/// Makes a hidden gold task of an accepted one.
+/// Copies an accepted task as a hidden gold task.
 pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Result<i64, Error> {
     let task = rows::task(tx, id)?;
     let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
     let Some(row) = row else {
         return Err(Error::wrong_state(
             task.state,
-            "made gold; only accepted ones are",
+            "made gold; only accepted tasks can",
         ));
     };
     let key = format!("gold:{}", task.key);

@@ -5,8 +5,8 @@ use super::db::{Tx, params};
 use super::entry::{Entry, Reply, VERSION, json};
 use crate::Error;
 
-/// Writes an entry and applies it, and gives its place. `reply` says what its sender is answered, and
-/// sees the projections as they are then.
+/// Writes an entry, applies it, and returns its sequence number. `reply` computes the response from the
+/// projections after the entry.
 pub(crate) fn write(
     tx: &mut dyn Tx,
     entry: &Entry,
@@ -43,7 +43,7 @@ pub(crate) fn write(
     Ok(seq)
 }
 
-/// Writes an entry nobody waits for.
+/// Writes an entry without a reply.
 pub(crate) fn note(tx: &mut dyn Tx, entry: &Entry) -> Result<i64, Error> {
     write(tx, entry, |_, _| Ok(None))
 }

@@ -1,12 +1,12 @@
 //! The store of tasks, answers and people, on SQLite or PostgreSQL.
 //!
-//! Everything that happens to a task is an entry of the log (`event`), which only grows. The other
-//! tables are projections: each entry is applied to them in the transaction that writes it, and
-//! [`Store::rebuild`] makes them again from the log alone.
+//! Every change of a task is an entry of the append-only log (`event`). The other tables are projections: each
+//! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
+//! the log.
 //!
-//! [`Store`] is the list of operations; what they do stands in `claim` (leases), `append` (drafts,
-//! submissions, skips), `review`, `import` and `people`; `read` answers questions; `project` writes
-//! the tables beside the log; `db` hides which database it is.
+//! [`Store`] lists the operations. They are implemented in `claim` (leases), `append` (drafts,
+//! submissions, skips), `review`, `import` and `people`; `read` holds queries, `project` writes the tables
+//! beside the log, `db` abstracts from the database.
 
 mod append;
 mod apply;

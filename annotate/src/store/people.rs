@@ -1,4 +1,4 @@
-//! Users, tokens and sessions. Of a token only its hash is kept.
+//! Users, tokens and sessions. Tokens are stored as hashes.
 
 use std::collections::HashMap;
 
@@ -13,7 +13,7 @@ use crate::wire::{Code, Role, TokenInfo, User};
 
 /// Random bytes of a token.
 const TOKEN_BYTES: usize = 32;
-/// Uses of a token are noted when the last note is older than this.
+/// Minimum interval between updates of a token's last use.
 const NOTE_EVERY: Millis = 60_000;
 
 fn hex(bytes: &[u8]) -> String {
@@ -95,7 +95,7 @@ pub(super) fn add(
     if name.is_empty() || name.chars().count() > 64 || name.chars().any(bad) {
         return Err(Error::invalid(
             "name",
-            "a name has 1 to 64 characters and no control characters",
+            "a name must have 1 to 64 characters and no control characters",
         ));
     }
     if tx
@@ -145,7 +145,7 @@ pub(super) fn change(
         if others == 0 {
             return Err(Error::invalid(
                 "role",
-                "this is the last admin; make another one first",
+                "this is the last admin; add another one first",
             ));
         }
     }
@@ -189,7 +189,7 @@ pub(super) fn issue(
     })
 }
 
-/// Whose a token is.
+/// Owner of a token.
 #[derive(Clone)]
 pub(super) struct Found {
     pub(super) who: Who,
@@ -197,18 +197,16 @@ pub(super) struct Found {
     expires: Millis,
     token: i64,
     once: bool,
-    /// Whether its use is to be written down.
+    /// Whether to update its last use.
     pub(super) needs_note: bool,
 }
 
-/// How long what is known of a token holds: somebody shut out through another server gets in here no
-/// longer than that.
+/// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
 const KNOWN_FOR: Millis = 1000;
-/// Tokens that are known at most.
+/// Maximum number of cached tokens.
 const MOST_KNOWN: usize = 4096;
 
-/// Tokens seen a moment ago, so that not every request has to ask for its own again. Whatever changes
-/// people or tokens empties it.
+/// Cache of recently used tokens. Every change of users or tokens clears it.
 #[derive(Default)]
 pub(super) struct Known {
     by_hash: HashMap<String, (Millis, Found)>,
@@ -216,14 +214,13 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Forgets everything.
+    /// Clears the cache.
     pub(super) fn clear(&mut self) {
         self.by_hash.clear();
         self.changes += 1;
     }
 
-    /// How often everything was forgotten. What is asked of the store before a change is not to be
-    /// put down after it.
+    /// Number of clears. A lookup that began before a clear must not be stored after it.
     pub(super) fn changes(&self) -> u64 {
         self.changes
     }
@@ -255,7 +252,7 @@ pub(super) fn find(
     let refused = || {
         Error::refused(
             Code::Unauthenticated,
-            "this token is not known, was revoked, or has ended; ask an admin for a new one",
+            "this token is unknown, revoked or expired; ask an admin for a new one",
         )
     };
     let row = tx
@@ -287,7 +284,7 @@ pub(super) fn find(
     })
 }
 
-/// [`find`], and notes the use. A token that is good once is used up.
+/// [`find`], and records the use. A one-time token becomes invalid.
 pub(super) fn used(
     tx: &mut dyn Tx,
     hash: &str,
@@ -322,7 +319,7 @@ pub(super) fn tokens(tx: &mut dyn Tx, user: i64) -> Result<Vec<TokenInfo>, Error
     .collect()
 }
 
-/// Revokes a token, and the sessions of its owner with it: whoever stole the one may hold the others.
+/// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
 pub(super) fn revoke(tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
     let row = tx.one("SELECT usr FROM token WHERE id = ?1", params![id])?;
     let user = row.ok_or_else(|| Error::not_found("token"))?.int(0)?;

@@ -21,7 +21,7 @@ const TURN: i64 = 0x616e_6e6f_7461_7465;
 const SCHEMA: &str = include_str!("schema.sql");
 /// Version of the tables.
 const VERSION: i64 = 1;
-/// The log only grows.
+/// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
 CREATE FUNCTION event_only_grows() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN RAISE EXCEPTION 'the log only grows'; END $$;
@@ -34,7 +34,7 @@ struct Connection {
     statements: HashMap<String, Statement>,
 }
 
-/// Where a store is.
+/// Address of a store.
 #[derive(Clone)]
 struct Address {
     url: String,
@@ -63,13 +63,13 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
 }
 
 impl Postgres {
-    /// Connects, and makes the tables if they are not there.
+    /// Connects, and creates missing tables.
     pub(crate) fn open(url: &str, schema: &str) -> Result<Self, Error> {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if schema.is_empty() || !schema.chars().all(plain) {
             return Err(Error::Open {
                 path: schema.to_owned(),
-                reason: "a schema is named with small letters, digits and underscores".to_owned(),
+                reason: "the name of a schema may have lower-case letters, digits and underscores".to_owned(),
             });
         }
         let address = Address {
@@ -91,7 +91,7 @@ impl Postgres {
             .map_err(&make)?
             .get::<_, i64>(0);
         if there == 0 {
-            // Keys are ordered by their bytes, whatever the language of the database.
+            // Order keys by bytes, whatever the collation of the database.
             let schema = SCHEMA.replace(
                 "key TEXT NOT NULL UNIQUE",
                 "key TEXT COLLATE \"C\" NOT NULL UNIQUE",
@@ -133,7 +133,7 @@ impl Postgres {
 }
 
 impl Address {
-    /// What messages call the store: without the password of its address.
+    /// Address of the store without its password, for messages.
     fn place(&self) -> String {
         let host = self.url.rsplit('@').next().unwrap_or_default();
         format!("{host}, schema {}", self.schema)
@@ -177,7 +177,7 @@ impl PostgresWriter {
 }
 
 impl Writer for PostgresWriter {
-    /// Other servers wait for the lock meanwhile.
+    /// Bounded, because other servers wait for the lock.
     const GROUP: usize = 32;
 
     fn begin(&mut self) -> Result<(), Error> {
@@ -198,7 +198,7 @@ impl Writer for PostgresWriter {
             Err(error) => {
                 let undone = self.command("ROLLBACK TO work; RELEASE work", "roll back");
                 if undone.is_err() {
-                    // The connection is gone, and with it the whole transaction.
+                    // The connection is lost, and with it the whole transaction.
                     self.is_open = false;
                 }
                 undone?;
@@ -252,7 +252,7 @@ impl ToSql for Value {
     ) -> Result<IsNull, Box<dyn std::error::Error + Sync + Send>> {
         match self {
             Self::Null => Ok(IsNull::Yes),
-            // An integer may be given for a float column, and must be narrowed for a small one.
+            // Convert integers for float columns and for smaller integer columns.
             Self::Int(value) if *ty == Type::FLOAT8 => (*value as f64).to_sql(ty, out),
             Self::Int(value) if *ty == Type::INT4 => i32::try_from(*value)?.to_sql(ty, out),
             Self::Int(value) => value.to_sql(ty, out),
@@ -268,7 +268,7 @@ impl ToSql for Value {
     to_sql_checked!();
 }
 
-/// A column of any type the statements ask for.
+/// A column of any supported type.
 struct Column(Value);
 
 impl<'a> FromSql<'a> for Column {
@@ -354,7 +354,7 @@ impl Database for Postgres {
         Err(Error::Open {
             path: self.address.place(),
             reason: format!(
-                "a PostgreSQL database is copied by its own program: pg_dump --schema={}",
+                "back up a PostgreSQL store with its own program: pg_dump --schema={}",
                 self.address.schema
             ),
         })

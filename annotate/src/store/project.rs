@@ -7,9 +7,9 @@ use super::records::{Millis, MotionRecord, NewSuggestion};
 use crate::Error;
 use crate::wire::{Job, Prefs, Settings, Suggestion, SuggestionSource};
 
-/// Name the settings are kept under.
+/// Key of the settings.
 const SETTINGS: &str = "settings";
-/// Jobs listed.
+/// Maximum number of listed jobs.
 const JOBS: i64 = 100;
 
 fn json<T: serde::Serialize>(table: &'static str, value: &T) -> Result<String, Error> {
@@ -68,7 +68,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
         if share > 100 {
             return Err(Error::invalid(
                 field,
-                format!("{share} % is more than all; 0 to 100 will do"),
+                format!("{share} % is out of range; use 0 to 100"),
             ));
         }
     }
@@ -81,7 +81,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
         if !(least..=most).contains(&value) {
             return Err(Error::invalid(
                 field,
-                format!("{value} is out of range; {least} to {most} will do"),
+                format!("{value} is out of range; use {least} to {most}"),
             ));
         }
     }
@@ -89,7 +89,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
         return Err(Error::invalid(
             "max_masks",
             format!(
-                "at least min_masks and at most {} will do",
+                "use at least min_masks and at most {}",
                 crate::wire::MAX_MASKS
             ),
         ));
@@ -97,7 +97,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
     if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
         return Err(Error::invalid(
             "name",
-            "a project has a name of up to 100 characters",
+            "the project needs a name of up to 100 characters",
         ));
     }
     for (field, names) in [
@@ -108,14 +108,14 @@ fn check(settings: &Settings) -> Result<(), Error> {
         if names.len() > MAX_NAMES || names.iter().any(bad) {
             return Err(Error::invalid(
                 field,
-                format!("up to {MAX_NAMES} names of up to 100 characters will do"),
+                format!("use up to {MAX_NAMES} names of up to 100 characters"),
             ));
         }
     }
     if settings.guide.chars().count() > MAX_GUIDE {
         return Err(Error::invalid(
             "guide",
-            format!("up to {MAX_GUIDE} characters will do"),
+            format!("use up to {MAX_GUIDE} characters"),
         ));
     }
     Ok(())
@@ -137,7 +137,7 @@ pub(super) fn put_prefs(tx: &mut dyn Tx, user: i64, prefs: &Prefs) -> Result<(),
     Ok(())
 }
 
-/// Keys are the names a browser gives to the places on a keyboard, and nothing else is kept.
+/// Checks preferences: keys must be `KeyboardEvent.code` values with modifiers.
 fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
     const MAX_KEYS: usize = 4;
     for (action, keys) in &prefs.keys {
@@ -156,7 +156,7 @@ fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
                 return Err(Error::invalid(
                     "keys",
                     format!(
-                        "{key:?} is no key; write Ctrl+, Alt+ and Shift+ in this order before a KeyboardEvent.code"
+                        "{key:?} is not a key; write Ctrl+, Alt+ and Shift+ in this order before a KeyboardEvent.code"
                     ),
                 ));
             }
@@ -257,7 +257,7 @@ fn read_motion(row: &Row) -> Result<MotionRecord, Error> {
     })
 }
 
-/// Motions in the order of the hashes; unknown ones are left out.
+/// Motions in the order of the hashes, without unknown ones.
 pub(super) fn motions(tx: &mut dyn Tx, hashes: &[String]) -> Result<Vec<MotionRecord>, Error> {
     let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE hash = ?1");
     let mut motions = Vec::new();
@@ -274,8 +274,8 @@ pub(super) fn all_motions(tx: &mut dyn Tx) -> Result<Vec<MotionRecord>, Error> {
     tx.query(&sql, &[])?.iter().map(read_motion).collect()
 }
 
-/// Motions that follow this one in its split, by hash and around the end: hashes are as good as
-/// random, so partners differ from motion to motion and stay the same for each.
+/// The next motions of the split in cyclic order of hashes. Partners are thus pseudo-random, and the same on
+/// every call.
 pub(super) fn partners(
     tx: &mut dyn Tx,
     hash: &str,

@@ -1,4 +1,4 @@
-//! What is asked of the store without changing it.
+//! Queries.
 
 use datasets_spec::quantile;
 
@@ -24,7 +24,7 @@ pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Er
     Ok(held || rows::revision(tx, task, user)?.is_some())
 }
 
-/// A task as somebody may see it whom it concerns.
+/// Task details for a user who may see the task.
 pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, Error> {
     let task = rows::task(tx, id)?;
     let held = rows::lease_of(tx, id, user)?;
@@ -203,7 +203,7 @@ pub(super) fn shelf(
         .as_deref()
         .map_or(String::new(), |part| like(&format!("\"{part}\"")));
     let text = filter.text.as_deref().map_or(String::new(), like);
-    // Motions of tasks that are open on somebody's screen stay out: the shelf shows other ones.
+    // Exclude the motions of tasks that the user holds: their answers would be visible.
     let sql = format!(
         "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
          WHERE a.seq < ?1 AND (?2 = '' OR t.kind = ?2)

@@ -1,4 +1,4 @@
-//! Connections that read, beside the one thread that writes.
+//! Pool of read connections, used beside the writer thread.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
@@ -6,7 +6,7 @@ use super::group::caught;
 use crate::Error;
 use crate::lock::lock;
 
-/// Connections of a store that read.
+/// Number of read connections of a store.
 const READERS: usize = 4;
 
 /// A pool of connections, each lent to one thread at a time.
@@ -25,7 +25,7 @@ impl<C> Readers<C> {
         })
     }
 
-    /// Works with a connection as soon as one is free; `end` is called also after an error or a panic.
+    /// Waits for a free connection and runs work on it; `end` also runs after an error or a panic.
     pub(crate) fn with(
         &self,
         work: impl FnOnce(&mut C) -> Result<(), Error>,

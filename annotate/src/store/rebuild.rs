@@ -1,11 +1,11 @@
-//! Making the projections again from the log, and checking them.
+//! Rebuilds the projections from the log, and checks them.
 
 use super::apply::apply;
 use super::db::{Tx, params};
 use super::entry::{ENTRY_COLUMNS, read_entry};
 use crate::Error;
 
-/// The projections and the columns they are ordered by.
+/// The projections and their sort columns.
 const PROJECTIONS: [(&str, &str); 8] = [
     ("task", "id"),
     ("lease", "id"),
@@ -20,7 +20,7 @@ const PROJECTIONS: [(&str, &str); 8] = [
 /// Entries read at a time.
 const BATCH: i64 = 1000;
 
-/// Makes the projections again and gives the names of those that differ from before.
+/// Rebuilds the projections and returns the names of those that changed.
 pub(crate) fn rebuild(tx: &mut dyn Tx) -> Result<Vec<&'static str>, Error> {
     let before = digests(tx)?;
     for (table, _) in PROJECTIONS {
@@ -71,7 +71,7 @@ fn digests(tx: &mut dyn Tx) -> Result<Vec<blake3::Hash>, Error> {
     Ok(digests)
 }
 
-/// What is wrong with the log and the projections; the projections are made again on the way.
+/// Findings about the log and the projections; rebuilds the projections.
 pub(crate) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
     let mut findings = Vec::new();
     let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
@@ -79,7 +79,7 @@ pub(crate) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
         && row.int(0)? != row.int(1)?
     {
         findings.push(format!(
-            "the log has {} entries and ends at place {}",
+            "the log has {} entries, but its last sequence number is {}",
             row.int(0)?,
             row.int(1)?
         ));
@@ -90,7 +90,7 @@ pub(crate) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
     )?;
     if over > 0 {
         findings.push(format!(
-            "{over} tasks have more answers and leases than they want"
+            "{over} tasks have more answers and leases than wanted"
         ));
     }
     findings.extend(

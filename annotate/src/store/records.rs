@@ -1,4 +1,4 @@
-//! What the store takes and gives.
+//! Argument and result types of the store.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,18 +11,18 @@ use crate::wire::{
 /// Milliseconds since the epoch.
 pub type Millis = i64;
 
-/// Somebody who is logged in.
+/// A logged-in user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Who {
     /// Id.
     pub id: i64,
     /// Name.
     pub name: String,
-    /// What they may do.
+    /// Role.
     pub role: Role,
 }
 
-/// A motion the tasks speak of; its frames stay in the dataset.
+/// A motion that tasks refer to; its frames stay in the dataset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionRecord {
     /// Content hash.
@@ -31,9 +31,9 @@ pub struct MotionRecord {
     pub id: String,
     /// train, val or test.
     pub split: String,
-    /// Frames.
+    /// Number of frames.
     pub frames: i64,
-    /// Frames a second.
+    /// Frames per second.
     pub fps: f64,
     /// Captions of the source.
     pub captions: Vec<String>,
@@ -46,9 +46,9 @@ pub struct MotionRecord {
 /// A task to be imported.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NewTask {
-    /// What tells it from others: importing the same key again changes nothing.
+    /// Unique key: importing the same key again changes nothing.
     pub key: String,
-    /// What is asked.
+    /// Kind of question.
     pub kind: TaskKind,
     /// Hash of the motion, or of the one before the edit.
     pub source: String,
@@ -62,38 +62,38 @@ pub struct NewTask {
     pub bundle_index: i64,
     /// Action category.
     pub category: Option<String>,
-    /// What a pair was made for.
+    /// Edit that the pair was made for.
     pub hint: Option<String>,
-    /// Style the source gives.
+    /// Style label of the source.
     pub style: Option<String>,
     /// Tasks of higher priority are given first.
     pub priority: i64,
-    /// The known answer, of a gold task.
+    /// The known answer of a gold task.
     pub gold: Option<Answer>,
-    /// Fields of a source's file that have no place here, kept to be written back.
+    /// Unknown fields of the source file, kept for export.
     pub extra: Option<serde_json::Value>,
-    /// Suggestions that come with it.
+    /// Suggestions.
     pub suggestions: Vec<NewSuggestion>,
-    /// An answer that the source holds as decided: the task is accepted from the start.
+    /// A decided answer of the source: the task starts as accepted.
     pub accepted: Option<Answer>,
 }
 
 /// A suggestion to be stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NewSuggestion {
-    /// Where it came from.
+    /// Origin.
     pub source: SuggestionSource,
-    /// Parts it speaks of.
+    /// Parts that it describes.
     pub parts: Vec<String>,
     /// Text.
     pub text: String,
-    /// What made it.
+    /// Name of the model or program.
     pub model: String,
     /// SHA-256 of the prompt, hexadecimal; empty without one.
     pub prompt_hash: String,
     /// Parameters of the request, JSON.
     pub params: String,
-    /// Tokens the model counted, if it says.
+    /// Tokens counted by the model, if it reports them.
     pub tokens: Option<i64>,
     /// SHA-256 of the response, hexadecimal; empty without one.
     pub response_hash: String,
@@ -104,9 +104,9 @@ pub struct NewSuggestion {
 pub struct TaskRecord {
     /// Id.
     pub id: i64,
-    /// What tells it from others.
+    /// Unique key.
     pub key: String,
-    /// What is asked.
+    /// Kind of question.
     pub kind: TaskKind,
     /// Hash of the first motion.
     pub source: String,
@@ -120,95 +120,95 @@ pub struct TaskRecord {
     pub bundle_index: i64,
     /// Action category.
     pub category: Option<String>,
-    /// What a pair was made for.
+    /// Edit that the pair was made for.
     pub hint: Option<String>,
-    /// Style the source gives.
+    /// Style label of the source.
     pub style: Option<String>,
     /// Answers wanted.
     pub wanted: u32,
-    /// The known answer, of a gold task.
+    /// The known answer of a gold task.
     pub gold: Option<Answer>,
-    /// Fields kept for their source.
+    /// Unknown fields of the source file.
     pub extra: Option<serde_json::Value>,
-    /// Where it stands.
+    /// State.
     pub state: TaskState,
-    /// Answers handed in.
+    /// Submitted answers.
     pub submitted: u32,
-    /// A number from 0 to 99 drawn by its key.
+    /// Pseudo-random number from 0 to 99, drawn from its key.
     pub shuffle: i64,
-    /// How far its answers are apart.
+    /// Distance of its answers.
     pub distance: Option<f64>,
 }
 
-/// A task of a bundle, as somebody sees it.
+/// A task of a bundle, as a user sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BundleEntry {
     /// Task.
     pub task: i64,
-    /// State of their answer.
+    /// State of the user's answer.
     pub mine: Option<RevisionState>,
-    /// Their verdict.
+    /// The user's verdict.
     pub verdict: Option<Verdict>,
-    /// Whether they hold a lease on it.
+    /// Whether the user holds a lease on it.
     pub leased: bool,
 }
 
-/// A task with everything somebody may see of it.
+/// A task with everything a user may see of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskDetail {
     /// The task.
     pub task: TaskRecord,
     /// Its bundle.
     pub bundle: Vec<BundleEntry>,
-    /// Their lease.
+    /// The user's lease.
     pub lease: Option<Lease>,
-    /// Their answer.
+    /// The user's answer.
     pub mine: Option<Revision>,
-    /// The comment it came back with.
+    /// The comment it was returned with.
     pub comment: Option<String>,
-    /// Suggestions; none where they are withheld.
+    /// Suggestions; empty if they are withheld.
     pub suggestions: Vec<Suggestion>,
-    /// Whether they are withheld.
+    /// Whether suggestions are withheld.
     pub blind: bool,
 }
 
-/// What a claim gives.
+/// Result of a claim.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Claimed {
     /// A task; the lease on it is held.
     Task {
         /// The task as its holder may see it.
         detail: Box<TaskDetail>,
-        /// Hashes of the motions of the tasks that would follow.
+        /// Hashes of the motions of the following tasks.
         upcoming: Vec<String>,
     },
-    /// Nothing, and why.
+    /// No task, and why.
     Nothing(Empty),
 }
 
-/// What a reviewer is given.
+/// Result of claiming a review.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ReviewClaimed {
-    /// A task to be judged.
+    /// A task to review.
     Task(Box<ReviewDetail>),
-    /// Nothing, and why.
+    /// No task, and why.
     Nothing(ReviewEmpty),
 }
 
-/// A task to be judged.
+/// A task to review.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReviewDetail {
     /// The task.
     pub task: TaskRecord,
     /// The reviewer's lease.
     pub lease: Lease,
-    /// Answers handed in, with the names of their authors.
+    /// Submitted answers with the names of their authors.
     pub candidates: Vec<(Revision, String)>,
     /// Comments of earlier rounds.
     pub comments: Vec<String>,
 }
 
-/// Tasks whose keys are above one and not above another, by their bytes.
+/// A range of task keys in byte order: above `after`, up to and including `up_to`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyRange {
     /// The key before the first.
@@ -247,17 +247,17 @@ pub struct AcceptedAnswer {
     pub task: TaskRecord,
     /// Its author: an annotator, or the reviewer who merged.
     pub author: i64,
-    /// Whether a reviewer made it of several.
+    /// Whether a reviewer merged it from several answers.
     pub merged: bool,
     /// The answer.
     pub answer: Answer,
     /// When it was accepted.
     pub at: Millis,
-    /// Place in the log.
+    /// Sequence number in the log.
     pub seq: i64,
 }
 
-/// A task that was dropped, or skipped by somebody.
+/// A dropped or skipped task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reject {
     /// The task.
@@ -279,9 +279,9 @@ pub struct ShelfFilter {
     pub part: Option<String>,
     /// With these words.
     pub text: Option<String>,
-    /// Before this place in the log.
+    /// Before this sequence number of the log.
     pub before: Option<i64>,
-    /// At most so many.
+    /// Maximum number.
     pub limit: usize,
 }
 
@@ -294,18 +294,18 @@ pub struct AuditFilter {
     pub kind: Option<LogKind>,
     /// About a task.
     pub task: Option<i64>,
-    /// Before this place in the log.
+    /// Before this sequence number of the log.
     pub before: Option<i64>,
-    /// At most so many.
+    /// Maximum number.
     pub limit: usize,
 }
 
-/// What somebody did, summed up.
+/// Totals of one person.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PersonCounts {
     /// Who.
     pub user: User,
-    /// Answers handed in.
+    /// Submitted answers.
     pub done: i64,
     /// Answers accepted.
     pub accepted: i64,
@@ -320,7 +320,7 @@ pub struct PersonCounts {
 /// Counts of a week.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WeekCounts {
-    /// Answers handed in.
+    /// Submitted answers.
     pub submitted: i64,
     /// Accepted or merged.
     pub accepted: i64,
@@ -331,7 +331,7 @@ pub struct WeekCounts {
 /// A new token, shown once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IssuedToken {
-    /// Whose it is.
+    /// Owner.
     pub user: User,
     /// Id.
     pub id: i64,
@@ -341,21 +341,21 @@ pub struct IssuedToken {
     pub expires: Millis,
 }
 
-/// What importing tasks did.
+/// Result of an import of tasks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Imported {
-    /// Tasks that are new.
+    /// New tasks.
     pub new: i64,
-    /// Tasks that were there already.
+    /// Tasks that existed before.
     pub known: i64,
 }
 
-/// What a token is for.
+/// Purpose of a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TokenUse {
     /// Access token of a user or a program, for login or as a bearer token.
     Token,
-    /// Good for one login.
+    /// Valid for one login.
     Once,
     /// The cookie of a browser.
     Session,

@@ -1,4 +1,4 @@
-//! Idempotency: a request that arrives twice is answered from the log.
+//! Idempotency: a repeated request gets the reply stored in the log.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -8,7 +8,7 @@ use super::entry;
 use crate::Error;
 use crate::wire::Code;
 
-/// The hash of a request, to tell a repeated one from another under the same key.
+/// Hash of a request; tells a repetition from another request with the same key.
 pub(super) fn hash_of<T: Serialize>(value: &T) -> Result<String, Error> {
     let text = serde_json::to_string(value).map_err(|error| Error::Row {
         table: "event",
@@ -25,7 +25,7 @@ pub(super) fn full_key(user: i64, key: &str) -> Result<String, Error> {
     } else {
         Err(Error::invalid(
             "idem_key",
-            "a key is 8 to 64 letters, digits and dashes",
+            "a key must have 8 to 64 letters, digits and dashes",
         ))
     }
 }
@@ -43,7 +43,7 @@ pub(super) fn replay(tx: &mut dyn Tx, key: &str, request: &str) -> Result<Option
     if entry.body.request() != Some(request) {
         return Err(Error::refused(
             Code::KeyReused,
-            "this key was used for another request; make a new one",
+            "this key was used for another request; use a new one",
         ));
     }
     row.opt_text(7)

@@ -1,4 +1,4 @@
-//! Reviews: which task a reviewer is given, and what a decision does.
+//! Reviews: claiming a task to review, and decisions.
 
 use super::claim::{MINUTE, expire, lease_end, prolong, take};
 use super::db::{Tx, params};
@@ -42,7 +42,7 @@ pub(super) fn next(
             Some(held.lease.task)
         }
         None => {
-            // The share of the sample is a bound for its own queue and lets everything through elsewhere.
+            // Only queue `sample` is limited to a share of the tasks; 100 admits all.
             let (order, share, back) = match queue {
                 ReviewQueue::Disagreement => ("COALESCE(t.distance, -1) DESC, t.id", 100, 0_i64),
                 ReviewQueue::Sample => ("t.shuffle, t.id", i64::from(settings.review_percent), 0),
@@ -115,7 +115,7 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
     })
 }
 
-/// Takes a decision.
+/// Applies a reviewer's decision.
 pub(super) fn review(
     tx: &mut dyn Tx,
     user: i64,
@@ -154,7 +154,7 @@ pub(super) fn review(
     if needs_comment && comment.is_empty() {
         return Err(Error::invalid(
             "comment",
-            "say why; the author and the log need it",
+            "write a comment; the author and the log need it",
         ));
     }
     let held = tx.query(
@@ -176,7 +176,7 @@ pub(super) fn review(
     if (needs_lease && !ours) || somebody_else {
         return Err(Error::refused(
             Code::LeaseLost,
-            "your lease on this review ended; take the task again from the queue",
+            "your lease on this review expired; claim the task again from the queue",
         ));
     }
     let authors: Vec<i64> = tx
@@ -193,7 +193,7 @@ pub(super) fn review(
         Some(author) => {
             return Err(Error::invalid(
                 "author",
-                format!("user {author} has no answer that waits for review"),
+                format!("user {author} has no answer waiting for review"),
             ));
         }
     };

@@ -1,4 +1,4 @@
-//! Tasks, revisions and leases as rows.
+//! Reads tasks, revisions and leases from rows.
 
 use super::db::{Row, Tx, params};
 use super::records::TaskRecord;
@@ -16,7 +16,7 @@ pub(crate) fn state(text: &str) -> Result<TaskState, Error> {
 /// Columns of [`read_task`].
 pub(crate) const TASK_COLUMNS: &str = "t.id, t.key, t.kind, t.source, t.target, t.split, t.bundle, t.bundle_index,
   t.category, t.hint, t.style, t.wanted, t.gold, t.extra, t.state, t.submitted, t.shuffle, t.distance";
-/// How many they are.
+/// Their number.
 pub(crate) const NUM_TASK_COLUMNS: usize = 18;
 
 /// Reads a task of [`TASK_COLUMNS`].
@@ -74,7 +74,7 @@ pub(crate) fn task(tx: &mut dyn Tx, id: i64) -> Result<TaskRecord, Error> {
 pub(crate) const REVISION_COLUMNS: &str =
     "r.task, r.author, r.rev, r.state, r.answer, r.at, r.secs";
 
-/// Reads a revision of [`REVISION_COLUMNS`], which begin at a column.
+/// Reads a revision of [`REVISION_COLUMNS`] that start at column `from`.
 pub(crate) fn read_revision(row: &Row, from: usize) -> Result<Revision, Error> {
     Ok(Revision {
         task: row.int(from)?,
@@ -94,7 +94,7 @@ pub(crate) fn revision_state(text: &str) -> Result<RevisionState, Error> {
     })
 }
 
-/// Somebody's answer to a task.
+/// A user's answer to a task.
 pub(crate) fn revision(tx: &mut dyn Tx, task: i64, author: i64) -> Result<Option<Revision>, Error> {
     let sql =
         format!("SELECT {REVISION_COLUMNS} FROM revision r WHERE r.task = ?1 AND r.author = ?2");
@@ -103,7 +103,7 @@ pub(crate) fn revision(tx: &mut dyn Tx, task: i64, author: i64) -> Result<Option
         .transpose()
 }
 
-/// A lease, and what it is for.
+/// A lease and its purpose.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LeaseRow {
     pub(crate) lease: Lease,
@@ -133,7 +133,7 @@ pub(crate) fn read_lease(row: &Row) -> Result<LeaseRow, Error> {
     })
 }
 
-/// Somebody's lease on a task.
+/// A user's lease on a task.
 pub(crate) fn lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<LeaseRow>, Error> {
     let sql = format!("SELECT {LEASE_COLUMNS} FROM lease l WHERE l.task = ?1 AND l.usr = ?2");
     tx.one(&sql, params![task, user])?

@@ -1,4 +1,4 @@
-//! SQLite: one thread writes and commits in groups, others read beside it.
+//! SQLite: one thread writes with group commit, others read.
 //!
 //! `synchronous=FULL` makes a commit wait for the disk, once for a whole group.
 
@@ -13,17 +13,17 @@ use super::group::{Writer, WriterThread, caught};
 use super::readers::Readers;
 use crate::Error;
 
-/// Statements a connection keeps prepared.
+/// Prepared statements cached per connection.
 const STATEMENTS: usize = 512;
 /// Page cache of the writer in kilobytes: the tables of 100,000 tasks without the log.
 const WRITER_CACHE_KB: usize = 64 * 1024;
-/// How long to wait for a lock that another process, such as `sqlite3`, holds on the file.
+/// Timeout for a lock that another process, such as `sqlite3`, holds on the file.
 const BUSY: Duration = Duration::from_secs(10);
 
 const SCHEMA: &str = include_str!("schema.sql");
 /// Version of the tables.
 const VERSION: i64 = 1;
-/// The log only grows.
+/// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
 CREATE TRIGGER event_no_update BEFORE UPDATE ON event
 BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;
@@ -38,13 +38,13 @@ pub(crate) struct Sqlite {
 }
 
 impl Sqlite {
-    /// Opens a file, or creates it with all tables.
+    /// Opens the file, or creates it with all tables.
     pub(crate) fn open(path: &Path) -> Result<Self, Error> {
         if let Some(kind) = network_file_system(path) {
             return Err(Error::Open {
                 path: path.display().to_string(),
                 reason: format!(
-                    "it lies on {kind}, where locks are not to be relied on and a crash can \
+                    "it lies on {kind}, where locks are unreliable and a crash can \
                      destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
                 ),
             });
@@ -121,7 +121,7 @@ fn open_writer(path: &Path) -> Result<Connection, Error> {
         return Err(open_error(
             path,
             format!(
-                "it has version {version} of the tables, this program knows {VERSION}; use the stance that wrote it"
+                "its tables have version {version}, this program needs {VERSION}; use the version of stance that wrote it"
             ),
         ));
     }
@@ -243,13 +243,13 @@ impl Database for Sqlite {
 
     fn backup(&self, path: &Path) -> Result<(), Error> {
         if path.exists() {
-            return Err(open_error(path, "it exists already; name a new file"));
+            return Err(open_error(path, "the file exists; choose another name"));
         }
         let reader = open_reader(&self.path)?;
         reader
             .execute_batch("PRAGMA query_only=OFF")
             .map_err(failed("copy itself"))?;
-        // One read transaction over the whole store: others go on writing beside it.
+        // One read transaction copies the whole store; writers continue.
         let text = path.to_string_lossy();
         reader
             .execute("VACUUM INTO ?1", [text.as_ref()])
@@ -262,7 +262,7 @@ impl Database for Sqlite {
     }
 }
 
-/// The kind of network file system a path lies on, where that can be told.
+/// The network file system that a path lies on, if it can be determined.
 fn network_file_system(path: &Path) -> Option<String> {
     let folder = path
         .parent()
@@ -272,7 +272,7 @@ fn network_file_system(path: &Path) -> Option<String> {
     network_mount(&mounts, &folder)
 }
 
-/// The same, of a table of mounts: the longest mount point above the folder counts.
+/// Looks a folder up in a table of mounts; the longest mount point above it counts.
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
     const NETWORK: [&str; 12] = [
         "nfs",

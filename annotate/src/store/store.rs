@@ -20,11 +20,11 @@ use crate::wire::{
     ReviewDone, ReviewQueue, Role, Settings, Suggestion, TaskKind, TaskState, TokenInfo, User,
 };
 
-/// Tasks imported in a transaction: few enough that others need not wait long.
+/// Tasks imported per transaction; bounds how long others wait.
 const IMPORT_GROUP: usize = 500;
 
-/// A store of tasks, answers and people. Every operation that changes something is one transaction,
-/// durable when it returns. The caller gives the times: a store has no clock.
+/// A store of tasks, answers and users. Every changing operation is one transaction, durable when it returns.
+/// The caller passes the time: a store has no clock.
 pub struct Store {
     db: Box<dyn Database>,
     known: Mutex<people::Known>,
@@ -42,7 +42,7 @@ impl Store {
         lock(&self.known)
     }
 
-    /// [`Self::write`] of people or tokens, after which nothing is known of any.
+    /// [`Self::write`] of users or tokens; clears the token cache.
     fn write_people<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
@@ -66,7 +66,7 @@ impl Store {
         db::read(self.db.as_ref(), work)
     }
 
-    /// Takes motions; those that are known keep their place.
+    /// Adds or updates motions.
     ///
     /// # Errors
     /// The store fails.
@@ -78,7 +78,7 @@ impl Store {
         Ok(())
     }
 
-    /// Takes tasks; those whose key is known stay as they are.
+    /// Imports tasks; tasks with a known key stay unchanged.
     ///
     /// # Errors
     /// The store fails.
@@ -98,7 +98,8 @@ impl Store {
         Ok(done)
     }
 
-    /// Claims the next task of a kind, or gives the one that is held, and looks `ahead` tasks ahead.
+    /// Claims the next task of a kind, or returns the one that the user holds, with the
+    /// motions of the next `ahead` tasks.
     ///
     /// # Errors
     /// The store fails.
@@ -109,7 +110,7 @@ impl Store {
         ahead: usize,
         now: Millis,
     ) -> Result<Claimed, Error> {
-        // In one transaction: the writer has at hand what a reader would have to fetch again after
+        // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
         // every commit.
         self.write(move |tx| {
             Ok(match claim::claim(tx, user, kind, now)? {
@@ -122,7 +123,7 @@ impl Store {
         })
     }
 
-    /// Claims a certain task.
+    /// Claims a given task.
     ///
     /// # Errors
     /// `task_full`, `not_found`, `wrong_state`; or the store fails.
@@ -133,7 +134,7 @@ impl Store {
         })
     }
 
-    /// Prolongs a lease.
+    /// Renews a lease.
     ///
     /// # Errors
     /// `lease_lost`; or the store fails.
@@ -147,7 +148,7 @@ impl Store {
                     "this lease ended; take the task again if it still wants answers",
                 )
             })?;
-            // A place kept for its author is no lease to work with, and ends when it was said to.
+            // A reservation for an author cannot be renewed.
             if held.purpose == Purpose::Returned {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
@@ -155,7 +156,7 @@ impl Store {
         })
     }
 
-    /// Gives a lease back; a reviewer may take one away.
+    /// Releases a lease; a reviewer may release those of others.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -174,7 +175,7 @@ impl Store {
         })
     }
 
-    /// Takes events of a task, in order, up to the first that fails.
+    /// Applies events of a task in order, up to the first that fails.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -188,7 +189,7 @@ impl Store {
         self.write(move |tx| append::append(tx, user, task, &events, now))
     }
 
-    /// A task as somebody may see it.
+    /// Task details for a user who may see the task.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -202,7 +203,7 @@ impl Store {
         })
     }
 
-    /// A task, for the server itself.
+    /// A task, without access check.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -210,7 +211,7 @@ impl Store {
         self.read(move |tx| rows::task(tx, task))
     }
 
-    /// Claims the next task to be reviewed.
+    /// Claims the next task to review.
     ///
     /// # Errors
     /// The store fails.
@@ -224,7 +225,7 @@ impl Store {
         self.write(move |tx| review::next(tx, user, queue, kind, now))
     }
 
-    /// Takes a decision.
+    /// Applies a reviewer's decision.
     ///
     /// # Errors
     /// `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`; or the store fails.
@@ -232,7 +233,7 @@ impl Store {
         self.write(move |tx| review::review(tx, user, &new, now))
     }
 
-    /// Makes a hidden gold task of an accepted one.
+    /// Copies an accepted task as a hidden gold task.
     ///
     /// # Errors
     /// `wrong_state`, `not_found`; or the store fails.
@@ -256,7 +257,7 @@ impl Store {
         self.read(project::all_motions)
     }
 
-    /// Motions of a split, without one, for previews: up to `limit` of them.
+    /// Up to `limit` other motions of the same split, for previews.
     ///
     /// # Errors
     /// The store fails.
@@ -265,7 +266,7 @@ impl Store {
         self.read(move |tx| project::partners(tx, &hash, limit))
     }
 
-    /// What somebody finds when they come in.
+    /// Contents of a user's home page.
     ///
     /// # Errors
     /// The store fails.
@@ -289,7 +290,7 @@ impl Store {
         self.read(read::funnel)
     }
 
-    /// Counts of some weeks, given by their starts and the end of the last one.
+    /// Counts per week; `bounds` holds the starts of the weeks and the end of the last one.
     ///
     /// # Errors
     /// The store fails.
@@ -297,7 +298,7 @@ impl Store {
         self.read(move |tx| read::weeks(tx, &bounds))
     }
 
-    /// What everybody did.
+    /// Totals of every person.
     ///
     /// # Errors
     /// The store fails.
@@ -305,7 +306,7 @@ impl Store {
         self.read(read::people)
     }
 
-    /// Answers handed in, by task, after a task, so many tasks at a time.
+    /// Submitted answers of the `limit` tasks after a task id, by task.
     ///
     /// # Errors
     /// The store fails.
@@ -313,7 +314,7 @@ impl Store {
         self.read(move |tx| read::labels(tx, after, limit))
     }
 
-    /// The keys of the tasks that follow a key, so many of them; none after the last.
+    /// The range of the next keys after a key, or `None` after the last.
     ///
     /// # Errors
     /// The store fails.
@@ -322,7 +323,7 @@ impl Store {
         self.read(move |tx| read::next_keys(tx, after, count))
     }
 
-    /// Answers handed in to some tasks, with the task, by its key and by author.
+    /// Submitted answers to a range of tasks, sorted by task key and author.
     ///
     /// # Errors
     /// The store fails.
@@ -331,7 +332,7 @@ impl Store {
         self.read(move |tx| read::labels_of(tx, &keys))
     }
 
-    /// Accepted answers to some tasks, by the key of their task.
+    /// Accepted answers to a range of tasks, sorted by task key.
     ///
     /// # Errors
     /// The store fails.
@@ -340,7 +341,7 @@ impl Store {
         self.read(move |tx| read::accepted(tx, &keys))
     }
 
-    /// Those of some tasks that were dropped or skipped: with who, why and when.
+    /// Dropped and skipped tasks of a range.
     ///
     /// # Errors
     /// The store fails.
@@ -357,7 +358,7 @@ impl Store {
         self.read(read::kept)
     }
 
-    /// Leases that are held.
+    /// All leases.
     ///
     /// # Errors
     /// The store fails.
@@ -373,7 +374,7 @@ impl Store {
         self.read(move |tx| read::audit(tx, &filter))
     }
 
-    /// Entries of the log after a place, oldest first.
+    /// Entries of the log after a sequence number, oldest first.
     ///
     /// # Errors
     /// The store fails.
@@ -381,7 +382,7 @@ impl Store {
         self.read(move |tx| read::log(tx, after, limit))
     }
 
-    /// The last place of the log.
+    /// Last sequence number of the log.
     ///
     /// # Errors
     /// The store fails.
@@ -389,7 +390,7 @@ impl Store {
         self.read(|tx| tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[]))
     }
 
-    /// Whether a task concerns somebody: they hold it or answered it.
+    /// Whether a user holds or answered a task.
     ///
     /// # Errors
     /// The store fails.
@@ -405,7 +406,7 @@ impl Store {
         self.read(move |tx| project::suggestions(tx, &ids))
     }
 
-    /// Keeps a suggestion.
+    /// Stores a suggestion.
     ///
     /// # Errors
     /// The store fails.
@@ -418,7 +419,7 @@ impl Store {
         self.write(move |tx| project::put_suggestion(tx, task, &suggestion, now))
     }
 
-    /// A suggestion made of the same prompt before.
+    /// Stored suggestion for the same prompt.
     ///
     /// # Errors
     /// The store fails.
@@ -427,7 +428,7 @@ impl Store {
         self.read(move |tx| project::cached_suggestion(tx, &hash))
     }
 
-    /// Something the program remembers about the store, such as what was imported last.
+    /// A stored value, such as the dataset version imported last.
     ///
     /// # Errors
     /// The store fails.
@@ -439,7 +440,7 @@ impl Store {
         })
     }
 
-    /// Remembers something.
+    /// Stores a value.
     ///
     /// # Errors
     /// The store fails.
@@ -470,7 +471,7 @@ impl Store {
         self.write(move |tx| project::put_settings(tx, actor, settings, now))
     }
 
-    /// Somebody's preferences.
+    /// A user's preferences.
     ///
     /// # Errors
     /// The store fails.
@@ -478,7 +479,7 @@ impl Store {
         self.read(move |tx| project::prefs(tx, user))
     }
 
-    /// Changes somebody's preferences.
+    /// Changes a user's preferences.
     ///
     /// # Errors
     /// The store fails.
@@ -509,7 +510,7 @@ impl Store {
         self.write_people(move |tx| people::add(tx, actor, &name, role, now))
     }
 
-    /// Changes a user. The last active admin stays one.
+    /// Changes a user. The last active admin cannot be demoted or disabled.
     ///
     /// # Errors
     /// `invalid`, `not_found`; or the store fails.
@@ -524,7 +525,7 @@ impl Store {
         self.write_people(move |tx| people::change(tx, actor, user, role, active, now))
     }
 
-    /// Makes a token.
+    /// Creates a token.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -538,7 +539,7 @@ impl Store {
         self.write_people(move |tx| people::issue(tx, user, purpose, expires, now))
     }
 
-    /// Whose token this is, if it is good for this use. One that is good once is used up.
+    /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
     ///
     /// # Errors
     /// `unauthenticated`; or the store fails.
@@ -569,7 +570,7 @@ impl Store {
         Ok(who)
     }
 
-    /// Somebody's tokens.
+    /// A user's tokens.
     ///
     /// # Errors
     /// The store fails.
@@ -577,7 +578,7 @@ impl Store {
         self.read(move |tx| people::tokens(tx, user))
     }
 
-    /// Makes a token useless.
+    /// Revokes a token.
     ///
     /// # Errors
     /// `not_found`; or the store fails.
@@ -585,7 +586,7 @@ impl Store {
         self.write_people(move |tx| people::revoke(tx, token))
     }
 
-    /// Makes a session useless.
+    /// Revokes a session.
     ///
     /// # Errors
     /// The store fails.
@@ -600,7 +601,7 @@ impl Store {
         })
     }
 
-    /// Keeps what is known of a job; an id of 0 makes a new one.
+    /// Stores a job; id 0 creates a new one.
     ///
     /// # Errors
     /// The store fails.
@@ -638,7 +639,7 @@ impl Store {
         })
     }
 
-    /// Makes the projections again from the log; gives the names of the tables that differed.
+    /// Rebuilds the projections from the log and returns the names of the tables that changed.
     ///
     /// # Errors
     /// The store fails, or an entry of the log cannot be read.
@@ -646,7 +647,7 @@ impl Store {
         self.write(rebuild::rebuild)
     }
 
-    /// Findings of a check of the whole store: places missing in the log, projections that do not follow from it.
+    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it.
     ///
     /// # Errors
     /// The store fails.
@@ -654,7 +655,7 @@ impl Store {
         db::rehearse(self.db.as_ref(), rebuild::verify)
     }
 
-    /// Writes a copy of the store to a new file.
+    /// Writes a backup of the store to a new file.
     ///
     /// # Errors
     /// The store fails, or the file exists.
@@ -662,10 +663,10 @@ impl Store {
         self.db.backup(path)
     }
 
-    /// Whether a write would be taken now.
+    /// Checks that the store accepts writes.
     ///
     /// # Errors
-    /// It would not.
+    /// It does not.
     pub fn check(&self) -> Result<(), Error> {
         self.db.check()
     }

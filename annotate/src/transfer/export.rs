@@ -1,4 +1,4 @@
-//! Accepted answers into files and into the dataset.
+//! Export of answers into files and into the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -25,23 +25,23 @@ use crate::wire::{Answer, Estimate, ExportFormat, Extent, TaskKind, Verdict};
 /// Tasks read at a time.
 const BATCH: usize = 2000;
 
-/// What is exported.
+/// Export settings.
 #[derive(Clone, Debug)]
 pub struct Selection {
     /// Layout.
     pub format: ExportFormat,
     /// Splits; all if empty.
     pub splits: Vec<String>,
-    /// Whether the log goes along.
+    /// Whether to export the log too.
     pub events: bool,
 }
 
-/// What an export did.
+/// Result of an export.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Exported {
-    /// Rows by table, and what was left out.
+    /// Counts of rows by table, and of omitted items.
     pub counts: BTreeMap<String, i64>,
-    /// What was left out and why, in words.
+    /// Messages about omitted items.
     pub messages: Vec<String>,
     /// Names of the files.
     pub files: Vec<String>,
@@ -53,7 +53,7 @@ impl Exported {
     }
 }
 
-/// A person as the tables name them: the same in every export of a store, and not their name.
+/// Pseudonym of a person: the same in every export of a store.
 fn pseudonym(user: i64) -> String {
     if user == 0 {
         "imported".to_owned()
@@ -62,13 +62,13 @@ fn pseudonym(user: i64) -> String {
     }
 }
 
-/// Takes the next row of a table.
+/// Receives the next row of a table.
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
 
 struct Exporter<'a> {
     store: &'a Store,
     splits: &'a [String],
-    /// The motions of the tasks that are looked at.
+    /// Motions of the current tasks.
     motions: BTreeMap<String, MotionRecord>,
     done: Exported,
 }
@@ -78,7 +78,7 @@ impl Exporter<'_> {
         self.splits.is_empty() || self.splits.iter().any(|wanted| wanted == split)
     }
 
-    /// A motion, which has to be of the split its task says: nothing of a test clip may end up in train.
+    /// A motion. Its split must equal that of its task, so that no test clip ends up in train.
     fn motion(&self, hash: &str, split: &str) -> Result<&MotionRecord, Error> {
         let motion = self
             .motions
@@ -88,7 +88,7 @@ impl Exporter<'_> {
             return Err(Error::Import {
                 what: format!("motion {} into split {split}", motion.id),
                 problem: format!(
-                    "it is of split {}; correct the pair in the dataset",
+                    "its split is {}; correct the pair in the dataset",
                     motion.split
                 ),
             });
@@ -105,8 +105,8 @@ impl Exporter<'_> {
         Ok((source, target))
     }
 
-    /// Goes through the tasks in the order of their keys, a few at a time, so that memory does not
-    /// grow with their number.
+    /// Visits the tasks in the order of their keys, a batch at a time, so that memory does not grow with their
+    /// number.
     fn each_range<E: From<Error>>(
         &mut self,
         mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), E>,
@@ -127,7 +127,7 @@ impl Exporter<'_> {
         Ok(all)
     }
 
-    /// Fetches the motions of some tasks at once, and forgets the others.
+    /// Loads the motions of a batch of tasks and drops the others.
     fn meet<'t>(&mut self, tasks: impl Iterator<Item = &'t TaskRecord>) -> Result<(), Error> {
         let hashes: BTreeSet<&String> = tasks
             .flat_map(|task| [Some(&task.source), task.target.as_ref()])
@@ -141,7 +141,7 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// Goes through the accepted answers of the splits, by the key of their task.
+    /// Visits the accepted answers of the splits, by the key of their task.
     fn each_accepted<E: From<Error>>(
         &mut self,
         mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), E>,
@@ -201,7 +201,7 @@ fn write_file(
 type JsonWriter<'a> =
     serde_json::Serializer<BufWriter<&'a mut File>, serde_json::ser::PrettyFormatter<'static>>;
 
-/// What goes wrong while JSON is written.
+/// Error while writing JSON.
 enum JsonError {
     Json(serde_json::Error),
     Other(Error),
@@ -485,8 +485,7 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// Writes the three files side by side: masks of a motion in one, their texts in another, pairs
-    /// in the third.
+    /// Writes three files in one pass: masks by motion, their texts, and pairs.
     fn stance(&mut self, folder: &Path) -> Result<(), Error> {
         let names = ["mask_all.json", "part_annotations.json", "pairs.json"];
         let [masks, texts, pairs] = names;
@@ -564,7 +563,7 @@ impl Exporter<'_> {
         if hard_only > 0 {
             self.done.count("masks_without_ring", hard_only);
             self.done.messages.push(format!(
-                "{hard_only} masks have their soft ring switched off, which this layout cannot say"
+                "{hard_only} masks have no soft ring, which this layout cannot represent"
             ));
         }
         Ok(())
@@ -604,8 +603,8 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// Writes the tables `masks` and `pairs` of the dataset: motions with an accepted answer get its
-    /// masks, the others keep theirs; accepted pairs take the place of the ones they judged.
+    /// Writes the tables `masks` and `pairs` of the dataset. Motions with an accepted answer get its masks, the
+    /// others keep theirs; accepted pairs replace the pairs they judge.
     fn dataset(&mut self, root: &Path, holder: &str) -> Result<(), Error> {
         let dataset = Dataset::open(root)?;
         let mut masks: Vec<MaskRow> = Vec::new();
@@ -692,7 +691,7 @@ fn mask_rows(
     for mask in masks {
         let joints = mask_of(&mask.parts, mask.soft);
         if joints.is_empty() || mask.text.trim().is_empty() {
-            // A release may name a mask and say nothing of it; the composer needs a text.
+            // A release may have a mask without a text, but the composer needs one.
             done.count("masks_without_text", 1);
             continue;
         }
@@ -743,7 +742,7 @@ fn pair_row(
             extent,
             ..
         } => {
-            // Parts that were not named follow from the extent.
+            // Derive missing parts from the extent.
             let by_extent = match extent {
                 Some(Extent::Lower) => &["LOWER_BODY"][..],
                 Some(Extent::Upper) => &["UPPER_BODY"],
@@ -813,7 +812,7 @@ fn agreement_rows(figures: &Figures) -> Vec<AgreementRow> {
     rows
 }
 
-/// A cell that no spreadsheet takes for a formula.
+/// Escapes a CSV cell, so that no spreadsheet interprets it as a formula.
 fn csv_cell(text: &str) -> String {
     let formula =
         text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();

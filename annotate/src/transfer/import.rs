@@ -1,4 +1,4 @@
-//! Tasks of the motions, masks and pairs of a dataset, and annotations of files.
+//! Import of tasks from the motions, masks and pairs of a dataset, and of annotations from files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,17 +17,17 @@ use crate::wire::{
     Answer, BUNDLE, CountReason, EditType, Extent, MaskAnswer, SuggestionSource, TaskKind, Verdict,
 };
 
-/// Source of the pairs this program writes into a dataset.
+/// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
-/// Clips of an action that candidate pairs are made of.
+/// Maximum number of clips per action for candidate pairs.
 const TAKES_AT_MOST: usize = 16;
 
-/// What an import did.
+/// Result of an import.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Taken {
-    /// Counts, by what is counted.
+    /// Counts by name.
     pub counts: BTreeMap<String, i64>,
-    /// What was left out and why, in words.
+    /// Messages about omitted items.
     pub messages: Vec<String>,
 }
 
@@ -105,12 +105,12 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
     Ok(clips)
 }
 
-/// Makes tasks of a dataset: a mask task of every clip that mirrors no other, a pair task of every
-/// fine-grained pair, in bundles of eight, and a style task of every style pair. Masks of the pipeline
-/// come along as suggestions; masks by people and pairs this program wrote are accepted answers. Where
-/// the dataset has no fine-grained pairs, clips of one action are candidates.
+/// Creates the tasks of a dataset: a mask task for each clip that is not a mirrored copy, a pair task for each
+/// fine-grained pair (in bundles of eight), and a style task for each style pair. Masks of the pipeline become
+/// suggestions; masks by people and pairs written by this program become accepted answers. Without fine-grained
+/// pairs, clips of one action are paired as candidates.
 ///
-/// What is there already stays as it is.
+/// Existing tasks stay unchanged.
 ///
 /// # Errors
 /// The dataset cannot be read, or the store fails.
@@ -131,7 +131,7 @@ pub fn from_dataset(
     if !copies.is_empty() {
         taken.count("copies", copies.len() as i64);
         taken.messages.push(format!(
-            "{} clips hold the same motion as another one and get no task, {} for example",
+            "{} clips repeat the motion of another clip and get no task, for example {}",
             copies.len(),
             copies[0].record.id
         ));
@@ -163,7 +163,7 @@ pub fn from_dataset(
     if missing > 0 {
         taken.count("pairs_without_motion", missing);
         taken.messages.push(format!(
-            "{missing} pairs name a motion that is not there, or a copy; they get no task"
+            "{missing} pairs name a missing or repeated motion and get no task"
         ));
     }
     let mut fine: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
@@ -249,7 +249,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
     new
 }
 
-/// Whether the parts have a soft ring at all.
+/// Whether the parts have a soft ring.
 fn has_ring(parts: &[String]) -> bool {
     !crate::answer::mask_of(parts, true).soft().is_empty()
 }
@@ -289,8 +289,8 @@ fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
     }
 }
 
-/// Candidate pairs: each clip of an action against the next one of the same split, those of one style
-/// side by side, up to sixteen clips of each action.
+/// Candidate pairs: each clip of an action with the next one of the same split, sorted by style, up to sixteen
+/// clips per action.
 fn takes(clips: &[&Clip]) -> BTreeMap<String, Vec<NewTask>> {
     let mut groups: BTreeMap<(String, String), Vec<&Clip>> = BTreeMap::new();
     for clip in clips.iter().filter(|clip| !clip.mirrored) {
@@ -319,7 +319,7 @@ fn takes(clips: &[&Clip]) -> BTreeMap<String, Vec<NewTask>> {
                 .push(new);
         }
     }
-    // Actions with few takes share bundles within their split, so that a bundle is worth taking.
+    // Actions with few takes share bundles within their split, so that bundles are not too small.
     let mut merged: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
     for (name, list) in tasks {
         let split = name.split(' ').nth(1).unwrap_or_default();
@@ -346,11 +346,10 @@ fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
     tasks
 }
 
-/// Takes the table `annotations` of an export: every answer becomes an accepted task.
+/// Imports the table `annotations` of an export: every answer becomes an accepted task.
 ///
 /// # Errors
-/// The file cannot be read, names a motion the store does not know, or holds an answer that could not
-/// be given here; nothing is taken then.
+/// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
 pub fn from_annotations(
     store: &Store,
     motions: &BTreeMap<String, MotionRecord>,
@@ -382,7 +381,7 @@ fn annotation_task(
     let first = &rows[0];
     let find = |id: &str| {
         motions.get(id).ok_or_else(|| {
-            format!("motion {id:?} is not known; import the dataset it belongs to first")
+            format!("motion {id:?} is not known; import its dataset first")
         })
     };
     let kind = TaskKind::parse(&first.kind)
@@ -405,7 +404,7 @@ fn annotation_task(
     for row in rows {
         if row.mask_def_version != MASK_DEF_VERSION {
             return Err(format!(
-                "its masks are of version {}, this program has version {MASK_DEF_VERSION}",
+                "its masks have definition version {}, this program has version {MASK_DEF_VERSION}",
                 row.mask_def_version
             ));
         }
@@ -460,8 +459,8 @@ fn annotation_task(
     Ok(new)
 }
 
-/// Takes `mask_all.json` and `part_annotations.json` of a STANCE release, as one object with both.
-/// Its annotations become accepted answers; unknown fields are kept and written back.
+/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, given as one object with both. The
+/// annotations become accepted answers; unknown fields are kept for export.
 ///
 /// # Errors
 /// It is not such an object, or the store fails.
@@ -507,7 +506,7 @@ pub fn from_release(
     taken.count("known_tasks", done.known);
     if done.known > 0 {
         taken.messages.push(format!(
-            "{} of {total} motions have a task already; what is annotated here is not overwritten",
+            "{} of {total} motions have a task already; their annotations are not overwritten",
             done.known
         ));
     }

@@ -1,4 +1,4 @@
-//! In and out: tasks from a dataset, annotations from files and into them.
+//! Import of tasks and annotations, and export of answers.
 
 mod export;
 mod import;

@@ -1,8 +1,8 @@
 //! `mask_all.json` and `part_annotations.json` of a STANCE release.
 //!
-//! The release says what keys and values mean and not how they are shaped. A value may be a name, a list
-//! of names, a list of lists, or an object keyed by part; the shape met is reported. What is written
-//! is one shape: under each id, a list of masks (parts joined by `+`), and a list of as many texts.
+//! The release documents the meaning of keys and values, but not their shape. Readers accept a name, a list of
+//! names, a list of lists, or an object keyed by part, and report which. The writer uses one shape: for each id
+//! a list of masks (parts joined by `+`), and a list of as many texts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,15 +11,15 @@ use serde_json::{Map, Value, json};
 
 use crate::wire::MaskAnswer;
 
-/// What a release says of a motion.
+/// Annotations of one motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Said {
     pub(super) masks: Vec<MaskAnswer>,
-    /// Fields that mean nothing here, kept to be written back.
+    /// Unknown fields, kept for export.
     pub(super) extra: Option<Value>,
 }
 
-/// A release, read.
+/// A parsed release.
 #[derive(Debug, Default)]
 pub(super) struct Release {
     pub(super) motions: BTreeMap<String, Said>,
@@ -37,7 +37,7 @@ fn shape(value: &Value) -> &'static str {
     }
 }
 
-/// The parts a name stands for, several joined by `+`; and the names that are none.
+/// Parses part names joined by `+`; returns known parts and unknown names.
 fn parts(text: &str) -> (Vec<String>, Vec<String>) {
     let (mut known, mut unknown) = (Vec::new(), Vec::new());
     for name in text
@@ -110,8 +110,8 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
         a.keys().filter(|key| !b.contains_key(*key)).count()
     };
     for (count, what) in [
-        (only(&masks, &said), "ids have masks and no texts"),
-        (only(&said, &masks), "ids have texts and no masks"),
+        (only(&masks, &said), "ids have masks but no texts"),
+        (only(&said, &masks), "ids have texts but no masks"),
     ] {
         if count > 0 {
             release.messages.push(format!("{count} {what}"));
@@ -175,7 +175,7 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
                     }
                 }
             }
-            // Masks that nothing is said of stay.
+            // Masks without texts are kept.
             for name in names(masks) {
                 if !map.keys().any(|known| parts(known).0 == parts(&name).0) {
                     put(&name, String::new());
@@ -213,22 +213,22 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         }
     }
     if unknown.contains_key("part_annotations") {
-        problems.push("its texts do not match its masks and are kept aside".to_owned());
+        problems.push("its texts do not match its masks and are kept as an unknown field".to_owned());
     }
     let extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
     (Said { masks: all, extra }, problems)
 }
 
-/// What is kept aside says so.
+/// Marks fields that were kept aside.
 fn put_problem(unknown: &mut Map<String, Value>) {
     unknown.insert("kept_aside".to_owned(), json!(true));
 }
 
-/// What the two files say of a motion.
+/// Entries of the two files for a motion.
 pub(super) fn entries(one: &Said) -> (Value, Value) {
     let names: Vec<String> = one.masks.iter().map(|mask| mask.parts.join("+")).collect();
     let texts: Vec<&str> = one.masks.iter().map(|mask| mask.text.as_str()).collect();
-    // What could not be understood on the way in goes out as it was.
+    // Write unknown fields unchanged.
     let kept = one
         .extra
         .as_ref()
@@ -302,7 +302,7 @@ mod tests {
             release
                 .messages
                 .iter()
-                .any(|message| message.contains("1 ids have masks and no texts"))
+                .any(|message| message.contains("1 ids have masks but no texts"))
         );
         assert_eq!(entries(&release.motions["c"]).1, json!([1, 2, 3]));
         assert!(parse(&json!([])).is_err());

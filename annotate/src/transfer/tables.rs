@@ -1,5 +1,5 @@
-//! The tables of an export. They are written as all tables of `stance` are: Parquet, Zstandard, the
-//! version of the schema in the footer, the same bytes for the same rows.
+//! The tables of an export, written like all tables of `stance`: Parquet, Zstandard, the schema version in the
+//! footer, the same bytes for the same rows.
 
 use datasets_spec::table::{Cell, Column, Row};
 

@@ -8,14 +8,14 @@ use super::names::{CountReason, EditType, Extent, RevisionState, SuggestionSourc
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaskAnswer {
-    /// Names of the parts, as typed: LEFT+RIGHT stays so.
+    /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
     pub parts: Vec<String>,
     /// Whether the soft ring is blended.
     #[serde(default = "yes")]
     pub soft: bool,
     /// What the parts do.
     pub text: String,
-    /// The suggestion the text began as, if any.
+    /// The suggestion the text started from, if any.
     #[serde(default)]
     pub suggestion: Option<i64>,
 }
@@ -32,36 +32,36 @@ pub enum Answer {
     MaskText {
         /// The masks.
         masks: Vec<MaskAnswer>,
-        /// Why there are fewer or more than the project asks for.
+        /// Reason for fewer or more masks than the project wants.
         #[serde(default)]
         count_reason: Option<CountReason>,
-        /// Anything else.
+        /// Note.
         #[serde(default)]
         note: String,
     },
     /// To a task `pair`.
     Pair {
-        /// Whether it is kept, and why not.
+        /// Verdict.
         verdict: Verdict,
         /// Parts the edit changes.
         #[serde(default)]
         parts: Vec<String>,
-        /// What it changes.
+        /// Type of the edit.
         #[serde(default)]
         edit_type: Option<EditType>,
         /// The instruction.
         #[serde(default)]
         text: String,
-        /// The suggestion the text began as, if any.
+        /// The suggestion the text started from, if any.
         #[serde(default)]
         suggestion: Option<i64>,
-        /// Anything else.
+        /// Note.
         #[serde(default)]
         note: String,
     },
     /// To a task `style`.
     Style {
-        /// Whether it is kept, and why not.
+        /// Verdict.
         verdict: Verdict,
         /// Parts the style shows in.
         #[serde(default)]
@@ -75,16 +75,16 @@ pub enum Answer {
         /// The instruction.
         #[serde(default)]
         text: String,
-        /// The suggestion the text began as, if any.
+        /// The suggestion the text started from, if any.
         #[serde(default)]
         suggestion: Option<i64>,
-        /// Anything else.
+        /// Note.
         #[serde(default)]
         note: String,
     },
 }
 
-/// The current answer of somebody to a task.
+/// The current answer of a user to a task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Revision {
@@ -92,30 +92,30 @@ pub struct Revision {
     pub task: i64,
     /// Author.
     pub author: i64,
-    /// Counts every draft and submission, from 1.
+    /// Revision number: counts drafts and submissions from 1.
     pub rev: i64,
-    /// Where it stands.
+    /// State.
     pub state: RevisionState,
-    /// What it says.
+    /// The answer.
     pub answer: Answer,
     /// When it was last written.
     pub at: i64,
-    /// Seconds the author was at it.
+    /// Seconds of work.
     pub secs: f64,
 }
 
-/// What a machine or the source proposes. It is never an answer.
+/// A proposal by a program or the source; never an answer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suggestion {
     /// Id.
     pub id: i64,
-    /// Where it came from.
+    /// Origin.
     pub source: SuggestionSource,
-    /// Parts it speaks of.
+    /// Parts that it describes.
     pub parts: Vec<String>,
     /// Text; empty for parts alone.
     pub text: String,
-    /// What made it.
+    /// Name of the model or program.
     pub model: String,
 }

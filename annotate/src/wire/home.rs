@@ -1,4 +1,4 @@
-//! What somebody finds when they come in, and accepted answers to learn from.
+//! The home page, and the shelf of accepted answers.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,19 +11,19 @@ use super::task::{Lease, Task};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Home {
-    /// One for each kind.
+    /// One queue for each kind.
     pub queues: Vec<QueueInfo>,
-    /// Tasks that came back to me.
+    /// Tasks returned to me.
     pub returned: Vec<ReturnedTask>,
     /// Tasks I hold leases on, the one last renewed first.
     pub held: Vec<Lease>,
-    /// Answers I handed in today, by the server's clock in UTC.
+    /// Answers I submitted today (UTC, by the server's clock).
     pub today: i64,
     /// Median seconds of my answers today.
     pub median_secs: Option<f64>,
-    /// My agreement with others; none below 30 shared items.
+    /// My agreement with others; `null` below 30 shared items.
     pub agreement: Option<Estimate>,
-    /// Answers handed in by everybody today.
+    /// Answers submitted by everybody today.
     pub today_all: i64,
 }
 
@@ -35,15 +35,15 @@ pub struct QueueInfo {
     pub kind: TaskKind,
     /// Tasks in all.
     pub total: i64,
-    /// Tasks with all answers they want, whoever gave them.
+    /// Tasks with all wanted answers.
     pub done: i64,
     /// Tasks I answered.
     pub mine: i64,
-    /// Tasks I could be given now.
+    /// Tasks I can claim now.
     pub open: i64,
 }
 
-/// A task that came back.
+/// A returned task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReturnedTask {
@@ -51,19 +51,19 @@ pub struct ReturnedTask {
     pub task: i64,
     /// Kind.
     pub kind: TaskKind,
-    /// Why it came back.
+    /// The reviewer's comment.
     pub comment: String,
-    /// When it goes to others.
+    /// When others can claim it.
     pub until: i64,
 }
 
-/// `GET shelf`: accepted answers to learn from.
+/// `GET shelf`: accepted answers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shelf {
     /// Newest first.
     pub items: Vec<ShelfItem>,
-    /// To be passed as `before` for more.
+    /// Value of `before` for the next page.
     pub next: Option<i64>,
 }
 

@@ -12,10 +12,10 @@ use super::names::ExportFormat;
 pub struct ExportRequest {
     /// Layout.
     pub format: ExportFormat,
-    /// Splits to take; all if empty.
+    /// Splits to export; all if empty.
     #[serde(default)]
     pub splits: Vec<String>,
-    /// Also write the whole log (`parquet` alone).
+    /// Also write the log (format `parquet` only).
     #[serde(default)]
     pub events: bool,
 }
@@ -36,9 +36,9 @@ pub struct Job {
     pub done: i64,
     /// Items in all, once known.
     pub total: Option<i64>,
-    /// Counts of what was taken, written or left out.
+    /// Counts of imported, written and omitted items.
     pub counts: BTreeMap<String, i64>,
-    /// What went wrong or was left out, in words.
+    /// Messages about errors and omitted items.
     pub messages: Vec<String>,
     /// Files to download, at `jobs/{id}/files/{name}`.
     pub files: Vec<String>,

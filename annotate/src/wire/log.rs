@@ -6,19 +6,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AuditEntry {
-    /// Place in the log.
+    /// Sequence number in the log.
     pub seq: i64,
     /// When.
     pub at: i64,
-    /// Who; none for the program itself.
+    /// User; `null` for the program itself.
     pub actor: Option<i64>,
     /// Their name.
     pub actor_name: Option<String>,
-    /// What.
+    /// Kind of entry.
     pub kind: String,
     /// Task.
     pub task: Option<i64>,
-    /// The rest, as it was logged.
+    /// Body of the entry.
     pub body: serde_json::Value,
 }
 
@@ -28,7 +28,7 @@ pub struct AuditEntry {
 pub struct Audit {
     /// Entries.
     pub entries: Vec<AuditEntry>,
-    /// To be passed as `before` for more.
+    /// Value of `before` for the next page.
     pub next: Option<i64>,
 }
 
@@ -36,13 +36,13 @@ pub struct Audit {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Change {
-    /// Place in the log.
+    /// Sequence number in the log.
     pub seq: i64,
     /// What happened.
     pub kind: String,
     /// Task.
     pub task: Option<i64>,
-    /// Whether it concerns a task of mine.
+    /// Whether the task is one of mine.
     pub mine: bool,
 }
 

@@ -1,7 +1,7 @@
-//! What goes over the wire: requests and responses of the HTTP interface, as `API.md` documents them.
+//! Requests and responses of the HTTP API, documented in `API.md`.
 //!
-//! Requests refuse unknown fields. Times are milliseconds since the epoch, ids are whole numbers,
-//! and every name of a closed list is written in `snake_case`.
+//! Requests with unknown fields are refused. Times are milliseconds since the epoch, ids are integers, and
+//! names of enums are `snake_case`.
 
 mod answer;
 mod home;
@@ -39,15 +39,15 @@ pub use task::{
     TaskView,
 };
 
-/// Characters a text may have.
+/// Maximum characters of a text.
 pub const MAX_TEXT_CHARS: usize = 2_000;
-/// Events in a batch.
+/// Maximum events of a batch.
 pub const MAX_EVENTS: usize = 64;
-/// Bytes of a request body, imports apart.
+/// Maximum bytes of a request body, except imports.
 pub const MAX_BODY_BYTES: usize = 256 * 1024;
-/// Bytes of the body of an import.
+/// Maximum bytes of the body of an import.
 pub const MAX_IMPORT_BYTES: usize = 64 * 1024 * 1024;
-/// Masks in an answer.
+/// Maximum masks of an answer.
 pub const MAX_MASKS: usize = 16;
-/// Pairs in a bundle.
+/// Maximum pairs of a bundle.
 pub const BUNDLE: usize = 8;

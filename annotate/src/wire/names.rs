@@ -1,6 +1,6 @@
-//! Closed lists of names.
+//! Enums with their names.
 
-/// Declares an enum of a closed list of names, with the list and the names.
+/// Declares an enum with its list of values and their names.
 macro_rules! names {
     ($(#[doc = $doc:literal])* pub enum $name:ident { $( #[doc = $item_doc:literal] $item:ident = $text:literal, )* }) => {
         $(#[doc = $doc])*
@@ -10,15 +10,15 @@ macro_rules! names {
         }
 
         impl $name {
-            /// All of them, in order.
+            /// All values in order.
             pub const ALL: &'static [$name] = &[$( $name::$item, )*];
 
-            /// The name on the wire and in the store.
+            /// The name in the API and in the store.
             pub fn as_str(self) -> &'static str {
                 match self { $( $name::$item => $text, )* }
             }
 
-            /// The one of this name.
+            /// The value with this name.
             pub fn parse(text: &str) -> Option<Self> {
                 match text { $( $text => Some($name::$item), )* _ => None }
             }
@@ -34,67 +34,67 @@ macro_rules! names {
 pub(crate) use names;
 
 names! {
-    /// What somebody may do. Each role may do what those before it may.
+    /// Roles. Each includes the rights of those before it.
     pub enum Role {
         /// Answers tasks.
         Annotator = "annotator",
-        /// Judges answers of others.
+        /// Also reviews answers of others.
         Reviewer = "reviewer",
-        /// Imports, exports, settings and users.
+        /// Also manages imports, exports, settings and users.
         Admin = "admin",
     }
 }
 
 names! {
-    /// What is asked.
+    /// Kind of task.
     pub enum TaskKind {
-        /// Which parts take part, and what each does.
+        /// Masks of the active body parts, with descriptions.
         MaskText = "mask_text",
-        /// What turns one motion into another.
+        /// Instruction that turns one motion into another.
         Pair = "pair",
-        /// Which style one motion is of, against another.
+        /// Style of a motion compared with another one.
         Style = "style",
     }
 }
 
 names! {
-    /// Where a task stands. The moves between them are in `state::MOVES`.
+    /// State of a task. `state::MOVES` has the transitions.
     pub enum TaskState {
-        /// Wants answers; nobody is at it.
+        /// Needs answers; nobody works on it.
         Open = "open",
-        /// Somebody is at it.
+        /// Somebody works on it.
         Leased = "leased",
-        /// Has all answers it wants.
+        /// Has all wanted answers.
         Submitted = "submitted",
-        /// A reviewer is at it.
+        /// A reviewer works on it.
         InReview = "in_review",
         /// Decided; its answer is exported.
         Accepted = "accepted",
         /// Sent back to its author.
         Returned = "returned",
-        /// Taken out, with a reason.
+        /// Removed, with a reason.
         Dropped = "dropped",
     }
 }
 
 names! {
-    /// Where an answer stands.
+    /// State of an answer.
     pub enum RevisionState {
-        /// Being written; counts for nothing.
+        /// Unfinished; not counted.
         Draft = "draft",
-        /// Handed in.
+        /// Submitted.
         Submitted = "submitted",
-        /// Taken by a reviewer.
+        /// Accepted by a reviewer.
         Accepted = "accepted",
         /// Sent back with a comment.
         Returned = "returned",
-        /// Another answer to the task was taken.
+        /// Another answer to the task was accepted.
         Superseded = "superseded",
     }
 }
 
 names! {
-    /// What is said of a pair.
+    /// Verdict on a pair.
     pub enum Verdict {
         /// Usable; has a description, parts and, for fine-grained pairs, an edit type.
         Keep = "keep",
@@ -102,7 +102,7 @@ names! {
         Unnatural = "unnatural",
         /// The difference cannot be put into words.
         Unclear = "unclear",
-        /// No difference to be seen.
+        /// No visible difference.
         Identical = "identical",
     }
 }
@@ -110,17 +110,17 @@ names! {
 names! {
     /// What a fine-grained edit changes.
     pub enum EditType {
-        /// How far.
+        /// Amplitude.
         Amplitude = "amplitude",
-        /// How fast.
+        /// Speed.
         Speed = "speed",
-        /// How hard.
+        /// Force.
         Force = "force",
-        /// Where.
+        /// Direction or place.
         Spatial = "spatial",
-        /// When.
+        /// Timing.
         Timing = "timing",
-        /// Anything else.
+        /// Another change.
         Other = "other",
     }
 }
@@ -138,47 +138,47 @@ names! {
 }
 
 names! {
-    /// Why a task is skipped.
+    /// Reason for skipping a task.
     pub enum SkipReason {
         /// The motion is damaged.
         BrokenMotion = "broken_motion",
-        /// What happens cannot be told.
+        /// The action cannot be recognised.
         CannotTell = "cannot_tell",
         /// The caption contradicts the motion.
         WrongCaption = "wrong_caption",
-        /// Not work for this person.
+        /// Not suitable for this annotator.
         NotForMe = "not_for_me",
-        /// Said in the note.
+        /// Stated in the note.
         Other = "other",
     }
 }
 
 names! {
-    /// Why an answer has fewer or more masks than the project asks for.
+    /// Reason for fewer or more masks than the project wants.
     pub enum CountReason {
-        /// Nothing else takes part.
+        /// Only one part acts.
         SingleAction = "single_action",
-        /// More parts than that take part, each for itself.
+        /// More parts act independently.
         ManyActions = "many_actions",
         /// The clip is too short for more.
         TooShort = "too_short",
-        /// Said in the note.
+        /// Stated in the note.
         Other = "other",
     }
 }
 
 names! {
-    /// What the browser can say of a task.
+    /// Kinds of events that the browser sends.
     pub enum EventKind {
-        /// Keep this answer as it is, unfinished.
+        /// Save this unfinished answer.
         Draft = "draft",
-        /// Hand this answer in.
+        /// Submit this answer.
         Submit = "submit",
-        /// Not this one, for a reason.
+        /// Skip the task with a reason.
         Skip = "skip",
-        /// Not now; it comes back after the others.
+        /// Postpone the task until after the others.
         Postpone = "postpone",
-        /// Take the answer handed in back.
+        /// Withdraw the submitted answer.
         Undo = "undo",
         /// A suggestion was used, edited or discarded.
         SuggestionUsed = "suggestion_used",
@@ -186,23 +186,23 @@ names! {
 }
 
 names! {
-    /// What became of a suggestion.
+    /// Use of a suggestion.
     pub enum SuggestionUse {
-        /// Taken as it was.
+        /// Used unchanged.
         Used = "used",
-        /// Taken and changed.
+        /// Used and edited.
         Edited = "edited",
-        /// Not taken.
+        /// Discarded.
         Discarded = "discarded",
     }
 }
 
 names! {
-    /// Where a suggestion came from.
+    /// Origin of a suggestion.
     pub enum SuggestionSource {
-        /// Parts that move, from the activity of the joints.
+        /// Active parts, from the speed of the joints.
         Heat = "heat",
-        /// A mask the dataset came with, or the pipeline made.
+        /// A mask of the dataset or the pipeline.
         Import = "import",
         /// A text by a language model.
         Llm = "llm",
@@ -210,27 +210,27 @@ names! {
 }
 
 names! {
-    /// Which submitted tasks a reviewer is given.
+    /// Review queues.
     pub enum ReviewQueue {
-        /// Those whose answers differ most first.
+        /// Sorted by disagreement, largest first.
         Disagreement = "disagreement",
-        /// Drawn at random.
+        /// A random sample.
         Sample = "sample",
-        /// Those that had been sent back before.
+        /// Tasks that were returned before.
         Returned = "returned",
     }
 }
 
 names! {
-    /// What a reviewer decides.
+    /// Decisions of a reviewer.
     pub enum Decision {
-        /// Take one of the answers.
+        /// Accept one of the answers.
         Accept = "accept",
-        /// Take an answer the reviewer made of them.
+        /// Accept an answer merged by the reviewer.
         Merge = "merge",
-        /// Send answers back with a comment.
+        /// Return answers with a comment.
         Return = "return",
-        /// Take the task out.
+        /// Drop the task.
         Drop = "drop",
         /// Undo a decision.
         Reopen = "reopen",
@@ -264,7 +264,7 @@ names! {
 }
 
 names! {
-    /// What can be bound to a key.
+    /// Actions that can be bound to keys.
     pub enum Action {
         /// Play or pause.
         PlayPause = "play_pause",
@@ -398,7 +398,7 @@ names! {
         WrongOrigin = "wrong_origin",
         /// 403: reviewers do not review their own work.
         OwnWork = "own_work",
-        /// 404: no such thing, or not yours to see.
+        /// 404: does not exist, or you may not see it.
         NotFound = "not_found",
         /// 405: the route has no such method.
         MethodNotAllowed = "method_not_allowed",
@@ -406,31 +406,31 @@ names! {
         BadRequest = "bad_request",
         /// 413: the body is too large.
         TooLarge = "too_large",
-        /// 422: understood and refused; `field` says what.
+        /// 422: an invalid value; `field` names it.
         Invalid = "invalid",
         /// 422: fewer or more masks than the project asks for, and no `count_reason`.
         MaskCount = "mask_count",
         /// 409: `base_rev` is not the current revision; `theirs` holds it.
         StaleRevision = "stale_revision",
-        /// 409: the lease is no longer yours; what was sent is kept as your draft.
+        /// 409: the lease is no longer yours; the text is kept as your draft.
         LeaseLost = "lease_lost",
-        /// 409: the task has all the people it wants.
+        /// 409: the task has enough annotators.
         TaskFull = "task_full",
         /// 409: the task's state does not allow it.
         WrongState = "wrong_state",
         /// 409: the same `idem_key` was used for something else.
         KeyReused = "key_reused",
-        /// 429: too many; `retry_after_secs` says when.
+        /// 429: too many requests; `retry_after_secs` says when to retry.
         RateLimited = "rate_limited",
         /// 503: no language model is configured.
         NoModel = "no_model",
         /// 502: the language model failed or took too long.
         ModelFailed = "model_failed",
-        /// 503: not done within 15 seconds.
+        /// 503: not finished within 15 seconds.
         Timeout = "timeout",
-        /// 507: the disk is full or read-only; nothing is taken until it is not.
+        /// 507: the disk is full or read-only; the store accepts no writes.
         ReadOnly = "read_only",
-        /// 500: a defect of the server; the log says more.
+        /// 500: internal error; the server log has the details.
         Internal = "internal",
     }
 }

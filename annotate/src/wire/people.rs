@@ -14,7 +14,7 @@ pub struct Login {
     pub token: String,
 }
 
-/// Somebody.
+/// A user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct User {
@@ -24,7 +24,7 @@ pub struct User {
     pub name: String,
     /// What they may do.
     pub role: Role,
-    /// Whether they may log in.
+    /// Whether the user may log in.
     pub active: bool,
 }
 
@@ -149,7 +149,7 @@ pub struct UserChange {
     /// New role.
     #[serde(default)]
     pub role: Option<Role>,
-    /// Whether they may log in.
+    /// Whether the user may log in.
     #[serde(default)]
     pub active: Option<bool>,
 }

@@ -1,4 +1,4 @@
-//! Problems: what a refused request is answered with.
+//! Problems: the error responses.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,21 +12,21 @@ pub struct Problem {
     /// `/problems/` and the code.
     #[serde(rename = "type")]
     pub kind: String,
-    /// What the code means.
+    /// Meaning of the code.
     pub title: String,
     /// HTTP status.
     pub status: u16,
     /// Stable code.
     pub code: Code,
-    /// What happened here, and what to do.
+    /// What happened, and what to do.
     pub detail: String,
-    /// The field that is wrong.
+    /// The invalid field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
-    /// When to come back.
+    /// Seconds until a retry is allowed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry_after_secs: Option<u64>,
-    /// The revision the store has, where yours is based on another.
+    /// The current revision of the store, if the request is based on another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub theirs: Option<Box<Revision>>,
 }

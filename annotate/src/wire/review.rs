@@ -10,9 +10,9 @@ use super::task::{Lease, Task};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReviewRequest {
-    /// Which tasks.
+    /// Queue.
     pub queue: ReviewQueue,
-    /// Of one kind alone.
+    /// Only this kind.
     #[serde(default)]
     pub kind: Option<TaskKind>,
 }
@@ -35,11 +35,11 @@ pub struct ReviewEmpty {
     pub waiting: i64,
     /// Of these, those I answered myself.
     pub mine: i64,
-    /// Of these, those another reviewer is at.
+    /// Of these, those leased by another reviewer.
     pub in_review: i64,
 }
 
-/// A task to be judged.
+/// A task to review.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReviewView {
@@ -47,15 +47,15 @@ pub struct ReviewView {
     pub task: Task,
     /// My lease.
     pub lease: Lease,
-    /// The answers handed in.
+    /// The submitted answers.
     pub candidates: Vec<Candidate>,
-    /// How far the answers are apart, 0 to 1; none for a single answer.
+    /// Largest distance of the answers, 0 to 1; `null` for a single answer.
     pub distance: Option<f64>,
     /// Comments of earlier rounds, oldest first.
     pub comments: Vec<String>,
 }
 
-/// An answer to be judged.
+/// An answer to review.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Candidate {
@@ -63,9 +63,9 @@ pub struct Candidate {
     pub revision: Revision,
     /// Name of its author.
     pub author_name: String,
-    /// Body joints its masks take, hard or soft, for the stage.
+    /// Body joints of its masks, hard or soft, for the viewer.
     pub joints: Vec<usize>,
-    /// Edit distance of its texts from the drafts they began as, 0 to 1.
+    /// Edit distance of its texts from their drafts, 0 to 1.
     pub draft_distance: Option<f64>,
 }
 
@@ -73,22 +73,22 @@ pub struct Candidate {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewReview {
-    /// Made by the browser, unique.
+    /// Unique key made by the browser.
     pub idem_key: String,
     /// Task.
     pub task: i64,
-    /// Fencing number of the lease; not looked at for `reopen` and `drop`.
+    /// Fencing number of the lease; ignored for `reopen` and `drop`.
     #[serde(default)]
     pub lease_epoch: i64,
-    /// What is decided.
+    /// Decision.
     pub decision: Decision,
-    /// Author of the answer that is accepted or returned; all of them if none.
+    /// Author of the answer that is accepted or returned; all authors if missing.
     #[serde(default)]
     pub author: Option<i64>,
     /// The answer, for `merge`.
     #[serde(default)]
     pub answer: Option<Answer>,
-    /// Needed for `return`, `drop` and `reopen`.
+    /// Required for `return`, `drop` and `reopen`.
     #[serde(default)]
     pub comment: String,
 }
@@ -97,7 +97,7 @@ pub struct NewReview {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReviewDone {
-    /// Its place in the log.
+    /// Its sequence number in the log.
     pub seq: i64,
     /// State of the task after it.
     pub state: TaskState,

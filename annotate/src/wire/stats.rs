@@ -17,7 +17,7 @@ pub struct Estimate {
     pub low: f64,
     /// Upper end.
     pub high: f64,
-    /// Items it is of.
+    /// Number of items.
     pub items: usize,
 }
 
@@ -61,7 +61,7 @@ pub struct Person {
     pub accepted: i64,
     /// Answers sent back.
     pub returned: i64,
-    /// Share of texts that began as a draft and were left unchanged.
+    /// Share of unchanged texts among those that started from a draft.
     pub draft_unchanged: Option<f64>,
     /// Mean edit distance from the draft, 0 to 1.
     pub draft_distance: Option<f64>,
@@ -71,11 +71,11 @@ pub struct Person {
     pub gold_score: Option<f64>,
     /// Agreement with others (mean Jaccard of joint sets).
     pub agreement: Option<Estimate>,
-    /// Last time anything came from them.
+    /// Time of the last log entry.
     pub last_seen: Option<i64>,
 }
 
-/// `GET stats/agreement`. Figures are none below 30 shared items.
+/// `GET stats/agreement`. Figures are `null` below 30 shared items.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Agreement {
@@ -89,9 +89,9 @@ pub struct Agreement {
     pub verdicts: Option<PartAgreement>,
     /// Tasks with two answers or more.
     pub shared_items: usize,
-    /// Share of answers that reviewers took as they were.
+    /// Share of answers that reviewers accepted unchanged.
     pub accepted_share: Option<Estimate>,
-    /// Draft edit distance where drafts were shown, and where they were withheld.
+    /// Edit distance from the draft, with drafts shown and with drafts withheld.
     pub draft_distance: Option<f64>,
     /// Seconds per answer with drafts and without.
     pub secs_with_and_without_draft: Option<[f64; 2]>,
@@ -107,7 +107,7 @@ pub struct PartAgreement {
     pub items: usize,
     /// Share of pairs of answers that agree.
     pub raw: Option<Estimate>,
-    /// Krippendorff's alpha, nominal; takes missing answers.
+    /// Krippendorff's alpha, nominal; handles missing answers.
     pub krippendorff_alpha: Option<Estimate>,
     /// Fleiss' kappa over items with the most common number of answers.
     pub fleiss_kappa: Option<Estimate>,

@@ -18,12 +18,12 @@ pub struct SkeletonInfo {
     pub parents: Vec<i32>,
     /// `left`, `right` or `middle` of each.
     pub sides: Vec<String>,
-    /// The body joint (0 to 21) whose membership a keypoint shows: eyes go with the head, knuckles
-    /// with the wrist.
+    /// Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles
+    /// the wrist.
     pub body_joint: Vec<usize>,
     /// All parts; the five of the release come first, in the order of the rows of heat and diff.
     pub parts: Vec<PartInfo>,
-    /// Version of the membership.
+    /// Version of the part definitions.
     pub mask_def_version: u32,
 }
 
@@ -33,11 +33,11 @@ pub struct SkeletonInfo {
 pub struct PartInfo {
     /// Name in the release's spelling.
     pub name: String,
-    /// The same in words: "left arm".
+    /// Name in words: "left arm".
     pub phrase: String,
-    /// Whether it is one of the five of the release.
+    /// Whether it is one of the five release parts.
     pub release: bool,
-    /// Body joints taken whole.
+    /// Hard body joints.
     pub hard: Vec<usize>,
     /// Body joints of the soft ring.
     pub soft: Vec<usize>,
@@ -47,13 +47,13 @@ pub struct PartInfo {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionInfo {
-    /// Content hash, the name in addresses.
+    /// Content hash; identifies the motion in URLs.
     pub hash: String,
     /// Id in the dataset.
     pub id: String,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Frames a second.
+    /// Frames per second.
     pub fps: f64,
     /// train, val or test.
     pub split: String,
@@ -69,21 +69,21 @@ pub struct MotionInfo {
 pub struct Task {
     /// Id.
     pub id: i64,
-    /// What is asked.
+    /// Kind of task.
     pub kind: TaskKind,
-    /// Where it stands.
+    /// State.
     pub state: TaskState,
     /// One motion, or the one before and the one after the edit.
     pub motions: Vec<MotionInfo>,
     /// Action category, for the quota.
     pub category: Option<String>,
-    /// What a pair was generated or recorded for, if the source says.
+    /// Edit that the pair was made for, if the source states it.
     pub hint: Option<String>,
-    /// Style the source gives.
+    /// Style label of the source.
     pub style: Option<String>,
     /// Answers wanted.
     pub wanted: u32,
-    /// Answers handed in.
+    /// Submitted answers.
     pub submitted: u32,
     /// The bundle, for pairs.
     pub bundle: Option<Bundle>,
@@ -107,13 +107,13 @@ pub struct BundleItem {
     pub task: i64,
     /// My answer's state, if there is one.
     pub mine: Option<RevisionState>,
-    /// My verdict, if it is handed in.
+    /// My verdict, if it is submitted.
     pub verdict: Option<Verdict>,
     /// Whether I hold a lease on it.
     pub leased: bool,
 }
 
-/// A right to work on a task for a while.
+/// A lease: the right to work on a task for a limited time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lease {
@@ -123,7 +123,7 @@ pub struct Lease {
     pub task: i64,
     /// Holder.
     pub user: i64,
-    /// Fencing number, to be sent with every event.
+    /// Fencing number, sent with every event.
     pub epoch: i64,
     /// When it ends unless renewed.
     pub expires: i64,
@@ -139,7 +139,7 @@ pub struct HeldLease {
     pub user_name: String,
     /// Kind of its task.
     pub kind: TaskKind,
-    /// `annotate`, `review`, or `returned` for one kept for its author.
+    /// `annotate`, `review`, or `returned` (reserved for the author).
     pub purpose: String,
 }
 
@@ -151,13 +151,13 @@ pub struct TaskView {
     pub task: Task,
     /// My lease, if I hold one.
     pub lease: Option<Lease>,
-    /// My answer, if I began one.
+    /// My answer, if I started one.
     pub mine: Option<Revision>,
-    /// The reviewer's comment, if the task came back.
+    /// The reviewer's comment, if the task was returned.
     pub comment: Option<String>,
-    /// Suggestions; none where the task is blind.
+    /// Suggestions; empty if the task is blind.
     pub suggestions: Vec<Suggestion>,
-    /// Whether suggestions are withheld, to measure what they do.
+    /// Whether suggestions are withheld, to measure their effect.
     pub blind: bool,
 }
 
@@ -177,7 +177,7 @@ pub struct Next {
     pub task: Option<TaskView>,
     /// Why there is none.
     pub empty: Option<Empty>,
-    /// Hashes of the motions of the tasks that follow, to be fetched ahead.
+    /// Hashes of the motions of the following tasks, for prefetching.
     pub prefetch: Vec<String>,
 }
 
@@ -187,15 +187,15 @@ pub struct Next {
 pub struct Empty {
     /// All tasks.
     pub total: i64,
-    /// Have all answers they want.
+    /// With all wanted answers.
     pub done: i64,
-    /// I have answered; others have not yet.
+    /// Answered by me, waiting for others.
     pub waiting_for_others: i64,
     /// Held by others.
     pub leased_by_others: i64,
-    /// When the first of those leases ends.
+    /// When the first of those leases expires.
     pub soonest_expiry: Option<i64>,
-    /// I skipped them.
+    /// Skipped by me.
     pub skipped_by_me: i64,
     /// Dropped by reviewers.
     pub dropped: i64,
@@ -209,18 +209,18 @@ pub struct EventBatch {
     pub events: Vec<NewEvent>,
 }
 
-/// Something that happened to a task in the browser.
+/// An event of a task in the browser.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewEvent {
-    /// Made by the browser, unique: 8 to 64 letters, digits and dashes.
+    /// Unique key made by the browser: 8 to 64 letters, digits and dashes.
     pub idem_key: String,
-    /// What happened.
+    /// Kind of event.
     pub kind: EventKind,
-    /// Fencing number of the lease; not looked at for `undo`.
+    /// Fencing number of the lease; ignored for `undo`.
     #[serde(default)]
     pub lease_epoch: i64,
-    /// Revision this one is made from; 0 for none.
+    /// Revision this one is based on; 0 for none.
     #[serde(default)]
     pub base_rev: i64,
     /// The answer, for `draft` and `submit`.
@@ -235,10 +235,10 @@ pub struct NewEvent {
     /// The suggestion, for `suggestion_used`.
     #[serde(default)]
     pub suggestion: Option<i64>,
-    /// What became of it.
+    /// Use of the suggestion.
     #[serde(default)]
     pub used: Option<SuggestionUse>,
-    /// Seconds the author was at it since the event before.
+    /// Seconds of work since the previous event.
     #[serde(default)]
     pub secs: f64,
 }
@@ -247,12 +247,12 @@ pub struct NewEvent {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EventResults {
-    /// In the order of the events. After the first one that fails the others are not looked at and
-    /// have no result: send them again.
+    /// Results in the order of the events. Events after the first failed one are not processed and have no
+    /// result: send them again.
     pub results: Vec<EventResult>,
 }
 
-/// What became of an event.
+/// Result of an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EventResult {
@@ -260,7 +260,7 @@ pub struct EventResult {
     pub idem_key: String,
     /// 200 once it is durable, or the status of the problem.
     pub status: u16,
-    /// Its place in the log; none if nothing was logged.
+    /// Its sequence number in the log; `null` if nothing was logged.
     pub seq: Option<i64>,
     /// My revision after it.
     pub rev: i64,
@@ -268,7 +268,7 @@ pub struct EventResult {
     pub state: Option<TaskState>,
     /// My lease after it.
     pub lease: Option<Lease>,
-    /// What went wrong.
+    /// The problem, if it failed.
     pub problem: Option<Problem>,
 }
 
@@ -276,7 +276,7 @@ pub struct EventResult {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BlendRequest {
-    /// Hash of the motion that is edited.
+    /// Hash of the edited motion.
     pub src: String,
     /// Hash of the motion the masked parts come from.
     pub tgt: String,
@@ -293,6 +293,6 @@ pub struct BlendRequest {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuggestRequest {
-    /// Parts the text is to speak of.
+    /// Parts that the text shall describe.
     pub parts: Vec<String>,
 }

@@ -5,7 +5,7 @@ use crate::http::app::{Context, Reply, json};
 use crate::store::{IssuedToken, TokenUse};
 use crate::wire::{NewToken, NewUser, Settings, TokenShown, UserChange};
 
-/// Days a token of a new user is good for.
+/// Days a new user's token is valid.
 const TOKEN_DAYS: u32 = 90;
 const DAY: i64 = 24 * 60 * 60 * 1000;
 
@@ -66,7 +66,7 @@ pub(super) fn tokens(cx: &Context) -> Result<Reply, Error> {
 pub(super) fn add_token(cx: &Context) -> Result<Reply, Error> {
     let new: NewToken = cx.body()?;
     if !(1..=365).contains(&new.days) {
-        return Err(Error::invalid("days", "a token is good for 1 to 365 days"));
+        return Err(Error::invalid("days", "a token is valid for 1 to 365 days"));
     }
     let expires = cx.now + i64::from(new.days) * DAY;
     json(&shown(cx.app.store.issue(

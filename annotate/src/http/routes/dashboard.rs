@@ -14,7 +14,7 @@ use crate::wire::{EditType, Funnel, Person, QuotaRow, TaskKind, Week};
 const WEEKS: i64 = 12;
 const DAY: i64 = 24 * 60 * 60 * 1000;
 
-/// How old figures of agreement may be, in milliseconds.
+/// Maximum age of cached agreement figures in milliseconds.
 const FIGURES_AGE: i64 = 60_000;
 
 pub(super) fn figures(app: &App, now: i64) -> Result<Arc<Figures>, Error> {

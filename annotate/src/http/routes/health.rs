@@ -46,7 +46,7 @@ pub(super) fn metrics(cx: &Context) -> Result<Reply, Error> {
         ),
         (
             "annotate_read_only",
-            "Whether nothing can be saved.",
+            "Whether the store accepts no writes.",
             i64::from(lock(&cx.app.read_only).is_some()),
         ),
     ];

@@ -1,4 +1,4 @@
-//! The home page, preferences, the guide, and accepted answers to learn from.
+//! The home page, preferences, the guide, and the shelf of accepted answers.
 
 use super::dashboard::figures;
 use super::tasks::task_of;

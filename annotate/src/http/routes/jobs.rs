@@ -59,7 +59,7 @@ pub(super) fn one_job(cx: &Context) -> Result<Reply, Error> {
 
 pub(super) fn job_file(cx: &Context) -> Result<Reply, Error> {
     let job = job_of(cx)?;
-    // Only a name the job itself lists is ever part of a path.
+    // Only file names that the job lists become part of a path.
     let name = job
         .files
         .iter()

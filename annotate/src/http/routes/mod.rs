@@ -34,7 +34,7 @@ const fn row(
     }
 }
 
-/// All routes. What is not here does not exist.
+/// All routes.
 pub static ROUTES: &[Route] = &[
     row("POST", "/api/v1/session", PUBLIC, session::log_in),
     row("DELETE", "/api/v1/session", ANNOTATOR, session::log_out),
@@ -151,7 +151,7 @@ pub static ROUTES: &[Route] = &[
 mod tests {
     use super::*;
 
-    /// Prefix of the interface.
+    /// Prefix of the API.
     const API: &str = "/api/v1";
 
     #[test]
@@ -167,7 +167,7 @@ mod tests {
             let role = match route.access {
                 Access::Public => "–".to_owned(),
                 Access::Role(role) => role.to_string(),
-                Access::Local => unreachable!("no route of the interface is local"),
+                Access::Local => unreachable!("no API route is local"),
             };
             let found = document.lines().any(|line| {
                 let line = line.replace(r"\|", "/");

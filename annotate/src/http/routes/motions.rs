@@ -1,4 +1,4 @@
-//! Motions, pairs and blends for the stage.
+//! Motions, differences of pairs, and blends for the viewer.
 
 use axum::body::Body;
 use axum::http::header;
@@ -60,7 +60,7 @@ pub(super) fn difference(cx: &Context) -> Result<Reply, Error> {
         Some(other) => {
             return Err(Error::refused(
                 Code::BadRequest,
-                format!("align {other:?} is not known; none and stretch are"),
+                format!("align {other:?} is not known; use none or stretch"),
             ));
         }
     };
@@ -81,14 +81,14 @@ pub(super) fn blend(cx: &Context) -> Result<Reply, Error> {
     if !(0.0..=1.0).contains(&request.alpha) {
         return Err(Error::invalid(
             "alpha",
-            "the weight of the soft ring is 0 to 1",
+            "the weight of the soft ring must be 0 to 1",
         ));
     }
     if answer::known_parts(&request.parts).len() != request.parts.len() || request.parts.is_empty()
     {
         return Err(Error::invalid(
             "parts",
-            "name the parts to be taken from the other motion",
+            "name the parts to take from the other motion",
         ));
     }
     let mask = mask_of(&request.parts, request.soft);

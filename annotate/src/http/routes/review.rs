@@ -56,7 +56,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
 pub(super) fn review(cx: &Context) -> Result<Reply, Error> {
     let new: NewReview = cx.body()?;
     if new.decision != Decision::Merge && new.answer.is_some() {
-        return Err(Error::invalid("answer", "only a merge brings an answer"));
+        return Err(Error::invalid("answer", "only a merge contains an answer"));
     }
     json(&cx.app.store.review(cx.who()?.id, new, cx.now)?)
 }

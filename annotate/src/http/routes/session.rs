@@ -1,4 +1,4 @@
-//! Logging in and out, and who is logged in.
+//! Login, logout, and the current user.
 
 use axum::http::header;
 use axum::response::Response;
@@ -11,12 +11,12 @@ use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{TokenUse, Who};
 use crate::wire::{Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project};
 
-/// Most logins a minute from one address.
+/// Maximum number of logins per minute from one address.
 const LOGINS_PER_MINUTE: u32 = 10;
 /// Seconds between renewals of a lease.
 const HEARTBEAT_SECS: i64 = 60;
 const DAY: i64 = 24 * 60 * 60 * 1000;
-/// Days a browser stays logged in.
+/// Lifetime of a session in days.
 const SESSION_DAYS: i64 = 7;
 
 pub(super) fn log_in(cx: &Context) -> Result<Reply, Error> {

@@ -10,7 +10,7 @@ use crate::wire::{
     SuggestRequest, Task, TaskKind, TaskView,
 };
 
-/// Tasks whose motions are fetched ahead.
+/// Tasks whose motions the browser prefetches.
 const AHEAD: usize = 3;
 
 pub(super) fn motion_info(motion: MotionRecord) -> MotionInfo {
@@ -42,7 +42,7 @@ pub(super) fn task_of(
         category: record.category,
         hint: record.hint,
         style: record.style,
-        // A gold task looks like any other.
+        // Do not reveal gold tasks.
         wanted: if record.gold.is_some() {
             1
         } else {
@@ -74,7 +74,7 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     let blind = detail.blind;
     let mut suggestions = detail.suggestions;
     if detail.task.kind == TaskKind::MaskText && !blind {
-        // What moves is a suggestion too, made when it is asked for.
+        // Active parts are suggestions too, computed on request.
         let parts = app.motions.active_parts(&detail.task.source)?;
         if !parts.is_empty() {
             suggestions.push(crate::wire::Suggestion {
@@ -142,7 +142,7 @@ pub(super) fn events(cx: &Context) -> Result<Reply, Error> {
         return Err(Error::invalid(
             "events",
             format!(
-                "{} events are sent; 1 to {MAX_EVENTS} fit",
+                "a batch has 1 to {MAX_EVENTS} events, this one has {}",
                 batch.events.len()
             ),
         ));
@@ -173,14 +173,14 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
     if detail.blind {
         return Err(Error::wrong_state(
             detail.task.state,
-            "given a draft: it is shown without any",
+            "given a draft: its drafts are withheld",
         ));
     }
     let parts = answer::known_parts(&request.parts);
     if parts.is_empty() || parts.len() != request.parts.len() {
         return Err(Error::invalid(
             "parts",
-            "name the parts the text is to speak of",
+            "name the parts that the text shall describe",
         ));
     }
     cx.app.limiter.count(
