@@ -1,4 +1,4 @@
-/** Requests. A 401 waits for a login over the page and is then repeated; nothing is lost by it. */
+/** Requests. After a 401 a request waits for login and is then repeated. */
 
 import type { Problem } from "./wire";
 
@@ -12,14 +12,14 @@ export class ApiError extends Error {
   }
 }
 
-/** The server could not be reached, or answered with something that is not ours. */
+/** The server cannot be reached, or something else answered in its place. */
 export class Unreachable extends Error {}
 
-/** A request is given up after this long, a little more than the server's own limit. */
+/** Timeout of a request, slightly longer than the server's own. */
 const TIMEOUT_MS = 20_000;
 
 export class Api {
-  /** Opens the login box; resolves when somebody has logged in. */
+  /** Opens the login dialog; resolves after login. */
   onUnauthenticated: () => Promise<void> = () => Promise.reject(new Unreachable("not logged in"));
 
   constructor(private readonly base = "/api/v1") {}
@@ -44,7 +44,7 @@ export class Api {
     return littleEndian(bytes);
   }
 
-  /** One try without the login box, as the outbox and the login itself need it. */
+  /** One attempt without the login dialog, for the outbox and the login itself. */
   async once(method: string, path: string, body?: unknown): Promise<Response> {
     const headers: Record<string, string> = {};
     if (method !== "GET") headers["X-Annotate"] = "1";
@@ -55,7 +55,7 @@ export class Api {
       headers["Content-Type"] = "application/json";
       init.body = JSON.stringify(body);
     }
-    // Uploads may take longer than any time limit that suits the rest.
+    // Uploads have no timeout.
     if (!(body instanceof Blob)) init.signal = AbortSignal.timeout(TIMEOUT_MS);
     let response: Response;
     try {
@@ -79,13 +79,13 @@ export class Api {
   }
 }
 
-/** The problem in a response, or one made of its status. */
+/** The problem in a response, or one derived from its status. */
 async function problemOf(response: Response): Promise<Problem> {
   try {
     const problem = (await response.json()) as Problem;
     if (typeof problem.code === "string") return { ...problem, status: response.status };
   } catch {
-    // Not JSON: something between the browser and the server answered.
+    // Not JSON: a proxy answered.
   }
   return {
     type: "about:blank",
@@ -102,12 +102,12 @@ function littleEndian(bytes: ArrayBuffer): Float32Array {
   return Float32Array.from({ length: bytes.byteLength / 4 }, (_, index) => view.getFloat32(index * 4, true));
 }
 
-/** A new key for an event; the same key is sent with every repetition. */
+/** A new idempotency key; repetitions send the same key. */
 export function idemKey(): string {
   return crypto.randomUUID();
 }
 
-/** What to tell a person about any failure. */
+/** Message for the user about a failure. */
 export function reason(error: unknown): string {
   if (error instanceof ApiError) return error.problem.detail || error.problem.title;
   if (error instanceof Unreachable) return "the server cannot be reached";

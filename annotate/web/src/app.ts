@@ -1,4 +1,4 @@
-/** What all screens share: who is logged in, requests, keys, the outbox, and the frame of the page. */
+/** State shared by all screens: the user, requests, keys, the outbox, and the page frame. */
 
 import { Api, ApiError, Unreachable, reason } from "./api";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
@@ -20,17 +20,17 @@ import type { EventResult, Me, NewEvent, Prefs, Role, SkeletonInfo } from "./wir
 export interface Screen {
   readonly element: HTMLElement;
   readonly title: string;
-  /** Sets of keys that work here, beside the global ones. */
+  /** Active key scopes besides the global one. */
   readonly scopes: readonly Scope[];
-  /** Does what a key asks; false if it has no meaning now. */
+  /** Performs the action of a key; false if it does not apply now. */
   perform(action: ActionId, ten: boolean): boolean;
-  /** Where the focus goes when nothing is typed. */
+  /** Element focused while no text is typed. */
   readonly focusTarget: HTMLElement | null;
   draw?(nowMs: number): void;
   leave?(): void;
 }
 
-/** A task that is being worked on, as far as the page as a whole needs it. */
+/** The task in work, as the page frame sees it. */
 export interface OpenSession {
   readonly chain: string;
   readonly isEditing: boolean;
@@ -72,7 +72,7 @@ export class App {
   private readonly banner = h("div", { class: "banner", attrs: { role: "alert" } });
   private readonly header: HTMLElement;
   private readonly tab: string;
-  /** Counts openings, so that a slow one does not replace a newer one. */
+  /** Number of navigations, so that a slow one does not replace a newer one. */
   private opening = 0;
 
   constructor(
@@ -89,10 +89,10 @@ export class App {
     this.api.onUnauthenticated = () => this.requireLogin();
   }
 
-  /** Logs in, fetches what never changes, and shows the page in the address. */
+  /** Logs in, fetches constant data, and shows the screen of the URL. */
   async start(): Promise<void> {
     document.body.append(this.banner, this.header, this.main, this.toasts.element);
-    // An address with a token that is pasted over this page changes only what follows the `#`.
+    // Pasting a login URL over this page changes only the fragment and does not reload it.
     window.addEventListener("hashchange", () => {
       if (window.location.hash.startsWith("#token=")) window.location.reload();
     });
@@ -127,7 +127,7 @@ export class App {
     requestAnimationFrame(frame);
   }
 
-  /** The name under which a task's edits of this tab are kept. */
+  /** Chain name of a task's edits in this tab. */
   chain(task: number): string {
     return `${this.me.user.id}:${task}:${this.tab}`;
   }
@@ -151,7 +151,7 @@ export class App {
     void this.route();
   }
 
-  /** A link to a screen that does not load the page anew. */
+  /** A link to a screen that does not reload the page. */
   link(path: string, text: string, className = ""): HTMLAnchorElement {
     const link = h("a", { class: className }, text);
     link.href = `/app/${path}`;
@@ -167,11 +167,11 @@ export class App {
     this.screen?.focusTarget?.focus({ preventScroll: true });
   }
 
-  /** Opens the login box over the page; everything that waits for it goes on afterwards. */
+  /** Opens the login dialog over the page; waiting requests continue after login. */
   requireLogin(): Promise<void> {
     this.login ??= this.showLogin(this, true)
       .then((me) => {
-        // Another person: what waits here is not theirs to send.
+        // Another user logged in: do not send the previous user's events.
         if (this.me && me.user.id !== this.me.user.id) window.location.reload();
         this.me = me;
         void this.outbox?.flush();
@@ -187,7 +187,7 @@ export class App {
     try {
       this.me.prefs = await this.api.json<Prefs>("PUT", "prefs", this.me.prefs);
     } catch (error) {
-      this.toasts.show(`The setting holds for this page only: ${reason(error)}`, { kind: "error" });
+      this.toasts.show(`The setting was not saved and applies to this page only: ${reason(error)}`, { kind: "error" });
     }
   }
 
@@ -196,7 +196,7 @@ export class App {
     fill(this.banner, why === null ? null : `Nothing can be saved on the server: ${why}. What you write is kept in this browser.`);
   }
 
-  /** Four words: editing, saving, saved, offline. */
+  /** State of saving: editing, saving, saved or offline. */
   refreshChip(): void {
     const { phase, waiting, stuck, trouble } = this.status;
     const editing = [...this.sessions].some((session) => session.isEditing);
@@ -212,13 +212,13 @@ export class App {
   private async firstLogin(): Promise<Me> {
     const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
     if (token) {
-      // The token leaves the address bar and the history before anything else happens.
+      // First remove the token from the address bar and the history.
       window.history.replaceState(null, "", window.location.pathname);
       try {
         const response = await this.api.once("POST", "session", { token });
         return (await response.json()) as Me;
       } catch (error) {
-        this.toasts.show(`The token in the address was not taken: ${reason(error)}`, { kind: "error" });
+        this.toasts.show(`The token in the address was refused: ${reason(error)}`, { kind: "error" });
       }
     }
     try {
@@ -233,7 +233,7 @@ export class App {
   private async prepareWebgl(): Promise<void> {
     const probe = document.createElement("canvas").getContext("webgl2");
     if (!probe) return;
-    // Smooth edges cost a processor that draws in software most of its frames.
+    // Antialiasing is too slow for software rendering.
     const info = probe.getExtension("WEBGL_debug_renderer_info");
     const name = info ? String(probe.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
     const software = /swiftshader|llvmpipe|software|basic render/i.test(name);
@@ -253,7 +253,7 @@ export class App {
       const { problem } = error;
       if (problem.code === "read_only") this.setReadOnly(problem.detail);
       if (problem.status >= 500 || problem.status === 429 || problem.status === 401) throw error;
-      // The batch as a whole was refused: its first event carries the reason.
+      // The whole batch was refused: report it for the first event.
       const first = events[0] as NewEvent;
       return [{ idem_key: first.idem_key, status: problem.status, seq: null, rev: 0, state: null, lease: null, problem }];
     }
@@ -334,7 +334,7 @@ export class App {
     }
   }
 
-  /** Replaces what is shown, as when the next task comes. */
+  /** Replaces the screen, for example with the next task. */
   show(screen: Screen): void {
     if (this.screen !== screen) this.leave();
     this.screen = screen;
@@ -358,7 +358,7 @@ export class App {
     window.addEventListener("pagehide", () => {
       for (const session of this.sessions) void session.flushDraft();
     });
-    // With the mouse, the focus goes back to the stage, so that keys go on working after a click.
+    // After a mouse click return the focus to the stage, so that keys keep working.
     document.addEventListener("click", (event) => {
       const target = event.target instanceof Element ? event.target.closest("button, summary") : null;
       if (event.detail > 0 && target && !target.closest("dialog") && document.activeElement === target) this.focusStage();
@@ -391,7 +391,7 @@ export class App {
     }
   }
 
-  /** Moves the focus between navigation, stage, panel and playback. */
+  /** Moves the focus to the next region: navigation, stage, panel, playback. */
   private nextRegion(): void {
     const regions = [this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")].filter(
       (region): region is HTMLElement => region !== null,
@@ -424,7 +424,7 @@ function focusOf(target: EventTarget | null): Focus {
   return "stage";
 }
 
-/** Runs while no other tab of this browser does the same. */
+/** Runs under a lock shared by all tabs of this browser. */
 async function alone<T>(name: string, action: () => Promise<T>): Promise<T> {
   if (!navigator.locks) return action();
   return navigator.locks.request(name, action) as Promise<T>;

@@ -1,12 +1,11 @@
 /**
- * One frame counter for every view. Time plays, frames step: while playing, the position advances by
- * real seconds times speed times the native rate, and what is shown is its whole part. Views never
- * count frames themselves, so two of them cannot drift apart.
+ * One frame counter for every view. While playing, the position advances by seconds times speed times frame
+ * rate, and views show its integer part. Views never count frames themselves, so they cannot drift apart.
  */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
 
-/** After a hidden tab or a stall the motion goes on where it was instead of jumping. */
+/** Longest step in seconds: after a hidden tab or a stall the motion continues without a jump. */
 const LONGEST_TICK_SECS = 0.25;
 
 export interface ClockState {
@@ -15,7 +14,7 @@ export interface ClockState {
   fps: number;
   playing: boolean;
   speed: number;
-  /** First and last frame that plays, both included. */
+  /** First and last frame of the loop, both included. */
   loopIn: number;
   loopOut: number;
 }
@@ -38,21 +37,21 @@ export class Clock {
     return this.state;
   }
 
-  /** Calls `listener` now and after every change; returns how to stop. */
+  /** Calls `listener` now and after every change; returns a function that unsubscribes. */
   subscribe(listener: (state: Readonly<ClockState>) => void): () => void {
     this.listeners.add(listener);
     listener(this.state);
     return () => this.listeners.delete(listener);
   }
 
-  /** A new motion: back to its first frame, the whole of it in the loop, speed kept. */
+  /** Loads a motion: first frame, loop over the whole motion, same speed. */
   load(frames: number, fps: number): void {
     const last = Math.max(0, frames - 1);
     this.position = 0;
     this.set({ frame: 0, frames: Math.max(1, frames), fps, loopIn: 0, loopOut: last });
   }
 
-  /** Another length of the same viewing, as when two clips are aligned; the loop is reset. */
+  /** Changes the length, for example when two clips are aligned; resets the loop. */
   resize(frames: number): void {
     const last = Math.max(0, frames - 1);
     this.position = Math.min(this.position, last);
@@ -75,7 +74,7 @@ export class Clock {
     this.set({ playing, frame: Math.floor(this.position) });
   }
 
-  /** Whole frames forwards or backwards; pauses, and stays within the motion. */
+  /** Steps by whole frames within the motion, and pauses. */
   step(frames: number): void {
     this.seek(this.state.frame + frames);
   }
@@ -88,7 +87,7 @@ export class Clock {
     this.set({ frame: target, playing: false });
   }
 
-  /** Shows a frame and goes on playing if it was. */
+  /** Shows a frame without changing play or pause. */
   scrub(frame: number): void {
     const playing = this.state.playing;
     this.seek(frame);
@@ -147,16 +146,15 @@ export class Clock {
   }
 }
 
-/** What the clock needs to know of a clip. */
+/** Length and rate of a clip. */
 export interface Length {
   frames: number;
   fps: number;
 }
 
 /**
- * The frame of a clip that is shown with a frame of the clock: the same moment in seconds, the last
- * frame once the clip is over. With `stretch` the whole clip is spread over the whole clock, for
- * viewing two clips of different length side by side.
+ * The frame of a clip at a frame of the clock: the same time in seconds, or the last frame after the end of
+ * the clip. With `stretch` the clip is spread over the whole clock, to compare clips of different length.
  */
 export function clipFrame(clockFrame: number, clock: Length, clip: Length, stretch: boolean): number {
   const last = Math.max(0, clip.frames - 1);
@@ -164,6 +162,6 @@ export function clipFrame(clockFrame: number, clock: Length, clip: Length, stret
     if (clock.frames <= 1) return 0;
     return Math.min(last, Math.round((clockFrame * last) / (clock.frames - 1)));
   }
-  // A hair above, so that equal rates never fall to the frame before by rounding.
+  // A small offset, so that rounding does not select the previous frame at equal rates.
   return Math.min(last, Math.floor((clockFrame * clip.fps) / clock.fps + 1e-6));
 }

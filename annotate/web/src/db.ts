@@ -1,6 +1,6 @@
 /**
- * The browser's own store. What is typed is here before it is sent, and leaves only on a durable
- * acknowledgement.
+ * Storage in the browser (IndexedDB). Edits are stored here before they are sent, and removed only after the
+ * server has acknowledged them.
  */
 
 const NAME = "annotate";
@@ -9,7 +9,7 @@ const STORES = ["outbox", "chains"] as const;
 
 export type StoreName = (typeof STORES)[number];
 
-/** The little of a key-value store that is needed; tests use one in memory. */
+/** Key-value store; tests use one in memory. */
 export interface KeyValue {
   all<T>(store: StoreName): Promise<T[]>;
   get<T>(store: StoreName, key: string): Promise<T | undefined>;
@@ -70,7 +70,7 @@ export class BrowserStore implements KeyValue {
     await this.run(store, "readwrite", (objects) => objects.delete(key));
   }
 
-  /** Resolves when the transaction is complete, not when the request is, so that it is on disk. */
+  /** Resolves when the transaction is complete, so that the data is on disk. */
   private run<T>(
     store: StoreName,
     mode: IDBTransactionMode,

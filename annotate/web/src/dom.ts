@@ -1,6 +1,6 @@
 /**
- * Elements without markup strings. Everything that reaches the page does so as a text node or as an
- * attribute of a fixed name, so data of any content stays data.
+ * Creates elements without markup strings. Data reaches the page only as text nodes and as attributes of fixed
+ * names, so it is never interpreted as markup.
  */
 
 export type Child = Node | string | number | null | undefined | false;
@@ -8,13 +8,13 @@ export type Child = Node | string | number | null | undefined | false;
 export interface Props {
   class?: string;
   id?: string;
-  /** Attributes by name; `true` sets an empty one, `false` and `null` leave it out. */
+  /** Attributes by name; `true` sets an empty attribute, `false` and `null` omit it. */
   attrs?: Record<string, string | number | boolean | null | undefined>;
   data?: Record<string, string>;
   on?: { [K in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[K]) => void };
 }
 
-/** Attributes that can run code or load something; none of them may come from data. */
+/** Attributes that can run code or load resources; data must not set them. */
 const FORBIDDEN = /^(on|style$|src$|href$|srcdoc$|formaction$|action$)/i;
 
 export function h<K extends keyof HTMLElementTagNameMap>(
@@ -64,14 +64,14 @@ export function setAttr(
   }
 }
 
-/** A link within the page; the target is one of our own routes. */
+/** A link to a route of the page. */
 export function routeLink(route: string, text: string, props: Props = {}): HTMLAnchorElement {
   const link = h("a", props, text);
   link.href = `#/${route}`;
   return link;
 }
 
-/** Whether keys typed here are text. */
+/** Whether the element takes text input. */
 export function isTextField(target: EventTarget | null): boolean {
   if (target instanceof HTMLTextAreaElement) return true;
   if (target instanceof HTMLInputElement) {

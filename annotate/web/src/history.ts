@@ -1,9 +1,9 @@
 /**
- * Undo and redo as whole states. States are small (a few cards of text), so copies are simpler and
- * safer than inverse operations, and a saved history is restored by reading it back.
+ * Undo and redo by copies of the whole state. States are small (a few cards of text), so copies are simpler and
+ * safer than inverse operations.
  */
 
-/** Undo reaches this far; older states are forgotten. */
+/** Maximum number of undo steps. */
 export const HISTORY_LIMIT = 100;
 
 export interface HistoryData<T> {
@@ -16,7 +16,7 @@ export class History<T> {
   private past: T[];
   private current: T;
   private future: T[];
-  /** What kind of edit made the present state; the next of the same kind replaces it. */
+  /** Kind of the latest edit; the next edit of the same kind replaces its state. */
   private kind: string | null = null;
 
   constructor(
@@ -46,8 +46,8 @@ export class History<T> {
   }
 
   /**
-   * A new state. Consecutive edits with the same `kind`, such as the letters of one text, are one
-   * step; without a kind every edit is a step of its own.
+   * Adds a state. Consecutive edits of the same `kind`, such as the letters of one text, form one undo step;
+   * without a kind every edit is one step.
    */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
@@ -61,12 +61,12 @@ export class History<T> {
     this.onChange(this.data);
   }
 
-  /** The next edit starts a step of its own, whatever its kind. */
+  /** Starts a new step with the next edit, whatever its kind. */
   seal(): void {
     this.kind = null;
   }
 
-  /** The state before, or nothing if there is none. */
+  /** Undoes one step; `null` if there is none. */
   undo(): T | null {
     const before = this.past.pop();
     if (before === undefined) return null;
@@ -74,7 +74,7 @@ export class History<T> {
     return this.arrive(before);
   }
 
-  /** The state that was undone last, or nothing if there is none. */
+  /** Redoes one step; `null` if there is none. */
   redo(): T | null {
     const after = this.future.pop();
     if (after === undefined) return null;
@@ -90,7 +90,7 @@ export class History<T> {
   }
 }
 
-/** Whether two states say the same, in whatever order their fields stand. */
+/** Whether two states are equal, regardless of the order of fields. */
 export function same(a: unknown, b: unknown): boolean {
   return canonical(a) === canonical(b);
 }
@@ -102,7 +102,7 @@ function canonical(value: unknown): string {
   });
 }
 
-/** Histories of tasks that were never handed in are kept this long. */
+/** Lifetime of the history of a task that is never submitted. */
 const KEPT_MS = 30 * 24 * 3600 * 1000;
 const PREFIX = "annotate:history:";
 
@@ -112,8 +112,8 @@ interface Saved<T> {
 }
 
 /**
- * Keeps a history for the next page. At once, before the event that changed it is over: a page that
- * is left aborts writes to the larger store that have not ended.
+ * Stores a history for the next page load. It writes synchronously, because leaving the page aborts pending
+ * IndexedDB writes.
  */
 export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
   const store = (past: T[]): void => {
@@ -124,11 +124,11 @@ export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
     store(data.past);
   } catch {
     try {
-      // Full: the newest states matter most.
+      // Storage is full: keep only the newest states.
       prune(0, chain);
       store(data.past.slice(-10));
     } catch {
-      // Undo then ends with this page; the answer itself goes through the outbox.
+      // The undo history is lost on reload; the answer itself is in the outbox.
     }
   }
 }
@@ -155,7 +155,7 @@ function prune(olderMs: number, except: string): void {
       const saved = JSON.parse(localStorage.getItem(key) ?? "") as Saved<unknown>;
       if (Date.now() - saved.at < olderMs) continue;
     } catch {
-      // Not one of ours; it cannot be read again.
+      // Remove unreadable entries.
     }
     localStorage.removeItem(key);
   }

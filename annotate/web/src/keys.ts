@@ -1,7 +1,7 @@
 /**
- * The key map. Keys are bound by their physical position (`KeyboardEvent.code`), so hands find them
- * on any layout; labels show what is printed on the key where the browser tells. Bare keys do nothing
- * while text is typed; chords with Ctrl work everywhere, but undo in a text field is the field's own.
+ * The key map. Keys are bound by physical position (`KeyboardEvent.code`), independent of the layout; labels show
+ * the printed character where the browser reports it. Keys without Ctrl are ignored while text is typed; chords
+ * with Ctrl work everywhere, except that undo in a text field is the field's own.
  */
 
 export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "review";
@@ -10,11 +10,11 @@ export interface Action {
   id: ActionId;
   label: string;
   scope: Scope;
-  /** First chord is the one shown; all of them work. */
+  /** All chords work; the first one is shown. */
   chords: readonly string[];
 }
 
-/** Names are those of `wire::Action`, under which the server keeps remapped keys. */
+/** Names are those of `wire::Action`, which the server uses for remapped keys. */
 const ACTIONS = [
   ["key_sheet", "Key sheet", "global", ["Shift+Slash"]],
   ["next_region", "Next region of the page", "global", ["F6"]],
@@ -82,7 +82,7 @@ const ACTIONS = [
   ["candidate_4", "Fourth answer", "review", ["Digit4"]],
 ] as const satisfies readonly (readonly [string, string, Scope, readonly string[]])[];
 
-/** Scopes that are active at the same time: on the screens of masks, of pairs, and of reviews. */
+/** Scopes that are active together: on the screens for masks, pairs and reviews. */
 export const TOGETHER: readonly (readonly Scope[])[] = [
   ["global", "work", "transport", "parts", "mask"],
   ["global", "work", "transport", "parts", "pair"],
@@ -98,12 +98,12 @@ export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope
   chords,
 }));
 
-/** Keys by action, where they differ from the defaults. */
+/** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
 
 /**
- * What has the focus: the stage or nothing in particular, a button, a field that takes keys for
- * itself, or the text of a mask card, where Tab goes to the next card.
+ * Focused element: the stage or nothing, a button, a field that handles keys itself, or the text of a mask card,
+ * where Tab goes to the next card.
  */
 export type Focus = "stage" | "button" | "text" | "card";
 
@@ -113,11 +113,11 @@ export interface Found {
   ten: boolean;
 }
 
-/** Positions that can be bound; nothing else is taken from stored preferences. */
+/** Key positions that can be bound. */
 const CODE =
   /^(Key[A-Z]|Digit[0-9]|F([1-9]|1[0-2])|Space|Enter|Escape|Tab|Comma|Period|Slash|Semicolon|Quote|BracketLeft|BracketRight|Backslash|Backquote|Minus|Equal|IntlBackslash|Arrow(Left|Right|Up|Down)|Home|End|PageUp|PageDown|Delete|Insert|Numpad[0-9])$/;
 
-/** A chord in its one spelling, or nothing if it is not one. */
+/** Normalised spelling of a chord, or `null` if invalid. */
 export function parseChord(text: string): string | null {
   const pieces = text.split("+");
   const code = pieces.pop() ?? "";
@@ -129,7 +129,7 @@ export function parseChord(text: string): string | null {
   return `${ctrl ? "Ctrl+" : ""}${shift ? "Shift+" : ""}${code}`;
 }
 
-/** What of a key event the map looks at. */
+/** Fields of a key event that the map uses. */
 export interface Press {
   code: string;
   ctrlKey: boolean;
@@ -138,7 +138,7 @@ export interface Press {
   shiftKey: boolean;
 }
 
-/** The chord of an event; none with Alt, which belongs to the browser and to typing. */
+/** The chord of an event; none with Alt, which browsers and keyboard layouts use. */
 export function chordOf(press: Press): string | null {
   if (press.altKey) return null;
   const code = press.code === "NumpadEnter" ? "Enter" : press.code;
@@ -146,7 +146,7 @@ export function chordOf(press: Press): string | null {
   return parseChord(`${ctrl ? "Ctrl+" : ""}${press.shiftKey ? "Shift+" : ""}${code}`);
 }
 
-/** Whether a chord belongs to what has the focus. */
+/** Whether the focused element handles the chord itself. */
 function inert(chord: string, focus: Focus): boolean {
   if (focus === "stage") return false;
   if (chord === "Tab" || chord === "Shift+Tab") return focus !== "card";
@@ -159,7 +159,7 @@ function inert(chord: string, focus: Focus): boolean {
 
 const STEPS: ReadonlySet<ActionId> = new Set<ActionId>(["step_back", "step_forward"]);
 
-/** Names of keys where they are not the printed letter. */
+/** Names of keys without a printed character. */
 const CODE_LABELS: Readonly<Record<string, string>> = {
   Space: "Space",
   Enter: "Enter",
@@ -189,14 +189,14 @@ const CODE_LABELS: Readonly<Record<string, string>> = {
 
 export class KeyMap {
   private readonly chords = new Map<ActionId, readonly string[]>();
-  /** What is printed on the keys of this keyboard, as far as known. */
+  /** Printed characters of this keyboard, as far as known. */
   private printed = new Map<string, string>();
 
   constructor(overrides: KeyOverrides = {}) {
     this.override(overrides);
   }
 
-  /** Replaces all overrides; chords that are none, and actions that do not exist, are left out. */
+  /** Replaces all overrides; ignores invalid chords and unknown actions. */
   override(overrides: KeyOverrides): void {
     for (const action of DEFAULT_ACTIONS) {
       const wanted: unknown = overrides[action.id];
@@ -207,7 +207,7 @@ export class KeyMap {
     }
   }
 
-  /** What differs from the defaults. */
+  /** Keys that differ from the defaults. */
   get overrides(): KeyOverrides {
     const found: KeyOverrides = {};
     for (const action of DEFAULT_ACTIONS) {
@@ -217,7 +217,7 @@ export class KeyMap {
     return found;
   }
 
-  /** Learns what is printed on the keys, where the browser tells. */
+  /** Reads the keyboard layout, if the browser reports it. */
   async learnLayout(): Promise<void> {
     type Keyboard = { getLayoutMap?(): Promise<ReadonlyMap<string, string>> };
     const keyboard = (navigator as { keyboard?: Keyboard }).keyboard;
@@ -225,7 +225,7 @@ export class KeyMap {
       const layout = await keyboard?.getLayoutMap?.();
       if (layout) this.setPrinted(new Map(layout));
     } catch {
-      // Not allowed here; the usual names are shown.
+      // Not permitted: show the default names.
     }
   }
 
@@ -233,7 +233,7 @@ export class KeyMap {
     this.printed = labels;
   }
 
-  /** The action that a chord stands for in these scopes, with this focus. */
+  /** The action of a chord in these scopes, with this focus. */
   find(chord: string, scopes: readonly Scope[], focus: Focus): Found | null {
     if (inert(chord, focus)) return null;
     const exact = this.lookUp(chord, scopes);
@@ -250,7 +250,7 @@ export class KeyMap {
     return action?.id ?? null;
   }
 
-  /** Actions that could not be told apart if `id` had this chord. */
+  /** Actions that would conflict if `id` had this chord. */
   clashes(id: ActionId, chord: string): ActionId[] {
     const own = DEFAULT_ACTIONS.find((action) => action.id === id);
     if (!own) return [];
@@ -267,12 +267,12 @@ export class KeyMap {
     return this.chords.get(id)?.[0] ?? "";
   }
 
-  /** How the first chord of an action is written on buttons. */
+  /** Label of the first chord of an action, for buttons. */
   hint(id: ActionId): string {
     return this.labelOf(this.chord(id));
   }
 
-  /** How all chords of an action are written. */
+  /** Labels of all chords of an action. */
   hints(id: ActionId): string[] {
     return (this.chords.get(id) ?? []).map((chord) => this.labelOf(chord));
   }

@@ -1,4 +1,4 @@
-/** The sheet of keys, where every key can be changed. */
+/** The key sheet, where every key can be changed. */
 
 import { fill, h } from "./dom";
 import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";
@@ -16,7 +16,7 @@ const HEADINGS: readonly (readonly [Scope, string])[] = [
 
 const label = (id: ActionId): string => DEFAULT_ACTIONS.find((action) => action.id === id)?.label ?? id;
 
-/** Shows the sheet until it is closed; `store` saves changed keys. */
+/** Shows the key sheet until it is closed; `store` saves changed keys. */
 export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, string[]>) => void): Promise<void> {
   const note = h("p", { class: "note", attrs: { role: "status", "aria-live": "polite" } });
   const list = h("div", { class: "key-sheet" });

@@ -1,6 +1,5 @@
 /**
- * Remarks on a description that is probably wrong. They warn and never block: a person may well
- * mean what looks odd.
+ * Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right.
  */
 
 export type LintCode = "side" | "limb" | "empty" | "long" | "same_text" | "same_mask" | "draft_unchanged";
@@ -10,7 +9,7 @@ export interface Lint {
   message: string;
 }
 
-/** The server refuses longer texts. */
+/** Maximum length of a text, as on the server. */
 export const TEXT_LIMIT = 2000;
 
 type Side = "left" | "right";
@@ -42,8 +41,8 @@ const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
 };
 
 /**
- * "turns left", "to the right", "right away", "all right" say a direction or nothing about sides; what
- * follows may make it a body side again: "to the left hand" is a hand.
+ * "turns left", "to the right", "right away" and "all right" state a direction or no side at all, unless a body
+ * part follows: "to the left hand" names a hand.
  */
 const BODY_WORD = "(?:\\s+(?:upper\\s+|lower\\s+)?(?:arm|hand|elbow|wrist|shoulder|forearm|fist|leg|foot|knee|hip|ankle|thigh|shin|toe|heel|side)s?\\b)";
 const DIRECTIONS = new RegExp(
@@ -66,7 +65,7 @@ function union<T>(parts: readonly string[], table: Readonly<Record<string, reado
   return new Set(parts.flatMap((part) => [...(table[part] ?? [])]));
 }
 
-/** Remarks on one text under one mask. */
+/** Warnings about the text of one mask. */
 export function lintText(text: string, parts: readonly string[]): Lint[] {
   const found: Lint[] = [];
   const trimmed = text.trim();
@@ -110,7 +109,7 @@ export interface LintCard {
   draft?: string | null;
 }
 
-/** Remarks on all cards of a task, by card. */
+/** Warnings about all cards of a task, by card. */
 export function lintCards(cards: readonly LintCard[]): Lint[][] {
   const key = (parts: readonly string[]): string => [...parts].sort().join("+");
   return cards.map((card, index) => {

@@ -31,7 +31,7 @@ export const BLANK_MASKS: MaskTextAnswer = { kind: "mask_text", masks: [], count
 
 const PART_ACTIONS: readonly ActionId[] = ["part_1", "part_2", "part_3", "part_4", "part_5"];
 
-/** Waits for the alpha slider to rest before asking for another blend. */
+/** Delay in milliseconds after the last move of the alpha slider before a blend is requested. */
 const BLEND_AFTER_MS = 120;
 
 interface Preview {
@@ -51,7 +51,7 @@ export class MaskEditor {
   private readonly suggestionBox = h("div", { class: "suggestions" });
   private readonly previewBox = h("div", { class: "preview-box" });
   private readonly countNote = h("p", { class: "note count-note" });
-  /** While the focus is given back after drawing, which is no looking at a part. */
+  /** True while focus is restored after drawing, so that it does not count as hovering a part. */
   private quiet = false;
   private asking = false;
 
@@ -77,7 +77,7 @@ export class MaskEditor {
     return this.answer;
   }
 
-  /** Another answer from outside: undo, or a merge. */
+  /** Sets the answer after undo or a merge. */
   setAnswer(answer: MaskTextAnswer): void {
     this.answer = answer.masks.length > 0 ? answer : { ...answer, masks: [this.emptyMask()] };
     this.selected = Math.min(this.selected, this.answer.masks.length - 1);
@@ -129,7 +129,7 @@ export class MaskEditor {
     }
   }
 
-  /** The answer to hand in, or nothing if something is missing; says what. */
+  /** The answer to submit, or `null` after telling the user what is missing. */
   async complete(): Promise<MaskTextAnswer | null> {
     const masks = this.answer.masks.filter((mask) => mask.parts.length > 0 || mask.text.trim() !== "");
     const lacking = masks.findIndex((mask) => mask.parts.length === 0 || mask.text.trim() === "");
@@ -221,7 +221,7 @@ export class MaskEditor {
     this.refreshBlend();
   }
 
-  /** What is proposed and not yet a mask: single parts from the activity, whole masks from imports. */
+  /** Suggestions that are not yet masks: active parts, and imported masks. */
   private get open(): { parts: string[]; text: string; id: number; source: string }[] {
     const key = (parts: readonly string[]): string => [...parts].sort().join("+");
     const taken = new Set(this.answer.masks.map((mask) => key(mask.parts)));
@@ -326,7 +326,7 @@ export class MaskEditor {
     this.blendTimer = window.setTimeout(() => void this.blend(), BLEND_AFTER_MS);
   }
 
-  /** The chosen parts of this motion on the partner, computed by the server as training does it. */
+  /** Shows the chosen parts of this motion on the partner, blended by the server as in training. */
   private async blend(): Promise<void> {
     const { preview } = this;
     const partner = preview?.partners[preview.index];
@@ -388,7 +388,7 @@ export class MaskEditor {
         else this.insert({ ...this.emptyMask(), parts: suggestion.parts });
       });
       button.classList.add("suggestion");
-      button.title = suggestion.source === "activity" ? "This part moves much" : `From ${suggestion.source}`;
+      button.title = suggestion.source === "activity" ? "This part moves a lot" : `From ${suggestion.source}`;
       return button;
     });
     fill(this.suggestionBox, h("span", { class: "note" }, "Suggested, not chosen:"), ...items);
@@ -484,7 +484,7 @@ export class MaskEditor {
       const toggle = keyButton(phrase, hint, () => this.togglePart(name), "part");
       setAttr(toggle, "aria-pressed", chosen ? "true" : "false");
       toggle.dataset.part = name;
-      // Looking before choosing: the stage shows what the part would paint.
+      // Hovering a part previews its joints on the stage.
       const look = (): void => {
         if (!this.quiet) this.paint(app.parts.toggle(mask.parts, name), mask.soft);
       };
@@ -549,7 +549,7 @@ export class MaskEditor {
     );
     const box = this.cards.querySelector<HTMLElement>(".mask-card.selected .lints");
     if (!box) return;
-    // An empty text is the normal state of a new card; it is said when the answer is handed in.
+    // Do not warn about an empty text before submission: new cards are empty.
     const shown = (found[this.selected] ?? []).filter((lint) => lint.code !== "empty");
     fill(box, ...shown.map((lint) => h("li", { data: { lint: lint.code } }, lint.message)));
   }

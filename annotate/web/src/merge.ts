@@ -1,11 +1,11 @@
-/** Two versions of an answer, one of this page and one of another tab or machine. */
+/** Merges two versions of an answer: this page's, and one from another tab or machine. */
 
 import { h } from "./dom";
 import type { Parts } from "./parts";
 import { ask } from "./ui";
 import type { Answer } from "./wire";
 
-/** An answer in words, for reading beside another. */
+/** An answer in words, for comparison. */
 export function describe(parts: Parts, answer: Answer): string[] {
   if (answer.kind === "mask_text") {
     const lines = answer.masks.map((mask) => `${parts.phrases(mask.parts)}${mask.soft ? "" : " (no ring)"}: ${mask.text || "—"}`);
@@ -23,7 +23,7 @@ export function describe(parts: Parts, answer: Answer): string[] {
   return lines;
 }
 
-/** Both, one after the other, with nothing lost: masks of both, or both texts. */
+/** Concatenates both versions: the masks of both, or both texts. */
 export function both<A extends Answer>(mine: A, theirs: A): A {
   if (mine.kind === "mask_text" && theirs.kind === "mask_text") {
     const known = new Set(mine.masks.map((mask) => JSON.stringify([mask.parts, mask.text.trim()])));

@@ -1,14 +1,14 @@
-/** Motions as they are drawn, kept for a while. They are small, so each is loaded whole. */
+/** Cache of motions for drawing. Motions are small, so each is loaded whole. */
 
 import type { Api } from "./api";
 import type { Track } from "./stage/body";
 import type { MotionInfo } from "./wire";
 
 const POINTS = 28;
-/** Motions kept; a bundle of pairs needs sixteen. */
+/** Maximum number of cached motions; a bundle of pairs needs sixteen. */
 const KEPT = 48;
 
-/** The last piece of a motion's id, which tells clips apart; ids begin with folders of the source. */
+/** The file name of a motion's id, without the folders of the source. */
 export function shortName(id: string): string {
   return id.split("/").at(-1) ?? id;
 }
@@ -28,7 +28,7 @@ export class Motions {
     return this.load(this.heats, motion.hash, "heat");
   }
 
-  /** Fetches what will be wanted next; failures show when it is wanted. */
+  /** Prefetches motions; errors appear when a motion is used. */
   prefetch(hashes: readonly string[]): void {
     for (const hash of hashes) {
       this.load(this.joints, hash, "joints").catch(() => {});
@@ -38,7 +38,7 @@ export class Motions {
   private load(kept: Map<string, Promise<Float32Array>>, hash: string, what: string): Promise<Float32Array> {
     const known = kept.get(hash);
     if (known) {
-      // The newest at the end, so that the first is the one unused for longest.
+      // Move to the end: the first entry is the least recently used.
       kept.delete(hash);
       kept.set(hash, known);
       return known;

@@ -1,14 +1,12 @@
 /**
  * Events that the server has not acknowledged yet.
  *
- * An event enters with a key made here, is sent in order, and leaves on an acknowledgement. Failures
- * that may pass (no network, a server that starts, a session that ended, a full disk) are repeated
- * with the same key for ever. Failures that will not pass keep the event in the box, marked, until a
- * person has dealt with it: no error path throws text away.
+ * Events get an idempotency key, are sent in order, and are removed when acknowledged. Transient failures (no
+ * network, server restart, expired session, full disk) are retried with the same key without limit. After a
+ * permanent failure the event stays, marked as stuck, until the user resolves it: no error path discards text.
  *
- * A *chain* is one editor: a task in a tab. Its events build on each other, so a later one is sent
- * with the revision that the earlier one made. Two tabs are two chains, and the second to write
- * learns of the first by a conflict.
+ * A *chain* is one editor: a task in a tab. Each of its events is based on the revision made by the previous one.
+ * Two tabs are two chains; the second to write gets a conflict.
  */
 
 import { ApiError, Unreachable } from "./api";
@@ -25,11 +23,11 @@ export interface OutboxItem {
   chain: string;
   event: NewEvent;
   /**
-   * Whether it was sent before. The server may have taken it although its answer was lost, so it is
-   * repeated as it was, and not replaced by a newer one.
+   * Whether it was sent before. The server may have applied it although the response was lost, so it is repeated
+   * unchanged, and not replaced by a newer one.
    */
   sent: boolean;
-  /** Why it cannot be sent as it is. */
+  /** Permanent failure of the event. */
   problem: Problem | null;
 }
 
@@ -39,7 +37,7 @@ interface Chain {
 
 export type Phase = "idle" | "sending" | "offline";
 
-/** What the box tells its owner about a single event. */
+/** Notifications about single events. */
 export interface Outcome {
   item: OutboxItem;
   result: EventResult;
@@ -48,9 +46,9 @@ export interface Outcome {
 export interface OutboxStatus {
   phase: Phase;
   waiting: number;
-  /** Events a person has to look at. */
+  /** Number of events the user has to resolve. */
   stuck: number;
-  /** Why the last try failed, if it did. */
+  /** Error of the last attempt, if it failed. */
   trouble: string | null;
 }
 
@@ -59,9 +57,9 @@ export interface OutboxHooks {
   send(task: number, events: NewEvent[]): Promise<EventResult[]>;
   /** Waits for a login. */
   login(): Promise<void>;
-  /** Waits between tries. */
+  /** Waits between attempts. */
   sleep(ms: number): Promise<void>;
-  /** Runs alone among all tabs of this browser. */
+  /** Runs under a lock shared by all tabs. */
   alone<T>(action: () => Promise<T>): Promise<T>;
   status(status: OutboxStatus): void;
   outcome(outcome: Outcome): void;
@@ -70,7 +68,7 @@ export interface OutboxHooks {
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 5_000;
 
-/** Statuses and codes after which the same request may succeed later. */
+/** Statuses and codes of transient failures. */
 function mayPass(problem: Problem): boolean {
   return problem.status >= 500 || problem.status === 429 || problem.status === 408;
 }
@@ -83,7 +81,7 @@ export class Outbox {
   private trouble: string | null = null;
   private wake: (() => void) | null = null;
   private readonly inFlight = new Set<string>();
-  /** Keys that are on their way into the store. */
+  /** Keys of events being stored. */
   private readonly writing = new Set<string>();
 
   constructor(
@@ -92,13 +90,13 @@ export class Outbox {
     private readonly hooks: OutboxHooks,
   ) {}
 
-  /** Takes up what an earlier page left. */
+  /** Loads events stored by an earlier page. */
   async open(): Promise<void> {
     await this.reload();
     this.report();
   }
 
-  /** Everything that waits or is stuck, in order. */
+  /** All waiting and stuck events, in order. */
   get waiting(): readonly OutboxItem[] {
     return this.items;
   }
@@ -115,8 +113,8 @@ export class Outbox {
   }
 
   /**
-   * Keeps an event and starts sending. Resolves once the event is in the browser's store. An older
-   * draft of the same chain that was never sent is replaced: the newer one says all it said.
+   * Stores an event and starts sending. Resolves once the event is stored in the browser. It replaces an older
+   * unsent draft of the same chain.
    */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
     const item: OutboxItem = {
@@ -145,7 +143,7 @@ export class Outbox {
     void this.flush();
   }
 
-  /** A chain has seen this revision; what it writes next is based on it. */
+  /** Sets the revision that the next event of a chain is based on. */
   async setRev(chain: string, rev: number): Promise<void> {
     await this.store.put("chains", chain, { rev } satisfies Chain);
   }
@@ -155,7 +153,7 @@ export class Outbox {
     return (await this.store.get<Chain>("chains", chain))?.rev ?? 0;
   }
 
-  /** Takes stuck events of a chain out, once their content lives on elsewhere. */
+  /** Removes stuck events of a chain whose content was merged. */
   async discard(chain: string): Promise<void> {
     const own = this.items.filter((item) => item.chain === chain && !this.inFlight.has(item.key));
     this.items = this.items.filter((item) => !own.includes(item));
@@ -163,7 +161,7 @@ export class Outbox {
     this.report();
   }
 
-  /** Sends until nothing that can be sent is left. */
+  /** Sends all events that can be sent. */
   flush(): Promise<void> {
     this.wake?.();
     this.running ??= this.run().finally(() => {
@@ -172,7 +170,7 @@ export class Outbox {
     return this.running;
   }
 
-  /** Resolves when no event of the task waits any more, or after `ms`: true if it was in time. */
+  /** Resolves to true when no event of the task waits any more, or to false after `ms`. */
   async settled(task: number, ms: number): Promise<boolean> {
     const deadline = Date.now() + ms;
     for (;;) {
@@ -209,21 +207,21 @@ export class Outbox {
     this.setPhase("idle", null);
   }
 
-  /** The first event that is neither stuck nor behind a stuck one. */
+  /** The first event that is neither stuck nor follows a stuck one of its chain. */
   private next(): OutboxItem | null {
     const blocked = new Set(this.items.filter((item) => item.problem !== null).map((item) => item.chain));
     return this.items.find((item) => !blocked.has(item.chain)) ?? null;
   }
 
   private async sendNext(): Promise<boolean> {
-    // Another tab may have sent what this one still lists.
+    // Another tab may have sent it already.
     await this.reload();
     const item = this.next();
     if (!item) return false;
     this.setPhase("sending", null);
     this.inFlight.add(item.key);
     try {
-      // One at a time, because each is based on the revision that the one before makes.
+      // Send one at a time: each is based on the revision made by the previous one.
       if (!item.sent) {
         const known = await this.revOf(item.chain);
         item.event = { ...item.event, base_rev: Math.max(item.event.base_rev, known) };
@@ -244,8 +242,8 @@ export class Outbox {
     const problem = result.problem;
     if (problem && mayPass(problem)) throw new ApiError(problem);
     if (problem && problem.status === 401) throw new ApiError(problem);
-    // With a lost lease the text is kept on the server as a draft; that is an acknowledgement too.
-    // What carries no answer, as a refused undo, has nothing that could be lost.
+    // After a lost lease the server keeps the text as a draft, which acknowledges it. A refused event without an
+    // answer, such as undo, has nothing to lose.
     if (problem && problem.code !== "lease_lost" && item.event.answer !== undefined) {
       item.problem = problem;
       await this.store.put("outbox", item.key, item);
@@ -265,7 +263,7 @@ export class Outbox {
     this.items = [...stored, ...unwritten].sort((a, b) => a.order - b.order);
   }
 
-  /** Microseconds, and more than before: the order holds over tabs and reloads. */
+  /** Strictly increasing time in microseconds: keeps the order across tabs and reloads. */
   private nextOrder(): number {
     this.order = Math.max(this.order + 1, Date.now() * 1000);
     return this.order;
@@ -290,7 +288,7 @@ export class Outbox {
   }
 }
 
-/** What somebody else, or this person in another tab, wrote meanwhile. */
+/** The conflicting revision, written by somebody else or in another tab. */
 export interface Conflict {
   item: OutboxItem;
   mine: Answer;

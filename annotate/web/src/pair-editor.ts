@@ -1,4 +1,4 @@
-/** What turns the first motion into the second: verdict, parts, edit type or style, instruction. */
+/** Form for a pair: verdict, parts, edit type or style, instruction. */
 
 import type { App } from "./app";
 import { fill, h, setAttr } from "./dom";
@@ -25,7 +25,7 @@ export interface PairEditorHost {
   seal(): void;
   suggestionUsed(id: number, used: SuggestionUse): void;
   askDraft: ((parts: string[]) => Promise<Suggestion>) | null;
-  /** Hands in a verdict that needs nothing else. */
+  /** Submits a verdict that needs no other fields. */
   reject(verdict: Verdict): void;
 }
 
@@ -37,7 +37,7 @@ const REJECTS: readonly (readonly [Verdict, ActionId, string])[] = [
   ["identical", "identical", "Identical"],
 ];
 
-/** The parts that an extent stands for. */
+/** The parts of an extent. */
 const EXTENT_PARTS: Readonly<Record<Extent, readonly string[]>> = {
   lower: ["LOWER_BODY"],
   upper: ["UPPER_BODY"],
@@ -149,7 +149,7 @@ export class PairEditor {
     }
   }
 
-  /** The answer to keep the pair with, or nothing if something is missing; says what. */
+  /** The answer to submit, or `null` after telling the user what is missing. */
   complete(): TwoAnswer | null {
     const answer = { ...this.answer, verdict: "keep" as const, text: this.answer.text.trim() };
     const lacking: string[] = [];
@@ -214,7 +214,7 @@ export class PairEditor {
     if (count > 0) this.usePhrase((this.phrase + 1) % count);
   }
 
-  /** Puts a phrase at the end, in place of the one that was put there before. */
+  /** Appends a phrase, replacing the one appended before. */
   private usePhrase(index: number): void {
     const phrases = this.app.me.project.templates;
     const before = phrases[this.phrase];
@@ -333,13 +333,13 @@ export class PairEditor {
   }
 }
 
-/** The one after `current`, the first one if there is none. */
+/** The value after `current`, or the first one. */
 function next<T>(all: readonly T[], current: T | null): T {
   const at = current === null ? -1 : all.indexOf(current);
   return all[(at + 1) % all.length] as T;
 }
 
-/** A phrase without the dots that stand for what goes before it. */
+/** A phrase without its leading dots. */
 function plain(phrase: string): string {
   return phrase.replace(/^[\s.…]+/, "").trim();
 }

@@ -1,11 +1,11 @@
-/** Body parts as the server defines them, and what a choice of parts paints. */
+/** Body parts as defined by the server, and the joints that they highlight. */
 
 import { PLAIN, bits, type JointBits, type Paint } from "./stage/body";
 import type { PartInfo, SkeletonInfo } from "./wire";
 
 export class Parts {
   readonly all: readonly PartInfo[];
-  /** The five of the release, in the order of the rows of the strips. */
+  /** The five release parts, in the order of the strips' rows. */
   readonly release: readonly PartInfo[];
   private readonly byName: Map<string, PartInfo>;
 
@@ -23,7 +23,7 @@ export class Parts {
     return names.length === 0 ? "no part yet" : names.map((name) => this.phrase(name)).join(" + ");
   }
 
-  /** A joint that is hard in one of the parts is hard. */
+  /** Joints of several parts; a joint that is hard in one of them is hard. */
   joints(names: readonly string[], soft: boolean): { hard: JointBits; soft: JointBits } {
     const chosen = names.map((name) => this.byName.get(name)).filter((part) => part !== undefined);
     const hard = chosen.reduce((set, part) => set | bits(part.hard), 0);
@@ -36,14 +36,14 @@ export class Parts {
     return { ...this.joints(names, soft), masked: true, glow };
   }
 
-  /** The part that has the same joints as this choice under another name: LEFT + RIGHT is BOTH. */
+  /** The single part with the same joints: LEFT_ARM with RIGHT_ARM is BOTH_ARMS. */
   sameAs(names: readonly string[]): string | null {
     if (names.length < 2) return null;
     const own = this.joints(names, true).hard;
     return this.all.find((part) => bits(part.hard) === own)?.name ?? null;
   }
 
-  /** The same parts in the order of the release, with one more or one less. */
+  /** Toggles a part; the result is in the order of the release. */
   toggle(names: readonly string[], name: string): string[] {
     const wanted = new Set(names);
     if (!wanted.delete(name)) wanted.add(name);

@@ -1,6 +1,5 @@
 /**
- * Work on one task: its answer with undo, its drafts on the way to the server, its lease, and the
- * seconds spent on it.
+ * Work on one task: the answer with undo, sending of drafts, the lease, and working time.
  */
 
 import { ApiError, idemKey, reason } from "./api";
@@ -11,12 +10,12 @@ import { conflictOf } from "./outbox";
 import { mergeAnswers } from "./merge";
 import type { Answer, EventKind, Lease, NewEvent, SkipReason, SuggestionUse, TaskView } from "./wire";
 
-/** Typing pauses this long before a draft is sent. */
+/** Pause in typing after which a draft is sent. */
 const DRAFT_AFTER_MS = 600;
 /** Longer pauses do not count as work. */
 const IDLE_SECS = 30;
 
-/** How long to wait for the acknowledgement of a submission before saying that it waits. */
+/** How long to wait for the acknowledgement of a submission before telling the user. */
 const ACK_MS = 4000;
 
 export class TaskSession<A extends Answer> implements OpenSession {
@@ -27,9 +26,9 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private secs = 0;
   private lastActive = performance.now();
   private submitted = false;
-  /** Nothing was done for so long that the lease is not renewed. */
+  /** Whether the user has been idle for so long that the lease is not renewed. */
   private resting = false;
-  /** The revision this editor has seen. */
+  /** The latest revision known to this editor. */
   private rev: number;
   readonly chain: string;
   readonly task: number;
@@ -50,8 +49,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   /**
-   * Takes up a task: what this tab last had, if nobody wrote since; else what the server has, with
-   * this tab's state one undo away.
+   * Opens a task with this tab's last state if nobody wrote since; else with the server's state, and this tab's
+   * state one undo step away.
    */
   static async open<A extends Answer>(
     app: App,
@@ -90,14 +89,14 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.draftTimer !== null;
   }
 
-  /** A new answer; letters of one text are one step of undo (`kind`). */
+  /** Sets the answer; edits of the same `kind`, such as typing in one text, form one undo step. */
   change(answer: A, kind: string | null = null): void {
     this.active();
     this.history.push(answer, kind);
     this.schedule();
   }
 
-  /** The next letter starts a new step of undo. */
+  /** Starts a new undo step with the next edit. */
   seal(): void {
     this.history.seal();
   }
@@ -110,7 +109,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.arrive(this.history.redo());
   }
 
-  /** Counts the seconds since the last sign of life as work, unless they were a pause. */
+  /** Adds the seconds since the last activity to the working time, unless they were a pause. */
   active(): void {
     const now = performance.now();
     const passed = (now - this.lastActive) / 1000;
@@ -122,7 +121,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
   }
 
-  /** Sends the draft at once, as when the page is left. */
+  /** Sends the draft at once, for example when the page is left. */
   async flushDraft(): Promise<void> {
     if (this.draftTimer === null) return;
     window.clearTimeout(this.draftTimer);
@@ -130,7 +129,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     await this.send("draft", { answer: this.history.present });
   }
 
-  /** Hands the answer in. True once the server has it; false if it is stuck or still waits. */
+  /** Submits the answer. True once the server has it; false if it is stuck or still waits. */
   async submit(answer: A): Promise<"done" | "waiting" | "refused"> {
     this.cancelDraft();
     this.submitted = true;
@@ -151,7 +150,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.outcome();
   }
 
-  /** Takes back an answer that was handed in; the caller opens the task again. */
+  /** Withdraws a submitted answer; the caller reopens the task. */
   static async takeBack(app: App, task: number): Promise<boolean> {
     const chain = app.chain(task);
     await app.outbox.add(task, chain, { idem_key: idemKey(), kind: "undo", lease_epoch: 0, base_rev: 0 });
@@ -164,7 +163,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     await this.send("suggestion_used", { suggestion, used });
   }
 
-  /** What became of an event of this chain. */
+  /** Handles the result of an event of this chain. */
   async heard(outcome: Outcome): Promise<void> {
     if (outcome.item.chain !== this.chain) return;
     const { result, item } = outcome;
@@ -257,7 +256,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   private async renew(): Promise<void> {
     if (!this.lease || this.submitted) return;
-    // Whoever has gone home holds nothing: the lease runs out, and is asked for again on return.
+    // The lease of an idle user expires, and is claimed again when they return.
     this.resting = performance.now() - this.lastActive > this.app.me.limits.lease_secs * 1000;
     if (this.resting) return;
     try {
@@ -270,20 +269,20 @@ export class TaskSession<A extends Answer> implements OpenSession {
       } else if (error instanceof ApiError && error.problem.status === 401) {
         void this.app.requireLogin();
       }
-      // Anything else passes, or shows when something is saved.
+      // Other errors are transient, or appear when something is saved.
     }
   }
 
-  /** The lease ended. The text is safe; the task is taken again if it is still to be had. */
+  /** Handles an expired lease: the text is kept, and the task is claimed again if possible. */
   private async claimAgain(): Promise<void> {
     try {
       const view = await this.app.api.post<TaskView>(`tasks/${this.task}/claim`);
       this.lease = view.lease;
       this.rev = Math.max(this.rev, view.mine?.rev ?? 0);
-      this.app.toasts.show("Your time on this task had run out; it was taken again and nothing is lost.");
+      this.app.toasts.show("Your time on this task had expired. You have it again; nothing is lost.");
     } catch (error) {
       this.app.toasts.show(
-        `Your time on this task has run out and somebody else has it. Your text is kept as your draft. (${reason(error)})`,
+        `Your time on this task has expired and somebody else has it. Your text is kept as your draft. (${reason(error)})`,
         { kind: "error", ms: 20_000 },
       );
     }

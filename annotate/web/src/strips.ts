@@ -1,17 +1,17 @@
-/** Strips along the timeline: activity of the parts, and the distance of two motions. */
+/** Strips along the timeline: activity of parts, and the distance of two motions. */
 
 import { h } from "./dom";
 
 export interface Row {
   name: string;
   label: string;
-  /** The key that toggles the part, if it does. */
+  /** The key that toggles the part, if any. */
   hint: string;
 }
 
 type Stop = readonly [number, number, number];
 
-/** Light to dark in one direction, so that it also reads without colour. */
+/** Colour scale of increasing darkness, readable without colour vision. */
 const HEAT: readonly Stop[] = [
   [244, 246, 248],
   [253, 226, 164],
@@ -50,7 +50,7 @@ export class Strip {
   constructor(
     title: string,
     private readonly rows: readonly Row[],
-    /** The value that is drawn darkest. */
+    /** Value of the darkest colour. */
     private readonly full: number,
     seek: (frame: number) => void,
   ) {
@@ -91,7 +91,7 @@ export class Strip {
     this.element.dataset.columns = String(columns);
   }
 
-  /** Marks rows: parts that are suggested, and parts that are chosen. */
+  /** Marks the rows of suggested and of chosen parts. */
   mark(suggested: ReadonlySet<string>, chosen: ReadonlySet<string>): void {
     this.rows.forEach((row, index) => {
       this.labels[index]?.classList.toggle("suggested", suggested.has(row.name));
@@ -154,7 +154,7 @@ export class Strip {
     this.observer.disconnect();
   }
 
-  /** All values as one picture, a pixel each, so that playing redraws little. */
+  /** Draws all values once as an image of one pixel each, so that playback redraws little. */
   private paint(): HTMLCanvasElement | null {
     if (this.image || this.columns === 0) return this.image;
     const image = document.createElement("canvas");

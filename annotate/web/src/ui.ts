@@ -1,14 +1,14 @@
-/** Small pieces of the page: toasts, dialogs, labelled buttons, figures in words. */
+/** User interface elements: toasts, dialogs, labelled buttons, formatted figures. */
 
 import { append, fill, h, type Child } from "./dom";
 import type { Estimate } from "./wire";
 
-/** Messages at the lower edge; screen readers are told of them. */
+/** Messages at the lower edge, announced by screen readers. */
 export class Toasts {
   readonly element = h("div", { class: "toasts", attrs: { role: "status", "aria-live": "polite" } });
   private readonly shown = new Map<string, () => void>();
 
-  /** Shows a message; one of the same `id` replaces the one before. */
+  /** Shows a message; it replaces an earlier one of the same `id`. */
   show(
     message: string,
     options: { id?: string; kind?: "info" | "error"; ms?: number; action?: { label: string; run: () => void } } = {},
@@ -39,12 +39,12 @@ export interface Choice<T> {
   label: string;
   value: T;
   kind?: "primary" | "danger";
-  /** A bare key, by position, that chooses it while no text is typed. */
+  /** Key position that chooses it while no text is typed. */
   code?: string;
   hint?: string;
 }
 
-/** A modal box; resolves with what was chosen, or null for Escape. */
+/** A modal dialog; resolves with the choice, or null for Escape. */
 export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
   return new Promise((resolve) => {
     const finish = (value: T | null): void => {
@@ -99,8 +99,7 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
 }
 
 /**
- * One of several reasons, by digit; the one called `other` needs a note, and is asked for again
- * without one.
+ * Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one.
  */
 export async function askReason<T extends string>(
   title: string,
@@ -123,7 +122,7 @@ export async function askReason<T extends string>(
   }
 }
 
-/** A button that carries its key. */
+/** A button that shows its key. */
 export function keyButton(label: string, hint: string, run: () => void, className = ""): HTMLButtonElement {
   return h(
     "button",
@@ -168,7 +167,7 @@ export function percent(share: number | null): string {
   return share === null ? "n/a" : `${Math.round(share * 100)} %`;
 }
 
-/** A figure with its interval and count, or that there are too few items. */
+/** A figure with its interval and count, or a note that there are too few items. */
 export function estimate(figure: Estimate | null): string {
   if (!figure) return "n/a";
   return `${figure.value.toFixed(2)} [${figure.low.toFixed(2)}, ${figure.high.toFixed(2)}], n = ${figure.items}`;
@@ -184,7 +183,7 @@ export function when(ms: number | null): string {
   return new Date(ms).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 }
 
-/** A moment from now, in words. */
+/** The time until a future moment, in words. */
 export function until(ms: number): string {
   const left = Math.round((ms - Date.now()) / 1000);
   if (left <= 0) return "now";

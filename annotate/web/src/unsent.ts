@@ -1,4 +1,4 @@
-/** What the server did not take: shown in full, so that no text is ever out of reach. */
+/** Lists refused events in full, so that no text is lost. */
 
 import { h } from "./dom";
 import { describe } from "./merge";
@@ -18,7 +18,7 @@ export async function showUnsent(outbox: Outbox, parts: Parts): Promise<void> {
     ),
   );
   const choice = await ask(
-    "The server did not take these",
+    "The server refused these changes",
     [h("p", {}, "They stay in this browser until the task is saved again or you discard them."), ...entries],
     [
       { label: "Close", value: "close" as const, kind: "primary" },

@@ -1,4 +1,4 @@
-/** The part of three.js that the stage uses, as a chunk of its own. */
+/** The parts of three.js that the stage uses, as a separate bundle. */
 export {
   BufferAttribute,
   BufferGeometry,

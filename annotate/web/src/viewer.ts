@@ -1,6 +1,6 @@
 /**
- * Stages, strips and transport of a task, all driven by one clock. Screens say what is shown; nothing
- * here knows what is asked.
+ * Stages, strips and playback controls of a task, all driven by one clock. Screens decide what is shown; the
+ * viewer is independent of the kind of task.
  */
 
 import { clipFrame, Clock, type ClockState } from "./clock";
@@ -102,7 +102,7 @@ export class Viewer {
     });
   }
 
-  /** The element that has the focus while nobody types. */
+  /** Element focused while no text is typed. */
   get focusTarget(): HTMLElement {
     return (this.stages[0] as Stage).element;
   }
@@ -120,7 +120,7 @@ export class Viewer {
     this.update(this.clock.now);
   }
 
-  /** Shows other clips from their first frame, playing. */
+  /** Shows other clips and plays them from the first frame. */
   load(clips: Clip[], layout: Layout): void {
     this.clips = clips;
     this.layout = layout;
@@ -132,7 +132,7 @@ export class Viewer {
     this.clock.play(true);
   }
 
-  /** Shows other clips at the same frame. */
+  /** Shows other clips at the current frame. */
   replaceClips(clips: Clip[]): void {
     this.clips = clips;
     this.arrange();
@@ -163,7 +163,7 @@ export class Viewer {
     return this.stretch;
   }
 
-  /** Spreads both clips over the shorter one's time, for viewing alone. */
+  /** Spreads both clips over the duration of the shorter one, for viewing only. */
   setStretch(stretch: boolean): void {
     this.stretch = stretch;
     const playing = this.clock.now.playing;
@@ -177,7 +177,7 @@ export class Viewer {
     this.followButton.setAttribute("aria-pressed", String(follow));
   }
 
-  /** Does what a key of the transport asks; false if it is not one. */
+  /** Performs a playback action; false for other actions. */
   perform(action: ActionId, ten: boolean): boolean {
     const { clock } = this;
     switch (action) {
@@ -227,7 +227,7 @@ export class Viewer {
     }
   }
 
-  /** One animation frame: the clock moves, then whatever changed is drawn. */
+  /** One animation frame: advances the clock, then draws what changed. */
   draw(nowMs: number): void {
     this.clock.tick(nowMs);
     for (const stage of this.stages) stage.drawIfNeeded();
@@ -292,7 +292,7 @@ export class Viewer {
       const labels = order.map((clip) => clip.label);
       const caption = this.layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
       stage.setCaption(caption);
-      // A name that changes with every frame would be read out without end.
+      // Screen readers would announce a name that changes with every frame.
       const at = state.playing ? "playing" : `frame ${state.frame + 1} of ${state.frames}`;
       stage.setLabel(`${caption}, ${at}`);
       if (other && second) {

@@ -1,4 +1,4 @@
-/** What goes over the wire, as `annotate/src/wire` declares it. */
+/** Types of the HTTP API, as declared in `annotate/src/wire`. */
 
 export type Role = "annotator" | "reviewer" | "admin";
 export type TaskKind = "mask_text" | "pair" | "style";
@@ -21,14 +21,14 @@ export const EDIT_TYPES: readonly EditType[] = ["amplitude", "speed", "force", "
 export const EXTENTS: readonly Extent[] = ["lower", "upper", "whole"];
 export const SKIP_REASONS: readonly (readonly [SkipReason, string])[] = [
   ["broken_motion", "The motion is damaged"],
-  ["cannot_tell", "What happens cannot be told"],
+  ["cannot_tell", "The action cannot be recognised"],
   ["wrong_caption", "The caption contradicts the motion"],
-  ["not_for_me", "Not work for me"],
+  ["not_for_me", "Not a task for me"],
   ["other", "Something else (say what)"],
 ];
 export const COUNT_REASONS: readonly (readonly [CountReason, string])[] = [
-  ["single_action", "Nothing else takes part"],
-  ["many_actions", "More parts take part, each for itself"],
+  ["single_action", "Only one part acts"],
+  ["many_actions", "More parts act independently"],
   ["too_short", "The clip is too short for more"],
   ["other", "Something else (say what)"],
 ];

@@ -1,4 +1,4 @@
-/** Administration: exports and imports, people and tokens, settings, the log. */
+/** Administration: exports and imports, users and tokens, settings, the log. */
 
 import { reason } from "../api";
 import type { App, Screen } from "../app";
@@ -6,7 +6,7 @@ import { fill, h, type Child } from "../dom";
 import { ask, field, table, when } from "../ui";
 import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
 
-/** Between looks at a job that runs. */
+/** Polling interval of a running job. */
 const POLL_MS = 500;
 const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
 
@@ -178,7 +178,7 @@ async function peopleSection(app: App): Promise<HTMLElement> {
     value.value = shown.token;
     await ask(
       `Token of ${shown.user.name}`,
-      [h("p", {}, "It is shown this once. Hand it over in a private way."), field(`Ends ${when(shown.expires)}`, value)],
+      [h("p", {}, "The token is shown only now. Pass it on in private."), field(`Expires ${when(shown.expires)}`, value)],
       [{ label: "Done", value: true, kind: "primary" }],
       value,
     );

@@ -1,4 +1,4 @@
-/** Dashboard: where tasks stand, how people do, how far they agree. */
+/** Dashboard: states of tasks, figures per person, agreement. */
 
 import { reason } from "../api";
 import type { App, Screen } from "../app";
@@ -19,9 +19,9 @@ import {
 
 const STATES: readonly TaskState[] = ["open", "leased", "submitted", "in_review", "returned", "accepted", "dropped"];
 const KINDS: readonly TaskKind[] = ["mask_text", "pair", "style"];
-const PURPOSES: Readonly<Record<string, string>> = { annotate: "answering", review: "reviewing", returned: "kept for its author" };
+const PURPOSES: Readonly<Record<string, string>> = { annotate: "answering", review: "reviewing", returned: "reserved for its author" };
 
-/** Figures are read anew this long after something happened. */
+/** Delay after a change before figures are reloaded. */
 const REFRESH_AFTER_MS = 2000;
 
 export async function openDashboard(app: App): Promise<Screen> {
@@ -107,7 +107,7 @@ function funnelTable(funnel: Funnel): HTMLElement {
   );
 }
 
-/** Answers by week as bars, with the figures beside them. */
+/** Answers per week as bars with figures. */
 function weekChart(weeks: Week[]): HTMLElement {
   const most = Math.max(1, ...weeks.map((week) => week.submitted));
   return table(
@@ -167,7 +167,7 @@ function agreementTables(agreement: Agreement): HTMLElement[] {
       fact("Shared items", String(agreement.shared_items)),
       fact("Joint sets, mean Jaccard", estimate(agreement.jaccard)),
       fact("Masks, α with MASI", estimate(agreement.alpha_masi)),
-      fact("Taken as they were", estimate(agreement.accepted_share)),
+      fact("Accepted unchanged", estimate(agreement.accepted_share)),
       fact("Distance from the draft", percent(agreement.draft_distance)),
       fact("Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`),
     ),

@@ -1,4 +1,4 @@
-/** An empty queue says why. */
+/** Explains why a queue is empty. */
 
 import type { App, Screen } from "../app";
 import { h } from "../dom";
@@ -9,10 +9,10 @@ export function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Scre
   const lines: string[] = [];
   if (empty) {
     if (empty.total === 0) lines.push("No tasks of this kind have been imported.");
-    if (empty.done > 0) lines.push(`${empty.done} of ${empty.total} have all the answers they want.`);
+    if (empty.done > 0) lines.push(`${empty.done} of ${empty.total} have all wanted answers.`);
     if (empty.waiting_for_others > 0) lines.push(`${empty.waiting_for_others} have your answer and wait for other people.`);
     if (empty.leased_by_others > 0) {
-      const next = empty.soonest_expiry === null ? "" : `; the first of them comes free ${until(empty.soonest_expiry)} unless its holder goes on`;
+      const next = empty.soonest_expiry === null ? "" : `; the first of them becomes free ${until(empty.soonest_expiry)} unless its holder continues`;
       lines.push(`${empty.leased_by_others} are held by others${next}.`);
     }
     if (empty.skipped_by_me > 0) lines.push(`${empty.skipped_by_me} were skipped by you.`);

@@ -1,4 +1,4 @@
-/** Home: what there is to do, what came back, how it goes. */
+/** Home: open tasks, returned tasks, and today's figures. */
 
 import type { App, Screen } from "../app";
 import { h } from "../dom";
@@ -8,9 +8,9 @@ import { KIND_WORDS, type Home, type QueueInfo, type TaskKind } from "../wire";
 export const ROUTE_OF: Readonly<Record<TaskKind, string>> = { mask_text: "mask", pair: "pair", style: "style" };
 
 const WHAT: Readonly<Record<TaskKind, string>> = {
-  mask_text: "Which parts of the body actively take part, and what each of them does.",
-  pair: "What turns the first motion into the second, in one instruction.",
-  style: "In which style the second motion is done.",
+  mask_text: "Mark the active body parts, and describe what each of them does.",
+  pair: "Write the instruction that turns the first motion into the second.",
+  style: "Name the style of the second motion.",
 };
 
 export async function openHome(app: App): Promise<Screen> {
@@ -51,7 +51,7 @@ export async function openHome(app: App): Promise<Screen> {
     { class: "page home" },
     h("h1", {}, `Good to see you, ${app.me.user.name}`),
     returned.length > 0 &&
-      h("section", { class: "card returned" }, h("h2", {}, `Fix ${returned.length} that came back`), h("ul", {}, ...returned)),
+      h("section", { class: "card returned" }, h("h2", {}, `Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}`), h("ul", {}, ...returned)),
     h("div", { class: "cards" }, ...home.queues.map(card)),
     h(
       "section",
@@ -78,7 +78,7 @@ export async function openGuide(app: App): Promise<Screen> {
   return { element, title: "Guide", scopes: [], perform: () => false, focusTarget: element };
 }
 
-/** Plain text with three conventions: `#` before headings, `-` before list items, empty lines. */
+/** Formats plain text: `#` before headings, `-` before list items, empty lines between paragraphs. */
 export function formatGuide(text: string): HTMLElement[] {
   const blocks: HTMLElement[] = [];
   let list: HTMLElement | null = null;

@@ -1,4 +1,4 @@
-/** Login: a token, pasted. Also shown over the page when a session has ended. */
+/** Login by token. Also shown over the page when the session has expired. */
 
 import { reason } from "../api";
 import type { App } from "../app";
@@ -37,8 +37,8 @@ export function showLogin(app: App, over: boolean): Promise<Me> {
         "p",
         {},
         over
-          ? "Log in again to go on. What you wrote is safe in this browser and is sent afterwards."
-          : "Paste the token you were given. The person who runs this server makes one with “stance annotate DATASET user add NAME”.",
+          ? "Log in again to continue. Your text is stored in this browser and is sent after login."
+          : "Paste your token. The operator of this server creates one with “stance annotate DATASET user add NAME”.",
       ),
       h("label", { attrs: { for: "token" } }, "Token"),
       input,

@@ -14,7 +14,7 @@ import type { MaskTextAnswer, Next, Suggestion, TaskView } from "../wire";
 import { askSkip } from "./skip";
 import { emptyScreen } from "./empty";
 
-/** Activity of a part that is drawn darkest: its 95th percentile over the training split. */
+/** Activity drawn in the darkest colour: the part's 95th percentile over the training split. */
 const HEAT_FULL = 1;
 
 export async function openMask(app: App, argument: string): Promise<Screen> {
@@ -27,7 +27,7 @@ export async function openMask(app: App, argument: string): Promise<Screen> {
   return next.task ? maskScreen(app, next.task) : emptyScreen(app, "mask_text", next.empty);
 }
 
-/** A task by its number: as it is held, or taken anew. */
+/** Opens a task by number: the held one, or claims it. */
 export async function openTask(app: App, id: number): Promise<TaskView> {
   const view = await app.api.get<TaskView>(`tasks/${id}`);
   return view.lease ? view : app.api.post<TaskView>(`tasks/${id}/claim`);
@@ -83,7 +83,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
       const outcome = await run();
       if (outcome === "done") app.go("mask");
       else if (outcome === "waiting") {
-        app.toasts.show("The server has not answered yet. Your answer is kept and goes out by itself; go on when it is saved.", {
+        app.toasts.show("The server has not answered yet. Your answer is stored and will be sent; continue when it is saved.", {
           id: "waiting",
           kind: "error",
           ms: 10_000,
@@ -145,8 +145,8 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
       h(
         "p",
         { class: "rule" },
-        h("strong", {}, "Choose what actively takes part"),
-        " — not what stands still or only supports. Then say what each mask does.",
+        h("strong", {}, "Choose the active parts"),
+        " — not those that stand still or only support. Then describe what each mask does.",
       ),
       view.blind && h("p", { class: "note" }, "For this task no suggestions are shown."),
       masks.element,

@@ -16,10 +16,10 @@ import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
 import { askSkip } from "./skip";
 
-/** How long a rejection can be taken back at once. */
+/** How long the toast for withdrawing a rejection is shown. */
 const TOAST_MS = 5000;
 
-/** The difference in metres that is drawn darkest, unless a pair differs more. */
+/** Distance in metres drawn in the darkest colour, unless a pair differs more. */
 const DIFF_FULL = 0.15;
 
 export const openPair = (app: App, argument: string): Promise<Screen> => open(app, "pair", argument);
@@ -32,7 +32,7 @@ async function open(app: App, kind: TaskKind, argument: string): Promise<Screen>
   return next.task ? pairScreen(app, next.task) : emptyScreen(app, kind, next.empty);
 }
 
-/** Two clips of a task, with the strip of their difference. */
+/** The two clips of a task, with the strip of their distance. */
 export class PairView {
   readonly viewer: Viewer;
   readonly strip: Strip;
@@ -95,7 +95,7 @@ export class PairView {
     }
   }
 
-  /** To the frame where some part differs most. */
+  /** Moves to the frame with the largest distance of a part. */
   private toLargest(): void {
     const best = [1, 2, 3, 4, 5]
       .map((row) => ({ column: this.strip.peak(row), value: this.strip.value(row, this.strip.peak(row)) }))
@@ -103,7 +103,7 @@ export class PairView {
     this.viewer.clock.seek(best.column);
   }
 
-  /** Stretches for viewing alone; what is stored stays as it is. */
+  /** Stretches the clips for viewing only; stored data does not change. */
   private async align(): Promise<void> {
     const stretch = !this.viewer.isStretched;
     this.viewer.setStretch(stretch);
@@ -117,7 +117,7 @@ export class PairView {
   private async loadDiff(align: "none" | "stretch"): Promise<void> {
     const diff = await this.app.api.floats("GET", `pairs/${this.task.id}/diff?align=${align}`);
     const columns = Math.floor(diff.length / 6);
-    // The way through the room may differ by metres; limbs have a scale of their own.
+    // Root positions may differ by metres, so limbs have a separate scale.
     const root = diff.slice(0, columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
     const parts = diff.slice(columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
     this.strip.setValues(diff.map((value, index) => value / (index < columns ? root : parts)), columns);
@@ -142,7 +142,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
         app.go(route);
         after?.();
       } else if (outcome === "waiting") {
-        app.toasts.show("The server has not answered yet. Your answer is kept and goes out by itself; go on when it is saved.", {
+        app.toasts.show("The server has not answered yet. Your answer is stored and will be sent; continue when it is saved.", {
           id: "waiting",
           kind: "error",
           ms: 10_000,
@@ -205,7 +205,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   };
   const openItem = (item: BundleItem): void => {
     if (handedIn(item)) {
-      app.toasts.show(`Pair ${item.task} is handed in${item.verdict ? `: ${item.verdict}` : ""}.`, {
+      app.toasts.show(`Pair ${item.task} is submitted${item.verdict ? `: ${item.verdict}` : ""}.`, {
         id: "handed-in",
         action: {
           label: "Take back",
@@ -271,7 +271,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
         { class: "rule" },
         task.kind === "style"
           ? "In which style is the second motion done, and where does it show?"
-          : "What turns the first motion into the second? Reject at once what no person would do, or what words cannot say.",
+          : "What turns the first motion into the second? Reject the pair if a motion is unnatural, or if words cannot describe the change.",
       ),
       facts.length > 0 && h("ul", { class: "facts" }, ...facts.map((fact) => h("li", {}, fact))),
       pairEditor.element,
@@ -300,7 +300,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   };
 }
 
-/** The verdict that was given last, for Ctrl Z on the pair after it. */
+/** The latest verdict, for Ctrl Z on the next pair. */
 let lastVerdict: { takeBack: () => Promise<void>; until: number } | null = null;
 
 function handedIn(item: BundleItem): boolean {

@@ -1,4 +1,4 @@
-/** Review: the answers to one task side by side, with what they differ in glowing on the body. */
+/** Review: the answers to one task side by side; joints where they differ glow on the body. */
 
 import { ApiError, idemKey, reason } from "../api";
 import type { App, Screen } from "../app";
@@ -67,7 +67,7 @@ function queueTabs(app: App, current: ReviewQueue): HTMLElement {
   return h("nav", { class: "tabs", attrs: { "aria-label": "Review queues" } }, ...links);
 }
 
-/** Joints that some of the answers take and others do not. */
+/** Joints that some answers select and others do not. */
 export function differing(candidates: readonly Candidate[]): number {
   const sets = candidates.map((candidate) => bits(candidate.joints));
   const union = sets.reduce((a, b) => a | b, 0);
@@ -80,7 +80,7 @@ interface Shown {
   element: HTMLElement;
   perform(action: ActionId, ten: boolean): boolean;
   paint(candidate: Candidate | undefined, glow: number): void;
-  /** Paints these parts alone, while answers are merged. */
+  /** Highlights only these parts while answers are merged. */
   paintParts(parts: readonly string[]): void;
 }
 
@@ -171,7 +171,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
   const decide = async (decision: Decision, rest: Partial<NewReview>): Promise<void> => {
     if (busy) return;
     busy = true;
-    // The same decision again has the same key, so that a lost answer of the server does no harm.
+    // A repeated decision has the same key, so a lost response does no harm.
     const name = JSON.stringify([decision, rest]);
     const key = keys.get(name) ?? idemKey();
     keys.set(name, key);
@@ -185,7 +185,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
         action: { label: "Reopen", run: () => void reopen() },
       });
     } catch (error) {
-      // The same key can be sent again: whatever was typed is still on the page.
+      // The user can retry with the same key: the text is still on the page.
       app.toasts.show(`Not decided: ${reason(error)}`, { id: "decided", kind: "error", ms: 15_000 });
     } finally {
       busy = false;
@@ -223,7 +223,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
         : [{ label: "Drop", value: "all" as const, kind: "danger" }],
       text,
     );
-    // Kept until it is sent: a refusal or another look at the motion does not cost the words.
+    // Keep the comment until it is sent, also after a refusal.
     comment = text.value;
     if (choice === null) return app.focusStage();
     if (comment.trim() === "") {
@@ -393,7 +393,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
   };
 }
 
-/** What was merged so far before the page was left, or else the chosen answer. */
+/** The unfinished merge of an earlier page load, or else the chosen answer. */
 function unfinished(key: string, chosen: Answer): Answer {
   try {
     const saved = JSON.parse(localStorage.getItem(key) ?? "null") as Answer | null;
@@ -403,7 +403,7 @@ function unfinished(key: string, chosen: Answer): Answer {
   }
 }
 
-/** An answer in words; what no other candidate says is marked. */
+/** An answer in words; differences from the other candidates are marked. */
 function lines(app: App, answer: Answer, candidates: readonly Candidate[], own: number): HTMLElement[] {
   const others = new Set(
     candidates.filter((_, index) => index !== own).flatMap((candidate) => describe(app.parts, candidate.revision.answer)),

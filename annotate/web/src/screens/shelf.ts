@@ -1,4 +1,4 @@
-/** The shelf: accepted answers of other tasks, to learn from. */
+/** The shelf: accepted answers of other tasks as examples. */
 
 import { reason } from "../api";
 import type { App, Screen } from "../app";

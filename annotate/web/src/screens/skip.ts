@@ -1,4 +1,4 @@
-/** A skip always has a reason; without one it would be a silent discard. */
+/** Asks for the reason of a skip. */
 
 import { askReason } from "../ui";
 import { SKIP_REASONS, type SkipReason } from "../wire";

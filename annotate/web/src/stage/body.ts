@@ -1,6 +1,5 @@
 /**
- * How a body is drawn: which keypoints are joined, how thick, and in what colour. Only drawing; all
- * positions come from the server.
+ * Drawing of a body: its limbs, their thickness and colours. All positions come from the server.
  */
 
 /** Keypoints of a clip, in metres, y up: `data[(frame * points + point) * 3 + axis]`. */
@@ -36,7 +35,7 @@ const RADII = [
 export const HEAD_RADIUS = 0.1;
 export const EYE_RADIUS = 0.017;
 
-/** A limb from one keypoint to another. It is moved by the joint it starts at. */
+/** A limb between two keypoints, rotated by the joint at its start. */
 export interface Limb {
   from: number;
   to: number;
@@ -52,7 +51,7 @@ export const LIMBS: readonly Limb[] = PARENTS.flatMap((from, to) => {
 
 export type Side = "left" | "right" | "middle";
 
-/** The side of a limb: that of its end, so that hips and collars carry their side's colour. */
+/** The side of a limb is that of its end, so that hips and collars have their side's colour. */
 export function sideOf(point: number): Side {
   if (LEFT.has(point)) return "left";
   if (RIGHT.has(point)) return "right";
@@ -71,7 +70,7 @@ export const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
 const GREY: Rgb = [0.78, 0.8, 0.83];
 const GLOW: Rgb = [0.86, 0.1, 0.45];
 
-/** Bits of joints. */
+/** Bit set of joints. */
 export type JointBits = number;
 
 export function bits(joints: readonly number[]): JointBits {
@@ -82,9 +81,9 @@ export function has(set: JointBits, joint: number): boolean {
   return ((set >>> joint) & 1) === 1;
 }
 
-/** What is painted on a body. */
+/** Highlighting of a body. */
 export interface Paint {
-  /** Painted joints; nothing painted at all shows the plain side colours. */
+  /** Highlighted joints; without any, limbs have their side colours. */
   hard: JointBits;
   soft: JointBits;
   /** Whether joints outside the mask are greyed. */
@@ -106,7 +105,7 @@ export function mix(a: Rgb, b: Rgb, t: number): Rgb {
   return [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t];
 }
 
-/** The base colour of a limb; half tones are hatched on top of the resting colour. */
+/** Base colour of a limb; soft joints are hatched over the resting colour. */
 export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
   const full = SIDE_COLOURS[side];
   const tone = toneOf(paint, joint);
@@ -114,7 +113,7 @@ export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
   return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
 }
 
-/** What shows between the hatching of a half tone. */
+/** Colour between the hatching of a soft joint. */
 export function restColour(side: Side): Rgb {
   return mix(GREY, SIDE_COLOURS[side], 0.14);
 }
@@ -134,7 +133,7 @@ export function pointAt(track: Track, frame: number, point: number, out: Vec3): 
   return out;
 }
 
-/** The middle of the head's ball, from neck, head joint and eyes. */
+/** Centre of the head's sphere, from neck, head joint and eyes. */
 export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
   const neck = pointAt(track, frame, NECK, [0, 0, 0]);
   const head = pointAt(track, frame, HEAD, [0, 0, 0]);
@@ -147,7 +146,7 @@ export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
   return out;
 }
 
-/** A point on the ball of the head in the direction of an eye, so that the face can be seen. */
+/** The point of the head's sphere in the direction of an eye, which shows the face. */
 export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3): Vec3 {
   const centre = headCentre(track, frame, [0, 0, 0]);
   pointAt(track, frame, eye, out);
@@ -158,8 +157,7 @@ export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3): 
 }
 
 /**
- * Which way the body faces in a frame, as an angle about the vertical from +z, from its hips; used
- * to place the front camera in front.
+ * Heading of the body in a frame, from its hips: the angle about the vertical from +z. The front camera uses it.
  */
 export function headingAt(track: Track, frame: number): number {
   const left = pointAt(track, frame, LEFT_HIP, [0, 0, 0]);

@@ -1,4 +1,4 @@
-/** An orbiting camera that both renderers share, so that switching between them moves nothing. */
+/** The orbit camera shared by both renderers, so that switching between them keeps the view. */
 
 import type { Vec3 } from "./body";
 
@@ -14,12 +14,12 @@ export interface Pose {
   fieldOfView: number;
 }
 
-/** A point on the screen in pixels, and its distance along the view. */
+/** A screen point in pixels, and its depth. */
 export interface Projected {
   x: number;
   y: number;
   depth: number;
-  /** Pixels of one metre at this depth. */
+  /** Pixels per metre at this depth. */
   scale: number;
 }
 
@@ -29,7 +29,7 @@ export class OrbitCamera {
   distance = 4.2;
   target: Vec3 = [0, 0.95, 0];
   preset: Preset = "free";
-  /** Direction of the body's front; presets turn with it. */
+  /** Heading of the body; camera presets are relative to it. */
   heading = 0;
 
   use(preset: Preset): void {
@@ -61,7 +61,7 @@ export class OrbitCamera {
     this.distance = Math.min(14, Math.max(1.2, this.distance * factor));
   }
 
-  /** Moves the target in the plane of the screen, by pixels. */
+  /** Moves the target parallel to the screen, by pixels. */
   pan(dx: number, dy: number, height: number): void {
     const metres = (2 * this.distance * Math.tan(FIELD_OF_VIEW / 2)) / Math.max(1, height);
     const { right, up } = this.axes();
@@ -83,7 +83,7 @@ export class OrbitCamera {
     };
   }
 
-  /** A function from world to pixels of a view of this size; null behind the camera. */
+  /** Projection from world to pixels for a view of this size; null behind the camera. */
   projector(width: number, height: number): (point: Vec3) => Projected | null {
     const { right, up, forward } = this.axes();
     const eye = this.pose.eye;

@@ -1,4 +1,4 @@
-/** The stage without WebGL: the same body as thick lines, nearest last. */
+/** Renderer without WebGL: draws the body as thick lines, nearest last. */
 
 import type { OrbitCamera, Projected } from "./camera";
 import type { Body, Renderer, Scene } from "./scene";

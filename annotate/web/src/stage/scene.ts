@@ -1,4 +1,4 @@
-/** What a renderer is told; the same for both. */
+/** Input of both renderers. */
 
 import type { OrbitCamera } from "./camera";
 import type { Paint, Track } from "./body";
@@ -6,9 +6,9 @@ import type { Paint, Track } from "./body";
 export interface Body {
   track: Track;
   paint: Paint;
-  /** Frame of this clip that is shown. */
+  /** Shown frame of the clip. */
   frame: number;
-  /** Seen through, as the other clip of an overlay. */
+  /** Transparent, for the other clip of an overlay. */
   ghost: boolean;
 }
 

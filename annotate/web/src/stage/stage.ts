@@ -1,6 +1,6 @@
 /**
- * A view of bodies: a renderer, an overlay for tags, the mouse, and attributes that say what is
- * shown. Renderers are exchangeable; where WebGL is absent or lost, Canvas 2D takes over.
+ * A view of bodies: a renderer, an overlay for tags, mouse control, and attributes that describe what is shown.
+ * Without WebGL, or when its context is lost, Canvas 2D is used.
  */
 
 import { h } from "../dom";
@@ -9,10 +9,10 @@ import { CanvasRenderer } from "./canvas2d";
 import type { Body, Renderer, Scene } from "./scene";
 import { PELVIS, headingAt, pointAt, type Vec3 } from "./body";
 
-/** How a stage gets its renderer; throws where it cannot. */
+/** Creates a renderer; throws if it is not supported. */
 export type MakeRenderer = () => Renderer;
 
-/** Keypoints that carry a tag: wrists and feet. */
+/** Keypoints with a tag: wrists and feet. */
 const TAGS: readonly (readonly [number, string, string])[] = [
   [20, "L", "#1c6bd4"],
   [10, "L", "#1c6bd4"],
@@ -65,7 +65,7 @@ export class Stage {
     return this.renderer.kind;
   }
 
-  /** Cameras of both move together from now on. */
+  /** Links the cameras of two stages. */
   link(other: Stage): void {
     this.followers.push(other);
     other.followers.push(this);
@@ -79,7 +79,7 @@ export class Stage {
     if (this.element.getAttribute("aria-label") !== text) this.element.setAttribute("aria-label", text);
   }
 
-  /** Shows these bodies with a frame of the clock. */
+  /** Shows bodies at a frame of the clock. */
   show(bodies: Body[], clockFrame: number): void {
     this.bodies = bodies;
     this.element.dataset.frame = String(clockFrame);
@@ -123,7 +123,7 @@ export class Stage {
     this.dirty = true;
   }
 
-  /** Draws if anything changed; called once for each animation frame. */
+  /** Draws if anything changed; called once per animation frame. */
   drawIfNeeded(): void {
     if (!this.dirty || this.disposed || !this.element.isConnected) return;
     const width = this.element.clientWidth;

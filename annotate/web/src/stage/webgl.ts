@@ -25,10 +25,10 @@ import {
 type Lib = typeof Three;
 
 const BACKGROUND = 0xeef1f4;
-/** Two ends of every limb, the pelvis, the head and two eyes. */
+/** Number of spheres: two ends of every limb, the pelvis, the head and two eyes. */
 const SPHERES = LIMBS.length * 2 + 4;
 
-/** Half tones: diagonal stripes of the resting colour, in screen space so that they stay readable. */
+/** Hatching of soft joints: diagonal stripes of the resting colour in screen space. */
 function hatch(material: Three.MeshLambertMaterial): void {
   material.onBeforeCompile = (shader) => {
     shader.vertexShader = shader.vertexShader
@@ -73,8 +73,7 @@ class BodyMesh {
     this.tubes = new lib.InstancedMesh(tube, this.material, LIMBS.length);
     this.group.add(this.spheres, this.tubes);
 
-    // A shadow straight down: the same instances, flattened. The stencil lets each pixel be darkened
-    // once, however many limbs are above it.
+    // Vertical shadow: the same instances, flattened. The stencil darkens each pixel only once.
     this.shadowMaterial = new lib.MeshBasicMaterial({
       color: 0x1c2733,
       transparent: true,
@@ -212,13 +211,13 @@ export class WebglRenderer implements Renderer {
   private height = 0;
   private ratio = 0;
 
-  /** Throws where WebGL 2 cannot be had. */
+  /** Throws without WebGL 2. */
   constructor(
     private readonly lib: Lib,
     private readonly idle: WebglRenderer[],
     antialias: boolean,
   ) {
-    // The buffer is kept so that a page can be copied or inspected at any time.
+    // Preserve the buffer for screenshots and tests.
     this.renderer = new lib.WebGLRenderer({ antialias, preserveDrawingBuffer: true, stencil: true });
     this.canvas = this.renderer.domElement;
     this.renderer.setClearColor(BACKGROUND, 1);
@@ -257,7 +256,7 @@ export class WebglRenderer implements Renderer {
     this.renderer.render(this.scene, this.camera);
   }
 
-  /** Leaves the page and waits for the next stage. */
+  /** Detaches the renderer and keeps it for the next stage. */
   dispose(): void {
     this.canvas.remove();
     if (this.renderer.getContext().isContextLost()) {
@@ -270,8 +269,8 @@ export class WebglRenderer implements Renderer {
 }
 
 /**
- * Makes renderers, and takes those of closed stages first: a new context and its shaders cost more
- * than everything else a task needs.
+ * Creates renderers, and reuses those of closed stages: a new context with its shaders costs more than anything
+ * else on the page.
  */
 export function rendererPool(lib: Lib, antialias: boolean): () => Renderer {
   const idle: WebglRenderer[] = [];
