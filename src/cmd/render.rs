@@ -7,7 +7,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
-use eval::draw::strip::{Row, Style, View, strip};
+use eval::draw::strip::{Row, Style, View, sheet, strip};
 use pipeline::open::{clip_of_file, stored_clip, stored_item};
 
 use crate::cli::Global;
@@ -16,9 +16,9 @@ use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
-/// Of an item there is a row for its source, its target and every answer of a folder of edits.
-/// The ending of --out says what is made: svg or png for strips below each other, gif for figures
-/// that move beside each other.
+/// An item has a row for its source, its target and each answer in a folder of edits, below its
+/// instruction. The extension of --out chooses the format: svg or png for strips below each other,
+/// gif for figures that move side by side.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Motion files, or ids of clips or items of --dataset
@@ -57,7 +57,7 @@ fn parse_zoom(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Writes a drawing as what the ending of the path says: svg or png.
+/// Writes a drawing as SVG or PNG, chosen by the extension of the path.
 pub(crate) fn write_picture(path: &Path, svg: &str, zoom: f32) -> anyhow::Result<()> {
     let bytes = match path.extension().and_then(|extension| extension.to_str()) {
         Some("svg") => svg.as_bytes().to_vec(),
@@ -67,7 +67,7 @@ pub(crate) fn write_picture(path: &Path, svg: &str, zoom: f32) -> anyhow::Result
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Whether a folder is one of items, or of edits, and not of motions.
+/// Whether a folder holds items or edits rather than motions.
 pub(crate) fn holds_items(dataset: &Dataset) -> bool {
     let tables = &dataset.manifest().tables;
     tables.contains_key(ItemRow::TABLE) && !tables.contains_key(MotionRow::TABLE)
@@ -85,12 +85,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         highlighted,
     };
     let mut rows: Vec<Row> = Vec::new();
+    // Instruction of each item, and the index of its first row.
+    let mut instructions: Vec<(String, usize)> = Vec::new();
     for clip in &args.clips {
         match &dataset {
             Some(dataset) if holds_items(dataset) => {
                 let item = stored_item(dataset, clip)?;
                 let edited = [item.hard_joints.as_slice(), &item.soft_joints].concat();
                 let edited = JointSet::try_from(edited)?;
+                instructions.push((item.instruction.clone(), rows.len()));
                 rows.push(row("source".to_owned(), &item.source()?, JointSet::EMPTY));
                 if item.target_frames > 0 {
                     rows.push(row("target".to_owned(), &item.target()?, edited));
@@ -122,13 +125,25 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ViewArg::Side => View::Side,
         },
     };
+    let drawing = || {
+        if instructions.is_empty() {
+            return strip(&rows, &style);
+        }
+        let ends = instructions.iter().skip(1).map(|(_, first)| *first);
+        let panels: Vec<(String, String)> = instructions
+            .iter()
+            .zip(ends.chain([rows.len()]))
+            .map(|((text, first), end)| (text.clone(), strip(&rows[*first..end], &style)))
+            .collect();
+        sheet(&panels, 1, style.width)
+    };
     let bytes = match args
         .out
         .extension()
         .and_then(|extension| extension.to_str())
     {
-        Some("svg") => strip(&rows, &style).into_bytes(),
-        Some("png") => raster::png(&strip(&rows, &style), args.zoom)?,
+        Some("svg") => drawing().into_bytes(),
+        Some("png") => raster::png(&drawing(), args.zoom)?,
         Some("gif") => raster::gif(&rows, &style, args.zoom / 2.0)?,
         _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
     };

@@ -50,7 +50,7 @@ CREATE INDEX task_review ON task (state, id);
 CREATE INDEX task_bundle ON task (bundle, bundle_index);
 CREATE INDEX task_gold ON task (kind, id) WHERE gold IS NOT NULL;
 
--- (p) A right to work on a task: to answer it, to review it, or a place kept for an author whose answer came back.
+-- (p) A lease on a task: to answer it, to review it, or reserved for an author whose answer was returned.
 CREATE TABLE lease (
   id BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
@@ -93,7 +93,7 @@ CREATE TABLE review (
 );
 CREATE INDEX review_task ON review (task, seq);
 
--- (p) The answer that was taken.
+-- (p) The accepted answer.
 CREATE TABLE accepted (
   task BIGINT PRIMARY KEY,
   author BIGINT NOT NULL,
@@ -105,7 +105,7 @@ CREATE TABLE accepted (
 );
 CREATE INDEX accepted_seq ON accepted (seq);
 
--- (p) Tasks somebody does not want, or not yet.
+-- (p) Skipped and postponed tasks by user.
 CREATE TABLE skip (
   task BIGINT NOT NULL,
   usr BIGINT NOT NULL,
@@ -116,7 +116,7 @@ CREATE TABLE skip (
   PRIMARY KEY (task, usr)
 );
 
--- (p) What became of suggestions.
+-- (p) Use of suggestions.
 CREATE TABLE suggestion_use (
   seq BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
@@ -125,7 +125,7 @@ CREATE TABLE suggestion_use (
   used TEXT NOT NULL
 );
 
--- (p) How answers to gold tasks compare with the known ones.
+-- (p) Scores of answers to gold tasks.
 CREATE TABLE gold_score (
   task BIGINT NOT NULL,
   usr BIGINT NOT NULL,
