@@ -1,5 +1,5 @@
-//! The committed front end: that it was built from the sources beside it, that it is small, and that
-//! its code cannot turn data into markup. None of this needs Node.
+//! Checks of the committed front end: it is built from the present sources, it is small, and its code cannot
+//! turn data into markup. Node is not needed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-/// Bytes of all served files together.
+/// Maximum total size of all served files in bytes.
 const SIZE_BUDGET: u64 = 700_000;
 
 #[derive(Deserialize)]
@@ -150,7 +150,7 @@ fn data_reaches_the_page_only_as_text() {
     for path in sources {
         let text = fs::read_to_string(web.join(&path)).expect("a source is text");
         for word in forbidden {
-            // The list of attributes that the element builder refuses names one of them.
+            // The element builder's list of refused attributes contains one of them.
             let allowed = path == "src/dom.ts" && word == "srcdoc";
             assert!(allowed || !text.contains(word), "{path} has {word}");
         }

@@ -1,4 +1,4 @@
-//! Chromium, and what a person does with it.
+//! Chromium, and user actions in it.
 
 use std::process::Stdio;
 use std::time::Instant;
@@ -13,7 +13,7 @@ use tokio::process::{Child, Command};
 
 use crate::{LOOK_EVERY, PATIENCE};
 
-/// Keys that print nothing, as WebDriver names them.
+/// Non-printing keys, as named by WebDriver.
 pub mod keys {
     #![allow(missing_docs, reason = "the names are the documentation")]
     #![allow(
@@ -38,7 +38,7 @@ pub mod keys {
     pub const CONTROL: char = '\u{e009}';
 }
 
-/// What the browser can draw with.
+/// Graphics support of the browser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Graphics {
     /// WebGL in software.
@@ -47,17 +47,17 @@ pub enum Graphics {
     None,
 }
 
-/// A browser of a test's own, with its driver.
+/// A browser for one test, with its driver.
 #[derive(Debug)]
 pub struct Browser {
     client: Client,
     driver: Child,
-    /// The browser's own process, which outlives a driver that is killed.
+    /// Process id of the browser, which survives if its driver is killed.
     process: Option<i64>,
 }
 
 impl Drop for Browser {
-    /// Ends the browser of a test that failed; it would go on drawing for ever.
+    /// Ends the browser of a failed test, which would otherwise keep running.
     fn drop(&mut self) {
         if let Some(process) = self.process {
             let ended = std::process::Command::new("kill")
@@ -91,7 +91,7 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
             "--window-size=1280,900",
-            // What the heap holds can be asked for, and what nobody holds is thrown away first.
+            // Expose heap size and garbage collection.
             "--js-flags=--expose-gc",
             "--enable-precise-memory-info",
         ];
@@ -108,7 +108,7 @@ impl Browser {
             .connect(&format!("http://127.0.0.1:{port}"))
             .await
             .expect("Chromium starts");
-        // Drawing in software on few cores, a few hundred frames take their time.
+        // Software rendering of a few hundred frames is slow on few cores.
         let mut timeouts = client.get_timeouts().await.expect("time limits");
         timeouts.set_script(Some(2 * PATIENCE));
         client
@@ -126,24 +126,24 @@ impl Browser {
         }
     }
 
-    /// Ends both. A test that fails before it gets here ends them by dropping.
+    /// Ends browser and driver; a failed test ends them on drop.
     pub async fn quit(mut self) {
         self.client.clone().close().await.expect("Chromium ends");
         self.process = None;
         self.driver.kill().await.expect("the driver ends");
     }
 
-    /// The client, for windows and other rarer things.
+    /// The WebDriver client, for windows and other rare commands.
     pub fn client(&self) -> &Client {
         &self.client
     }
 
-    /// Opens an address.
+    /// Opens a URL.
     pub async fn open(&self, address: &str) {
         self.client.goto(address).await.expect("the page opens");
     }
 
-    /// Runs JavaScript in the page and gives what it returns.
+    /// Runs JavaScript in the page and returns its result.
     pub async fn js(&self, script: &str) -> Value {
         self.js_with(script, Vec::new()).await
     }
@@ -156,7 +156,7 @@ impl Browser {
             .unwrap_or_else(|error| panic!("{script}: {error}"))
     }
 
-    /// Runs an asynchronous expression in the page and gives what it resolves to.
+    /// Runs an asynchronous expression in the page and returns its result.
     pub async fn js_async(&self, expression: &str) -> Value {
         let script = format!(
             "const done = arguments[arguments.length - 1]; \
@@ -175,7 +175,7 @@ impl Browser {
         result["value"].clone()
     }
 
-    /// Bytes that the page's heap holds once nothing is left to be collected.
+    /// Bytes of the page's heap after garbage collection.
     pub async fn heap_bytes(&self) -> u64 {
         let bytes = self
             .js("gc(); gc(); return performance.memory.usedJSHeapSize;")
@@ -223,7 +223,7 @@ impl Browser {
         self.press(&letters).await;
     }
 
-    /// Presses keys while others are held.
+    /// Presses keys while modifiers are held.
     pub async fn press_with(&self, held: &[char], pressed: &[&str]) {
         let mut actions = KeyActions::new("keyboard".to_owned());
         for &value in held {
@@ -244,7 +244,7 @@ impl Browser {
             .expect("keys are pressed");
     }
 
-    /// Logs in with the token in the address, as the printed one has it, and opens a page.
+    /// Logs in with the token in the URL, like the printed address, and opens a page.
     pub async fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
         self.open(&server.page(&format!("#token={token}"))).await;
         self.until(
@@ -260,12 +260,12 @@ impl Browser {
         self.open(&server.page(path)).await;
     }
 
-    /// A request of the page's own session. Gives `{status, body}`.
+    /// Sends a request in the page's session. Returns `{status, body}`.
     pub async fn request(&self, method: &str, path: &str, body: Option<Value>) -> Value {
         self.fetch(method, path, body, None).await
     }
 
-    /// A request of somebody else, by their token.
+    /// Sends a request with the token of another user.
     pub async fn request_as(
         &self,
         token: &str,
@@ -329,7 +329,7 @@ impl Browser {
         self.task().await
     }
 
-    /// Waits until everything is on the server.
+    /// Waits until all changes are saved on the server.
     pub async fn saved(&self) {
         self.until(
             "saved",
@@ -338,7 +338,7 @@ impl Browser {
         .await;
     }
 
-    /// Goes to a link, a button or a field with the Tab key alone, as far as there are any.
+    /// Moves the focus to a link, a button or a field with the Tab key.
     pub async fn tab_to(&self, label: &str) {
         const MOST: usize = 60;
         for _ in 0..MOST {
@@ -353,7 +353,7 @@ impl Browser {
         panic!("{label} is not within {MOST} steps of the Tab key");
     }
 
-    /// Keeps pictures of the page in two sizes where ANNOTATE_PICTURES names a folder: for looking at.
+    /// Saves screenshots of the page in two sizes if ANNOTATE_PICTURES names a folder.
     pub async fn picture(&self, name: &str) {
         let Some(folder) = std::env::var_os("ANNOTATE_PICTURES") else {
             return;
@@ -362,7 +362,7 @@ impl Browser {
             .js("return [outerWidth - innerWidth, outerHeight - innerHeight];")
             .await;
         let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;
-        // The smaller size comes last: it is the one tests run in.
+        // Take the smaller size last: tests continue in it.
         for (width, height) in [(1920, 1080), (1280, 800)] {
             self.client
                 .set_window_size(width + edge(0), height + edge(1))
@@ -376,7 +376,7 @@ impl Browser {
         }
     }
 
-    /// The text of the first element that fits.
+    /// The text of the first matching element.
     pub async fn text_of(&self, selector: &str) -> String {
         let text = self
             .js_with(
@@ -388,7 +388,7 @@ impl Browser {
     }
 }
 
-/// The port the driver chose, which it prints.
+/// The port chosen and printed by the driver.
 async fn driver_port(driver: &mut Child) -> u16 {
     let stdout = driver.stdout.take().expect("stdout is piped");
     let mut lines = BufReader::new(stdout).lines();

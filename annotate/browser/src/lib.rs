@@ -1,9 +1,7 @@
-//! What the browser tests share: a server of their own, a Chromium of their own, and words for what a
-//! person does at the keyboard.
+//! Fixtures of the browser tests: a server, a Chromium, and functions for keyboard actions.
 //!
-//! The tests drive the built `stance` command (`STANCE_BIN`) with Debian's Chromium through its own
-//! driver. Each test has a data folder, a server on a free port and a browser profile to itself, so
-//! they run in any order and side by side.
+//! The tests run the built `stance` command (`STANCE_BIN`) and Debian's Chromium with its driver. Each test has its
+//! own data folder, server port and browser profile, so they run in any order and in parallel.
 
 mod browser;
 mod server;
@@ -13,9 +11,8 @@ pub use server::{Dataset, Server, report_page};
 
 use std::time::Duration;
 
-/// How long anything that is expected may take. Long, because the machines of a check may be slow;
-/// nothing is measured by it.
+/// Timeout of every wait. It is long because test machines can be slow.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Between two looks at a condition.
+/// Polling interval of a condition.
 pub const LOOK_EVERY: Duration = Duration::from_millis(40);

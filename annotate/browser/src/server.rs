@@ -1,4 +1,4 @@
-//! The `stance` command as the tests use it: a dataset, and a server on it.
+//! Runs the `stance` command: makes a dataset, and starts a server on it.
 
 use std::fs;
 use std::net::TcpListener;
@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 
-/// Clips of the built-in corpus: enough for masks, bundles of eight and style pairs.
+/// Number of clips of the built-in corpus: enough for masks, bundles of eight and style pairs.
 const CLIPS: &str = "48";
 
 /// The command under test.
@@ -22,7 +22,7 @@ fn stance() -> PathBuf {
     PathBuf::from(path)
 }
 
-/// Runs the command to its end and gives what it printed.
+/// Runs the command to its end and returns its output.
 async fn run(args: &[&str]) -> String {
     let output = Command::new(stance())
         .args(args)
@@ -39,7 +39,7 @@ async fn run(args: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("stdout is text")
 }
 
-/// The page of a run of the whole chain: the one STANCE_REPORT names, or that of a short demo.
+/// The report page of a run: the one named by STANCE_REPORT, or that of a short demo.
 pub async fn report_page() -> PathBuf {
     static MADE: OnceLock<TempDir> = OnceLock::new();
     static MAKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
@@ -55,7 +55,7 @@ pub async fn report_page() -> PathBuf {
     MADE.get().expect("made above").path().join("report.html")
 }
 
-/// A dataset of a test's own: a copy of one that is made once for all tests.
+/// A test's copy of a dataset that is made once for all tests.
 #[derive(Debug)]
 pub struct Dataset {
     folder: TempDir,
@@ -84,18 +84,18 @@ impl Dataset {
         Self { folder }
     }
 
-    /// Where it lies.
+    /// Its folder.
     pub fn path(&self) -> PathBuf {
         self.folder.path().join("dataset")
     }
 
-    /// Writes what was accepted into the dataset and gives what the command printed.
+    /// Exports accepted answers into the dataset and returns the command's output.
     pub async fn export(&self) -> Value {
         let printed = run(&["annotate", &text(&self.path()), "export", "--json"]).await;
         serde_json::from_str(&printed).expect("one JSON document")
     }
 
-    /// Adds somebody and gives their token.
+    /// Adds a user and returns their token.
     pub async fn add_user(&self, name: &str, role: &str) -> String {
         let path = text(&self.path());
         let printed = run(&[
@@ -114,7 +114,7 @@ pub struct Server {
     port: u16,
     dataset: PathBuf,
     printed_token: String,
-    /// Where a language model answers, if one does.
+    /// Address of the language model, if there is one.
     model: Option<String>,
 }
 
@@ -138,7 +138,7 @@ impl Server {
         server
     }
 
-    /// Starts it, again on the same port.
+    /// Starts it again on the same port.
     pub async fn up(&mut self) {
         let mut command = Command::new(stance());
         if let Some(model) = &self.model {
@@ -167,12 +167,12 @@ impl Server {
         if let Some(token) = shown["token"].as_str() {
             self.printed_token = token.to_owned();
         }
-        // Whatever else it prints is read, so that it never waits for a reader.
+        // Drain its output, so that it never blocks.
         tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
         self.child = Some(child);
     }
 
-    /// Kills it, as a power cut would.
+    /// Kills it without warning, like a power cut.
     pub async fn down(&mut self) {
         if let Some(mut child) = self.child.take() {
             child.kill().await.expect("the server can be killed");
@@ -184,7 +184,7 @@ impl Server {
         format!("http://127.0.0.1:{}/{path}", self.port)
     }
 
-    /// The token in the address that was printed last: an administrator's, good for one login.
+    /// The token in the last printed address: an admin's one-time login token.
     pub fn printed_token(&self) -> &str {
         &self.printed_token
     }

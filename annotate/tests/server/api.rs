@@ -1,4 +1,4 @@
-//! The contract of the interface: shapes, roles, refusals.
+//! The HTTP API: response shapes, roles, errors.
 
 use annotate::http::{Access, ROUTES};
 use annotate::wire::{
@@ -16,9 +16,9 @@ fn code(answered: &crate::support::Answered) -> Code {
     answered.problem().code
 }
 
-/// A path with something in the place of its parameters.
+/// A path with its parameters filled in.
 fn filled(path: &str) -> String {
-    // A number nothing has, so that the walk changes nothing.
+    // An unused id, so that the requests change nothing.
     path.replace("{id}", "999999")
         .replace("{hash}", "nothing")
         .replace("{name}", "nothing")
@@ -40,7 +40,7 @@ fn every_route_asks_for_its_role() {
     ];
     let mut walked = 0;
     for route in ROUTES {
-        // A session ends with this one, and a stream does not.
+        // Logout would end the session, and a stream never ends.
         let url = site.url(&filled(route.path));
         for (role, client) in &people {
             if route.path.ends_with("/stream") && client.is_some() {
@@ -87,7 +87,7 @@ fn every_route_asks_for_its_role() {
     assert!(walked > 150, "{walked} were walked");
 }
 
-/// A session as a browser holds it.
+/// A browser session: cookie and headers.
 fn log_in(site: &Site, client: &Client) -> String {
     let origin = site.url("");
     let body = json!({ "token": client.token }).to_string();
@@ -423,7 +423,7 @@ fn what_is_somebody_elses_is_not_found() {
     }
     let renewal = bob.post(&format!("leases/{}/renew", lease.id), &json!({}));
     assert_eq!(code(&renewal), Code::LeaseLost);
-    // Keys of one person say nothing to another.
+    // Idempotency keys of different users do not collide.
     let shared = event(EventKind::Draft, lease.epoch, 0, Some(masks("ann's")));
     let path = format!("tasks/{task}/events");
     let _: EventResults = ann.post(&path, &json!({ "events": [shared] })).ok();

@@ -1,4 +1,4 @@
-//! Hostile data: what is sent, imported or named is never trusted.
+//! Hostile input: requests, imports and names.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -138,7 +138,7 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
     }
 }
 
-/// What a server says to bytes that stop coming; a server that never answers fails the test.
+/// The server's response to an incomplete request; no response fails the test.
 fn answer_to(site: &Site, bytes: &[u8]) -> String {
     let mut stream = TcpStream::connect(site.server.address()).expect("a connection");
     stream
@@ -156,11 +156,11 @@ fn answer_to(site: &Site, bytes: &[u8]) -> String {
 fn requests_that_never_end_are_given_up() {
     let site = Site::with(None, Duration::from_millis(200));
     let ann = site.person("ann", Role::Annotator);
-    // A head without an end.
+    // Headers without an end.
     let head = "GET /healthz HTTP/1.1\r\nHost: here\r\nX-Slow: ";
     let answer = answer_to(&site, head.as_bytes());
     assert!(!answer.contains("200 OK"), "{answer}");
-    // A body that is shorter than it says.
+    // A body shorter than its content length.
     let body = format!(
         "POST /api/v1/queue/next HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\
          Authorization: Bearer {}\r\nContent-Length: 100\r\n\r\n{{",
@@ -169,7 +169,7 @@ fn requests_that_never_end_are_given_up() {
     let answer = answer_to(&site, body.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
     assert!(answer.contains("\"timeout\""), "{answer}");
-    // Others are served meanwhile and afterwards.
+    // Other requests are served during and after it.
     assert_eq!(ann.get("me").status, 200);
 }
 
@@ -189,7 +189,7 @@ fn an_import_that_is_no_release_fails_and_says_why() {
         .call("POST", "imports?format=annotations", Some(b"PAR1 or not"))
         .ok();
     assert_eq!(crate::transfer::finished(&admin, job.id).state, "failed");
-    // What was sent lay in the server's own folder, and is gone.
+    // The upload was stored in the server's data folder, and removed.
     let kept = std::fs::read_dir(site.folder.path().join("data").join("imports"));
     assert_eq!(kept.expect("the folder").count(), 0);
 }

@@ -1,10 +1,10 @@
-//! Many annotators at once over many tasks. The short form runs with the others; the full one is
+//! Load test: many concurrent annotators and many tasks. A short version runs with the other tests; the full one is
 //!
 //! ```sh
 //! ANNOTATE_LOAD=50x200x100000 cargo test --release --workspace --test server load -- --nocapture
 //! ```
 //!
-//! annotators, tasks of each, and tasks there are.
+//! with the number of annotators, of tasks per annotator, and of all tasks.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -86,7 +86,7 @@ fn load_loses_nothing_and_gives_nothing_twice() {
         claims.into_inner().expect("no panic"),
         saves.into_inner().expect("no panic"),
     );
-    // Figures are printed and not judged: they are those of the machine.
+    // Print the figures without limits: they depend on the machine.
     let _said = writeln!(
         std::io::stderr().lock(),
         "load: {people} annotators x {each} of {tasks} tasks in {took:.1?} (import {imported:.1?}); \

@@ -1,4 +1,4 @@
-//! The annotation server and its store, from outside: one binary, a module per topic.
+//! Integration tests of the annotation server and its store, with a module per topic.
 
 mod api;
 mod hostile;

@@ -1,4 +1,4 @@
-//! Drafts by a language model, with a server of the test's own in its place.
+//! Drafts by a language model, with a mock server.
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -11,7 +11,7 @@ use serde_json::json;
 
 use crate::support::Site;
 
-/// A server that gives one answer to everything, and what it was asked.
+/// A mock server with a fixed response, which records its requests.
 struct Fake {
     url: String,
     asked: Arc<Mutex<Vec<String>>>,

@@ -1,4 +1,4 @@
-//! What every store has to do, on each database there is.
+//! Tests of the store, on each available database.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -44,14 +44,14 @@ fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
 
 fn skipped(test: &str) {
     use std::io::Write;
-    // Said past the capture of the test runner, so that nobody takes silence for a pass.
+    // Write to the terminal past the test runner's capture, so that the skipped database is visible.
     let _said = writeln!(
         std::io::stderr().lock(),
         "SKIPPED {test} on PostgreSQL: needs the feature postgres and ANNOTATE_TEST_PG"
     );
 }
 
-/// A store with people and tasks of a kind.
+/// A store with users and tasks of a kind.
 struct Fixture {
     store: Arc<Store>,
     ann: i64,
@@ -900,7 +900,7 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
                         for task in 1..=16 {
                             let state = site.state(task);
                             if state == TaskState::Dropped || state == TaskState::Accepted {
-                                // Whoever answered it may not reopen it; that is fine.
+                                // Its author may not reopen it.
                                 let _tried = site.decide(task, 0, Decision::Reopen, now);
                             }
                         }
@@ -951,7 +951,7 @@ fn many_at_once_lose_nothing() {
     });
 }
 
-/// By their bytes on every database, so that files come out in one order.
+/// Keys are ordered by bytes on every database, so that exports have the same order.
 #[test]
 fn keys_are_paged_in_the_order_of_their_bytes() {
     on_each("keys_are_paged", |store| {

@@ -1,4 +1,4 @@
-//! A small dataset, a server on a free port with a clock of its own, and somebody to ask it.
+//! Test fixtures: a small dataset, a server on a free port with a manual clock, and clients.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,10 +23,10 @@ use kinematics::rotation::from_axis_angle;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The first moment of every test's clock.
+/// Start time of every test's clock.
 pub(crate) const START: i64 = 1_700_000_000_000;
 pub(crate) const MINUTE: i64 = 60_000;
-/// Clips of the dataset.
+/// Number of clips of the dataset.
 pub(crate) const CLIPS: usize = 20;
 
 /// 40 frames in which an arm swings; `variant` makes clips differ.
@@ -151,7 +151,7 @@ pub(crate) fn dataset(root: &Path) {
     .expect("pairs");
 }
 
-/// A clock that stands until it is moved.
+/// A clock that only the test advances.
 #[derive(Clone)]
 pub(crate) struct Hands(Arc<AtomicI64>);
 
@@ -165,7 +165,7 @@ impl Hands {
     }
 }
 
-/// A server with its store and people.
+/// A server with its store and users.
 pub(crate) struct Site {
     pub(crate) server: Server,
     pub(crate) store: Arc<Store>,
@@ -183,7 +183,7 @@ impl Site {
         Self::with(model, PATIENCE)
     }
 
-    /// A server that waits this long for a request.
+    /// A server with this request timeout.
     pub(crate) fn with(model: Option<Model>, patience: Duration) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let root = folder.path().join("dataset");
@@ -221,7 +221,7 @@ impl Site {
         format!("http://{}{path}", self.server.address())
     }
 
-    /// A user and a client that speaks for them.
+    /// Adds a user and returns a client for them.
     pub(crate) fn person(&self, name: &str, role: Role) -> Client {
         let user = self
             .store
@@ -249,7 +249,7 @@ pub(crate) fn agent() -> ureq::Agent {
         .new_agent()
 }
 
-/// Settings without chance: everybody gets every task's drafts, and no gold.
+/// Settings without random draws: drafts on every task, and no gold tasks.
 pub(crate) fn plain_settings(store: &Store) {
     let admin = store
         .add_user(None, "root", Role::Admin, START)
@@ -268,12 +268,12 @@ pub(crate) fn plain_settings(store: &Store) {
 
 static KEYS: AtomicU64 = AtomicU64::new(0);
 
-/// A key not used before.
+/// A new idempotency key.
 pub(crate) fn key() -> String {
     format!("test-key-{}", KEYS.fetch_add(1, Ordering::Relaxed))
 }
 
-/// What was answered.
+/// A response.
 #[derive(Debug)]
 pub(crate) struct Answered {
     pub(crate) status: u16,
@@ -342,7 +342,7 @@ pub(crate) fn send(
     }
 }
 
-/// Somebody with a token.
+/// A user with a token.
 pub(crate) struct Client {
     pub(crate) base: String,
     pub(crate) user: User,
@@ -380,7 +380,7 @@ impl Client {
         self.next(kind).task.expect("a task")
     }
 
-    /// Claims a task of the kind and hands an answer in.
+    /// Claims a task of the kind and submits an answer.
     pub(crate) fn answer(&self, kind: TaskKind, answer: Answer) -> i64 {
         let view = self.claim(kind);
         let event = submit(&view, answer);
@@ -399,7 +399,7 @@ impl Client {
     }
 }
 
-/// An event that hands an answer in.
+/// A submit event.
 pub(crate) fn submit(view: &TaskView, answer: Answer) -> NewEvent {
     event(
         EventKind::Submit,

@@ -1,4 +1,4 @@
-//! In and out: what is exported reads as it was.
+//! Import and export: exported files can be imported unchanged.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,7 +22,7 @@ use crate::support::{
     peak_memory_mb, style,
 };
 
-/// A job once it has ended.
+/// Waits for a job to end.
 pub(crate) fn finished(admin: &Client, id: i64) -> Job {
     let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
     loop {
@@ -55,7 +55,7 @@ fn accept_all(eve: &Client) -> usize {
     }
 }
 
-/// A site where one of everything was annotated and accepted.
+/// A server with one accepted answer of each kind.
 fn annotated() -> Site {
     let site = Site::new();
     let (ann, eve) = (
@@ -105,7 +105,7 @@ fn write(site: &Site, store: &Store, folder: &str, format: ExportFormat) -> std:
     folder
 }
 
-/// A store that knows the motions and nothing else.
+/// A store with motions but no tasks.
 fn empty_store(site: &Site, name: &str) -> (Arc<Store>, BTreeMap<String, MotionRecord>) {
     let store = open_sqlite(&site.folder.path().join(name)).expect("a store");
     let motions = site.store.all_motions().expect("motions");
@@ -173,7 +173,7 @@ fn parquet_comes_back_as_it_went() {
     let strip = |folder: &Path| -> Vec<AnnotationRow> {
         let rows: Vec<AnnotationRow> =
             read_rows(&folder.join("annotations.parquet")).expect("rows");
-        // Who wrote it is known by the store it was written in.
+        // Pseudonyms differ between stores.
         rows.into_iter()
             .map(|row| AnnotationRow {
                 author: String::new(),
@@ -312,7 +312,7 @@ fn splits_are_kept_apart() {
     export(site.store.as_ref(), &site.dataset, &folder, &only, "test").expect("exports");
     let rows: Vec<AnnotationRow> = read_rows(&folder.join("annotations.parquet")).expect("rows");
     assert!(rows.is_empty(), "all answers are of the training split");
-    // A task that says train of a motion of the test split does not get out.
+    // A task of split train with a motion of the test split is not exported.
     let mut motion = site.store.all_motions().expect("motions");
     motion.retain(|motion| motion.split == "test");
     let mut task = crate::support::bare_task(1, TaskKind::MaskText);
@@ -331,8 +331,8 @@ fn splits_are_kept_apart() {
     assert!(leak.expect_err("a leak").to_string().contains("split"));
 }
 
-/// Many tasks in every layout. The short form runs with the others; how long a long one takes, and how little
-/// memory, says
+/// Exports many tasks in every layout. A short version runs with the other tests; time and memory of a large export
+/// are printed by
 ///
 /// ```sh
 /// ANNOTATE_EXPORT=50000 cargo test --release --workspace --test server many_tasks -- --nocapture

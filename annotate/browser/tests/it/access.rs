@@ -1,9 +1,9 @@
-//! Whether the pages can be read and used by everybody: names of controls, order of focus, contrast.
+//! Accessibility: names of controls, focus order, contrast.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::json;
 
-/// Controls without a name that a screen reader could say.
+/// Controls without an accessible name.
 const NAMELESS: &str = "[...document.querySelectorAll('button, a, input, select, textarea, [tabindex], canvas, progress, dialog')] \
     .filter((element) => element.getClientRects().length > 0 && element.closest('[aria-hidden=true]') === null) \
     .filter((element) => { \
@@ -12,7 +12,7 @@ const NAMELESS: &str = "[...document.querySelectorAll('button, a, input, select,
         return name.trim() === ''; }) \
     .map((element) => element.tagName + '.' + element.className)";
 
-/// Texts with too little contrast against what is behind them: 4.5 to 1, or 3 to 1 for large ones.
+/// Texts with too little contrast: below 4.5 to 1, or below 3 to 1 for large text.
 const FAINT: &str = "(() => { \
     const parse = (colour) => { const [r, g, b, a = '1'] = colour.match(/[\\d.]+/g) ?? ['0', '0', '0', '0']; \
         return [Number(r), Number(g), Number(b), Number(a)]; }; \
@@ -107,7 +107,7 @@ async fn the_focus_goes_round_and_nothing_holds_it() {
     }
     seen.sort();
     assert_eq!(seen, ["nav", "panel", "viewer"], "F6 visits every region");
-    // From a control, Tab is the browser's: it moves on and never comes to rest.
+    // On a control, the browser handles Tab: focus moves on and never gets stuck.
     browser.press(&[keys::F6]).await;
     browser
         .js("document.querySelector('.panel-foot button').focus();")
@@ -117,7 +117,7 @@ async fn the_focus_goes_round_and_nothing_holds_it() {
         .js("return document.activeElement.textContent;")
         .await;
     assert!(at.as_str().expect("a text").contains("Skip"), "{at}");
-    // Escape leads back to the stage from anywhere, a text too.
+    // Escape moves the focus back to the stage, also from a text.
     browser.press(&[keys::ESCAPE]).await;
     browser
         .until(

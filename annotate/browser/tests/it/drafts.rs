@@ -1,4 +1,4 @@
-//! Drafts by a language model, one of the test's own in its place.
+//! Drafts by a language model, with a mock server.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server};
 use serde_json::json;
@@ -9,7 +9,7 @@ use crate::steps::{mine, nothing_by_chance};
 
 const DRAFT: &str = "The person is waving <b>slowly</b> with their left arm.";
 
-/// Answers every request with the draft. Gives its address.
+/// Starts a mock server that answers every request with the draft, and returns its address.
 async fn model() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("an address");
@@ -48,7 +48,7 @@ async fn a_draft_is_asked_for_by_key_edited_and_told_apart() {
     nothing_by_chance(&browser, &boss).await;
     browser.log_in(&server, &ann, "app/mask").await;
     let task = browser.task().await;
-    // No suggestion of the pipeline is about these two together.
+    // The pipeline has no suggestion for these two parts together.
     browser.press(&["4", "2", "v"]).await;
     browser
         .until(

@@ -1,5 +1,5 @@
-//! The annotation tool in Chromium, end to end: what a person does at the keyboard, and what then
-//! stands on the server. Started by `annotate/browser/run`.
+//! End-to-end tests of the annotation tool in Chromium: keyboard actions, and the resulting data on the
+//! server. Started by `annotate/browser/run`.
 
 mod access;
 mod drafts;

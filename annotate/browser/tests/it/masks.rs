@@ -5,7 +5,7 @@ use serde_json::json;
 
 use crate::steps::{Desk, describe_two_masks, mine};
 
-/// What is typed in a text box, part names of the selected card, and how many cards there are.
+/// Text of the text box, part names of the selected card, and number of cards.
 const PRESSED: &str = "[...document.querySelectorAll('.mask-card.selected .part[aria-pressed=\"true\"]')].map((e) => e.dataset.part)";
 
 #[tokio::test(flavor = "multi_thread")]
@@ -103,7 +103,7 @@ async fn letters_typed_in_a_text_only_type() {
         json!({ "parts": ["LEFT_ARM", "soft"], "cards": 1, "frame": before, "text": typed, "boxes": 0 })
     );
     assert_eq!(browser.task().await, task);
-    // The field's own undo takes letters back and leaves the mask alone.
+    // Undo in the text field reverts typing and does not change the mask.
     browser.control(&["z"]).await;
     let parts = browser.js(&format!("return {PRESSED};")).await;
     assert_eq!(parts, json!(["LEFT_ARM", "soft"]));
@@ -130,7 +130,7 @@ async fn left_and_right_are_guarded() {
             "!document.querySelector('[data-lint=side]')",
         )
         .await;
-    // Both arms by their halves: kept as typed, shown as the same.
+    // Left with right arm is stored as entered, and shown like both arms.
     browser.press(&["5"]).await;
     browser
         .until(
@@ -169,8 +169,8 @@ async fn the_blend_preview_changes_only_masked_joints() {
             "document.querySelector('.stage-caption').textContent.startsWith('Blend: left arm')",
         )
         .await;
-    // The page's own request again, and the partner alone: only the arm below the shoulder, its hand
-    // included, may lie elsewhere. Without the ring the shoulder itself stays in its place.
+    // Compare the blend that the page requested with the partner: only the arm below the shoulder and its hand may
+    // differ. Without the soft ring the shoulder does not move.
     let moved = browser
         .js_async(
             "{ const view = await (await fetch('/api/v1/queue/next', { method: 'POST', \
@@ -283,7 +283,7 @@ async fn remapped_keys_hold_and_stay() {
     browser
         .js("document.querySelector('[data-action=mask_new]').click();")
         .await;
-    // Taken keys are refused, free ones taken.
+    // Keys in use are refused, free ones accepted.
     browser.press(&["b"]).await;
     browser
         .until("the clash is named", "document.querySelector('.dialog .note[role=status]').textContent.includes('Blend preview')")

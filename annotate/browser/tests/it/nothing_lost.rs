@@ -59,7 +59,7 @@ async fn while_the_server_is_down_work_goes_on_and_is_sent_afterwards() {
             "/^offline \\(\\d waiting\\)$/.test(document.querySelector('.chip').textContent)",
         )
         .await;
-    // It goes on trying, and says so for as long as it takes.
+    // The page keeps retrying, and shows this state.
     browser
         .until(
             "it was tried again and again for twenty seconds",

@@ -17,7 +17,7 @@ async fn a_bundle_of_eight_with_three_rejects() {
     let desk = Desk::open("app/pair").await;
     let browser = &desk.browser;
     let mut task = browser.task().await;
-    // Takes of one action do not always fill a bundle; the smaller ones are rejected away.
+    // Some bundles have fewer than eight pairs: reject those first.
     while browser
         .js("return document.querySelectorAll('.dot').length;")
         .await

@@ -1,5 +1,5 @@
-//! The quick start, as a new user goes through it: one clip of each kind is annotated, reviewed and
-//! exported, from the pasted token to the tables, without a mouse.
+//! The quick start of the README: one task of each kind is annotated, reviewed and exported, from login to the
+//! tables, without a mouse.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::json;
@@ -24,8 +24,7 @@ async fn log_in(browser: &Browser, token: &str) {
         .await;
 }
 
-/// Opens a page by its link at the top. Where work is done, Tab goes from card to card on the stage, and
-/// F6 leads to the other regions.
+/// Opens a page by its link in the navigation. On task screens Tab moves between cards, and F6 between regions.
 async fn follow(browser: &Browser, label: &str) {
     const REGIONS: usize = 5;
     for _ in 0..REGIONS {
@@ -54,7 +53,7 @@ async fn log_out(browser: &Browser) {
     follow(browser, "Log out").await;
 }
 
-/// Hands in what is on the page, and the same again until a task was done that wants no second answer.
+/// Submits the answer on the page, and repeats until a task needs no second answer.
 async fn answer(
     browser: &Browser,
     token: &str,

@@ -1,11 +1,11 @@
-//! The page of a run, opened as a file: its viewer draws, keeps one clock, and needs no network.
+//! The report page of a run, opened as a file: its viewer draws, uses one clock, and needs no network.
 
 use annotate_browser::{Browser, Graphics, keys, report_page};
 use serde_json::json;
 
 const FRAME: &str = "Number(document.querySelector('#viewer canvas').dataset.frame)";
 
-/// Draws the viewer anew and counts the colours of a small copy of it.
+/// Redraws the viewer and counts the colours of a small copy.
 const COLOURS: &str = "{ const canvas = document.querySelector('#viewer canvas'); \
     canvas.focus(); \
     canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'Home', bubbles: true })); \
@@ -33,7 +33,7 @@ async fn opened(graphics: Graphics, renderer: &str) -> Browser {
     browser
 }
 
-/// What holds with WebGL and without.
+/// Checks that hold with and without WebGL.
 async fn check(browser: &Browser, name: &str) {
     let motions = browser
         .js("return document.querySelectorAll('#viewer .labels span').length;")

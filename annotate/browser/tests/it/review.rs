@@ -1,4 +1,4 @@
-//! Review: accept, return, merge; and text that would like to be code.
+//! Review: accept, return, merge; and texts that contain markup.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ struct Bench {
     browser: Browser,
     ann: String,
     task: i64,
-    /// Stays on disk for as long as the server runs.
+    /// Kept on disk while the server runs.
     _dataset: Dataset,
 }
 
@@ -28,7 +28,7 @@ impl Bench {
         let browser = Browser::start(Graphics::Software).await;
         browser.open(&server.page("")).await;
         nothing_by_chance(&browser, &boss).await;
-        // Some tasks want two answers before they are reviewed; the first that wants one is it.
+        // Find the first task that needs only one answer before review.
         let view = loop {
             let view = claim(&browser, &ann, "mask_text").await;
             submit(&browser, &ann, &view, two_masks(text, "LEFT_ARM")).await;
@@ -48,7 +48,7 @@ impl Bench {
         }
     }
 
-    /// What the author sees of the task.
+    /// The task as its author sees it.
     async fn view(&self) -> Value {
         let path = format!("tasks/{}", self.task);
         let view = self.browser.request_as(&self.ann, "GET", &path, None).await;
@@ -96,7 +96,7 @@ async fn an_answer_goes_back_with_a_comment_to_its_author() {
     let view = bench.view().await;
     assert_eq!(view["mine"]["state"], "returned");
     assert_eq!(view["comment"], "Which hand?");
-    // The author finds it at the top of her own page, and mends it there.
+    // The author finds the returned task on her home page and corrects it.
     browser.request("DELETE", "session", None).await;
     browser.log_in(&bench.server, &bench.ann, "app/home").await;
     browser

@@ -191,15 +191,14 @@ async fn two_stages_never_differ_in_frame() {
     desk.browser.quit().await;
 }
 
-/// Frames that are played between two looks at the heap.
+/// Frames played between two measurements of the heap.
 const SOAK_FRAMES: usize = 300;
 
-/// What the heap may gain over a whole soak: what the browser compiles and caches on its way. A leak of 64
-/// bytes a frame would be twice as much within an hour.
+/// Allowed growth of the heap, for code and caches of the browser. A leak of 64 bytes per frame would exceed it
+/// twice within an hour.
 const SOAK_SLACK_BYTES: u64 = 4 << 20;
 
-/// Two bodies at double speed. The short form runs with the others; half an hour, in which an hour of motion is
-/// played, is
+/// Plays two bodies at double speed. A short version runs with the other tests; half an hour (one hour of motion) is
 ///
 /// ```sh
 /// ANNOTATE_SOAK=1800 bash annotate/browser/run playback
@@ -225,7 +224,7 @@ async fn playback_does_not_grow_the_heap() {
     );
     let mut heaps: Vec<u64> = Vec::new();
     let begun = Instant::now();
-    // The first look is at what a page takes up that has played for a while.
+    // Measure the heap first after some playback.
     while heaps.len() < 3 || begun.elapsed() < Duration::from_secs(secs) {
         let moved = browser.js_async(&play).await;
         assert!(moved.as_u64() > Some(3), "it plays: {moved}");

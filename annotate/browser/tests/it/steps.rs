@@ -1,4 +1,4 @@
-//! Steps that several tests take.
+//! Steps shared by several tests.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};
@@ -36,7 +36,7 @@ impl Desk {
     }
 }
 
-/// No gold tasks and none without suggestions, which are drawn.
+/// Settings without random draws: no gold tasks and no blind tasks.
 pub(crate) async fn nothing_by_chance(browser: &Browser, admin: &str) {
     let settings = browser.request_as(admin, "GET", "settings", None).await;
     assert_eq!(settings["status"], 200, "{settings}");
@@ -50,7 +50,7 @@ pub(crate) async fn nothing_by_chance(browser: &Browser, admin: &str) {
     assert_eq!(saved["status"], 200, "{saved}");
 }
 
-/// Describes the left arm and the lower body of the task on the page, by keys alone.
+/// Describes the left arm and the lower body of the current task by keyboard.
 pub(crate) async fn describe_two_masks(browser: &Browser) {
     browser.press(&["4", "t"]).await;
     browser.type_text("Wave with the left arm.").await;
@@ -69,7 +69,7 @@ pub(crate) fn two_masks(first: &str, part: &str) -> Value {
     })
 }
 
-/// Claims the next task of a kind for the holder of a token, without the page. Gives the view.
+/// Claims the next task of a kind for a token by HTTP, without the page, and returns its view.
 pub(crate) async fn claim(browser: &Browser, token: &str, kind: &str) -> Value {
     let next = browser
         .request_as(token, "POST", "queue/next", Some(json!({ "kind": kind })))
@@ -78,7 +78,7 @@ pub(crate) async fn claim(browser: &Browser, token: &str, kind: &str) -> Value {
     next["body"]["task"].clone()
 }
 
-/// Hands an answer in for the holder of a token, without the page.
+/// Submits an answer for a token by HTTP, without the page.
 pub(crate) async fn submit(browser: &Browser, token: &str, view: &Value, answer: Value) {
     let task = view["task"]["id"].as_i64().expect("a task");
     let event = json!({
@@ -99,7 +99,7 @@ pub(crate) async fn submit(browser: &Browser, token: &str, view: &Value, answer:
     assert_eq!(reply["body"]["results"][0]["status"], 200, "{reply}");
 }
 
-/// My answer to a task, as the server has it.
+/// My answer to a task on the server.
 pub(crate) async fn mine(browser: &Browser, task: i64) -> Value {
     let view = browser.request("GET", &format!("tasks/{task}"), None).await;
     assert_eq!(view["status"], 200, "{view}");
