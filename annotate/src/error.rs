@@ -37,9 +37,7 @@ pub enum Error {
         source: postgres::Error,
     },
     /// The store accepts no writes.
-    #[error(
-        "the store accepts no writes: {reason}; free disk space and send the request again"
-    )]
+    #[error("the store accepts no writes: {reason}; free disk space and send the request again")]
     ReadOnly {
         /// Why.
         reason: String,

@@ -163,15 +163,21 @@ impl Model {
             return Ok(known);
         }
         let response = self.ask(&body)?;
-        let parsed: Response = serde_json::from_slice(&response)
-            .map_err(|_| failed("the language model sent an unexpected response; write the text yourself".to_owned()))?;
+        let parsed: Response = serde_json::from_slice(&response).map_err(|_| {
+            failed(
+                "the language model sent an unexpected response; write the text yourself"
+                    .to_owned(),
+            )
+        })?;
         let text = parsed
             .choices
             .first()
             .map(|choice| plain(&choice.message.content))
             .filter(|text| !text.is_empty())
             .ok_or_else(|| {
-                failed("the language model sent an empty response; write the text yourself".to_owned())
+                failed(
+                    "the language model sent an empty response; write the text yourself".to_owned(),
+                )
             })?;
         Ok(NewSuggestion {
             source: SuggestionSource::Llm,

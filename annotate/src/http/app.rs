@@ -158,8 +158,7 @@ impl Context {
 
     pub(super) fn id(&self) -> Result<i64, Error> {
         let text = self.params.get("id").map_or("", String::as_str);
-        text.parse()
-            .map_err(|_| Error::not_found("id"))
+        text.parse().map_err(|_| Error::not_found("id"))
     }
 
     pub(super) fn param(&self, name: &str) -> &str {
@@ -167,12 +166,8 @@ impl Context {
     }
 
     pub(super) fn body<T: DeserializeOwned>(&self) -> Result<T, Error> {
-        serde_json::from_slice(&self.body).map_err(|error| {
-            Error::refused(
-                Code::BadRequest,
-                format!("invalid body: {error}"),
-            )
-        })
+        serde_json::from_slice(&self.body)
+            .map_err(|error| Error::refused(Code::BadRequest, format!("invalid body: {error}")))
     }
 
     /// Checks that the query has only known parameters.

@@ -332,7 +332,9 @@ fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {
         digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
     };
     if !text.split('%').skip(1).all(is_escape) {
-        return Err(refused("the query has a malformed percent escape".to_owned()));
+        return Err(refused(
+            "the query has a malformed percent escape".to_owned(),
+        ));
     }
     let mut pairs = BTreeMap::new();
     for (name, value) in form_urlencoded::parse(text.as_bytes()) {

@@ -69,7 +69,8 @@ impl Postgres {
         if schema.is_empty() || !schema.chars().all(plain) {
             return Err(Error::Open {
                 path: schema.to_owned(),
-                reason: "the name of a schema may have lower-case letters, digits and underscores".to_owned(),
+                reason: "the name of a schema may have lower-case letters, digits and underscores"
+                    .to_owned(),
             });
         }
         let address = Address {

@@ -380,9 +380,9 @@ fn annotation_task(
 ) -> Result<NewTask, String> {
     let first = &rows[0];
     let find = |id: &str| {
-        motions.get(id).ok_or_else(|| {
-            format!("motion {id:?} is not known; import its dataset first")
-        })
+        motions
+            .get(id)
+            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))
     };
     let kind = TaskKind::parse(&first.kind)
         .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;

@@ -213,7 +213,8 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         }
     }
     if unknown.contains_key("part_annotations") {
-        problems.push("its texts do not match its masks and are kept as an unknown field".to_owned());
+        problems
+            .push("its texts do not match its masks and are kept as an unknown field".to_owned());
     }
     let extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
     (Said { masks: all, extra }, problems)
