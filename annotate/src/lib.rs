@@ -43,8 +43,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod activity;
 pub mod agreement;
 pub mod answer;
+mod body;
 mod clock;
 mod error;
 pub mod http;

@@ -7,7 +7,7 @@ use datasets_spec::{JointSet, quantile};
 use crate::Error;
 use crate::agreement::{self, Item, MIN_ITEMS, estimate};
 use crate::answer::{joints, text_distance};
-use crate::motions::RELEASE_PARTS;
+use crate::body::RELEASE_PARTS;
 use crate::store::{Label, Store};
 use crate::wire::{Agreement, Answer, Estimate, RevisionState, TaskKind, Verdict};
 

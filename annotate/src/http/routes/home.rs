@@ -3,8 +3,8 @@
 use super::dashboard::figures;
 use super::tasks::task_of;
 use crate::Error;
+use crate::body::skeleton_info;
 use crate::http::app::{Context, Reply, json};
-use crate::motions::skeleton_info;
 use crate::store::{AcceptedAnswer, ShelfFilter};
 use crate::wire::{Guide, Prefs, Shelf, ShelfItem, TaskKind};
 

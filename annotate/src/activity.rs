@@ -1,0 +1,251 @@
+//! Activity of body parts, and the distance of two motions by part.
+
+use datasets_spec::{BodyPart, Joint, Motion, Skeleton};
+use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::yaw;
+use kinematics::skeleton::NUM_BODY_JOINTS;
+
+use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
+
+/// A part is suggested if it is active in more than this share of the frames.
+const SUGGESTED_SHARE: f64 = 0.2;
+/// Relative speed above which a part is active.
+const ACTIVE: f32 = 0.4;
+/// The chest (SMPL-X spine3), parent of the arms.
+const CHEST: usize = 9;
+
+/// Joints whose speed counts as movement of the part. Root, chest and collars are excluded: they move with
+/// other parts or barely.
+fn moving_joints(part: BodyPart) -> Vec<usize> {
+    let without = [0, 3, 9, 13, 14];
+    part.mask()
+        .hard()
+        .iter()
+        .map(Joint::index)
+        .filter(|joint| !without.contains(joint))
+        .collect()
+}
+
+/// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading.
+/// Movement of the root or the spine thus does not count as movement of the arms.
+fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<[DVec3; NUM_BODY_JOINTS]> {
+    motion
+        .poses()
+        .iter()
+        .map(|pose| {
+            let points = skeleton.keypoints(pose);
+            let global = skeleton.global_rotations(pose);
+            let heading = DQuat::from_rotation_y(-yaw(DMat3::from_quat(pose.rotations[0])));
+            let chest = global[CHEST].inverse();
+            std::array::from_fn(|joint| {
+                if (16..22).contains(&joint) {
+                    chest * (points[joint] - points[CHEST])
+                } else {
+                    heading * (points[joint] - points[0])
+                }
+            })
+        })
+        .collect()
+}
+
+/// Mean speed of the joints of each part in m/s, frame by frame; the first frame has the speed of the second.
+pub(crate) fn part_speeds(motion: &Motion, skeleton: &Skeleton) -> [Vec<f64>; NUM_RELEASE_PARTS] {
+    let carried = carried(motion, skeleton);
+    let fps = motion.fps().get();
+    RELEASE_PARTS.map(|part| {
+        let joints = moving_joints(part);
+        let mut speeds: Vec<f64> = carried
+            .windows(2)
+            .map(|pair| {
+                let moved: f64 = joints
+                    .iter()
+                    .map(|&joint| pair[0][joint].distance(pair[1][joint]))
+                    .sum();
+                moved / joints.len() as f64 * fps
+            })
+            .collect();
+        speeds.insert(0, speeds.first().copied().unwrap_or(0.0));
+        speeds
+    })
+}
+
+/// Speed of the release parts relative to the reference speeds, `[5][T]`.
+pub(crate) fn heat(
+    motion: &Motion,
+    skeleton: &Skeleton,
+    reference: &[f64; NUM_RELEASE_PARTS],
+) -> [Vec<f32>; NUM_RELEASE_PARTS] {
+    let mut rows = part_speeds(motion, skeleton).into_iter().zip(reference);
+    std::array::from_fn(|_| {
+        rows.next().map_or_else(Vec::new, |(speeds, reference)| {
+            speeds
+                .into_iter()
+                .map(|speed| (speed / reference) as f32)
+                .collect()
+        })
+    })
+}
+
+/// The parts active in more than [`SUGGESTED_SHARE`] of the frames.
+pub(crate) fn active_parts(heat: &[Vec<f32>; NUM_RELEASE_PARTS]) -> Vec<BodyPart> {
+    let active = |part: usize| {
+        let busy = heat[part].iter().filter(|&&value| value > ACTIVE).count();
+        busy as f64 > SUGGESTED_SHARE * heat[part].len() as f64
+    };
+    let [_, lower, _, left, right] = std::array::from_fn(active);
+    let mut parts = Vec::new();
+    match (left, right) {
+        (true, true) => parts.push(BodyPart::BothArms),
+        (true, false) => parts.push(BodyPart::LeftArm),
+        (false, true) => parts.push(BodyPart::RightArm),
+        (false, false) => {}
+    }
+    if lower {
+        parts.push(BodyPart::LowerBody);
+    }
+    parts
+}
+
+/// Distance of the root, then of the release parts, in metres: `[6][T]` over the frames of the shorter motion.
+pub(crate) fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) -> Vec<Vec<f32>> {
+    let frames = source.len().min(target.len());
+    let relative = |motion: &Motion| -> Vec<(DVec3, [DVec3; NUM_BODY_JOINTS])> {
+        (0..frames)
+            .map(|frame| {
+                let pose = motion.pose(frame);
+                let points = skeleton.keypoints(&pose);
+                let heading = DQuat::from_rotation_y(-yaw(DMat3::from_quat(pose.rotations[0])));
+                (
+                    points[0],
+                    std::array::from_fn(|joint| heading * (points[joint] - points[0])),
+                )
+            })
+            .collect()
+    };
+    let (a, b) = (relative(source), relative(target));
+    // Takes may start at different places; align them first.
+    let offset = DVec3::new(a[0].0.x - b[0].0.x, 0.0, a[0].0.z - b[0].0.z);
+    let root = (0..frames)
+        .map(|frame| a[frame].0.distance(b[frame].0 + offset) as f32)
+        .collect();
+    let mut rows = vec![root];
+    for part in RELEASE_PARTS {
+        let joints: Vec<usize> = part.mask().hard().iter().map(Joint::index).collect();
+        rows.push(
+            (0..frames)
+                .map(|frame| {
+                    let apart: f64 = joints
+                        .iter()
+                        .map(|&joint| a[frame].1[joint].distance(b[frame].1[joint]))
+                        .sum();
+                    (apart / joints.len() as f64) as f32
+                })
+                .collect(),
+        );
+    }
+    rows
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use datasets_spec::{Fps, Pose};
+    use kinematics::rotation::from_axis_angle;
+
+    use super::*;
+
+    /// 60 frames of joints that swing while the body walks and turns.
+    pub(crate) fn moving(joints: &[usize], turn: f64) -> Motion {
+        let poses: Vec<Pose> = (0..60)
+            .map(|frame| {
+                let time = f64::from(frame) / 20.0;
+                let angle = 0.8 * (time * std::f64::consts::TAU).sin();
+                let mut pose = Pose::REST;
+                pose.transl = DVec3::new(time, 0.0, 1.3 * time);
+                pose.rotations[0] = DQuat::from_rotation_y(turn * time);
+                for &joint in joints {
+                    pose.rotations[joint] = from_axis_angle(DVec3::new(angle, 0.0, angle));
+                }
+                pose
+            })
+            .collect();
+        Motion::from_poses(Fps::STORE, &poses).expect("finite")
+    }
+
+    fn lit(motion: &Motion) -> Vec<&'static str> {
+        let rows = heat(
+            motion,
+            &Skeleton::smplx_neutral(),
+            &[0.5; NUM_RELEASE_PARTS],
+        );
+        RELEASE_PARTS
+            .iter()
+            .zip(&rows)
+            .filter(|(_, row)| row.iter().copied().fold(0.0, f32::max) > 0.9)
+            .map(|(part, _)| part.name())
+            .collect()
+    }
+
+    #[test]
+    fn one_arm_lights_its_rows_and_a_turning_walk_none() {
+        assert_eq!(lit(&moving(&[], 2.0)), Vec::<&str>::new());
+        let arm = lit(&moving(&[16], 2.0));
+        assert!(
+            arm.contains(&"LEFT_ARM")
+                && !arm.contains(&"RIGHT_ARM")
+                && !arm.contains(&"LOWER_BODY")
+        );
+        assert_eq!(lit(&moving(&[1, 2], 2.0)), ["LOWER_BODY"]);
+        // Arms that ride on the spine do nothing of their own.
+        let spine = lit(&moving(&[3], 0.0));
+        assert!(
+            !spine.contains(&"LEFT_ARM") && !spine.contains(&"RIGHT_ARM"),
+            "{spine:?}"
+        );
+    }
+
+    #[test]
+    fn active_parts_name_what_moves() {
+        let parts = |joints: &[usize]| -> Vec<&str> {
+            let rows = heat(
+                &moving(joints, 1.0),
+                &Skeleton::smplx_neutral(),
+                &[1.0; NUM_RELEASE_PARTS],
+            );
+            active_parts(&rows).iter().map(|part| part.name()).collect()
+        };
+        assert_eq!(parts(&[]), Vec::<&str>::new());
+        assert_eq!(parts(&[17]), ["RIGHT_ARM"]);
+        assert_eq!(parts(&[16, 17, 1, 2]), ["BOTH_ARMS", "LOWER_BODY"]);
+    }
+
+    #[test]
+    fn a_motion_does_not_differ_from_itself_and_a_moved_arm_shows_in_its_rows() {
+        let (still, waving) = (moving(&[], 1.0), moving(&[18], 1.0));
+        let skeleton = Skeleton::smplx_neutral();
+        let none = difference(&still, &still, &skeleton);
+        assert_eq!((none.len(), none[0].len()), (6, 60));
+        assert!(none.iter().flatten().all(|apart| *apart < 1e-6));
+        let rows = difference(&still, &waving, &skeleton);
+        let most: Vec<f32> = rows
+            .iter()
+            .map(|row| row.iter().copied().fold(0.0, f32::max))
+            .collect();
+        assert!(most[4] > 0.05, "{most:?}");
+        assert!(
+            most[0] < 1e-6 && most[2] < 1e-6 && most[5] < 1e-6,
+            "{most:?}"
+        );
+    }
+
+    #[test]
+    fn takes_at_other_places_of_the_room_do_not_differ() {
+        let here = moving(&[16], 1.0);
+        let mut there = here.clone();
+        for frame in 0..there.len() {
+            let [x, y, z] = there.transl()[frame];
+            there.set_transl(frame, [x + 3.0, y, z - 2.0]);
+        }
+        let rows = difference(&here, &there, &Skeleton::smplx_neutral());
+        assert!(rows.iter().flatten().all(|apart| *apart < 1e-5));
+    }
+}

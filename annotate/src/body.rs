@@ -1,0 +1,103 @@
+//! The body parts of the release, and the skeleton as sent to the browser.
+
+use datasets_spec::{BodyPart, Joint, MASK_DEF_VERSION};
+use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
+
+use crate::wire::{PartInfo, SkeletonInfo};
+
+/// Rows of heat and difference: the parts of the release.
+pub(crate) const NUM_RELEASE_PARTS: usize = 5;
+/// The parts of the release, in the order of their keys and of the strips.
+pub(crate) const RELEASE_PARTS: [BodyPart; NUM_RELEASE_PARTS] = [
+    BodyPart::UpperBody,
+    BodyPart::LowerBody,
+    BodyPart::BothArms,
+    BodyPart::LeftArm,
+    BodyPart::RightArm,
+];
+
+/// The skeleton and the parts, for the browser.
+pub(crate) fn skeleton_info() -> SkeletonInfo {
+    let names: Vec<String> = Joint::ALL
+        .into_iter()
+        .map(|joint| joint.name().to_owned())
+        .chain(
+            [
+                "left_eye",
+                "right_eye",
+                "left_index1",
+                "left_ring1",
+                "right_index1",
+                "right_ring1",
+            ]
+            .map(str::to_owned),
+        )
+        .collect();
+    let side = |name: &String| {
+        let side = ["left", "right"]
+            .into_iter()
+            .find(|side| name.starts_with(side));
+        side.unwrap_or("middle").to_owned()
+    };
+    let indices = |set: datasets_spec::JointSet| set.iter().map(Joint::index).collect();
+    let part = |part: BodyPart| PartInfo {
+        name: part.name().to_owned(),
+        phrase: part.phrase(),
+        release: RELEASE_PARTS.contains(&part),
+        hard: indices(part.mask().hard()),
+        soft: indices(part.mask().soft()),
+    };
+    SkeletonInfo {
+        sides: names.iter().map(side).collect(),
+        parents: KEYPOINT_PARENTS
+            .iter()
+            .map(|&parent| i32::from(parent))
+            .collect(),
+        body_joint: (0..NUM_KEYPOINTS)
+            .map(|joint| match usize::try_from(KEYPOINT_PARENTS[joint]) {
+                Ok(parent) if joint >= NUM_BODY_JOINTS => parent,
+                _ => joint,
+            })
+            .collect(),
+        parts: BodyPart::ALL.into_iter().map(part).collect(),
+        mask_def_version: MASK_DEF_VERSION,
+        joints: names,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_skeleton_of_the_browser_is_that_of_the_contract() {
+        let info = skeleton_info();
+        assert_eq!(info.joints.len(), NUM_KEYPOINTS);
+        assert_eq!(
+            (
+                info.body_joint[22],
+                info.body_joint[24],
+                info.body_joint[27]
+            ),
+            (15, 20, 21)
+        );
+        // Eight joints of the body, an eye and two knuckles.
+        for side in ["left", "right"] {
+            assert_eq!(info.sides.iter().filter(|name| *name == side).count(), 11);
+        }
+        let first: Vec<&str> = info
+            .parts
+            .iter()
+            .take(5)
+            .map(|part| part.name.as_str())
+            .collect();
+        assert_eq!(first, RELEASE_PARTS.map(BodyPart::name));
+        for part in &info.parts {
+            assert!(
+                part.hard.iter().all(|joint| !part.soft.contains(joint)),
+                "{}",
+                part.name
+            );
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Layout `csv`: all labels for spreadsheets.
+
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use super::exporter::{Exporter, write_file};
+use crate::Error;
+
+impl Exporter<'_> {
+    pub(super) fn csv(&mut self, folder: &Path) -> Result<(), Error> {
+        let mut count = 0;
+        write_file(folder, "labels.csv", |file, path| {
+            let mut file = BufWriter::new(file);
+            let mut put = |line: String| {
+                let written = file.write_all(line.as_bytes());
+                written.map_err(Error::io("write", path))
+            };
+            put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,answer\r\n".to_owned())?;
+            self.labels(&mut |row| {
+                count += 1;
+                let distance = row.draft_distance.map(|distance| distance.to_string());
+                let cells = [
+                    row.task,
+                    row.kind,
+                    row.motion_id,
+                    row.target_id.unwrap_or_default(),
+                    row.split,
+                    row.author,
+                    row.state,
+                    row.secs.to_string(),
+                    distance.unwrap_or_default(),
+                    row.at.to_string(),
+                    row.answer,
+                ];
+                put(cells.map(|cell| csv_cell(&cell)).join(",") + "\r\n")
+            })?;
+            file.flush().map_err(Error::io("write", path))
+        })?;
+        self.done.count("labels", count);
+        self.done.files.push("labels.csv".to_owned());
+        Ok(())
+    }
+}
+
+/// Escapes a CSV cell, so that no spreadsheet interprets it as a formula.
+fn csv_cell(text: &str) -> String {
+    let formula =
+        text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
+    let guarded = if formula {
+        format!("'{text}")
+    } else {
+        text.to_owned()
+    };
+    if guarded.contains(['"', ',', '\n', '\r']) {
+        format!("\"{}\"", guarded.replace('"', "\"\""))
+    } else {
+        guarded
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::csv_cell;
+
+    #[test]
+    fn cells_are_no_formulas() {
+        for (text, cell) in [
+            ("=1+1", "'=1+1"),
+            ("@x", "'@x"),
+            ("-0.5", "-0.5"),
+            ("-x", "'-x"),
+            ("a,b", "\"a,b\""),
+            ("=\"a\"", "\"'=\"\"a\"\"\""),
+            ("plain", "plain"),
+        ] {
+            assert_eq!(csv_cell(text), cell);
+        }
+    }
+}

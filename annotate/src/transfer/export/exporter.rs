@@ -1,0 +1,168 @@
+//! What all layouts share: the settings, the result, and reading tasks batch by batch.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::Error;
+use crate::store::{AcceptedAnswer, KeyRange, MotionRecord, Store, TaskRecord};
+use crate::wire::ExportFormat;
+
+/// Tasks read at a time.
+pub(super) const BATCH: usize = 2000;
+
+/// Export settings.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    /// Layout.
+    pub format: ExportFormat,
+    /// Splits; all if empty.
+    pub splits: Vec<String>,
+    /// Whether to export the log too.
+    pub events: bool,
+}
+
+/// Result of an export.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Exported {
+    /// Counts of rows by table, and of omitted items.
+    pub counts: BTreeMap<String, i64>,
+    /// Messages about omitted items.
+    pub messages: Vec<String>,
+    /// Names of the files.
+    pub files: Vec<String>,
+}
+
+impl Exported {
+    pub(super) fn count(&mut self, what: &str, count: usize) {
+        *self.counts.entry(what.to_owned()).or_default() += count as i64;
+    }
+}
+
+/// Pseudonym of a person: the same in every export of a store.
+pub(super) fn pseudonym(user: i64) -> String {
+    if user == 0 {
+        "imported".to_owned()
+    } else {
+        format!("a{user:03}")
+    }
+}
+
+pub(super) struct Exporter<'a> {
+    pub(super) store: &'a Store,
+    pub(super) splits: &'a [String],
+    /// Motions of the current tasks.
+    motions: BTreeMap<String, MotionRecord>,
+    pub(super) done: Exported,
+}
+
+impl<'a> Exporter<'a> {
+    pub(super) fn new(store: &'a Store, splits: &'a [String]) -> Self {
+        Self {
+            store,
+            splits,
+            motions: BTreeMap::new(),
+            done: Exported::default(),
+        }
+    }
+
+    pub(super) fn wanted(&self, split: &str) -> bool {
+        self.splits.is_empty() || self.splits.iter().any(|wanted| wanted == split)
+    }
+
+    /// A motion. Its split must equal that of its task, so that no test clip ends up in train.
+    fn motion(&self, hash: &str, split: &str) -> Result<&MotionRecord, Error> {
+        let motion = self
+            .motions
+            .get(hash)
+            .ok_or_else(|| Error::not_found("motion"))?;
+        if motion.split != split {
+            return Err(Error::Import {
+                what: format!("motion {} into split {split}", motion.id),
+                problem: format!(
+                    "its split is {}; correct the pair in the dataset",
+                    motion.split
+                ),
+            });
+        }
+        Ok(motion)
+    }
+
+    pub(super) fn ids(&self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
+        let source = self.motion(&task.source, &task.split)?.id.clone();
+        let target = match &task.target {
+            Some(hash) => Some(self.motion(hash, &task.split)?.id.clone()),
+            None => None,
+        };
+        Ok((source, target))
+    }
+
+    /// Visits the tasks in the order of their keys, a batch at a time, so that memory does not grow with their
+    /// number.
+    pub(super) fn each_range<E: From<Error>>(
+        &mut self,
+        mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut after = String::new();
+        while let Some(keys) = self.store.next_keys(&after, BATCH)? {
+            each(self, &keys)?;
+            after = keys.up_to;
+        }
+        Ok(())
+    }
+
+    /// The accepted answers of the splits in a range, by the key of their task.
+    pub(super) fn accepted(&mut self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
+        let mut all = self.store.accepted(keys)?;
+        all.retain(|answer| self.wanted(&answer.task.split));
+        self.meet(all.iter().map(|answer| &answer.task))?;
+        Ok(all)
+    }
+
+    /// Loads the motions of a batch of tasks and drops the others.
+    pub(super) fn meet<'t>(
+        &mut self,
+        tasks: impl Iterator<Item = &'t TaskRecord>,
+    ) -> Result<(), Error> {
+        let hashes: BTreeSet<&String> = tasks
+            .flat_map(|task| [Some(&task.source), task.target.as_ref()])
+            .flatten()
+            .collect();
+        let found = self.store.motions(hashes.into_iter().cloned().collect())?;
+        self.motions = found
+            .into_iter()
+            .map(|motion| (motion.hash.clone(), motion))
+            .collect();
+        Ok(())
+    }
+
+    /// Visits the accepted answers of the splits, by the key of their task.
+    pub(super) fn each_accepted<E: From<Error>>(
+        &mut self,
+        mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.each_range(|exporter, keys| {
+            for accepted in exporter.accepted(keys)? {
+                each(exporter, accepted)?;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Writes a file whole or not at all.
+pub(super) fn write_file(
+    folder: &Path,
+    name: &str,
+    write: impl FnOnce(&mut File, &Path) -> Result<(), Error>,
+) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+    let path: PathBuf = folder.join(name);
+    let temporary = folder.join(format!(".{name}.tmp"));
+    let mut file = File::create(&temporary).map_err(Error::io("create", &temporary))?;
+    write(&mut file, &path)?;
+    file.sync_all().map_err(Error::io("write", &temporary))?;
+    std::fs::rename(&temporary, &path).map_err(Error::io("rename", &path))
+}

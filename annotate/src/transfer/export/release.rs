@@ -1,0 +1,141 @@
+//! Layout `stance`: the JSON files of the STANCE release, written value by value.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use serde::Serializer;
+use serde::ser::{SerializeMap, SerializeSeq};
+use serde_json::json;
+
+use super::exporter::{Exporter, write_file};
+use crate::Error;
+use crate::transfer::release::{self, Said};
+use crate::wire::{Answer, Verdict};
+
+/// Writes JSON value by value.
+type JsonWriter<'a> =
+    serde_json::Serializer<BufWriter<&'a mut File>, serde_json::ser::PrettyFormatter<'static>>;
+
+/// Error while writing JSON.
+enum JsonError {
+    Json(serde_json::Error),
+    Other(Error),
+}
+
+impl From<serde_json::Error> for JsonError {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Json(error)
+    }
+}
+
+impl From<Error> for JsonError {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+/// Writes a file of JSON value by value, whole or not at all.
+fn write_json(
+    folder: &Path,
+    name: &str,
+    write: impl FnOnce(&mut JsonWriter<'_>) -> Result<(), JsonError>,
+) -> Result<(), Error> {
+    write_file(folder, name, |file, path| {
+        let mut json = serde_json::Serializer::pretty(BufWriter::new(file));
+        write(&mut json).map_err(|error| match error {
+            JsonError::Json(error) => Error::io("write", path)(error.into()),
+            JsonError::Other(error) => error,
+        })?;
+        let mut file = json.into_inner();
+        file.write_all(b"\n")
+            .and_then(|()| file.flush())
+            .map_err(Error::io("write", path))
+    })
+}
+
+impl Exporter<'_> {
+    /// Writes three files in one pass: masks by motion, their texts, and pairs.
+    pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
+        let names = ["mask_all.json", "part_annotations.json", "pairs.json"];
+        let [masks, texts, pairs] = names;
+        write_json(folder, masks, |masks| {
+            let mut masks = masks.serialize_map(None)?;
+            write_json(folder, texts, |texts| {
+                let mut texts = texts.serialize_map(None)?;
+                write_json(folder, pairs, |pairs| {
+                    let mut pairs = pairs.serialize_seq(None)?;
+                    self.released(&mut masks, &mut texts, &mut pairs)?;
+                    Ok(SerializeSeq::end(pairs)?)
+                })?;
+                Ok(SerializeMap::end(texts)?)
+            })?;
+            Ok(SerializeMap::end(masks)?)
+        })?;
+        self.done.files.extend(names.map(str::to_owned));
+        Ok(())
+    }
+
+    fn released(
+        &mut self,
+        masks_file: &mut impl SerializeMap<Error = serde_json::Error>,
+        texts_file: &mut impl SerializeMap<Error = serde_json::Error>,
+        pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
+    ) -> Result<(), JsonError> {
+        let mut hard_only = 0;
+        for what in ["motions", "pairs"] {
+            self.done.count(what, 0);
+        }
+        self.each_accepted::<JsonError>(|exporter, accepted| {
+            let (motion, target) = exporter.ids(&accepted.task)?;
+            let split = &accepted.task.split;
+            let extra = accepted.task.extra.clone();
+            let pair = match accepted.answer {
+                Answer::MaskText { masks, .. } => {
+                    hard_only += masks.iter().filter(|mask| !mask.soft).count();
+                    let (masks, texts) = release::entries(&Said { masks, extra });
+                    masks_file.serialize_entry(&motion, &masks)?;
+                    texts_file.serialize_entry(&motion, &texts)?;
+                    exporter.done.count("motions", 1);
+                    return Ok(());
+                }
+                Answer::Pair {
+                    verdict: Verdict::Keep,
+                    parts,
+                    text,
+                    ..
+                } => json!({
+                    "kind": "fine-grained", "src": motion, "tgt": target,
+                    "body_part": parts.join("+"), "text": text, "split": split,
+                }),
+                Answer::Style {
+                    verdict: Verdict::Keep,
+                    parts,
+                    text,
+                    style,
+                    ..
+                } => {
+                    let style = style.unwrap_or_default();
+                    json!({
+                        "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
+                        "style": style, "body_part": parts.join("+"), "text": text, "split": split,
+                    })
+                }
+                Answer::Pair { .. } | Answer::Style { .. } => {
+                    exporter.done.count("rejected_pairs", 1);
+                    return Ok(());
+                }
+            };
+            pairs_file.serialize_element(&pair)?;
+            exporter.done.count("pairs", 1);
+            Ok(())
+        })?;
+        if hard_only > 0 {
+            self.done.count("masks_without_ring", hard_only);
+            self.done.messages.push(format!(
+                "{hard_only} masks have no soft ring, which this layout cannot represent"
+            ));
+        }
+        Ok(())
+    }
+}
