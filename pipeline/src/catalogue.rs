@@ -1,11 +1,10 @@
-//! Questions about what a dataset holds, answered by polars from the metadata columns alone.
+//! What a dataset holds, counted from the metadata columns alone.
 
-use std::fs::File;
+use std::collections::BTreeMap;
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow, TripletRow, WindowRow};
-use datasets_spec::table::Row;
-use polars::prelude::*;
+use datasets_spec::table::{Row, ShardReader};
 use serde::Serialize;
 
 use crate::Error;
@@ -21,7 +20,7 @@ pub struct Group {
     pub minutes: f64,
 }
 
-/// What a dataset's motions are, by several labels.
+/// Clips of a dataset, counted by several labels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Catalogue {
     /// By split.
@@ -39,99 +38,58 @@ pub struct Catalogue {
 /// # Errors
 /// A file cannot be read or lacks a column.
 pub fn catalogue(dataset: &Dataset) -> Result<Catalogue, Error> {
-    let wrap = |source| Error::Query {
-        table: MotionRow::TABLE,
-        dataset: dataset.root().to_owned(),
-        source,
-    };
-    let mut frames: Option<DataFrame> = None;
-    for (path, entry) in dataset.files(MotionRow::TABLE, None) {
-        if entry.rows == 0 {
-            continue;
-        }
-        let file = File::open(&path).map_err(Error::io("open", &path))?;
-        let columns = ["split", "source", "action", "style", "n_frames", "fps"];
-        let frame = ParquetReader::new(file)
-            .with_columns(Some(columns.map(str::to_owned).to_vec()))
-            .finish()
-            .map_err(wrap)?;
-        match &mut frames {
-            None => frames = Some(frame),
-            Some(frames) => {
-                frames.vstack_mut(&frame).map_err(wrap)?;
-            }
-        }
+    let [mut splits, mut sources, mut actions, mut styles] = [const { BTreeMap::new() }; 4];
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let frames = shard.column::<MotionRow, i32>("n_frames")?;
+        let rates = shard.column::<MotionRow, f32>("fps")?;
+        let clips: Vec<(i32, f32)> = frames.into_iter().zip(rates).collect();
+        let stated = |name| shard.column::<MotionRow, String>(name);
+        let optional = |name| -> Result<Vec<String>, datasets_spec::Error> {
+            let labels = shard.column::<MotionRow, Option<String>>(name)?;
+            Ok(labels.into_iter().map(Option::unwrap_or_default).collect())
+        };
+        count(&mut splits, stated("split")?, &clips);
+        count(&mut sources, stated("source")?, &clips);
+        count(&mut actions, optional("action")?, &clips);
+        count(&mut styles, optional("style")?, &clips);
     }
-    let Some(frames) = frames else {
-        return Ok(Catalogue {
-            splits: Vec::new(),
-            sources: Vec::new(),
-            actions: Vec::new(),
-            styles: Vec::new(),
-        });
-    };
-    let by = |label: &str| group(&frames, label).map_err(wrap);
     Ok(Catalogue {
-        splits: by("split")?,
-        sources: by("source")?,
-        actions: by("action")?,
-        styles: by("style")?,
+        splits: groups(splits),
+        sources: groups(sources),
+        actions: groups(actions),
+        styles: groups(styles),
     })
 }
 
-fn group(frames: &DataFrame, label: &str) -> PolarsResult<Vec<Group>> {
-    let n_frames = frames.column("n_frames")?.cast(&DataType::Float64)?;
-    let fps = frames.column("fps")?.cast(&DataType::Float64)?;
-    let seconds = (n_frames.as_materialized_series() / fps.as_materialized_series())?;
-    let labels = frames
-        .column(label)?
-        .as_materialized_series()
-        .fill_null_with_empty()?;
-    let table = DataFrame::new_infer_height(vec![
-        labels.with_name("label".into()).into(),
-        seconds.with_name("seconds".into()).into(),
-    ])?;
-    let groups = table
-        .group_by(["label"])?
-        .apply(|group| {
-            let seconds = group.column("seconds")?.f64()?.sum().unwrap_or(0.0);
-            DataFrame::new_infer_height(vec![
-                group.column("label")?.head(Some(1)),
-                Column::new("clips".into(), [group.height() as u64]),
-                Column::new("minutes".into(), [seconds / 60.0]),
-            ])
-        })?
-        .sort(["label"], SortMultipleOptions::default())?;
-    let (labels, clips, minutes) = (
-        groups.column("label")?.str()?.clone(),
-        groups.column("clips")?.u64()?.clone(),
-        groups.column("minutes")?.f64()?.clone(),
-    );
-    Ok((0..groups.height())
-        .map(|row| Group {
-            label: labels.get(row).unwrap_or_default().to_owned(),
-            clips: clips.get(row).unwrap_or_default(),
-            minutes: minutes.get(row).unwrap_or_default(),
-        })
-        .collect())
-}
+/// Clips and frames by label and frame rate (as bits, which order like positive rates). Frames are
+/// summed as integers, so that minutes do not depend on the order of the clips.
+type Counts = BTreeMap<String, BTreeMap<u32, (u64, i64)>>;
 
-/// Missing labels as empty ones.
-trait FillEmpty {
-    fn fill_null_with_empty(&self) -> PolarsResult<Series>;
-}
-
-impl FillEmpty for Series {
-    fn fill_null_with_empty(&self) -> PolarsResult<Series> {
-        let filled: StringChunked = self
-            .str()?
-            .iter()
-            .map(|label| Some(label.unwrap_or("")))
-            .collect();
-        Ok(filled.into_series())
+fn count(counts: &mut Counts, labels: Vec<String>, clips: &[(i32, f32)]) {
+    for (label, &(frames, fps)) in labels.into_iter().zip(clips) {
+        let of_rate = counts.entry(label).or_default();
+        let sum = of_rate.entry(fps.to_bits()).or_default();
+        sum.0 += 1;
+        sum.1 += i64::from(frames);
     }
 }
-/// What a folder holds in place of motions, and which verbs take it; none if it holds motions.
+
+fn groups(counts: Counts) -> Vec<Group> {
+    let minutes = |(fps, (_, frames)): (&u32, &(u64, i64))| {
+        *frames as f64 / (60.0 * f64::from(f32::from_bits(*fps)))
+    };
+    counts
+        .into_iter()
+        .map(|(label, rates)| Group {
+            label,
+            clips: rates.values().map(|(clips, _)| clips).sum(),
+            minutes: rates.iter().map(minutes).sum(),
+        })
+        .collect()
+}
+
+/// What a folder without motions holds, and which verbs take it; none if it holds motions.
 pub fn other_than_motions(dataset: &Dataset) -> Option<&'static str> {
     let has = |table: &str| dataset.manifest().rows(table, None) > 0;
     if has(MotionRow::TABLE) {

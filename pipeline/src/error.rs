@@ -1,9 +1,8 @@
-//! What can go wrong between a folder of files and a dataset.
+//! Errors of the pipeline.
 
 use std::path::PathBuf;
 
-/// An error that ends a run. What is wrong with a single source file is not an error but a row of
-/// the `quarantine` table.
+/// An error that ends a run. A faulty source file is not an error but a row of the `quarantine` table.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -35,10 +34,10 @@ pub enum Error {
         /// The id asked for.
         id: String,
     },
-    /// Several ids of items begin alike.
+    /// Several items have ids with this prefix.
     #[error("several items begin with {id:?}; write more of the id")]
     SeveralItems {
-        /// The beginning asked for.
+        /// The prefix asked for.
         id: String,
     },
     /// A file gives no motion.
@@ -95,7 +94,7 @@ pub enum Error {
         /// The paths given.
         paths: String,
     },
-    /// The place of an export is taken.
+    /// The folder of an export exists.
     #[error("{} exists and is not empty; name a new folder", path.display())]
     Occupied {
         /// The folder.
@@ -122,7 +121,7 @@ pub enum Error {
         /// The id.
         id: String,
     },
-    /// A file is no body model that can be used.
+    /// A file is not a usable body model.
     #[error("{} cannot serve as body model ({code}): {reason}", path.display())]
     BodyModel {
         /// The file.
@@ -160,41 +159,18 @@ pub enum Error {
         /// That one.
         motion: datasets_spec::MotionId,
     },
-    /// A table of an export could not be made.
-    #[error("cannot make the table of {what}")]
-    Table {
-        /// What it is of.
-        what: &'static str,
-        /// The cause.
-        source: polars::error::PolarsError,
-    },
     /// The dataset could not be read or written.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
-    /// A motion is not one.
+    /// A motion is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
     /// Composing motions failed.
     #[error(transparent)]
     Compose(#[from] crate::compose::Error),
-    /// A question to a table failed.
-    #[error("cannot query table {table} of {}", dataset.display())]
-    Query {
-        /// The table.
-        table: &'static str,
-        /// The dataset.
-        dataset: PathBuf,
-        /// The cause.
-        source: polars::error::PolarsError,
-    },
 }
 
 impl Error {
-    /// Wraps a failure to make a table of an export.
-    pub(crate) fn table(what: &'static str) -> impl FnOnce(polars::error::PolarsError) -> Self {
-        move |source| Self::Table { what, source }
-    }
-
     /// Wraps an I/O error with what was tried on which path.
     pub(crate) fn io(
         action: &'static str,

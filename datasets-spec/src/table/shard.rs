@@ -218,13 +218,8 @@ fn write_group<W: Write + Send>(
     Ok(())
 }
 
-fn open(path: &Path) -> Result<(Bytes, ArrowReaderMetadata), Error> {
-    let bytes = Bytes::from(std::fs::read(path).map_err(Error::io("read", path))?);
-    let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
-    let metadata =
-        ArrowReaderMetadata::load(&bytes, options).map_err(Error::parquet("read", path))?;
-    check_version(path, &metadata)?;
-    Ok((bytes, metadata))
+fn options() -> ArrowReaderOptions {
+    ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional)
 }
 
 /// Refuses files of a newer major version; an older reader would misread them.
@@ -254,7 +249,10 @@ pub(super) fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Resu
 /// # Errors
 /// The file cannot be read, is not Parquet, is of a newer version, or holds something else.
 pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
-    let (bytes, metadata) = open(path)?;
+    let bytes = Bytes::from(std::fs::read(path).map_err(Error::io("read", path))?);
+    let metadata =
+        ArrowReaderMetadata::load(&bytes, options()).map_err(Error::parquet("read", path))?;
+    check_version(path, &metadata)?;
     read_selected(path, bytes, metadata, None)
 }
 
@@ -283,9 +281,8 @@ impl ShardReader {
         let file = File::open(path)
             .and_then(Positioned::new)
             .map_err(Error::io("open", path))?;
-        let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
         let metadata =
-            ArrowReaderMetadata::load(&file, options).map_err(Error::parquet("read", path))?;
+            ArrowReaderMetadata::load(&file, options()).map_err(Error::parquet("read", path))?;
         check_version(path, &metadata)?;
         Ok(Self {
             path: path.to_owned(),
@@ -313,6 +310,28 @@ impl ShardReader {
         let file = self.file.clone();
         read_selected(&self.path, file, self.metadata.clone(), Some(selection))
     }
+
+    /// Reads one column of all rows. No other column is read from the disk.
+    ///
+    /// # Errors
+    /// The file cannot be read, or the column is missing or of another type.
+    pub fn column<R: Row, T: Cell>(&self, name: &'static str) -> Result<Vec<T>, Error> {
+        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), [name]);
+        let (file, metadata) = (self.file.clone(), self.metadata.clone());
+        let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata)
+            .with_projection(mask)
+            .build()
+            .map_err(Error::parquet("read", &self.path))?;
+        let mut values = Vec::new();
+        for batch in reader {
+            let batch = batch.map_err(|source| Error::Arrow {
+                table: R::TABLE,
+                source,
+            })?;
+            values.extend(decode_column::<T>(R::TABLE, name, &batch)?);
+        }
+        Ok(values)
+    }
 }
 
 /// Reads one column of a file, and no other.
@@ -320,22 +339,7 @@ impl ShardReader {
 /// # Errors
 /// As [`read_rows`].
 pub fn read_column<R: Row, T: Cell>(path: &Path, name: &'static str) -> Result<Vec<T>, Error> {
-    let (bytes, metadata) = open(path)?;
-    let wrap = || Error::parquet("read", path);
-    let mask = ProjectionMask::columns(metadata.parquet_schema(), [name]);
-    let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
-        .with_projection(mask)
-        .build()
-        .map_err(wrap())?;
-    let mut values = Vec::new();
-    for batch in reader {
-        let batch = batch.map_err(|source| Error::Arrow {
-            table: R::TABLE,
-            source,
-        })?;
-        values.extend(decode_column::<T>(R::TABLE, name, &batch)?);
-    }
-    Ok(values)
+    ShardReader::open(path)?.column::<R, T>(name)
 }
 
 fn read_selected<R: Row>(
@@ -394,8 +398,8 @@ pub struct ColumnDescription {
 /// # Errors
 /// The file cannot be read, is not Parquet, or is of a newer version.
 pub fn describe(path: &Path) -> Result<ShardDescription, Error> {
-    let (_, metadata) = open(path)?;
-    let metadata = metadata.metadata();
+    let shard = ShardReader::open(path)?;
+    let metadata = shard.metadata.metadata();
     let file = metadata.file_metadata();
     let size = |bytes: i64| u64::try_from(bytes).unwrap_or(0);
     let mut columns: Vec<ColumnDescription> = Vec::new();

@@ -6,10 +6,9 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{HUMANML3D_WIDTH, MotionRow};
-use datasets_spec::table::{Caption, Row, read_rows};
+use datasets_spec::table::{Caption, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use polars::prelude::{ParquetReader, SerReader};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -20,13 +19,13 @@ use pickle::npy;
 
 /// Writes a HumanML3D folder, and returns how many clips are in it.
 ///
-/// A clip of `L` frames has `L - 1` frames of features and of joints, as published. Clips whose id
-/// is none of HumanML3D get a running number of six digits; `ids.csv` tells which, and why a clip
-/// was left out. Captions without tokens get their words as tokens with the tag `OTHER`, since
-/// loaders of this layout cannot do without.
+/// A clip of `L` frames has `L - 1` frames of features and joints, as published. Clips whose id is not of
+/// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, and why a clip was left
+/// out. Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
+/// layout need tokens.
 ///
-/// Joints are those of a SMPL body in the pose, as in the published set: the bones point as SMPL's
-/// do, and are as long as those of the dataset's body until the recipe gives them its own lengths.
+/// Joints are those of a SMPL body, as in the published set: with SMPL's bone directions at rest, and the
+/// bone lengths of the dataset's body until the recipe sets its own.
 ///
 /// # Errors
 /// The dataset cannot be read or a file cannot be written.
@@ -111,37 +110,17 @@ fn names(dataset: &Dataset) -> Result<BTreeMap<String, String>, Error> {
 
 /// Every motion's id and that of the motion it mirrors; no other column is read.
 fn ids(dataset: &Dataset) -> Result<Vec<(String, Option<String>)>, Error> {
-    let wrap = |source| Error::Query {
-        table: MotionRow::TABLE,
-        dataset: dataset.root().to_owned(),
-        source,
-    };
     let mut ids = Vec::new();
-    for (path, entry) in dataset.files(MotionRow::TABLE, None) {
-        if entry.rows == 0 {
-            continue;
-        }
-        let file = File::open(&path).map_err(Error::io("open", &path))?;
-        let columns = ["id", "mirrored_of"].map(str::to_owned).to_vec();
-        let frame = ParquetReader::new(file)
-            .with_columns(Some(columns))
-            .finish()
-            .map_err(wrap)?;
-        let texts = |name| frame.column(name).and_then(|column| column.str());
-        let (id, original) = (
-            texts("id").map_err(wrap)?,
-            texts("mirrored_of").map_err(wrap)?,
-        );
-        for row in 0..frame.height() {
-            if let Some(id) = id.get(row) {
-                ids.push((id.to_owned(), original.get(row).map(str::to_owned)));
-            }
-        }
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let id = shard.column::<MotionRow, String>("id")?;
+        let original = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
+        ids.extend(id.into_iter().zip(original));
     }
     Ok(ids)
 }
 
-/// A folder in the making.
+/// A folder that is being written.
 struct Writer {
     root: PathBuf,
     names: BTreeMap<String, String>,
@@ -256,7 +235,7 @@ fn caption_line(caption: &Caption) -> String {
     format!("{text}#{tokens}#{:?}#{:?}\n", caption.from_s, caption.to_s)
 }
 
-/// Words with the tag of those whose kind is unknown.
+/// Words with the tag for an unknown part of speech.
 fn words(text: &str) -> String {
     let words: Vec<String> = text
         .split(|c: char| !c.is_alphabetic())

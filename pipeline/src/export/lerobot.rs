@@ -1,4 +1,4 @@
-//! LeRobot v3: one row a frame, episodes and tasks in tables of their own.
+//! LeRobot v3: one row per frame, with separate tables of episodes and tasks.
 //!
 //! A clip is an episode, its first caption its task, and `observation.state` a frame's 69 numbers:
 //! translation, root orientation and body pose, as in the `motions` table.
@@ -6,11 +6,20 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use arrow_array::builder::{ListBuilder, StringBuilder};
+use arrow_array::{
+    ArrayRef, FixedSizeListArray, Float32Array, Int64Array, RecordBatch, StringArray,
+};
+use arrow_schema::{DataType, Field};
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Progress, Split};
-use polars::prelude::*;
+use parquet::arrow::ArrowWriter;
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
 use serde_json::json;
 
 use crate::Error;
@@ -19,9 +28,9 @@ use crate::Error;
 const STATE_WIDTH: usize = 69;
 /// Rows of a data file: about 30 MB.
 const FILE_FRAMES: usize = 100_000;
-/// Files of a chunk, as the format has it.
+/// Files per chunk, by the format.
 const CHUNK_FILES: usize = 1000;
-/// What a clip without a caption is said to do.
+/// Task of a clip without a caption.
 const NO_TASK: &str = "move";
 
 /// Writes the data set and returns the number of clips.
@@ -56,7 +65,7 @@ pub(super) fn write(
     Ok(count)
 }
 
-/// Where an episode's frames are.
+/// Location of an episode's frames.
 struct Episode {
     task: usize,
     length: usize,
@@ -139,7 +148,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the waiting frames as a file.
+    /// Writes the pending frames as a file.
     fn flush(&mut self) -> Result<(), Error> {
         if self.states.is_empty() {
             return Ok(());
@@ -156,19 +165,15 @@ impl<'a> Writer<'a> {
             }
         }
         let first = self.rows - self.states.len();
-        let indices: Vec<i64> = (first..self.rows).map(|row| row as i64).collect();
-        let state = fixed_width(&self.states)?;
-        let mut table = DataFrame::new_infer_height(vec![
-            state,
-            Column::new("timestamp".into(), times),
-            Column::new("frame_index".into(), frames),
-            Column::new("episode_index".into(), episodes),
-            Column::new("index".into(), indices),
-            Column::new("task_index".into(), tasks),
-        ])
-        .map_err(Error::table("lerobot data"))?;
-        let path = self.data_path(self.files);
-        write_parquet(&path, &mut table)?;
+        let columns: [(&str, ArrayRef); 6] = [
+            ("observation.state", states_column(&self.states)),
+            ("timestamp", Arc::new(Float32Array::from(times))),
+            ("frame_index", Arc::new(Int64Array::from(frames))),
+            ("episode_index", Arc::new(Int64Array::from(episodes))),
+            ("index", whole_numbers(first..self.rows)),
+            ("task_index", Arc::new(Int64Array::from(tasks))),
+        ];
+        write_parquet(&self.data_path(self.files), columns)?;
         self.files += 1;
         self.pending_first = self.episodes.len();
         self.states.clear();
@@ -184,53 +189,42 @@ impl<'a> Writer<'a> {
     fn finish(mut self, splits: &BTreeMap<&str, String>) -> Result<(), Error> {
         self.flush()?;
         let meta = self.folder.join("meta");
-        let indices: Vec<i64> = (0..self.tasks.len() as i64).collect();
-        let mut tasks = DataFrame::new_infer_height(vec![
-            Column::new("task_index".into(), indices),
-            Column::new("task".into(), self.tasks.clone()),
-        ])
-        .map_err(Error::table("lerobot tasks"))?;
-        write_parquet(&meta.join("tasks.parquet"), &mut tasks)?;
-        let mut episodes = self.episode_table()?;
-        write_parquet(
-            &meta.join("episodes/chunk-000/file-000.parquet"),
-            &mut episodes,
-        )?;
+        let tasks: [(&str, ArrayRef); 2] = [
+            ("task_index", whole_numbers(0..self.tasks.len())),
+            ("task", Arc::new(StringArray::from_iter_values(&self.tasks))),
+        ];
+        write_parquet(&meta.join("tasks.parquet"), tasks)?;
+        let episodes = meta.join("episodes/chunk-000/file-000.parquet");
+        write_parquet(&episodes, self.episode_columns())?;
         self.write_json("meta/info.json", &self.info(splits))?;
         self.write_json("meta/stats.json", &self.statistics.json())
     }
 
-    fn episode_table(&self) -> Result<DataFrame, Error> {
-        let column = |name: &str, value: &dyn Fn(usize, &Episode) -> i64| {
-            let values: Vec<i64> = self
-                .episodes
-                .iter()
-                .enumerate()
-                .map(|(index, episode)| value(index, episode))
-                .collect();
-            Column::new(name.into(), values)
-        };
-        let tasks: Vec<Series> = self
-            .episodes
-            .iter()
-            .map(|episode| Series::new("".into(), [self.tasks[episode.task].as_str()]))
-            .collect();
-        DataFrame::new_infer_height(vec![
-            column("episode_index", &|index, _| index as i64),
-            Column::new("tasks".into(), tasks),
-            column("length", &|_, episode| episode.length as i64),
-            column("data/chunk_index", &|_, episode| {
-                (episode.file / CHUNK_FILES) as i64
-            }),
-            column("data/file_index", &|_, episode| {
-                (episode.file % CHUNK_FILES) as i64
-            }),
-            column("dataset_from_index", &|_, episode| episode.first_row as i64),
-            column("dataset_to_index", &|_, episode| {
-                (episode.first_row + episode.length) as i64
-            }),
-        ])
-        .map_err(Error::table("lerobot episodes"))
+    fn episode_columns(&self) -> [(&'static str, ArrayRef); 7] {
+        let column = |value: fn(&Episode) -> usize| whole_numbers(self.episodes.iter().map(value));
+        let element = Field::new("element", DataType::Utf8, true);
+        let mut tasks = ListBuilder::new(StringBuilder::new()).with_field(element);
+        for episode in &self.episodes {
+            tasks.append_value([Some(&self.tasks[episode.task])]);
+        }
+        [
+            ("episode_index", whole_numbers(0..self.episodes.len())),
+            ("tasks", Arc::new(tasks.finish())),
+            ("length", column(|episode| episode.length)),
+            (
+                "data/chunk_index",
+                column(|episode| episode.file / CHUNK_FILES),
+            ),
+            (
+                "data/file_index",
+                column(|episode| episode.file % CHUNK_FILES),
+            ),
+            ("dataset_from_index", column(|episode| episode.first_row)),
+            (
+                "dataset_to_index",
+                column(|episode| episode.first_row + episode.length),
+            ),
+        ]
     }
 
     fn info(&self, splits: &BTreeMap<&str, String>) -> serde_json::Value {
@@ -283,27 +277,39 @@ fn state_names() -> Vec<String> {
     names
 }
 
-/// The states as a column of arrays of 69 numbers.
-fn fixed_width(states: &[[f32; STATE_WIDTH]]) -> Result<Column, Error> {
-    let flat = Series::new("observation.state".into(), states.as_flattened());
-    let shape = [
-        ReshapeDimension::Infer,
-        ReshapeDimension::new_dimension(STATE_WIDTH as u64),
-    ];
-    let arrays = flat
-        .reshape_array(&shape)
-        .map_err(Error::table("lerobot states"))?;
-    Ok(arrays.into())
+fn whole_numbers(values: impl IntoIterator<Item = usize>) -> ArrayRef {
+    let values = values.into_iter().map(|value| value as i64);
+    Arc::new(Int64Array::from_iter_values(values))
 }
 
-fn write_parquet(path: &Path, table: &mut DataFrame) -> Result<(), Error> {
+/// The states as a column of arrays of 69 numbers.
+fn states_column(states: &[[f32; STATE_WIDTH]]) -> ArrayRef {
+    let element = Field::new("element", DataType::Float32, true);
+    let numbers = Float32Array::from(states.as_flattened().to_vec());
+    Arc::new(FixedSizeListArray::new(
+        Arc::new(element),
+        STATE_WIDTH as i32,
+        Arc::new(numbers),
+        None,
+    ))
+}
+
+fn write_parquet<const N: usize>(path: &Path, columns: [(&str, ArrayRef); N]) -> Result<(), Error> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
     }
-    let mut file = File::create(path).map_err(Error::io("create", path))?;
-    ParquetWriter::new(&mut file)
-        .finish(table)
-        .map_err(Error::table("lerobot file"))?;
+    let file = File::create(path).map_err(Error::io("create", path))?;
+    let write = || -> Result<File, ParquetError> {
+        let columns = columns.map(|(name, values)| (name, values, true));
+        let table = RecordBatch::try_from_iter_with_nullable(columns)?;
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .build();
+        let mut writer = ArrowWriter::try_new(file, table.schema(), Some(properties))?;
+        writer.write(&table)?;
+        writer.into_inner()
+    };
+    let file = write().map_err(datasets_spec::Error::parquet("write", path))?;
     file.sync_all().map_err(Error::io("sync", path))
 }
 
@@ -355,5 +361,75 @@ impl Statistics {
                 "count": [self.frames],
             },
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use arrow_array::cast::AsArray;
+    use arrow_array::types::{Float32Type, Int64Type};
+    use datasets_spec::dataset::commit_rows;
+    use datasets_spec::table::Caption;
+    use datasets_spec::{NoProgress, Skeleton};
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+
+    use super::*;
+    use crate::compose::fixture::{motion_row, wandering};
+
+    fn table(path: &Path) -> RecordBatch {
+        let file = File::open(path).expect("written");
+        let mut reader = ParquetRecordBatchReaderBuilder::try_new(file)
+            .and_then(ParquetRecordBatchReaderBuilder::build)
+            .expect("Parquet");
+        reader.next().expect("rows").expect("a batch")
+    }
+
+    #[test]
+    fn frames_are_rows_and_episodes_say_which() {
+        let row = |id: &str, split, frames| motion_row(id, split, &wandering(id, frames));
+        let mut said = row("b", Split::Val, 30);
+        said.captions = vec![Caption {
+            text: "wave".to_owned(),
+            ..Caption::default()
+        }];
+        let rows = [row("a", Split::Train, 20), said];
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let dataset = commit_rows(
+            &dir.path().join("dataset"),
+            &rows,
+            Some(|row: &MotionRow| row.split),
+            &Skeleton::smplx_neutral(),
+            "plan",
+            "test",
+        )
+        .expect("committed");
+        let out = dir.path().join("out");
+        assert_eq!(write(&dataset, &out, &NoProgress).expect("written"), 2);
+
+        let data = table(&out.join("data/chunk-000/file-000.parquet"));
+        assert_eq!(data.num_rows(), 50);
+        let whole = |table: &RecordBatch, name: &str| {
+            let column = table.column_by_name(name).expect("a column");
+            column.as_primitive::<Int64Type>().values().to_vec()
+        };
+        assert_eq!(whole(&data, "index"), (0..50).collect::<Vec<i64>>());
+        assert_eq!(whole(&data, "frame_index")[19..21], [19, 0]);
+        assert_eq!(whole(&data, "episode_index")[19..21], [0, 1]);
+        let states = data["observation.state"].as_fixed_size_list();
+        let last = states.value(49);
+        let last = last.as_primitive::<Float32Type>().values();
+        assert_eq!(last[..3], rows[1].transl[29]);
+        assert_eq!(last[3..6], rows[1].global_orient[29]);
+        assert_eq!(last[6..], rows[1].body_pose[29]);
+
+        let tasks = table(&out.join("meta/tasks.parquet"));
+        let texts: Vec<_> = tasks["task"].as_string::<i32>().iter().flatten().collect();
+        assert_eq!(texts, [NO_TASK, "wave"]);
+        let episodes = table(&out.join("meta/episodes/chunk-000/file-000.parquet"));
+        assert_eq!(whole(&episodes, "length"), [20, 30]);
+        assert_eq!(whole(&episodes, "dataset_from_index"), [0, 20]);
+        assert_eq!(whole(&episodes, "dataset_to_index"), [20, 50]);
+        let said = episodes["tasks"].as_list::<i32>().value(1);
+        assert_eq!(said.as_string::<i32>().value(0), "wave");
     }
 }
