@@ -1,5 +1,4 @@
-//! The page of a dataset: for the Hugging Face `datasets` library, which reads the YAML at its head,
-//! and for people.
+//! The card of a dataset, for people and for the Hugging Face `datasets` library, which reads its YAML header.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +8,7 @@ use crate::manifest::Manifest;
 /// Name of the file.
 pub(crate) const FILE: &str = "README.md";
 
-/// What the library calls the rows of a table that has no splits. It keeps `all` for itself.
+/// The library's split name for tables without splits. It reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
 /// The card of a dataset. It follows from the manifest alone.
@@ -62,7 +61,7 @@ fn tables(manifest: &Manifest) -> String {
     text
 }
 
-/// What became of the sources, so that nobody has to ask why a number differs from another's.
+/// Counts of the sources, which explain why numbers differ between copies.
 fn sources(manifest: &Manifest) -> String {
     let accounting = &manifest.accounting;
     let mut text = format!(

@@ -1,4 +1,4 @@
-//! Croissant metadata: what a dataset's files and fields are, for machines that collect datasets.
+//! Croissant metadata: machine-readable descriptions of a dataset's files and fields.
 //!
 //! # Source
 //! MLCommons Croissant 1.0.

@@ -1,4 +1,4 @@
-//! What can go wrong in the contract.
+//! Errors of the contract.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A motion, a frame rate or a joint is not one.
+    /// A motion, a frame rate or a joint is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
     /// A motion id is malformed.
@@ -94,8 +94,8 @@ pub enum Error {
         /// Version read by this program.
         supported: &'static str,
     },
-    /// A range of model units is not the one it says it is.
-    #[error("a range of model units hashes to {found}, stated is {stated}; fit it again")]
+    /// A normaliser does not match its hash.
+    #[error("a normaliser states hash {stated} but hashes to {found}; fit it again")]
     NormalizerHash {
         /// The hash stated.
         stated: String,

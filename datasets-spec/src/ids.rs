@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// The generator every draw in the project comes from. Its stream is part of its documented
-/// contract, so recorded seeds stay meaningful.
+/// The random generator of the project. Its stream is documented and stable, so recorded seeds stay
+/// meaningful.
 pub type Rng = rand_pcg::Pcg64;
 
 /// The stable name of a motion: the path of its source relative to the ingested root, without
@@ -48,8 +48,8 @@ impl MotionId {
         &self.0
     }
 
-    /// The id of the clip this one was mirrored or cropped from, or of the file it shares with
-    /// others: what decides its split, so that no copy crosses from one split to another.
+    /// The id of the clip that this one was mirrored or cropped from, or of the file it shares with others. It
+    /// determines the split, so that no copy leaks into another split.
     pub fn source_clip(&self) -> &str {
         let whole = self.0.split(['@', '#']).next().unwrap_or(&self.0);
         let whole = whole.strip_suffix("~m").unwrap_or(whole);
@@ -90,7 +90,7 @@ pub enum Split {
     Train,
     /// Chooses among checkpoints.
     Val,
-    /// Is looked at once, for the table.
+    /// Is used once, for the result table.
     Test,
 }
 
@@ -98,8 +98,8 @@ impl Split {
     /// All splits, in the order tables list them.
     pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
 
-    /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 6.1). It depends on
-    /// the clip and the seed alone, so a dataset that grows never moves an old clip.
+    /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 6.1). It depends only on the clip
+    /// and the seed, so clips keep their split when a dataset grows.
     pub fn assign(source_clip: &str, seed: Seed) -> Self {
         match seed.draw_u64(&["split", source_clip]) % 100 {
             0..80 => Self::Train,
@@ -137,21 +137,21 @@ impl std::fmt::Display for Split {
     }
 }
 
-/// The seed of a run. Every generator is derived from it and the names of what is drawn, never
-/// from the order in which threads arrive.
+/// The seed of a run. Every generator is derived from it and the names of the draw, never from the order of
+/// threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Seed(pub u64);
 
 impl Seed {
-    /// A generator of its own for the thing named by `parts`, for example
+    /// An independent generator for the draw named by `parts`, for example
     /// `["compose", epoch, item id]`.
     pub fn rng(self, parts: &[&str]) -> Rng {
         Rng::from_seed(self.digest(parts))
     }
 
-    /// A generator for the thing of this number, where there are too many for [`Seed::rng`]: it
-    /// takes a few nanoseconds. Two finalisers of SplitMix64 (Steele, Lea and Flood 2014) over seed
+    /// A generator for the item with this number, for many items: unlike [`Seed::rng`] it takes a few
+    /// nanoseconds. Two finalisers of SplitMix64 (Steele, Lea and Flood 2014) over seed
     /// and number give the state.
     pub fn rng_of(self, number: u64) -> Rng {
         let mut at = self.0 ^ number.wrapping_mul(0xd134_2543_de82_ef95);
@@ -166,7 +166,7 @@ impl Seed {
         Rng::from_seed(bytes)
     }
 
-    /// One number for the thing named by `parts`.
+    /// One number for the draw named by `parts`.
     pub fn draw_u64(self, parts: &[&str]) -> u64 {
         let digest = self.digest(parts);
         u64::from_le_bytes([
@@ -174,7 +174,7 @@ impl Seed {
         ])
     }
 
-    /// A seed for a sub-task, independent of this one's other uses.
+    /// A derived seed for a sub-task, independent of other uses.
     pub fn derive(self, parts: &[&str]) -> Seed {
         Seed(self.draw_u64(parts))
     }

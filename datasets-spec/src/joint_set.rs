@@ -1,4 +1,4 @@
-//! Sets of joints, named body parts, and the masks motions are blended with.
+//! Sets of joints, named body parts, and blend masks.
 
 use std::fmt;
 use std::str::FromStr;
@@ -246,8 +246,8 @@ impl fmt::Display for BodyPart {
     }
 }
 
-/// What a blend takes from the target: `hard` joints whole, `soft` joints by interpolation, the
-/// rest not at all. The two sets are disjoint by construction (paper Sec. 4.2).
+/// Joints that a blend takes from the target: `hard` joints fully, `soft` joints by interpolation. The two
+/// sets are disjoint by construction (paper Sec. 4.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "RawMask", into = "RawMask")]
 pub struct BlendMask {

@@ -1,4 +1,4 @@
-//! The manifest: what a dataset consists of, and the hashes that prove it.
+//! The manifest: the files of a dataset and their hashes.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::Split;
 
-/// What `format` says in every manifest.
+/// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
 
-/// One committed version of a dataset. Readers open the highest; nothing is found by listing
-/// folders.
+/// One committed version of a dataset. Readers open the highest version; data files are never found by
+/// listing folders.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Always [`FORMAT`].
@@ -27,7 +27,7 @@ pub struct Manifest {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Plan of the run that made each table: a rerun of the same plan has nothing to do.
     pub plans: BTreeMap<String, String>,
-    /// What became of the source files.
+    /// Counts of the source files.
     pub accounting: Accounting,
     /// Further facts of the runs, such as seed and rate.
     pub facts: BTreeMap<String, String>,
@@ -48,13 +48,12 @@ pub struct FileEntry {
     pub bytes: u64,
     /// BLAKE3 of the file, hexadecimal.
     pub blake3: String,
-    /// SHA-256 of the file, hexadecimal, for catalogues that know no BLAKE3; empty in datasets of
-    /// format 1.0.0.
+    /// SHA-256 of the file, hexadecimal, for catalogues without BLAKE3; empty in datasets of format 1.0.0.
     #[serde(default)]
     pub sha256: String,
 }
 
-/// What became of the source files: `sources = ingested + quarantined + skipped`, always.
+/// Counts of the source files: `sources = ingested + quarantined + skipped`, always.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Accounting {
     /// Files found.
@@ -77,8 +76,8 @@ impl Accounting {
     }
 }
 
-/// Hash of what a stage depends on, recorded with the table it writes: a stage whose plan is recorded
-/// already does nothing.
+/// Hash of the inputs of a stage, recorded with the table it writes: a stage whose plan is already recorded
+/// does nothing.
 pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
     let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))
         .expect("settings are plain numbers, texts and lists of them");
@@ -86,8 +85,8 @@ pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
 }
 
 impl Manifest {
-    /// Hash of the plan that made a table; empty if it is not recorded. What depends on the table alone
-    /// is not redone when another table of the dataset changes.
+    /// Hash of the plan that made a table; empty if it is not recorded. Stages that depend only on this table are
+    /// not repeated when another table of the dataset changes.
     pub fn plan(&self, table: &str) -> &str {
         self.plans.get(table).map_or("", String::as_str)
     }
@@ -108,8 +107,7 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// BLAKE3 over the files of some tables, in hexadecimal: equal where these tables are, whatever
-    /// else the dataset holds and whenever they were written.
+    /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables.
     pub fn content_hash(&self, tables: &[&str]) -> String {
         let mut hasher = blake3::Hasher::new();
         for (table, files) in &self.tables {

@@ -1,4 +1,4 @@
-//! How a library says how far it is, without printing.
+//! Progress reports of libraries, which never print.
 
 /// Receives the progress of long work. The command draws bars; tests and servers pass
 /// [`NoProgress`].
@@ -13,7 +13,7 @@ pub trait Progress: Sync {
     fn finish(&self, summary: &str);
 }
 
-/// Says nothing.
+/// Discards all reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoProgress;
 

@@ -1,7 +1,6 @@
 //! Quantiles and medians of measured values.
 
-/// The value that a share of the values lies below, by nearest rank, so that it is one of them; none
-/// if there are no values. Reorders the values.
+/// The quantile by nearest rank, which is one of the values; none if there are no values. Reorders the values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let place = (share * last as f64).round() as usize;

@@ -1,5 +1,5 @@
-//! The rows of every table. A struct is declared once; its columns, their types, units and meaning
-//! follow from it, and `datasets-spec/README.md` is held equal to them by a test.
+//! The rows of every table. Columns, types, units and docs derive from one struct declaration, and a test
+//! compares them with `datasets-spec/README.md`.
 
 use serde::{Deserialize, Serialize};
 
@@ -225,7 +225,7 @@ table! {
 }
 
 table! {
-    /// A range of model units, fitted to the training split.
+    /// A normaliser, fitted to the training split.
     pub struct NormalizerRow = "normalizers" {
         /// BLAKE3 of the range, hexadecimal: what checkpoints know it by
         pub id: String [""],
@@ -510,7 +510,7 @@ impl TripletRow {
 const ITEM_ID_DIGITS: usize = 32;
 
 impl ItemRow {
-    /// A question that names one motion and asks for nothing yet; it has no motions and no id.
+    /// An item that names one motion, without instruction, motions and id.
     pub fn blank(motion: &MotionId, split: Split) -> Self {
         Self {
             id: String::new(),
@@ -543,7 +543,7 @@ impl ItemRow {
         }
     }
 
-    /// The motion that is to be edited.
+    /// The motion before the edit.
     ///
     /// # Errors
     /// The row's columns do not make a motion.
@@ -556,7 +556,7 @@ impl ItemRow {
         )
     }
 
-    /// The motion it should become.
+    /// The target of the edit.
     ///
     /// # Errors
     /// The item has no target, or its columns do not make a motion.
@@ -586,7 +586,7 @@ impl ItemRow {
         motion.map(Some)
     }
 
-    /// Puts the three motions of a question into its columns.
+    /// Sets the columns of the three motions of an item.
     pub fn set_motions(
         &mut self,
         source: &Motion,

@@ -1,0 +1,55 @@
+//! Commits of one table.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::open::Dataset;
+use super::transaction::{Commit, Transaction};
+use crate::manifest::FileEntry;
+use crate::table::Row;
+use crate::{Error, Skeleton, Split};
+
+/// Commits a table of rows that are all in memory. If the folder already holds this table by the
+/// same plan, nothing is written. `split_of` is none for tables without splits.
+///
+/// # Errors
+/// The folder is locked or cannot be written.
+pub fn commit_rows<R: Row>(
+    root: &Path,
+    rows: &[R],
+    split_of: Option<fn(&R) -> Split>,
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+) -> Result<Dataset, Error> {
+    commit_table::<R>(root, skeleton, plan_hash, holder, |transaction| {
+        transaction.write_rows(rows, split_of, skeleton, plan_hash)
+    })
+}
+
+/// Commits the files of a table that `write` writes. If the folder already holds this table by the
+/// same plan, nothing is written.
+///
+/// # Errors
+/// The folder is locked or cannot be written, or `write` fails.
+pub fn commit_table<R: Row>(
+    root: &Path,
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+    write: impl FnOnce(&Transaction) -> Result<Vec<FileEntry>, Error>,
+) -> Result<Dataset, Error> {
+    let transaction = Transaction::begin(root, holder)?;
+    let recorded = transaction.base().and_then(|base| base.plans.get(R::TABLE));
+    if recorded.is_some_and(|recorded| recorded == plan_hash) {
+        drop(transaction);
+        return Dataset::open(root);
+    }
+    let entries = write(&transaction)?;
+    transaction.commit(Commit {
+        tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
+        plan_hash: plan_hash.to_owned(),
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    })
+}

@@ -1,0 +1,103 @@
+//! Names of a dataset's folders, and its manifests.
+
+use std::path::{Path, PathBuf};
+
+use crate::manifest::{FORMAT, Manifest};
+use crate::store::Store;
+use crate::table::SCHEMA_VERSION;
+use crate::{Error, Split};
+
+pub(super) const META: &str = "meta";
+pub(super) const DATA: &str = "data";
+pub(super) const LOCK: &str = "LOCK";
+pub(super) const STAGED: &str = "staged";
+/// Key of the fact that holds a skeleton that is not built in.
+pub(super) const SKELETON_FACT: &str = "skeleton_rest";
+
+pub(super) fn manifest_path(root: &Path, version: u64) -> PathBuf {
+    root.join(META).join(format!("manifest-{version}.json"))
+}
+
+pub(super) fn newest_manifest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
+    let Some(version) = manifest_versions(store, root)?.pop() else {
+        return Ok(None);
+    };
+    read_manifest(store, root, version).map(Some)
+}
+
+pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u64>, Error> {
+    let meta = root.join(META);
+    let entries = match store.list(&meta) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(Error::io("list", meta)(error)),
+    };
+    let mut versions = Vec::new();
+    for (path, _) in entries {
+        let version: Option<u64> = path.file_name().and_then(|name| {
+            name.to_str()?
+                .strip_prefix("manifest-")?
+                .strip_suffix(".json")?
+                .parse()
+                .ok()
+        });
+        versions.extend(version);
+    }
+    versions.sort_unstable();
+    Ok(versions)
+}
+
+pub(super) fn read_manifest(
+    store: &dyn Store,
+    root: &Path,
+    version: u64,
+) -> Result<Manifest, Error> {
+    let path = manifest_path(root, version);
+    let text = store.read(&path).map_err(Error::io("read", &path))?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(|source| Error::Json {
+        path: path.clone(),
+        source,
+    })?;
+    if manifest.format != FORMAT {
+        return Err(Error::NotADataset {
+            path,
+            reason: format!("its manifest says format {:?}", manifest.format),
+        });
+    }
+    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+    if major(&manifest.schema_version) != major(SCHEMA_VERSION) {
+        return Err(Error::Version {
+            path,
+            found: manifest.schema_version,
+            supported: SCHEMA_VERSION,
+        });
+    }
+    let expected = Manifest::compute_root_hash(&manifest.tables);
+    if expected != manifest.root_hash {
+        return Err(Error::Corrupt {
+            path,
+            detail: format!("root hash {} does not cover its files", manifest.root_hash),
+        });
+    }
+    Ok(manifest)
+}
+
+/// Position of a shard among those of its table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ShardName {
+    /// Table.
+    pub table: &'static str,
+    /// Split; none for tables without splits.
+    pub split: Option<Split>,
+    /// Number of the shard, from 0.
+    pub index: usize,
+    /// Shards of this table and split.
+    pub of: usize,
+}
+
+impl ShardName {
+    pub(super) fn stem(&self) -> String {
+        let split = self.split.map_or("all", Split::as_str);
+        format!("{split}-{:05}-of-{:05}", self.index, self.of)
+    }
+}

@@ -1,0 +1,20 @@
+//! Opening datasets, and committing them so that they appear whole or not at all.
+//!
+//! A dataset is a folder: `data/<table>/<split>-<i>-of-<n>.parquet`, `meta/manifest-<n>.json`,
+//! and a `README.md` that the Hugging Face `datasets` library reads. A run locks the folder, writes
+//! its files to temporary names, syncs and renames them, and writes the manifest last. A reader sees
+//! the version before or the version after, never a mixture.
+
+mod commit;
+mod layout;
+mod open;
+mod shards;
+#[cfg(test)]
+mod tests;
+mod transaction;
+
+pub use commit::{commit_rows, commit_table};
+pub use layout::ShardName;
+pub use open::{Dataset, hash_file};
+pub use shards::table_facts;
+pub use transaction::{Commit, Transaction};

@@ -1,0 +1,252 @@
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use super::*;
+use crate::record::{MaskRow, MotionRow};
+use crate::table::{self, Row};
+use crate::table::{Caption, PartCaption, Quality};
+use crate::{Error, Skeleton, Split};
+use crate::{Fps, Motion, MotionId, Pose};
+
+fn row(index: usize) -> MotionRow {
+    let poses: Vec<Pose> = (0..5 + index)
+        .map(|frame| {
+            let mut pose = Pose::REST;
+            pose.transl.x = frame as f64 * 0.01 + index as f64;
+            pose.rotations[5] = kinematics::rotation::from_axis_angle(glam::DVec3::X * 0.1);
+            pose
+        })
+        .collect();
+    let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+    MotionRow {
+        id: MotionId::parse(&format!("clip{index}")).expect("valid"),
+        split: Split::Train,
+        source: "bvh".to_owned(),
+        source_path: format!("clip{index}.bvh"),
+        source_hash: "00".to_owned(),
+        license: index.is_multiple_of(2).then(|| "CC0-1.0".to_owned()),
+        mirrored_of: None,
+        skeleton: "smplx-neutral".to_owned(),
+        fps: 20.0,
+        fps_source: 30.0,
+        start_frame: 0,
+        end_frame: 9,
+        n_frames: motion.len() as i32,
+        transl: motion.transl().to_vec(),
+        global_orient: motion.global_orient().to_vec(),
+        body_pose: motion.body_pose().to_vec(),
+        rotation_source: "native".to_owned(),
+        fit_error_m: index.is_multiple_of(3).then_some(0.01),
+        captions: vec![
+            Caption {
+                text: "a person walks, \"proudly\"".to_owned(),
+                ..Caption::default()
+            };
+            index % 3
+        ],
+        part_captions: vec![PartCaption::default(); index % 2],
+        action: None,
+        style: Some("proud".to_owned()),
+        notes: vec!["frame 0 was dropped".to_owned()],
+        content_hash: motion.content_hash(),
+        quality: Quality {
+            flags: 3,
+            max_speed: 1.5,
+            foot_skate: 0.25,
+        },
+    }
+}
+
+fn shard(index: usize, of: usize) -> ShardName {
+    ShardName {
+        table: MotionRow::TABLE,
+        split: Some(Split::Train),
+        index,
+        of,
+    }
+}
+
+fn commit_motions(root: &Path, rows: &[MotionRow]) -> Dataset {
+    let transaction = Transaction::begin(root, "test").expect("lock");
+    let entry = transaction
+        .write_shard(&shard(0, 1), rows, &[("units", "m".to_owned())])
+        .expect("writes");
+    transaction
+        .commit(Commit {
+            tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), vec![entry])]),
+            plan_hash: "p".to_owned(),
+            skeleton: Skeleton::smplx_neutral(),
+            ..Commit::default()
+        })
+        .expect("commits")
+}
+
+#[test]
+fn single_clips_are_read_as_they_were_written() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("shard.parquet");
+    let rows: Vec<MotionRow> = (0..40).map(row).collect();
+    let bytes = crate::table::write_rows(Vec::new(), &path, &rows, &[]).expect("written");
+    std::fs::write(&path, bytes).expect("written");
+    let reader = crate::table::ClipReader::open(&path).expect("a shard");
+    assert_eq!(reader.ids().len(), rows.len());
+    // On several threads: they share the file and nothing else.
+    std::thread::scope(|scope| {
+        for start in 0..4 {
+            let (reader, rows, path) = (&reader, &rows, &path);
+            scope.spawn(move || {
+                for at in (0..rows.len()).map(|i| (i * 7 + start) % rows.len()) {
+                    assert_eq!(reader.ids()[at], rows[at].id);
+                    let motion = reader.motion(at).expect("read");
+                    assert_eq!(motion, rows[at].motion().expect("valid"));
+                    let one: Vec<MotionRow> =
+                        crate::table::read_rows_at(path, &[at]).expect("read");
+                    assert_eq!(one[0], rows[at]);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn rows_come_back_bit_for_bit_and_bytes_repeat() {
+    let (a, b) = (
+        tempfile::tempdir().expect("dir"),
+        tempfile::tempdir().expect("dir"),
+    );
+    let rows: Vec<MotionRow> = (0..300).map(row).collect();
+    let first = commit_motions(a.path(), &rows);
+    let second = commit_motions(b.path(), &rows);
+    assert_eq!(first.manifest().root_hash, second.manifest().root_hash);
+    let read: Vec<MotionRow> = Dataset::open(a.path())
+        .expect("opens")
+        .read(None)
+        .expect("reads");
+    assert_eq!(read, rows);
+    assert_eq!(
+        read[7].motion().expect("valid").content_hash(),
+        rows[7].content_hash
+    );
+}
+
+#[test]
+fn single_rows_are_read_by_their_place() {
+    let dir = tempfile::tempdir().expect("dir");
+    let rows: Vec<MotionRow> = (0..300).map(row).collect();
+    let dataset = commit_motions(dir.path(), &rows);
+    let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
+    let some: Vec<MotionRow> = table::read_rows_at(path, &[299, 0, 257, 0]).expect("reads");
+    assert_eq!(
+        some,
+        [rows[0].clone(), rows[257].clone(), rows[299].clone()]
+    );
+}
+
+#[test]
+fn an_altered_byte_is_found_on_open() {
+    let dir = tempfile::tempdir().expect("dir");
+    let dataset = commit_motions(dir.path(), &[row(0), row(1)]);
+    let (path, _) = dataset.files(MotionRow::TABLE, None).remove(0);
+    let mut bytes = fs::read(&path).expect("reads");
+    let middle = bytes.len() / 3;
+    bytes[middle] ^= 1;
+    fs::write(&path, bytes).expect("writes");
+    assert!(matches!(
+        Dataset::open(dir.path()),
+        Err(Error::Corrupt { .. })
+    ));
+}
+
+#[test]
+fn the_lock_names_its_holder_and_ends_with_the_run() {
+    let dir = tempfile::tempdir().expect("dir");
+    let first = Transaction::begin(dir.path(), "run 1 of tests").expect("lock");
+    match Transaction::begin(dir.path(), "run 2") {
+        Err(Error::Locked { holder, .. }) => assert_eq!(holder, "run 1 of tests"),
+        other => panic!("expected a lock error, got {other:?}"),
+    }
+    drop(first);
+    assert!(Transaction::begin(dir.path(), "run 3").is_ok());
+}
+
+#[test]
+fn a_staged_shard_is_found_again_unless_its_file_changed() {
+    let dir = tempfile::tempdir().expect("dir");
+    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+    let name = shard(0, 2);
+    let entry = transaction
+        .write_shard(&name, &[row(1)], &[])
+        .expect("writes");
+    transaction
+        .stage("plan", &name, &entry, &vec![1u32, 2])
+        .expect("stages");
+    drop(transaction);
+
+    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+    let found = transaction
+        .staged::<Vec<u32>>("plan", &name)
+        .expect("reads");
+    assert_eq!(found, Some((entry.clone(), vec![1, 2])));
+    assert_eq!(
+        transaction
+            .staged::<Vec<u32>>("other plan", &name)
+            .expect("reads"),
+        None
+    );
+    fs::write(dir.path().join(&entry.path), b"cut off").expect("writes");
+    assert_eq!(
+        transaction
+            .staged::<Vec<u32>>("plan", &name)
+            .expect("reads"),
+        None
+    );
+}
+
+#[test]
+fn a_replaced_table_keeps_the_old_version_readable() {
+    let dir = tempfile::tempdir().expect("dir");
+    let old = commit_motions(dir.path(), &[row(0)]);
+    let new = commit_motions(dir.path(), &[row(1), row(2)]);
+    assert_eq!(new.manifest().version, 2);
+    assert_eq!(old.read::<MotionRow>(None).expect("reads"), [row(0)]);
+    assert_eq!(
+        Dataset::open(dir.path())
+            .expect("opens")
+            .read::<MotionRow>(None)
+            .expect("reads")
+            .len(),
+        2
+    );
+    // Nothing temporary and nothing unnamed is left.
+    let names: Vec<_> = fs::read_dir(dir.path().join("data/motions"))
+        .expect("lists")
+        .map(|entry| entry.expect("entry").file_name())
+        .collect();
+    assert_eq!(names.len(), 2);
+}
+
+#[test]
+fn another_table_in_place_of_the_expected_one_is_an_error() {
+    let dir = tempfile::tempdir().expect("dir");
+    let dataset = commit_motions(dir.path(), &[row(0)]);
+    let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
+    assert!(matches!(
+        table::read_rows::<MaskRow>(path),
+        Err(Error::Column { column, .. }) if column == "motion_id"
+    ));
+}
+
+#[test]
+fn folders_that_are_no_dataset_say_so() {
+    let dir = tempfile::tempdir().expect("dir");
+    assert!(matches!(
+        Dataset::open(dir.path()),
+        Err(Error::NotADataset { .. })
+    ));
+    let missing = dir.path().join("missing");
+    assert!(matches!(
+        Dataset::open(&missing),
+        Err(Error::NotADataset { .. })
+    ));
+}
