@@ -44,8 +44,8 @@ pub(super) enum Action {
 }
 
 impl Action {
-    /// All actions, in the order in which clips go through them. A corpus of few clips has the
-    /// first ones, so they differ as much as they can.
+    /// All actions, in the order of the clips. A small corpus has the first ones, so these differ as much as
+    /// possible.
     pub(super) const ALL: [Action; 26] = [
         Action::Walk,
         Action::WaveRight,
@@ -108,7 +108,7 @@ impl Action {
     }
 }
 
-/// What was drawn for a take, as its description needs it.
+/// Draws of a take that its description mentions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Facts {
     /// The arm or leg that acts, or the direction that is taken.
@@ -117,14 +117,14 @@ pub(super) struct Facts {
     pub(super) count: usize,
 }
 
-/// Shortest clip in seconds: three windows of 16 frames at 10 fps that share two frames need 44
+/// Minimum length of a clip in seconds: three windows of 16 frames at 10 fps with two shared frames need 44
 /// frames, 4.3 s.
 const MIN_SECS: f64 = 5.0;
 /// Time before the first and after the last event of a standing clip, in seconds.
 const STILL_SECS: f64 = 0.45;
 
-/// Writes the script of an action. `take` draws what the take is and is the same for every style;
-/// `scatter` draws what differs between any two performances.
+/// Writes the script of an action. `take` draws what is common to all styles of a take; `scatter` draws what
+/// differs between any two performances.
 pub(super) fn script(
     action: Action,
     style: &Style,
@@ -215,9 +215,9 @@ struct Travel {
     duration_secs: f64,
     gait: Gait,
     coupling: Coupling,
-    /// Exponent of the style's tempo: who is fast already has less room to hurry.
+    /// Exponent of the style's tempo: fast actions vary less in tempo.
     haste: f64,
-    /// Whether the clip starts and ends standing; otherwise it is cut from a longer motion.
+    /// Whether the clip starts and ends standing; otherwise it is a crop of a longer motion.
     halts: [bool; 2],
 }
 
@@ -492,15 +492,14 @@ impl Travel {
     }
 }
 
-/// How long before and after a clip that is cut from a longer motion the motion goes on, in
-/// seconds: a few steps.
+/// Time in seconds by which the longer motion extends beyond its crop on each side: a few steps.
 const OVERHANG_SECS: f64 = 3.0;
-/// Time in which a walk gets under way or comes to rest, in seconds.
+/// Time to start or stop a walk, in seconds.
 const RAMP_SECS: f64 = 1.1;
-/// Extra share of the cycle that a foot of a slow style stands: an old runner hardly flies.
+/// Extra fraction of the cycle that a foot is planted in slow styles: an old runner hardly leaves the ground.
 const SHUFFLE: f64 = 0.06;
 
-/// Plays a way of getting along.
+/// Performs a way of moving from place to place.
 fn travel(style: &Style, how: Travel, take: &mut Rng, scatter: &mut Rng) -> Script {
     let duration = (how.duration_secs / style.tempo.sqrt()).max(MIN_SECS);
     let tempo = style.tempo.powf(how.haste);
@@ -583,8 +582,7 @@ fn walk_wave(style: &Style, facts: Facts, take: &mut Rng, scatter: &mut Rng) -> 
     script
 }
 
-/// A body that stands at the origin; `act` adds what it does from a time on and says when that is
-/// over.
+/// A body that stands at the origin; `act` adds its action from a time on and returns its end.
 fn standing(
     style: &Style,
     scatter: &mut Rng,

@@ -1,5 +1,5 @@
-//! From a script to poses: the feet stand where the plan says, the pelvis rides on the legs, the
-//! trunk and arms answer the legs, and gestures are laid over that.
+//! From a script to poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the
+//! legs, and gestures are added on top.
 
 use datasets_spec::{Fps, Joint, Pose, Rng, Skeleton};
 use glam::{DQuat, DVec3};
@@ -32,7 +32,7 @@ pub(super) struct Script {
     pub(super) arms: [Vec<ArmKey>; 2],
 }
 
-/// How the upper body answers the legs.
+/// How the upper body follows the legs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Coupling {
     /// Turn of the pelvis in radians per metre between the feet.
@@ -41,7 +41,7 @@ pub(super) struct Coupling {
     pub(super) chest_turn: f64,
     /// Swing of an arm in radians per metre between the feet.
     pub(super) arm_swing: f64,
-    /// Forward bend of the trunk that the speed asks for.
+    /// Forward bend of the trunk by the speed.
     pub(super) lean: f64,
     /// Bend of the elbows beyond the style's.
     pub(super) elbow_bend: f64,
@@ -56,8 +56,8 @@ pub(super) struct Coupling {
     pub(super) bob: f64,
     /// Share of the style's bounce that is added to it.
     pub(super) bounce: f64,
-    /// How far a lifted foot counts as being ahead, in metres per metre: what makes the arms swing
-    /// when marching on the spot.
+    /// How far a lifted foot counts as ahead, in metres per metre. It makes the arms swing when marching on the
+    /// spot.
     pub(super) lift_lead: f64,
 }
 
@@ -124,14 +124,14 @@ impl ArmKey {
     }
 }
 
-/// Least bend of a knee in radians. A body does not lock its knees, and near a straight leg the
-/// knee would jump for a millimetre of the pelvis.
+/// Minimum bend of a knee in radians. People do not lock their knees, and near a straight leg the knee would
+/// jump for a millimetre of pelvis movement.
 const MIN_KNEE_BEND: f64 = 0.14;
-/// Least bend of an elbow in radians.
+/// Minimum bend of an elbow in radians.
 const MIN_ELBOW_BEND: f64 = 0.08;
-/// Greatest bend of knees and elbows in radians, where the flesh of the limb meets.
+/// Maximum bend of knees and elbows in radians, limited by soft tissue.
 const MAX_BEND: f64 = 2.6;
-/// Over how long the pelvis foresees that a leg will be at its limit, in seconds.
+/// Look-ahead in seconds in which the pelvis anticipates the limit of a leg.
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
 /// Height in metres by which a foot is lifted off its plan when it bears no weight.
 const UNLOADED_LIFT: f64 = 0.05;
@@ -146,7 +146,7 @@ struct Ground {
     feet: [Foot; 2],
 }
 
-/// Where one foot has to be.
+/// Target of one foot.
 #[derive(Clone, Copy)]
 struct Foot {
     ankle: DVec3,
@@ -158,7 +158,7 @@ struct Foot {
     binding: bool,
 }
 
-/// Slow answers of the body to its feet, one number a frame.
+/// Smoothed responses of the body to its feet, one number per frame.
 struct Answers {
     shift: [Vec<f64>; 2],
     /// How far the left foot is ahead of the right one, in metres.
@@ -167,7 +167,7 @@ struct Answers {
     load: Vec<f64>,
 }
 
-/// Plays a script in a style.
+/// Performs a script in a style.
 pub(super) fn perform(
     script: &Script,
     style: &Style,
@@ -194,7 +194,7 @@ pub(super) fn perform(
             )
         })
         .collect();
-    // What a leg cannot reach lowers the pelvis, in time and no more than it has to.
+    // A target out of a leg's reach lowers the pelvis, ahead of time and as little as necessary.
     let mut allowances: Vec<f64> = torsos
         .iter()
         .zip(&grounds)
@@ -304,7 +304,7 @@ fn answers(script: &Script, grounds: &[Ground], fps: Fps) -> Answers {
     for signal in [&mut left, &mut forward, &mut load] {
         smooth(signal, sigma);
     }
-    // The trunk and the arms are heavy: they follow the legs without their jerks.
+    // The trunk and the arms follow the legs smoothly, because of their inertia.
     smooth(&mut lead, TRUNK_LAG_SECS * fps.get());
     Answers {
         shift: [left, forward],
@@ -334,7 +334,7 @@ struct Torso {
     neck: DQuat,
     head: DQuat,
     chest: DQuat,
-    /// The frame that faces where the chest faces but stays upright.
+    /// The upright frame with the heading of the chest.
     upright: DQuat,
     yaw: f64,
 }
@@ -395,7 +395,7 @@ impl<'a> Body<'a> {
         highest
     }
 
-    /// Sets hip, knee, ankle and toes of one leg so that its foot is where it has to be.
+    /// Sets hip, knee, ankle and toes of one leg so that its foot reaches its target.
     fn pose_leg(&self, side: Side, torso: &Torso, foot: &Foot, pose: &mut Pose) {
         let [hip, knee, ankle, toes, ..] = joints(side);
         let limb = &self.legs[side as usize];

@@ -1,4 +1,4 @@
-//! Where the body goes and where the feet stand: root paths, footsteps and the roll of the foot.
+//! Locomotion: root paths, footsteps and the roll of the foot.
 
 use datasets_spec::{Joint, Rng, Skeleton};
 use glam::{DQuat, DVec3};
@@ -33,7 +33,7 @@ impl Side {
         }
     }
 
-    /// A side by the toss of a coin.
+    /// A random side.
     pub(super) fn draw(rng: &mut Rng) -> Self {
         if rng.random_bool(0.5) {
             Self::Left
@@ -60,7 +60,7 @@ impl Side {
 /// within a few millimetres of the path.
 const PATH_HZ: f64 = 120.0;
 
-/// The way of the body over the floor: the point below the pelvis and the heading, over time.
+/// The path of the body over the floor: the point below the pelvis and the heading, over time.
 #[derive(Clone, Debug)]
 pub(super) struct RootPath {
     from_secs: f64,
@@ -155,9 +155,9 @@ impl FootShape {
         -self.toe.y
     }
 
-    /// Where the ankle is, and how the foot is turned, when the foot that would stand flat at
-    /// `flat_ankle` is pitched about its contact point: about the toe joint if the toes point down
-    /// (positive pitch), about the heel if they point up.
+    /// Position of the ankle and rotation of the foot, if the foot that stands flat at `flat_ankle` is pitched
+    /// about its contact point: about the toe joint if the toes point down (positive pitch), about the heel if
+    /// they point up.
     pub(super) fn roll(&self, flat_ankle: DVec3, yaw: f64, pitch: f64) -> (DVec3, DQuat) {
         let flat = DQuat::from_rotation_y(yaw);
         let rotation = flat * DQuat::from_rotation_x(pitch);
@@ -355,7 +355,7 @@ impl Gait {
     /// trailing leg reaches further than the leading one: its heel rises.
     const BELOW_BODY: f64 = 0.42;
 
-    /// Where a foot stands under a body at a point of its path, and which way it points.
+    /// Position and direction of a foot under a body at a point of its path.
     pub(super) fn place(&self, side: Side, (point, heading): (DVec3, f64)) -> (DVec3, f64) {
         let offset = DVec3::new(side.sign() * self.half_width, 0.0, -Self::ANKLE_BEHIND);
         (
@@ -364,9 +364,8 @@ impl Gait {
         )
     }
 
-    /// Steps along a path from `from` to `to` seconds, the feet standing before and after. Each
-    /// foot stands where the body will be near the middle of its stance, which is what makes a step
-    /// of a walk, a turn, a side step and a halt the same thing.
+    /// Steps along a path from `from` to `to` seconds, standing before and after. Each foot is placed below the
+    /// body near the middle of its stance, so that walks, turns, side steps and halts need one rule.
     pub(super) fn plan(
         &self,
         path: &RootPath,

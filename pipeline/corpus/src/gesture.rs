@@ -1,5 +1,5 @@
-//! What arms and trunk do on top of standing or walking. Each gesture starts at a time, adds its
-//! keyframes to a script and returns the time at which it is over. Directions are given for the
+//! Gestures of arms and trunk on top of standing or walking. Each gesture starts at a time, adds its
+//! keyframes to a script and returns its end time. Directions are given for the
 //! left arm (outwards, up, forward); the right arm mirrors them.
 
 use datasets_spec::Rng;
@@ -28,7 +28,7 @@ const fn hold(towards: [f64; 3], bend: f64, elbow: [f64; 3]) -> Hold {
     }
 }
 
-/// Where gestures begin and end: close to a hanging arm, so that fading them in moves little.
+/// Start and end pose of gestures: close to a hanging arm, so that fading in moves little.
 const AT_SIDE: Hold = hold([0.22, -0.93, 0.22], 0.4, [0.4, -0.2, -1.0]);
 /// The hand raised beside the head, palm forward.
 const RAISED: Hold = hold([0.44, 0.60, 0.26], 1.35, [0.75, -0.65, -0.1]);

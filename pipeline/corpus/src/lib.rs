@@ -1,10 +1,9 @@
-//! The built-in corpus: motions played by a program instead of a person, written in source formats
-//! so that they are ingested like any capture.
+//! The built-in corpus: procedural motions, written in source formats and ingested like any capture.
 //!
-//! A clip is an action in a style. The action plans where the body goes and where the feet stand;
-//! the style bends posture, tempo and size; the solver lets the pelvis ride on the planted legs
-//! and the trunk and arms answer them. Everything is drawn from the seed and the clip's index, so a
-//! clip is the same whichever others are made, on any number of threads.
+//! A clip is an action in a style. The action plans the path of the body and the footsteps; the style modifies
+//! posture, tempo and size; the solver makes pelvis, trunk and arms follow the planted legs. All draws
+//! derive from the seed and the clip's index, so a clip does not depend on other clips or on the number of
+//! threads.
 //!
 //! Read [`CorpusOptions`] and [`clip`] first.
 //!
@@ -43,7 +42,7 @@ pub const CORPUS_FPS: f64 = 60.0;
 pub const CLIPS_PER_TAKE: usize = Action::ALL.len() * style::ALL.len();
 /// Takes of the default corpus.
 const DEFAULT_TAKES: usize = 2;
-/// The licence of the clips: they are nobody's capture.
+/// The licence of the clips, which are generated.
 const LICENSE: &str = "CC0-1.0";
 /// Folder of the AMASS half that stands for the sub-set of an AMASS release.
 const AMASS_SUBSET: &str = "Stance";
@@ -67,7 +66,7 @@ pub enum Error {
 pub struct CorpusOptions {
     /// Number of clips; [`CLIPS_PER_TAKE`] of them hold every action in every style once.
     pub clips: usize,
-    /// What every clip is drawn from.
+    /// Seed of all clips.
     pub seed: Seed,
 }
 
@@ -80,7 +79,7 @@ impl Default for CorpusOptions {
     }
 }
 
-/// A generated motion and what is said about it.
+/// A generated motion and its metadata.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CorpusClip {
     /// Name of the clip: action, style and take, such as `walk_proud_001`. Clips of the same action
@@ -119,22 +118,12 @@ pub struct CorpusSummary {
     pub bytes: u64,
 }
 
-/// Names of the actions.
-pub fn action_names() -> impl ExactSizeIterator<Item = &'static str> {
-    Action::ALL.into_iter().map(Action::name)
-}
-
-/// Names of the styles: neutral, then the five of the paper (Sec. 4.1).
-pub fn style_names() -> impl ExactSizeIterator<Item = &'static str> {
-    style::ALL.iter().map(|style| style.name)
-}
-
 /// Generates a clip. It depends on the seed and its index alone, not on the number of clips.
 pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     let (action, style, take) = cast(index);
     let skeleton = Skeleton::smplx_neutral();
     let take_name = take.to_string();
-    // What the take is must not depend on the style, or style pairs would differ in more than it.
+    // The draws of a take must not depend on the style: style pairs differ in style alone.
     let mut take_rng = options
         .seed
         .rng(&["corpus", "take", action.name(), &take_name]);
@@ -186,7 +175,7 @@ fn format_of(index: usize) -> ClipFormat {
     }
 }
 
-/// Where a clip is written, relative to the folder of the corpus.
+/// Path of a clip relative to the folder of the corpus.
 fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
     match format_of(index) {
         ClipFormat::Amass => Path::new("amass")
@@ -254,7 +243,7 @@ fn write_clip(out: &Path, index: usize, options: &CorpusOptions) -> Result<Corpu
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
-    // The sidecar goes first: a motion that is there has its description.
+    // The sidecar is written first, so that every motion has its description.
     write::replace_file(&sidecar_path, &sidecar).map_err(failed)?;
     write::replace_file(&path, &motion).map_err(failed)?;
     Ok(CorpusSummary {
@@ -456,7 +445,7 @@ mod tests {
             *amass.entry(style.name).or_default() += count;
         }
         assert!(amass.values().all(|&excess| excess == 0), "{amass:?}");
-        assert_eq!((action_names().len(), style_names().len()), (26, 6));
+        assert_eq!((Action::ALL.len(), style::ALL.len()), (26, 6));
     }
 
     /// All files below a folder with their bytes, by relative path.

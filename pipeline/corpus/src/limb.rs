@@ -1,4 +1,4 @@
-//! Two bones and a hinge: arms and legs.
+//! Two-bone inverse kinematics with a hinge, for arms and legs.
 
 use datasets_spec::{Joint, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
@@ -74,8 +74,8 @@ impl Limb {
         (2.0 * (constant + cosine.hypot(sine) * bend.cos())).sqrt()
     }
 
-    /// How far the hinge is bent from straight when the end is `distance` away from the root, in
-    /// [0, pi]; distances out of reach give the nearest bend.
+    /// Bend of the hinge from straight, in [0, pi], for a given distance of the end from the root. Distances out
+    /// of reach give the nearest bend.
     pub(super) fn bend_at(&self, distance: f64) -> f64 {
         let (constant, cosine, sine) = self.extent();
         let cos_bend = (0.5 * distance * distance - constant) / cosine.hypot(sine);

@@ -1,4 +1,4 @@
-//! Styles: how a person moves, whatever they do.
+//! Styles of movement, independent of the action.
 
 /// How posture and timing differ from a neutral performance. Angles in radians, lengths in metres;
 /// factors multiply the neutral value.

@@ -1,4 +1,4 @@
-//! What is said about a clip: sentences about the whole body and phrases about its parts.
+//! Descriptions of a clip: sentences about the whole body and phrases about its parts.
 
 use datasets_spec::table::{Caption, PartCaption};
 use datasets_spec::{BodyPart, Rng};
@@ -23,7 +23,7 @@ pub(super) fn describe(
         .map(|_| {
             let sentence = sentences.swap_remove(rng.random_range(0..sentences.len()));
             let who = SUBJECTS[rng.random_range(0..SUBJECTS.len())];
-            // Manners differ within a clip as long as there are some left.
+            // Manners do not repeat within a clip, as far as there are enough.
             let how = if manners.len() > 1 {
                 manners.swap_remove(rng.random_range(0..manners.len()))
             } else {
@@ -68,7 +68,7 @@ fn fill(template: &str, who: &str, how: &str, facts: Facts) -> String {
         .replace("{turn}", turn)
 }
 
-/// How a style is said of the whole body.
+/// Words of a style for the whole body.
 fn manners(style: &str) -> &'static [&'static str] {
     match style {
         "proud" => &[
@@ -104,7 +104,7 @@ fn manners(style: &str) -> &'static [&'static str] {
     }
 }
 
-/// How a style is said of one part.
+/// Words of a style for one part.
 fn part_manner(style: &str) -> &'static str {
     manners(style)[0]
 }
@@ -241,8 +241,8 @@ fn sentences(action: Action) -> &'static [&'static str] {
     }
 }
 
-/// What the parts do, where one of them does something that can be told. Each phrase fits "The
-/// person is ... with their <part>."
+/// Phrases about single parts, if a part has a describable action. Each completes "The person is ... with
+/// their <part>."
 fn parts(action: Action, facts: Facts) -> Vec<(BodyPart, &'static str)> {
     use BodyPart::{BothArms, LeftArm, LowerBody, RightArm, UpperBody};
     let acting = match facts.side.sign() > 0.0 {

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-/// Most dimensions of an array; NumPy allows no more.
+/// Maximum dimensions of an array, as in NumPy.
 const MAX_DIMENSIONS: usize = 64;
 
 /// Type of an array's items.
@@ -128,7 +128,7 @@ impl Array {
         }
     }
 
-    /// Brings raw items into row-major order and little-endian bytes.
+    /// Converts raw items to row-major order and little-endian bytes.
     pub(crate) fn from_raw(
         item: ItemType,
         shape: Vec<usize>,
@@ -166,7 +166,7 @@ impl Array {
         Ok(Self { dtype, shape, data })
     }
 
-    /// Takes items out of a storage by offset and strides, all counted in items.
+    /// Reads items of a storage by offset and strides, all counted in items.
     pub(crate) fn from_strides(
         dtype: Dtype,
         storage: &Arc<[u8]>,
@@ -311,7 +311,7 @@ impl Array {
     }
 }
 
-/// Number of items of a shape; none if it cannot be that of an array.
+/// Number of items of a shape; none if no array can have it.
 pub(crate) fn count(shape: &[usize]) -> Option<usize> {
     if shape.len() > MAX_DIMENSIONS {
         return None;
@@ -324,7 +324,7 @@ pub(crate) fn count(shape: &[usize]) -> Option<usize> {
     Some(if shape.contains(&0) { 0 } else { full })
 }
 
-/// Bytes of an array; none if there can be no such array.
+/// Bytes of an array; none if no array can have this shape.
 pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }

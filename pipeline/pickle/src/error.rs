@@ -1,4 +1,4 @@
-//! Why a container cannot be read.
+//! Errors of reading a container.
 
 /// What is wrong with a container, and where.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! A stream of bytes that knows its position and believes no length.
+//! A stream of bytes with a position, which does not trust stated lengths.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 
@@ -36,7 +36,7 @@ impl<'a> Input<'a> {
         Ok(bytes)
     }
 
-    /// The next `len` bytes. Memory grows with what is there, not with `len`.
+    /// The next `len` bytes. Memory grows with the bytes read, not with `len`.
     pub(crate) fn bytes(&mut self, len: u64) -> Result<Vec<u8>, Error> {
         let mut bytes = Vec::new();
         let read = self.reader.by_ref().take(len).read_to_end(&mut bytes);

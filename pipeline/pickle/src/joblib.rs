@@ -1,4 +1,4 @@
-//! Dumps of joblib: pickles whose arrays lie behind them in the stream, packed or not.
+//! Dumps of joblib: pickles followed by their arrays in the stream, packed or not.
 
 use std::io::{self, Read};
 
@@ -11,8 +11,8 @@ use crate::error::Error;
 use crate::read::{self, read_with_wrapped_arrays};
 use crate::value::{Options, Value};
 
-/// Most bytes a dump may unpack to, and how many times its packed size. The dump of MotionFix, the
-/// largest known, unpacks to about 2 GB and by less than 10 times.
+/// Limits on the unpacked size of a dump, in bytes and relative to its packed size. The largest known dump,
+/// MotionFix's, unpacks to about 2 GB, less than 10 times its packed size.
 const MAX_UNPACKED_LEN: u64 = 4 << 30;
 const MAX_RATIO: u64 = 200;
 /// Size below which the ratio does not matter.
@@ -20,7 +20,7 @@ const SMALL_LEN: u64 = 64 << 20;
 /// Memory in KiB that an LZMA stream may ask for its dictionary; the strongest preset asks for 64
 /// MiB.
 const LZMA_MEMORY_KIB: u32 = 128 << 10;
-/// Bytes the packing is recognised by.
+/// Bytes needed to recognise the packing.
 const MAGIC_LEN: usize = 6;
 
 /// How a dump is packed.
@@ -123,7 +123,7 @@ pub fn read_from<'a>(
     read_with_wrapped_arrays(capped, options)
 }
 
-/// A stream that fails beyond a length instead of going on.
+/// A stream that fails beyond a limit.
 struct Capped<R> {
     inner: R,
     limit: u64,

@@ -2,14 +2,13 @@
 //! ([`joblib`]), files of `torch.save` ([`torch`]), arrays of NumPy ([`npy`]) and archives of them
 //! ([`npz`]); and their writers.
 //!
-//! A pickle is a program for a small stack machine, and most of what it can ask for is code. Here
-//! the machine knows values (numbers, text, bytes, lists, tuples, sets, dictionaries) and a closed
-//! list of names whose meaning is written out in this crate: NumPy's arrays, scalars and types,
-//! ordered dictionaries, tensors of PyTorch and the array wrappers of joblib. Any other name is
-//! refused with the name and its byte offset; nothing is ever imported or called.
+//! A pickle is a program for a stack machine that can run arbitrary code in Python. The machine here knows only
+//! values (numbers, text, bytes, lists, tuples, sets, dictionaries) and a closed list of names that this
+//! crate implements: NumPy's arrays, scalars and types, ordered dictionaries, tensors of PyTorch and the
+//! array wrappers of joblib. Any other name is refused with its byte offset; nothing is imported or called.
 //!
-//! Lengths and shapes are checked against the bytes that are there before memory is allocated for
-//! them; depth, number of objects and sharing are bounded.
+//! Lengths and shapes are checked against the available bytes before memory is allocated; depth, number of
+//! objects and sharing are bounded.
 //!
 //! ```
 //! use pickle::Value;

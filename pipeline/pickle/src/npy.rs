@@ -1,7 +1,7 @@
 //! Arrays in NumPy's npy format, read and written.
 //!
-//! The header is parsed by a grammar of its own and never evaluated, pickled objects are refused, and
-//! a shape is checked against the bytes that are there before memory is allocated.
+//! The header is parsed by its grammar and never evaluated, pickled objects are refused, and shapes are
+//! checked against the available bytes before memory is allocated.
 
 use std::borrow::Cow;
 
@@ -73,7 +73,7 @@ impl Header {
         Ok(header)
     }
 
-    /// Shape that an array claims in its first bytes; its data need not be there.
+    /// Shape that an array states in its first bytes; its data may be missing.
     ///
     /// # Errors
     /// As [`Header::parse`], `E-NPY-SHAPE` excepted.
@@ -204,7 +204,7 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     })
 }
 
-/// The rows of an array of two dimensions, read where they lie.
+/// The rows of a two-dimensional array, read in place.
 #[derive(Clone, Debug)]
 pub struct Rows<'a> {
     bytes: Cow<'a, [u8]>,
@@ -249,7 +249,7 @@ impl<'a> Rows<'a> {
                 width,
             }));
         }
-        // Whatever else NumPy writes is brought into the common form first.
+        // Other formats are converted first.
         let array = read_numbers(name, &bytes)?;
         Ok(Ok(Self {
             bytes: Cow::Owned(array.values.iter().flat_map(|v| v.to_le_bytes()).collect()),
@@ -283,7 +283,7 @@ impl<'a> Rows<'a> {
         const LARGEST: f64 = f32::MAX as f64;
         let first = row * self.width + column;
         let data = &self.bytes[self.data_start..];
-        // All numbers at once: a search that may stop early looks at one after the other.
+        // Without an early exit, so that the loop vectorises.
         match self.kind {
             RowKind::F64 => {
                 let (numbers, _) = data[8 * first..][..8 * len].as_chunks::<8>();

@@ -1,7 +1,6 @@
 //! Archives in NumPy's npz format, read and written.
 //!
-//! No member is unpacked beyond its stated and allowed length, and only the arrays that are asked
-//! for are unpacked.
+//! No member is unpacked beyond its stated and allowed length, and only requested arrays are unpacked.
 
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read, Seek, Write};
@@ -22,7 +21,7 @@ const MAX_RATIO: u64 = 200;
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
 /// Most members of an archive; the richest AMASS files have about thirty.
 const MAX_MEMBERS: usize = 10_000;
-/// Bytes of a member that surely hold an array's header, as [`npy`] bounds it.
+/// Bytes of a member that contain an array's header, whose length [`npy`] limits.
 const HEADER_LEN: u64 = 10_016;
 
 /// An npz archive.
@@ -158,7 +157,7 @@ impl<R: Read + Seek> Archive<R> {
             )
             .at(start as usize));
         }
-        // The stated length is not believed: nothing is reserved by it, and reading stops there.
+        // The stated length is not trusted: it reserves no memory, and reading stops there.
         let mut bytes = Vec::new();
         file.by_ref()
             .take(len)
@@ -201,8 +200,8 @@ fn member_error(name: &str, error: &ZipError) -> Error {
         format!("{name} cannot be unpacked ({error})"),
     )
 }
-/// Refuses names that mean something to a file system. Archives are read in memory and never
-/// unpacked, so they could do no harm here; what made them is not to be believed in anything else.
+/// Refuses names with a meaning to a file system. Archives are read in memory and never unpacked, so such
+/// names do no harm here, but they show a hostile or broken writer.
 fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {

@@ -1,11 +1,11 @@
-//! The closed list of names a pickle may ask for, and what the machine makes of them.
+//! The closed list of names that a pickle may use, and the objects of the machine.
 
 use std::sync::Arc;
 
 use crate::array::{Dtype, ItemType};
 use crate::value::Value;
 
-/// The place of an object in the machine's store.
+/// Index of an object in the machine's store.
 pub(crate) type Id = u32;
 
 /// A name whose meaning this reader knows.
@@ -27,7 +27,7 @@ pub(crate) enum Global {
     Tuple,
     Set,
     Bytes,
-    /// The way Python 3 writes bytes in protocols before 3: text encoded as Latin-1.
+    /// Python 3's encoding of bytes in protocols before 3: text in Latin-1.
     Encode,
     /// A tensor over a storage.
     RebuildTensor,
@@ -37,7 +37,7 @@ pub(crate) enum Global {
     StorageOf(Dtype),
     /// A tensor's shape.
     TensorShape,
-    /// joblib's stand-in for an array whose bytes follow it.
+    /// joblib's placeholder for an array whose bytes follow it.
     ArrayWrapper,
 }
 
@@ -77,7 +77,7 @@ impl Global {
         })
     }
 
-    /// Why a name that is not in the list is refused, beyond its being code.
+    /// Reason why a name outside the list is refused.
     pub(crate) fn refusal(module: &str, name: &str) -> &'static str {
         match (module, name) {
             (_, "NDArrayWrapper" | "ZNDArrayWrapper") if module.starts_with("joblib") => {
@@ -115,7 +115,7 @@ pub(crate) struct Storage {
 pub(crate) enum StorageData {
     /// The bytes themselves.
     Present(Arc<[u8]>),
-    /// The name of bytes that are kept outside the pickle.
+    /// The key of bytes outside the pickle.
     Named(String),
 }
 
@@ -129,8 +129,8 @@ pub(crate) struct Tensor {
     pub(crate) strides: Vec<usize>,
 }
 
-/// An object of the machine. Containers name their items by place, so that what is shared in the
-/// pickle is stored once and can be filled after it was named.
+/// An object of the machine. Containers refer to their items by id, so that shared objects are stored once and
+/// can be filled after they were referenced.
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
     /// A value without items.
@@ -152,7 +152,7 @@ pub(crate) enum Node {
 }
 
 impl Node {
-    /// What a message says the object is.
+    /// Name of the object in messages.
     pub(crate) fn kind(&self) -> &'static str {
         match self {
             Self::Leaf(Value::Str(_)) => "text",

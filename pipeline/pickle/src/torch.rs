@@ -11,7 +11,7 @@ use crate::machine::Machine;
 use crate::object::{Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
-/// What a file before PyTorch 1.6 begins with: a pickle of this number, then one of the version.
+/// Start of a file before PyTorch 1.6: a pickle of this number, then one of the version.
 const LEGACY_MAGIC: i128 = 0x1950_a86a_20f9_469c_fc6c;
 const LEGACY_VERSION: i128 = 1001;
 /// Largest member of an archive in bytes, and highest ratio to its packed size. `torch.save` does
@@ -81,7 +81,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// The storage in a file of its own, as tensors carry it in an ordinary pickle.
+/// The storage in a nested file, which tensors have in an ordinary pickle.
 pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
     let legacy = Legacy::read(bytes)?;
     let Node::Storage(Storage {

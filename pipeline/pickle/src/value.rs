@@ -95,7 +95,7 @@ impl Value {
         }
     }
 
-    /// What a message says the value is: a dictionary by its keys, an array by type and shape.
+    /// Description of the value for messages: a dictionary by its keys, an array by type and shape.
     pub fn describe(&self) -> String {
         /// Keys named in a message.
         const NAMED_KEYS: usize = 12;
@@ -129,7 +129,7 @@ impl Value {
     }
 }
 
-/// What is kept of a large pickle.
+/// Options for reading large pickles.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options<'a> {
     /// Keys whose values are read and dropped at once: they become [`Value::None`].
