@@ -1,8 +1,8 @@
-//! Masks without annotators: which parts of the body a clip is about, judged by how they move.
+//! Automatic masks: the body parts that a clip is about, by their movement.
 //!
-//! A part is active in a clip if it moves fast compared with the liveliest clips of the training
-//! split. Speeds are measured so that a part is not credited with what carries it: arms relative to
-//! the chest, legs and torso relative to the pelvis and the heading of the body.
+//! A part is active in a clip if it moves fast compared with the most active clips of the training split.
+//! Speeds are relative to the parent region: arms to the chest, legs and torso to the pelvis and the
+//! heading of the body.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,29 +14,29 @@ use kinematics::rotation;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::compose::{Error, action_phrase, instruction};
+use crate::compose::{Error, action_phrase, instruction, motion_on};
 
-/// Who made these masks; the number counts versions of the rules.
+/// Author of these masks; the number is the version of the rules.
 pub const AUTHOR: &str = "stance-activity-1";
-/// Origin of a text that the source itself gave for the part.
+/// Origin of a text that the source gives for the part.
 pub const IMPORTED: &str = "imported";
-/// Origin of a text made from what the source says of the whole clip.
+/// Origin of a text made from a caption of the whole clip.
 pub const AUTOMATIC: &str = "automatic";
 
-/// When a part counts as active. The defaults are choices of this project; the paper's masks are
-/// made by people.
+/// Thresholds for an active part. The defaults are choices of this project; the paper's masks are made by
+/// people.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskConfig {
-    /// Share of a clip's frames that are slower than its activity: at 0.75 a part has to move for a
-    /// quarter of the clip, so a wave at the end of a walk still counts and a twitch does not.
+    /// Quantile over a clip's frames that is its activity: at 0.75 a part must move for a quarter of the clip, so
+    /// a wave at the end of a walk counts and a twitch does not.
     pub frame_quantile: f64,
-    /// Share of training clips that are less active than the reference of a part. Below 1, so that
-    /// one broken clip does not silence all others.
+    /// Quantile over the training clips that is the reference of a part. It is below 1, so that one broken clip
+    /// does not make all others inactive.
     pub clip_quantile: f64,
-    /// Activity relative to the reference from which a part is active.
+    /// Fraction of the reference from which a part is active.
     pub threshold: f64,
-    /// Speed in m/s below which a part is at rest whatever the other clips do.
+    /// Speed in m/s below which a part is at rest, independent of the reference.
     pub min_speed_m_s: f64,
 }
 
@@ -81,7 +81,7 @@ impl MaskConfig {
     }
 }
 
-/// A part of the body whose movement is measured by itself.
+/// A region of the body whose movement is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Region {
     LeftArm,
@@ -110,10 +110,10 @@ const CHEST: usize = 9;
 /// Derives masks for all motions of a dataset: for each clip, one per part of the release that the
 /// clip is about, in the order of the motions.
 ///
-/// * A part the source describes has a mask with that description, however it moves.
+/// * A part that the source describes has a mask with that description, even if it is at rest.
 /// * An active torso makes `UPPER_BODY`; otherwise two active arms make `BOTH_ARMS` and one makes
-///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text is taken from what the
-///   source says of the whole clip; where it says nothing, there is no mask.
+///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from the captions of the
+///   whole clip; without one, there is no mask.
 ///
 /// The reference of each part is taken from clips of the training split alone.
 ///
@@ -128,17 +128,7 @@ pub fn automatic_masks(
     let activities: Vec<[f64; Region::ALL.len()]> = motions
         .par_iter()
         .map(|row| {
-            if row.skeleton != skeleton.name() {
-                return Err(Error::OtherSkeleton {
-                    motion: row.id.clone(),
-                    found: row.skeleton.clone(),
-                    expected: skeleton.name().to_owned(),
-                });
-            }
-            let motion = row.motion().map_err(|source| Error::Motion {
-                motion: row.id.clone(),
-                source,
-            })?;
+            let motion = motion_on(row, skeleton)?;
             Ok(activity(&motion, skeleton, config.frame_quantile))
         })
         .collect::<Result<_, Error>>()?;
@@ -170,7 +160,7 @@ pub fn automatic_masks(
     Ok(masks)
 }
 
-/// Mean joint speed of each region in m/s that a share `frame_quantile` of the frames stays below.
+/// Activity of each region: the quantile `frame_quantile` over the frames of its mean joint speed in m/s.
 fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; Region::ALL.len()] {
     let carried: Vec<[DVec3; 22]> = motion
         .poses()
@@ -235,7 +225,7 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
         })?;
         let action = described.text.trim().trim_end_matches('.');
         if !action.is_empty() {
-            // Of several descriptions of one part the first counts, as with captions.
+            // Of several descriptions of one part, the first is used, as with captions.
             texts
                 .entry(part)
                 .or_insert_with(|| (instruction(action, part), IMPORTED));

@@ -1,4 +1,4 @@
-//! What is said about motions: masks of body parts, and pairs of a motion and its edit.
+//! Annotations of motions: masks of body parts, and pairs of a motion and its edit.
 
 pub mod masks;
 pub mod pairs;

@@ -1,4 +1,4 @@
-//! Bringing two captures of one action into step.
+//! Aligning two captures of one action in time.
 
 use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
@@ -6,20 +6,20 @@ use kinematics::resample;
 use kinematics::rotation::yaw;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-/// Farthest the warp may lead from the straight line between the two motions, as a share of the
-/// longer: captures of one action differ in tempo, not in the order of what happens.
+/// Half width of the warping band as a fraction of the longer motion: captures of one action differ in tempo,
+/// not in order.
 const BAND: f64 = 0.2;
-/// Narrowest band in frames.
+/// Minimum half width of the band in frames.
 const MIN_BAND: usize = 10;
-/// Frames on either side over which the warp is smoothed: a path through a grid goes in steps, and
-/// a body that moves in steps jerks.
+/// Radius in frames of the smoothing of the warp: a path through a grid has steps, which would make the
+/// motion jerk.
 const SMOOTHING: usize = 3;
 
-/// Joints seen from the pelvis and the heading of the body.
+/// Joints relative to the pelvis and the heading of the body.
 type Posture = [DVec3; NUM_BODY_JOINTS];
 
-/// Warps a motion in time so that its poses meet those of another: it gets the frames of the other,
-/// begins and ends as it did, and goes through its own poses in their order.
+/// Warps a motion in time to align its poses with another's: it gets the length of the other, keeps its first
+/// and last pose, and keeps the order of its poses.
 ///
 /// # Source
 /// Dynamic time warping (Sakoe and Chiba 1978) on joint positions relative to pelvis and heading,
@@ -65,9 +65,9 @@ fn apart(a: &Posture, b: &Posture) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.distance_squared(*b)).sum()
 }
 
-/// For every frame of `to`, the mean of the frames of `from` that the cheapest path matches it with.
+/// For every frame of `to`, the mean of the frames of `from` that the optimal path matches with it.
 fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
-    /// Where a path came from.
+    /// Predecessor on a path.
     #[derive(Clone, Copy)]
     enum Step {
         Both,
@@ -137,7 +137,7 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
     sums.into_iter().map(|(sum, count)| sum / count).collect()
 }
 
-/// A rising sequence, smoothed; both ends stay where they are.
+/// Smooths a rising sequence with fixed ends.
 fn smoothed(places: &[f64]) -> Vec<f64> {
     let last = places.len() - 1;
     (0..places.len())

@@ -24,24 +24,24 @@ pub struct ComposeConfig {
     ///
     /// Source: the annotated data size of the paper's ablation.
     pub annotated_ratio: f64,
-    /// Whether each mask and each pair meets one partner once and for all instead of new ones for
-    /// each item: training without MotionCutMix. Partners are then composed by the rule of SINC:
-    /// whole parts, none of them soft, from the middle of the longer motion.
+    /// Whether each mask and pair has one fixed partner instead of a new one for each item: training without
+    /// MotionCutMix. Partners are then composed by the rule of SINC: whole parts without soft joints, from the
+    /// middle of the longer motion.
     pub fixed_pairs: bool,
     /// Which motions partners are drawn from.
     #[serde(skip_serializing_if = "BaseFilter::is_all")]
     pub base: BaseFilter,
-    /// Kinds of edits that are composed, of those there is data for.
+    /// Kinds of edits that are composed, if there is data for them.
     pub kinds: Vec<EditKind>,
-    /// Probability that a pair is shown as it is, without a donor under both of its motions.
+    /// Probability that a pair is used without a donor under both of its motions.
     ///
     /// Source: 0 in the release, whose README trains on blended motions alone.
     pub plain_pairs: f64,
-    /// How the two motions of a pair are brought into step.
+    /// Time alignment of the two motions of a pair.
     pub alignment: Alignment,
     /// How soft joints are interpolated.
     pub slerp: SlerpRule,
-    /// How the range of model units is fitted.
+    /// How the normaliser is fitted.
     pub range: RangeRule,
     /// How instructions are worded.
     pub phrases: Phrases,
@@ -51,7 +51,7 @@ pub struct ComposeConfig {
     pub fps: Fps,
     /// Weight of the target on soft joints.
     pub alpha: AlphaDistribution,
-    /// Point of a window's first frame that is put above the origin.
+    /// Point of a window's first frame that is placed above the origin.
     pub anchor: Anchor,
 }
 
@@ -79,8 +79,8 @@ impl Default for ComposeConfig {
     }
 }
 
-/// Which motions of a split are the motion base. The default takes all; it is left out of the
-/// recipe, whose hash is thus that of older versions.
+/// Motions of a split that form the motion base; all by default. The default is left out of the recipe, so
+/// that its hash equals that of older versions.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BaseFilter {
@@ -131,14 +131,14 @@ impl EditKind {
     }
 }
 
-/// How the motions of a pair that were captured separately are brought into step.
+/// Time alignment of two separately captured motions of a pair.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
-    /// Not at all: of the longer motion a stretch of the length of the shorter is taken.
+    /// None: the longer motion is cropped to the length of the shorter.
     #[default]
     None,
-    /// The motion before the edit is warped in time until its poses meet those of the one after it.
+    /// The motion before the edit is warped in time to align its poses with the one after it.
     TimeWarp,
 }
 
@@ -159,28 +159,27 @@ pub enum SlerpRule {
     /// Spherical interpolation.
     #[default]
     Exact,
-    /// That of the released code, which averages nearly equal and nearly opposite rotations
-    /// whatever the weight is.
+    /// That of the released code, which averages nearly equal and nearly opposite rotations with equal weights.
     Official,
 }
 
-/// How the range of model units is fitted to the central 95 % of the training windows.
+/// How the normaliser is fitted to the central 95 % of the training windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RangeRule {
-    /// Each axis has a range of its own (`paper`).
+    /// Each axis has its own range (`paper`).
     #[default]
     PerAxis,
-    /// All axes share one range, as the released normalisation files look.
+    /// All axes share one range, as in the released normalisation files.
     Scalar,
 }
 
-/// Where the weight of soft joints is drawn from, once per composed motion (paper Sec. 4.2:
-/// "randomly varied"; the distribution is not published).
+/// Distribution of the weight of soft joints, drawn once per composed motion (paper Sec. 4.2: "randomly
+/// varied"; the distribution is not published).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum AlphaDistribution {
-    /// Every weight of a range is equally likely.
+    /// Uniform over a range.
     Uniform {
         /// Lower end.
         low: f64,
@@ -260,7 +259,7 @@ impl ComposeConfig {
     /// The stored rate is no whole multiple of the model's.
     pub fn stride(&self, stored: Fps) -> Result<usize, Error> {
         let ratio = stored.get() / self.fps.get();
-        // Rates are whole numbers or exact quotients of them; the slack is for rounding alone.
+        // Rates are integers or exact quotients of them; the tolerance is for rounding.
         if ratio >= 1.0 - 1e-9 && (ratio - ratio.round()).abs() < 1e-9 * ratio {
             Ok(ratio.round() as usize)
         } else {
@@ -278,12 +277,12 @@ impl ComposeConfig {
 
     /// Stored frames from one window of a motion to the next.
     pub(super) fn advance(&self, stride: usize) -> usize {
-        // A window repeats the two fixed frames of the one before: 14 new ones of 16.
+        // A window repeats the two fixed frames of the one before, so 14 of 16 are new.
         const { assert!(WINDOW_FRAMES - FIXED_FRAMES == WINDOW_ADVANCE) };
         (self.window - FIXED_FRAMES) * stride
     }
 
-    /// The settings that the range of model units depends on, in words.
+    /// The settings that the normaliser depends on, in words.
     pub fn range_settings(&self) -> String {
         format!(
             "{} frames at {} fps, anchor {:?}, range {:?}",
@@ -295,8 +294,8 @@ impl ComposeConfig {
         .to_lowercase()
     }
 
-    /// BLAKE3 of the settings and [`COMPOSE_VERSION`], in hexadecimal: what, with the library and
-    /// the seed, determines every composed motion.
+    /// BLAKE3 of the settings and [`COMPOSE_VERSION`], in hexadecimal. With the library and the seed, it
+    /// determines every composed motion.
     pub fn recipe_hash(&self) -> String {
         let settings = serde_json::to_vec(self).expect("plain numbers and names serialise");
         let mut hasher = blake3::Hasher::new();

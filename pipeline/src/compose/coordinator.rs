@@ -1,5 +1,4 @@
-//! What the body-part coordinator learns from: natural segments, and segments put together from
-//! several.
+//! Training data of the body-part coordinator: natural segments and composed ones.
 
 use datasets_spec::BodyPart;
 use rand::RngExt;
@@ -25,7 +24,7 @@ impl Stream {
     /// Whether segments for the coordinator can be drawn.
     ///
     /// # Errors
-    /// The base is empty, or holds one motion alone and its copies, of which nothing can be composed.
+    /// The base is empty, or holds only one motion and its copies.
     pub fn check_coordinator(&self) -> Result<(), Error> {
         let first = self.base.first();
         let has_other = |first: &usize| {
@@ -37,13 +36,12 @@ impl Stream {
         }
         Err(Error::SingleOrigin {
             split: self.library.split(),
-            clip: first.map(|&clip| self.library.clips[clip].id.source_clip().to_owned()),
+            clip: first.map(|&clip| self.library.clip(clip).id.source_clip().to_owned()),
         })
     }
 
-    /// Draws windows for the coordinator: every item of even number is a segment of the motion base
-    /// as it is, every odd one puts a part of one segment on another, of which neither is a copy of
-    /// the other. All draws derive from seed, epoch and item.
+    /// Draws windows for the coordinator: an even item is an unmodified segment of the motion base, an
+    /// odd one blends a body part of one segment into another segment of a different source clip. All draws derive from seed, epoch and item.
     ///
     /// # Panics
     /// If [`Stream::check_coordinator`] fails.
@@ -79,7 +77,7 @@ impl Stream {
                 let mut draw = |other_than: Option<usize>| loop {
                     let clip = self.base[rng.random_range(0..self.base.len())];
                     if other_than.is_none_or(|other| self.library.may_pair(clip, other)) {
-                        let last = self.library.clips[clip].motion.len() - self.span;
+                        let last = self.library.len_of(clip) - self.span;
                         break (clip, rng.random_range(0..=last));
                     }
                 };

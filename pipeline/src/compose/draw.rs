@@ -1,14 +1,13 @@
-//! What is drawn, and from which names: subsets, orders and crops.
+//! Seeded draws: subsets, orders and crops.
 
 use datasets_spec::{Rng, Seed};
 use rand::RngExt;
 
-/// Rounds of the Feistel network below; four make it as good as random for a known key
-/// (Luby and Rackoff 1988).
+/// Rounds of the Feistel network below; four make it pseudorandom (Luby and Rackoff 1988).
 const FEISTEL_ROUNDS: u64 = 4;
 
-/// The items of a seeded share of a list, in their order: those with the smallest draws. A smaller
-/// share of the same list is a subset of a larger one, and a new item displaces at most one other.
+/// A seeded fraction of a list, in order: the items with the smallest draws. A smaller fraction of the same
+/// list is a subset of a larger one, and a new item displaces at most one other.
 pub(super) fn subset(share: f64, seed: Seed, purpose: &str, ids: &[&str]) -> Vec<usize> {
     let num_kept = ((share * ids.len() as f64).ceil() as usize).min(ids.len());
     if num_kept == ids.len() {
@@ -25,8 +24,8 @@ pub(super) fn subset(share: f64, seed: Seed, purpose: &str, ids: &[&str]) -> Vec
     kept
 }
 
-/// A shuffled order of `0..len` that is looked up rather than stored, so that training resumes at
-/// any item of any epoch without walking there.
+/// A pseudorandom permutation of `0..len`, computed per index and not stored, so that training resumes at
+/// any item of any epoch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shuffle {
     len: u64,
@@ -51,8 +50,8 @@ impl Shuffle {
     /// If the place is not below `len`.
     pub(super) fn at(&self, place: u64) -> u64 {
         assert!(place < self.len, "item {place} of {}", self.len);
-        // The network permutes the next power of four, so at most every fourth number on a walk
-        // falls inside, and a walk that starts inside must come back inside.
+        // The network permutes the next power of four, so about every fourth number of a cycle or
+        // more is below `len`, and a walk that starts below `len` comes back below it.
         let mut item = self.permuted(place);
         while item >= self.len {
             item = self.permuted(item);
@@ -78,7 +77,7 @@ fn mixed(value: u64, round: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// The stretch of two motions that is blended: the whole of the shorter and as much of the longer.
+/// The crops of two motions that are blended: the whole shorter one, and as much of the longer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Crop {
     pub(super) source_start: usize,
@@ -106,7 +105,7 @@ impl Crop {
         }
     }
 
-    /// Draws where the shorter motion lies in the longer.
+    /// Draws the position of the shorter motion in the longer.
     pub(super) fn draw(source_frames: usize, target_frames: usize, rng: &mut Rng) -> Self {
         let num_frames = source_frames.min(target_frames);
         let offset = rng.random_range(0..=source_frames.max(target_frames) - num_frames);

@@ -1,4 +1,4 @@
-//! Instructions in the phrasing of the release, made from whatever a source says of a clip.
+//! Instructions in the phrasing of the release, made from the captions and labels of a clip.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Error;
 
-/// What captions call the person who moves.
+/// Words of captions for the person who moves.
 const SUBJECTS: [&str; 14] = [
     "person",
     "man",
@@ -51,12 +51,11 @@ pub fn style_instruction(style: &str) -> String {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Phrases {
-    /// How the instruction of a pair is extended by the part that is edited, in templates of which
-    /// one is drawn for each item: `{instruction}` stands for the instruction without its full stop,
-    /// `{part}` for the part.
+    /// Templates that add the edited part to the instruction of a pair; one is drawn for each item.
+    /// `{instruction}` stands for the instruction without its full stop, `{part}` for the part.
     pub of_parts: Vec<String>,
-    /// Other words for instructions, by the instruction as it is in the dataset. One of them or the
-    /// instruction itself is drawn for each item.
+    /// Paraphrases by the instruction of the dataset. One of them or the instruction itself is drawn for each
+    /// item.
     pub paraphrases: BTreeMap<String, Vec<String>>,
 }
 
@@ -83,7 +82,7 @@ impl Phrases {
         Ok(())
     }
 
-    /// All wordings of an instruction, the one of the dataset first; of a part where one is given.
+    /// All wordings of an instruction, starting with the dataset's; with the part, if one is given.
     pub(super) fn wordings(&self, instruction: &str, part: Option<BodyPart>) -> Vec<String> {
         let others = self.paraphrases.get(instruction).into_iter().flatten();
         let texts = std::iter::once(instruction).chain(others.map(String::as_str));
@@ -107,9 +106,9 @@ impl Phrases {
     }
 }
 
-/// What a clip shows as the continuation of "The person is ...": "walking forward". Taken from the
-/// first caption that speaks of the whole clip, else from the first one, else from the action
-/// label; none if the source says nothing.
+/// The action of a clip as the continuation of "The person is ...", such as "walking forward". It comes from
+/// the first caption of the whole clip, else from the first caption, else from the action label; none if
+/// the clip has neither.
 ///
 /// The grammar is a heuristic for English captions in the style of HumanML3D. It uses the caption's
 /// tokens where there are some.
@@ -132,8 +131,8 @@ fn from_tokens(caption: &Caption) -> Option<String> {
         .collect();
     let words = words(&caption.text);
     let verb = tokens.iter().position(|(_, tag)| *tag == "VERB")?;
-    // Tokens leave out punctuation, so they usually count the same words as the text; where they do
-    // not, the text alone decides.
+    // Tokens leave out punctuation, so they usually have the same number of words as the text; if
+    // not, only the text is used.
     if tokens.len() != words.len() {
         return None;
     }
@@ -158,7 +157,7 @@ fn from_text(text: &str) -> Option<String> {
         }
     }
     let (verb, rest) = rest.split_first()?;
-    // After a subject the verb carries the ending of the third person; a label is the bare verb.
+    // After a subject the verb is in the third person; a label is the bare verb.
     let verb = if subject { bare(verb) } else { verb.clone() };
     Some(joined(gerund(&verb), rest))
 }

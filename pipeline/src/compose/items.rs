@@ -10,71 +10,15 @@ use datasets_spec::{BlendMask, Motion, MotionId, Seed};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::library::Clip;
-use super::stream::{Pairing, Subject};
+use super::library::{Clip, Subject};
 use super::triplet::{Place, Triplet};
-use super::{ComposeConfig, EditKind, Error, Library, blend_motion};
+use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 
-/// Windows an item should cover: the paper edits clips of several segments, and the released demo
-/// uses at least three.
+/// Preferred length of an item in windows: the paper edits clips of several segments, and the
+/// released demo uses at least three.
 const PREFERRED_WINDOWS: usize = 3;
-/// Attempts at a new item of a mask or pair before it is passed over.
+/// Attempts at a new item of a mask or pair before it is skipped.
 const MAX_REPEATS: usize = 16;
-
-/// What a test question asks about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ItemTask {
-    /// A body part does something else.
-    Semantic,
-    /// A body part moves in another style.
-    Style,
-    /// A body part moves a little differently.
-    FineGrained,
-    /// A pair of MotionFix as it is: no donor, no blending, source and target of any length.
-    #[serde(rename = "motionfix")]
-    MotionFix,
-}
-
-impl ItemTask {
-    /// All tasks, in the order of the paper's tables.
-    pub const ALL: [Self; 4] = [
-        Self::Semantic,
-        Self::Style,
-        Self::FineGrained,
-        Self::MotionFix,
-    ];
-
-    /// The name in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Semantic => EditKind::Semantic.as_str(),
-            Self::Style => EditKind::Style.as_str(),
-            Self::FineGrained => EditKind::FineGrained.as_str(),
-            Self::MotionFix => "motionfix",
-        }
-    }
-}
-
-impl FromStr for ItemTask {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|task| task.as_str() == name)
-            .ok_or_else(|| {
-                let known = Self::ALL.map(Self::as_str).join(", ");
-                format!("{name:?} is no task; known are {known}")
-            })
-    }
-}
-
-impl fmt::Display for ItemTask {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
 
 /// How many items are drawn. In text: a number, or `all`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,7 +55,7 @@ impl fmt::Display for ItemCount {
     }
 }
 
-/// A count as configuration files hold it.
+/// A count in configuration files.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum CountText {
@@ -145,7 +89,7 @@ impl From<ItemCount> for CountText {
 pub struct ItemConfig {
     /// How many.
     pub count: ItemCount,
-    /// Of which tasks; all there is data for if empty.
+    /// Of which tasks; if empty, of all that have data.
     pub tasks: Vec<ItemTask>,
     /// How they are composed; `mcm_ratio` and `annotated_ratio` are ignored.
     pub compose: ComposeConfig,
@@ -165,8 +109,8 @@ impl Default for ItemConfig {
 ///
 /// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
 /// Partners are clips of other actions, where actions are known, and long enough for three windows,
-/// where such clips exist. Pairs of MotionFix are taken as they are, each once. No two items have
-/// equal content: where nothing new can be drawn, fewer come back than were asked for.
+/// if such clips exist. Pairs of MotionFix are used without a donor, each once. All items differ in content:
+/// if nothing new can be drawn, fewer items are returned than requested.
 ///
 /// # Errors
 /// A setting is out of range, no mask or pair of the tasks can be used, or one has no partner.
@@ -257,7 +201,7 @@ struct Drawer<'a> {
 }
 
 impl Drawer<'_> {
-    /// An item about a subject; none where it has no further one.
+    /// An item of a subject; none if it has no more.
     fn item(
         &self,
         subject: Subject,
@@ -315,12 +259,10 @@ impl Drawer<'_> {
         Ok(Some(row))
     }
 
-    /// The item of a pair that is asked about without a donor.
+    /// The item of a pair without a donor.
     fn as_is(&self, subject: Subject) -> ItemRow {
         let library = self.library;
-        let [source, target] = library
-            .captured_of(subject)
-            .map(|clip| &library.clips[clip]);
+        let [source, target] = library.captured_of(subject).map(|clip| library.clip(clip));
         let mut row = ItemRow {
             parts: library.parts_of(subject).to_vec(),
             ..self.blank(subject, library.text_of(subject))
@@ -334,7 +276,7 @@ impl Drawer<'_> {
 
     fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
         let library = self.library;
-        let target = &library.clips[library.target_of(subject)].id;
+        let target = &library.clip(library.target_of(subject)).id;
         let made_of = match subject {
             Subject::Annotation(_) => "mask",
             Subject::Pair(_) => "pair",
@@ -348,34 +290,19 @@ impl Drawer<'_> {
         }
     }
 
-    /// The edited motion of an item with another capture of the same action in the same style in
-    /// place of its target. No editor can be expected to come nearer to the target than that. None
-    /// where there is no such capture, or none as long as a window.
+    /// The edited motion of an item, made with another capture of the same action in the same style:
+    /// an upper bound on how near an editor can come to the target. None without such a capture of
+    /// at least a window.
     fn other_take(&self, item: &Triplet) -> Option<Motion> {
         let library = self.library;
-        let captured = |id: &MotionId| {
-            let mut clips = library.clips.iter();
-            clips
-                .find(|clip| clip.in_base && clip.id == *id)
-                .expect("a motion of this library")
-        };
-        let target = captured(&item.target_id);
-        let same = |clip: &&Clip| {
-            clip.in_base
-                && clip.action.is_some()
-                && clip.action == target.action
-                && clip.style == target.style
-                && clip.origin != target.origin
-                && clip.id != item.source_id
-        };
+        let target = library.captured(&item.target_id);
         let takes: Vec<&Clip> = library
-            .clips
-            .iter()
-            .filter(same)
+            .other_takes(target)
+            .filter(|clip| clip.id != item.source_id)
             .filter(|clip| clip.motion.len() >= self.span.min(item.original.len()))
             .collect();
         let longest = takes.iter().map(|clip| clip.motion.len()).max()?;
-        // As much of the edit as any take has; which of those that have it is drawn.
+        // Draw one of the takes that cover most of the edit.
         let frames = longest.min(item.original.len());
         let takes: Vec<&Clip> = takes
             .into_iter()
@@ -389,7 +316,8 @@ impl Drawer<'_> {
             return Some(over);
         }
         let under = match item.donor_ids.first() {
-            Some(donor) => captured(donor)
+            Some(donor) => library
+                .captured(donor)
                 .motion
                 .crop(item.donor_start..item.donor_start + frames),
             None => item.original.crop(0..frames),
@@ -402,94 +330,6 @@ impl Drawer<'_> {
             self.config.slerp,
         )
         .ok()
-    }
-}
-
-impl Library {
-    /// All annotations and pairs, usable or not.
-    fn all_subjects(&self) -> impl Iterator<Item = Subject> + use<> {
-        let annotations = (0..self.annotations.len()).map(Subject::Annotation);
-        annotations.chain((0..self.pairs.len()).map(Subject::Pair))
-    }
-
-    /// Whether a subject is a test question as it is, without being composed.
-    fn is_asked_as_is(&self, subject: Subject) -> bool {
-        self.task_of(subject) == ItemTask::MotionFix
-    }
-
-    fn task_of(&self, subject: Subject) -> ItemTask {
-        match subject {
-            Subject::Pair(pair) if self.pairs[pair].is_motionfix => ItemTask::MotionFix,
-            _ => match self.kind_of(subject) {
-                EditKind::Semantic => ItemTask::Semantic,
-                EditKind::Style => ItemTask::Style,
-                EditKind::FineGrained => ItemTask::FineGrained,
-            },
-        }
-    }
-
-    /// Names of the parts an annotation or pair is about.
-    fn parts_of(&self, subject: Subject) -> &[String] {
-        match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].parts,
-            Subject::Pair(pair) => &self.pairs[pair].parts,
-        }
-    }
-
-    /// The instruction as the dataset has it.
-    fn text_of(&self, subject: Subject) -> &str {
-        match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
-            Subject::Pair(pair) => &self.pairs[pair].instruction,
-        }
-    }
-
-    /// The clips before and after an edit as they are in the dataset.
-    fn captured_of(&self, subject: Subject) -> [usize; 2] {
-        match subject {
-            Subject::Annotation(annotation) => [self.annotations[annotation].clip; 2],
-            Subject::Pair(pair) => [self.pairs[pair].captured, self.pairs[pair].target],
-        }
-    }
-
-    /// The clips of the base that suit a target best: of another action and as long as `preferred`
-    /// or the target, else of another action, else any other.
-    fn partners(
-        &self,
-        base: &[usize],
-        subject: Subject,
-        preferred: usize,
-    ) -> Result<Vec<usize>, Error> {
-        let target = &self.clips[self.target_of(subject)];
-        let other: Vec<usize> = base
-            .iter()
-            .copied()
-            .filter(|&clip| self.may_meet(clip, subject))
-            .collect();
-        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
-        let other_action: Vec<usize> = other
-            .iter()
-            .copied()
-            .filter(|&clip| !same_action(&self.clips[clip]))
-            .collect();
-        let needed = preferred.min(self.frames_of(subject));
-        let long: Vec<usize> = other_action
-            .iter()
-            .copied()
-            .filter(|&clip| self.clips[clip].motion.len() >= needed)
-            .collect();
-        [long, other_action, other]
-            .into_iter()
-            .find(|partners| !partners.is_empty())
-            .ok_or_else(|| Error::NoPartner {
-                motion: target.id.clone(),
-            })
-    }
-
-    /// The instruction as it is in the dataset, extended by the part by the first template.
-    fn first_wording(&self, pairing: &Pairing, config: &ComposeConfig) -> String {
-        let wordings = self.wordings(pairing.subject, pairing.half, config);
-        wordings.into_iter().next().unwrap_or_default()
     }
 }
 
@@ -517,7 +357,9 @@ mod tests {
             items,
             draw_items(&library, &of_count(13), Seed(3)).expect("enough clips")
         );
-        let num_masks = library.num_masks();
+        let num_masks = (library.all_subjects())
+            .filter(|subject| matches!(subject, Subject::Annotation(_)))
+            .count();
         let mut targets: Vec<&MotionId> = items.iter().map(|item| &item.target_id).collect();
         targets[..num_masks].sort_unstable();
         targets[..num_masks]
@@ -527,7 +369,7 @@ mod tests {
             assert_eq!(item.split, Split::Test);
             assert_ne!(item.source_id, item.target_id);
             // Annotated clips wave, the others kick.
-            let source = library.clips.iter().find(|clip| clip.id == item.source_id);
+            let source = Some(library.captured(&item.source_id));
             assert_eq!(
                 source.expect("of the library").action.as_deref(),
                 Some("kick")

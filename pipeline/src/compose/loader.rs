@@ -1,4 +1,4 @@
-//! Recorded training windows, read back in an order of their own.
+//! Recorded training windows, read in recorded or shuffled order.
 
 use datasets_spec::record::WindowRow;
 use datasets_spec::table::{FramePages, Row, read_column};
@@ -9,23 +9,21 @@ use super::WindowBatch;
 use super::draw::Shuffle;
 use crate::Error;
 
-/// Pages that are mixed with each other: a batch of 1,024 windows.
+/// Pages that are shuffled together: a batch of 1,024 windows.
 const MIXED_PAGES: usize = 16;
 
-/// In which order recorded windows are read.
+/// Order in which recorded windows are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadOrder {
     /// As they were recorded.
     Sequential,
-    /// Pages in an order drawn for each epoch over all files, and the windows of every 16 pages mixed.
-    /// The recorded stream is itself in a drawn order, so neighbours in a page have nothing in
-    /// common.
+    /// Pages shuffled over all files for each epoch, and windows shuffled within every 16 pages. The recorded
+    /// stream is shuffled itself, so windows of a page are unrelated.
     Shuffled(Seed),
 }
 
-/// The windows of a dataset of table `windows`. Item `i` of an epoch is the same whoever asks for it
-/// and whatever was asked before; what is held in memory is what is asked for, the instructions
-/// excepted.
+/// The windows of a dataset of table `windows`. Item `i` of an epoch does not depend on earlier reads. Only
+/// instructions and the requested windows are in memory.
 #[derive(Debug)]
 pub struct WindowLoader {
     files: Vec<FramePages>,
@@ -34,7 +32,7 @@ pub struct WindowLoader {
     first_rows: Vec<u64>,
     num_windows: u64,
     progress: Vec<f32>,
-    /// Distinct instructions, and which of them each window has.
+    /// Distinct instructions, and the index of each window's instruction.
     instructions: Vec<String>,
     instruction_of: Vec<u32>,
     window: usize,
@@ -48,10 +46,10 @@ struct PageRef {
     num_rows: usize,
 }
 
-/// Rows of a page, and where in memory they go.
+/// Rows of a page, and their destinations.
 type Room<'a> = Vec<(usize, &'a mut [f32])>;
 
-/// Where a page's windows go.
+/// Destinations of a page's windows.
 struct Placed {
     page: usize,
     /// Row of the page and place in the batch.
@@ -212,7 +210,7 @@ impl WindowLoader {
         })
     }
 
-    /// Which pages the items of an epoch are in, and where their windows go.
+    /// The pages of the items of an epoch, and the destinations of their windows.
     fn places(&self, epoch: u64, first_item: u64, num_items: usize) -> Vec<Placed> {
         let wanted = first_item..first_item + num_items as u64;
         let mut placed = Vec::new();
@@ -253,7 +251,7 @@ impl WindowLoader {
         placed
     }
 
-    /// The pages of an epoch in groups that are mixed.
+    /// The pages of an epoch in groups that are shuffled together.
     fn groups(&self, epoch: u64) -> impl Iterator<Item = Vec<usize>> + '_ {
         let count = self.pages.len();
         let order = match self.order {

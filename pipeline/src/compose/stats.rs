@@ -1,4 +1,4 @@
-//! What a stream can give, and what it gives.
+//! Statistics of a stream and of its triplets.
 
 use std::collections::BTreeMap;
 
@@ -7,13 +7,12 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::stream::Subject;
-use super::{EditKind, Stream, Triplet};
+use super::{Stream, Triplet};
 
 /// Bins of the histogram of weights.
 const ALPHA_BINS: usize = 10;
 
-/// What the settings of a stream can give.
+/// Statistics of a stream's settings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StreamStats {
     /// Split of all motions.
@@ -32,10 +31,10 @@ pub struct StreamStats {
     pub instructions: usize,
 }
 
-/// What triplets of a stream look like.
+/// Statistics of triplets of a stream.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TripletStats {
-    /// Triplets looked at.
+    /// Number of triplets.
     pub triplets: usize,
     /// Triplets by what is edited: the hard joints of the mask.
     pub masks: BTreeMap<String, usize>,
@@ -45,12 +44,12 @@ pub struct TripletStats {
     pub alphas: [usize; ALPHA_BINS],
     /// Mean speed of the body joints in m/s, before and after the edit.
     pub mean_speed: [f64; 2],
-    /// The same of the fastest joint and moment of each motion, averaged over the motions.
+    /// Mean over the motions of the highest joint speed in m/s, before and after the edit.
     pub max_speed: [f64; 2],
 }
 
 impl Stream {
-    /// What the settings can give.
+    /// Statistics of the settings.
     pub fn stats(&self) -> StreamStats {
         let mut annotated: BTreeMap<&'static str, usize> = BTreeMap::new();
         let mut distinct_pairs: BTreeMap<&'static str, u64> = BTreeMap::new();
@@ -62,10 +61,7 @@ impl Stream {
                 .filter(|&&clip| self.library.may_meet(clip, subject))
                 .count() as u64;
             let partners = if self.config.fixed_pairs { 1 } else { partners };
-            let ways = match subject {
-                Subject::Annotation(_) => 1,
-                Subject::Pair(pair) => self.library.pairs[pair].halves.len() as u64,
-            };
+            let ways = self.library.halves_of(subject).len().max(1) as u64;
             *annotated.entry(kind).or_default() += 1;
             *distinct_pairs.entry(kind).or_default() += partners * ways;
         }
@@ -87,15 +83,14 @@ impl Stream {
             .collect()
     }
 
-    /// Triplets for a picture: the first of every kind with soft joints, then of other masks, as far
-    /// as there are any.
+    /// Triplets for a picture: the first of every kind with soft joints, then of other masks, if there are any.
     pub fn sample_for_sheet(&self, count: usize) -> Vec<Triplet> {
         const LOOKED_AT: u64 = 512;
         let mut seen = BTreeMap::new();
         let mut rest = Vec::new();
         for triplet in self.first_triplets(LOOKED_AT.min(2 * self.epoch_len())) {
             let mask = (triplet.kind, triplet.mask.hard().names());
-            // What is soft shows what soft masks do, and one of each mask shows them all.
+            // Prefer soft masks and show one triplet per mask.
             let number = seen.entry(mask).or_insert(0);
             let is_soft = !triplet.mask.soft().is_empty();
             rest.push(((*number, !is_soft), triplet));
@@ -163,18 +158,6 @@ fn speed(motion: &Motion, skeleton: &Skeleton) -> (f64, f64) {
     (sum / count as f64, highest)
 }
 
-impl StreamStats {
-    /// Pairs of all kinds.
-    pub fn all_pairs(&self) -> u64 {
-        self.distinct_pairs.values().sum()
-    }
-
-    /// Masks and pairs of a kind that are in use.
-    pub fn annotated_of(&self, kind: EditKind) -> usize {
-        self.annotated.get(kind.as_str()).copied().unwrap_or(0)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -182,6 +165,7 @@ mod tests {
     use datasets_spec::Seed;
 
     use super::*;
+    use crate::compose::EditKind;
     use crate::compose::{ComposeConfig, Library, fixture};
 
     fn stream(config: ComposeConfig) -> Stream {
@@ -197,11 +181,14 @@ mod tests {
     #[test]
     fn pairs_are_masks_times_partners() {
         let stats = stream(ComposeConfig::default()).stats();
-        assert_eq!((stats.base, stats.annotated_of(EditKind::Semantic)), (9, 5));
+        assert_eq!(
+            (stats.base, stats.annotated[EditKind::Semantic.as_str()]),
+            (9, 5)
+        );
         // Five masks meet eight others each; a pair meets seven in two halves.
         assert_eq!(stats.distinct_pairs["semantic"], 40);
         assert_eq!(stats.distinct_pairs["style"], 14);
-        assert_eq!(stats.all_pairs(), 54);
+        assert_eq!(stats.distinct_pairs.values().sum::<u64>(), 54);
         let fixed = ComposeConfig {
             fixed_pairs: true,
             ..ComposeConfig::default()

@@ -3,7 +3,7 @@
 use datasets_spec::record::TripletRow;
 use datasets_spec::{BlendMask, Fps, JointSet, Motion, MotionId, Seed, Split};
 
-use super::stream::{Pairing, Subject};
+use super::library::{Pairing, Subject};
 use super::{Alignment, ComposeConfig, Error, Library, Stream, blend_motion};
 
 /// An original motion, an instruction, and the edited motion it leads to. Both motions have the
@@ -16,7 +16,7 @@ pub struct Triplet {
     pub split: Split,
     /// What the edit changes: [`super::EditKind`].
     pub kind: &'static str,
-    /// What turns the original into the edited motion.
+    /// The instruction of the edit.
     pub instruction: String,
     /// The motion the original was cut from.
     pub source_id: MotionId,
@@ -30,10 +30,10 @@ pub struct Triplet {
     pub target_start: usize,
     /// First stored frame taken of the donor; 0 without one.
     pub donor_start: usize,
-    /// How the motions of a pair were brought into step; with `time-warp`, the source's start
-    /// counts frames of the warped motion.
+    /// Time alignment of the motions of a pair; with `time-warp`, the source's start counts frames of the warped
+    /// motion.
     pub alignment: &'static str,
-    /// What the edit takes.
+    /// Joints that the edit takes from the target.
     pub mask: BlendMask,
     /// Weight of the target on soft joints.
     pub alpha: f64,
@@ -83,14 +83,14 @@ impl Stream {
         let mut parts = id.split('-').rev();
         let mut number = || parts.next()?.parse::<u64>().ok();
         let (item, epoch) = number().zip(number()).ok_or_else(unknown)?;
-        // Writing the numbers again refuses other splits, other kinds and leading zeros.
+        // Comparing with the canonical id refuses other splits, other kinds and leading zeros.
         if item >= self.epoch_len() || self.triplet_id(epoch, item) != id {
             return Err(unknown());
         }
         Ok(self.triplet(epoch, item))
     }
 
-    /// What the edit of one of this stream's triplets takes from: the stretch of the target.
+    /// The crop of the target that the edit of one of this stream's triplets takes from.
     ///
     /// # Panics
     /// If the triplet is another stream's.
@@ -98,7 +98,7 @@ impl Stream {
         self.stretch(&triplet.target_id, triplet.target_start, triplet)
     }
 
-    /// The edited motion as it were without soft joints.
+    /// The edited motion without soft joints.
     ///
     /// # Panics
     /// If the triplet is another stream's.
@@ -114,9 +114,7 @@ impl Stream {
     }
 
     fn stretch(&self, id: &MotionId, start: usize, triplet: &Triplet) -> Motion {
-        let clips = &self.library.clips;
-        let clip = clips.iter().find(|clip| clip.in_base && clip.id == *id);
-        let motion = &clip.expect("a motion of this stream's library").motion;
+        let motion = &self.library.captured(id).motion;
         motion
             .crop(start..start + triplet.original.len())
             .expect("a triplet lies inside its motions")
@@ -128,7 +126,7 @@ impl Stream {
     }
 }
 
-/// What a triplet is called, what it says and where it comes from.
+/// Identity of a triplet: id, seed, epoch, recipe and instruction.
 pub(super) struct Place {
     pub(super) id: String,
     pub(super) seed: Seed,
@@ -145,7 +143,7 @@ impl Library {
         config: &ComposeConfig,
     ) -> Triplet {
         let cut = |clip: usize, start: usize, len: usize| {
-            let motion = &self.clips[clip].motion;
+            let motion = &self.clip(clip).motion;
             motion
                 .crop(start..start + len)
                 .expect("a crop is drawn inside both motions")
@@ -159,7 +157,7 @@ impl Library {
                 .expect("crops of one library have one length and rate")
         };
         let (crop, donor) = (pairing.crop, pairing.donor);
-        let id_of = |clip: usize| self.clips[clip].id.clone();
+        let id_of = |clip: usize| self.clip(clip).id.clone();
         let target = self.target_of(pairing.subject);
         let (source_id, starts, original, edited, donors) = match (pairing.subject, pairing.partner)
         {
@@ -171,12 +169,13 @@ impl Library {
                 let starts = (crop.source_start, crop.target_start);
                 (id_of(source), starts, original, edited, Vec::new())
             }
-            (Subject::Pair(pair), partner) => {
+            (Subject::Pair(_), partner) => {
+                let source = self.clips_of(pairing.subject)[0];
                 let shift = donor.target_start;
                 let starts = (crop.source_start + shift, crop.target_start + shift);
-                let before = cut(self.pairs[pair].source, starts.0, donor.num_frames);
+                let before = cut(source, starts.0, donor.num_frames);
                 let after = cut(target, starts.1, donor.num_frames);
-                let source_id = id_of(self.pairs[pair].captured);
+                let source_id = id_of(self.captured_of(pairing.subject)[0]);
                 match partner {
                     None => (source_id, starts, before, after, Vec::new()),
                     Some(clip) => {

@@ -1,10 +1,9 @@
 //! The composer's inner loop: from two runs of frames to two windows of model units.
 //!
 //! A frame is kept as its 28 keypoints and 22 local rotations, ready to use. Points that a blend does
-//! not touch are copied from the motion they belong to; only the others need forward kinematics,
-//! which runs over 16 frames at once, one array per component, in loops that the compiler turns into
-//! vector instructions. Everything is `f32`: over a chain of eight joints that costs a micrometre, a
-//! thousandth of what the model resolves.
+//! not touch are copied from their motion. Only the others need forward kinematics, which processes 16 frames
+//! at once with one array per component, in loops that the compiler vectorises. All arithmetic is `f32`:
+//! over a chain of eight joints its error is a micrometre, a thousandth of the model's resolution.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -21,8 +20,8 @@ use super::SlerpRule;
 
 /// Components of a quaternion.
 const QUAT: usize = 4;
-/// Zeros before and after the points of a frame, so that every number has neighbours two places
-/// away ([`Placement`]).
+/// Padding before and after the points of a frame, so that every number has neighbours two indices away
+/// ([`Placement`]).
 const MARGIN: usize = 2;
 /// The points of a frame with their margins.
 type PaddedPoints = [f32; FRAME_WIDTH + 2 * MARGIN];
@@ -37,9 +36,8 @@ pub(super) struct Frame {
     rotations: [[f32; QUAT]; NUM_BODY_JOINTS],
 }
 
-/// A motion thinned out to the model's rate, at every phase: with a stride of 2, the frames of even
-/// number are one phase and those of odd number the next, so a window may start at any stored frame
-/// and its frames are still adjacent in memory.
+/// A motion subsampled to the model's rate, at every phase: with a stride of 2, even frames are one phase and
+/// odd frames the next, so that a window may start at any stored frame with its frames adjacent in memory.
 #[derive(Clone, Debug)]
 pub(super) struct Thinned {
     stride: usize,
@@ -89,7 +87,7 @@ impl Thinned {
     }
 }
 
-/// Where the three numbers of a point start among the padded points.
+/// Index of a point's first number among the padded points.
 #[inline(always)]
 fn place(slot: usize) -> usize {
     MARGIN + 3 * slot
@@ -119,7 +117,7 @@ fn points(frames: &[Frame], slot: usize) -> Points {
     out
 }
 
-/// Where a blended joint gets its rotation from.
+/// Origin of a blended joint's rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Origin {
     Source,
@@ -127,8 +125,8 @@ enum Origin {
     Both,
 }
 
-/// What has to be computed to blend with a mask. Points that hang from joints of one motion alone,
-/// up to the root, are where they are in that motion; only the others need forward kinematics.
+/// What to compute for a blend with a mask. A point whose ancestors all come from one motion keeps its
+/// position in that motion; the other points need forward kinematics.
 #[derive(Clone, Debug)]
 pub(super) struct BlendPlan {
     origins: [Origin; NUM_BODY_JOINTS],
@@ -138,7 +136,7 @@ pub(super) struct BlendPlan {
     joints: Vec<usize>,
     /// Points that are computed, parents first.
     points: Vec<usize>,
-    /// Points of the owner that computed points hang from.
+    /// Points of the owner that are parents of computed points.
     anchors: Vec<usize>,
     slerp: SlerpRule,
 }
@@ -206,7 +204,7 @@ impl BlendPlan {
 pub(super) struct Composer {
     /// Rest position of each point relative to its parent.
     offsets: [[f32; 3]; NUM_KEYPOINTS],
-    /// Where the anchor leaves the first pelvis, x and z, in metres.
+    /// Position of the first pelvis relative to the anchor, x and z, in metres.
     pelvis_at: [f64; 2],
     /// Model units per metre and value at 0 m, per axis.
     scale: [f64; 3],
@@ -214,7 +212,7 @@ pub(super) struct Composer {
 }
 
 impl Composer {
-    /// A composer for a skeleton and a range.
+    /// A composer for a skeleton and a normaliser.
     pub(super) fn new(skeleton: &Skeleton, anchor: Anchor, normalizer: &Normalizer) -> Self {
         let scale = std::array::from_fn::<f64, 3, _>(|axis| {
             2.0 / (normalizer.max[axis] - normalizer.min[axis])
@@ -400,8 +398,8 @@ impl Kernel for Compose<'_> {
     }
 }
 
-/// Turns, shifts and scales the points of a frame. A point's x and z mix, which are two numbers
-/// apart: spread over the 84 numbers of a frame, this is three products with neighbouring numbers.
+/// Rotates, shifts and scales the points of a frame. The rotation mixes a point's x and z, which are two
+/// numbers apart: over the 84 numbers of a frame, this is three products with shifted numbers.
 struct Placement {
     own: [f32; FRAME_WIDTH],
     ahead: [f32; FRAME_WIDTH],
@@ -434,7 +432,7 @@ fn product(a: &Quats, b: &Quats) -> Quats {
     out
 }
 
-/// Points at an offset fixed to turning joints: `p + q v q*`, written as
+/// Points at a fixed offset from rotating joints: `p + q v q*`, written as
 /// `p + v + 2 w (u x v) + 2 u x (u x v)` with `q = (u, w)`.
 #[inline(always)]
 fn attached(points: &Points, rotations: &Quats, [vx, vy, vz]: [f32; 3]) -> Points {
@@ -477,8 +475,8 @@ fn slerp(from: &Quats, to: &Quats, alpha: f32) -> Quats {
     out
 }
 
-/// [`rotation::slerp_official`] in every lane; made unit again, which the release leaves to the
-/// conversion to axis-angle.
+/// [`rotation::slerp_official`] in every lane, then normalised; the release leaves that to the conversion to
+/// axis-angle.
 #[inline(never)]
 fn official(from: &Quats, to: &Quats, alpha: f32) -> Quats {
     let mut out = [[0.0; LANES]; QUAT];

@@ -1,5 +1,5 @@
-//! A list of pairs that somebody states: a CSV file with the columns styled clip, original clip,
-//! style and instruction.
+//! A list of pairs by the user: a CSV file with the columns styled clip, original clip, style and
+//! instruction.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,7 +12,7 @@ use super::LISTED;
 use crate::Error;
 use crate::compose::{EditKind, style_instruction};
 
-/// The pairs a file lists, by the names it gives to clips.
+/// The pairs of a file, by its names of clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PairList {
     lines: Vec<Line>,
@@ -30,8 +30,7 @@ struct Line {
     instruction: String,
 }
 
-/// Numbers of lines by place in a text. The reader's own count is off where lines end in CR LF or
-/// are empty.
+/// Line numbers by byte offset. The CSV reader's own count is wrong for CR LF and empty lines.
 struct LineNumbers<'a> {
     text: &'a [u8],
     place: usize,
@@ -47,7 +46,7 @@ impl<'a> LineNumbers<'a> {
         }
     }
 
-    /// The number of the line a record starts in; records are asked for in order.
+    /// The line number of a record's start; offsets must ascend between calls.
     fn at(&mut self, position: Option<&csv::Position>) -> u64 {
         let byte = position.map_or(0, csv::Position::byte) as usize;
         while self.place < self.text.len()
@@ -60,7 +59,7 @@ impl<'a> LineNumbers<'a> {
     }
 }
 
-/// A line no pair was made of.
+/// A line that gave no pair.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RefusedLine {
     /// Number of the line, from 1.
@@ -75,7 +74,7 @@ impl std::fmt::Display for RefusedLine {
     }
 }
 
-/// What became of a list.
+/// Result of reading a list.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ListedPairs {
     /// The pairs, by id.
@@ -85,7 +84,7 @@ pub struct ListedPairs {
 }
 
 impl PairList {
-    /// Reads a list. Lines that hold no pair are kept as refused.
+    /// Reads a list. Lines without a valid pair are kept as refused.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -151,8 +150,8 @@ impl PairList {
         lines.map(|line| (line.styled.as_str(), line.original.as_str()))
     }
 
-    /// Makes the pairs of motions that are there, named by their ids or by their source files. `known`
-    /// are the pairs of the dataset that do not come from a list.
+    /// Makes the pairs whose motions are in the dataset, named by id or source file. `known` holds the pairs of
+    /// the dataset that do not come from a list.
     pub fn pairs(&self, motions: &BTreeMap<MotionId, Split>, known: &[PairRow]) -> ListedPairs {
         let known: BTreeMap<(&MotionId, &MotionId), &str> = known
             .iter()
@@ -267,7 +266,7 @@ impl Line {
     }
 }
 
-/// The ids a name may stand for: itself, and without the extension of a file.
+/// Possible ids of a name: itself, and without a file extension.
 pub(crate) fn names_of(name: &str) -> impl Iterator<Item = &str> {
     let stem = match name.rsplit_once('.') {
         Some((stem, extension)) if !extension.contains('/') && !stem.is_empty() => Some(stem),
@@ -276,8 +275,8 @@ pub(crate) fn names_of(name: &str) -> impl Iterator<Item = &str> {
     std::iter::once(name).chain(stem)
 }
 
-/// What decides the split of each styled clip of a list: its original, or the original of that.
-/// Both are source clips. A clip that leads back to itself is left out.
+/// The source clip whose split each styled clip of a list takes: its original, or the original's original.
+/// Cycles are left out.
 pub(crate) fn originals<'a>(
     pairs: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> BTreeMap<&'a str, &'a str> {

@@ -13,11 +13,11 @@ use crate::compose::{EditKind, style_instruction};
 pub use list::{ListedPairs, PairList, RefusedLine};
 pub(crate) use list::{names_of, originals};
 
-/// Kind of source written with pairs from labels; the number counts versions of the rules.
+/// Source of pairs from labels; the number is the version of the rules.
 pub const SOURCE: &str = "style-labels-2";
-/// What [`SOURCE`] begins with in every version of the rules.
+/// Prefix of [`SOURCE`] in every version of the rules.
 const SOURCE_OF_LABELS: &str = "style-labels-";
-/// Kind of source written with pairs from a [`PairList`].
+/// Source of pairs from a [`PairList`].
 pub const LISTED: &str = "csv";
 
 /// Whether a pair was made from labels, by this or an older version of the rules.
@@ -25,7 +25,7 @@ pub fn is_from_labels(row: &PairRow) -> bool {
     row.source.starts_with(SOURCE_OF_LABELS)
 }
 
-/// The recording session of a capture: its folder, without folders that are named after its style.
+/// The recording session of a capture: its folder, without folders named after its style.
 fn session<'a>(file: &'a str, style: &str) -> Vec<&'a str> {
     let folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
     let folders = folder.split('/');
@@ -53,13 +53,13 @@ pub(crate) fn style_group(file: &str, action: &str, style: &str) -> String {
     )
 }
 
-/// Which captures make a pair.
+/// Settings of the pairing of captures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PairConfig {
-    /// Style labels of motions as they are before an edit.
+    /// Style labels that count as neutral.
     pub neutral: Vec<String>,
-    /// Most pairs made of one styled motion, each with another neutral one.
+    /// Limit on the pairs of one styled motion, each with a different neutral one.
     pub per_motion: usize,
 }
 
@@ -72,24 +72,24 @@ impl Default for PairConfig {
     }
 }
 
-/// Pairs, and what none could be made of.
+/// Pairs, and motions without one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StylePairs {
     /// The pairs, by id.
     pub rows: Vec<PairRow>,
-    /// Motions in a style of their own without a neutral motion of the same action, source and split.
+    /// Styled motions without a neutral motion of the same action, source and split.
     pub alone: Vec<MotionId>,
 }
 
 /// Pairs every styled motion with neutral ones of the same action, session and split, drawn by the
 /// seed: those of the same take come first. A session is a folder, apart from folders named after
-/// the style. Motions without a style or an action are passed over.
+/// the style. Motions without a style or an action are skipped.
 ///
 /// # Source
 /// Paper Sec. 3.2: a style pair is one action, performed as it is and in a style.
 pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> StylePairs {
     let is_neutral = |style: &str| config.neutral.iter().any(|n| n.eq_ignore_ascii_case(style));
-    // Captures of one session have the same body, the same floor, the same way to act.
+    // Captures of one session have the same body, floor and actor.
     let group = |row: &'_ MotionRow, style: &str| -> Option<(String, String, &'static str)> {
         let session = session(&row.source_path, style).join("/");
         Some((session, row.action.clone()?, row.split.as_str()))

@@ -1,0 +1,437 @@
+//! The stream of training windows.
+
+mod target;
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+
+use datasets_spec::record::WindowRow;
+use datasets_spec::{Rng, Seed};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use rand::RngExt;
+use rayon::prelude::*;
+
+use target::Target;
+
+use super::draw::Shuffle;
+use super::library::{Pairing, Subject};
+use super::window::{BlendPlan, Composer, Frame, Thinned};
+use super::{ComposeConfig, EditKind, Error, Library};
+
+/// Training windows, item after item. The buffers are reused from call to call.
+///
+/// # Shapes
+/// `B` items of `W` frames at the model's rate, `[B, W, 84]` in model units.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WindowBatch {
+    /// Windows of the original motions, `[B, W, 84]`.
+    pub original: Vec<f32>,
+    /// Windows of the edited motions, `[B, W, 84]`.
+    pub edited: Vec<f32>,
+    /// Start of each window in the motion that its instruction describes, as a fraction of its length,
+    /// `[B]`.
+    pub progress: Vec<f32>,
+    /// Instructions of the edits, `[B]`.
+    pub instructions: Vec<String>,
+}
+
+impl WindowBatch {
+    /// Resizes the buffers to `num_items` items of windows of `window_len` numbers.
+    pub fn resize(&mut self, num_items: usize, window_len: usize) {
+        self.original.resize(num_items * window_len, 0.0);
+        self.edited.resize(num_items * window_len, 0.0);
+        self.progress.resize(num_items, 0.0);
+        self.instructions.resize(num_items, String::new());
+    }
+}
+
+/// Composes edits of the motions of one split, item by item.
+///
+/// An epoch visits every window of every annotated motion and of every pair once, in a shuffled
+/// order. For a semantic edit an item draws its window's first frame within its share of the
+/// annotated motion, a partner and a stretch of it from the motion base, and the weight of the soft
+/// joints. For a pair it draws the half of the body that is edited and a donor, which is blended
+/// under both motions alike.
+///
+/// # Source
+/// Paper Sec. 4.3.
+#[derive(Clone, Debug)]
+pub struct Stream {
+    pub(super) library: Arc<Library>,
+    pub(super) config: ComposeConfig,
+    pub(super) seed: Seed,
+    pub(super) recipe_hash: String,
+    pub(super) composer: Composer,
+    /// The clips in use at the model's rate, by clip index.
+    pub(super) thinned: Vec<Option<Thinned>>,
+    /// Indices of the clips partners are drawn from.
+    pub(super) base: Vec<usize>,
+    targets: Vec<Target>,
+    /// Items before each target.
+    first_items: Vec<u64>,
+    num_items: u64,
+    pub(super) span: usize,
+    advance: usize,
+}
+
+impl Stream {
+    /// Prepares a stream over a library.
+    ///
+    /// # Errors
+    /// A setting is out of range, the stored rate is no multiple of the model's, no annotated
+    /// motion or pair is as long as a window, or one has no partner.
+    ///
+    /// # Panics
+    /// If the normaliser's range is empty or not finite.
+    pub fn new(
+        library: Arc<Library>,
+        config: ComposeConfig,
+        seed: Seed,
+        normalizer: &Normalizer,
+    ) -> Result<Self, Error> {
+        config.check()?;
+        assert!(
+            (0..3).all(|axis| {
+                let range = normalizer.max[axis] - normalizer.min[axis];
+                range.is_finite() && range > 0.0
+            }),
+            "the normaliser has an empty range: {normalizer:?}"
+        );
+        let library = library.aligned(config.alignment);
+        let stride = config.stride(library.fps())?;
+        let (span, advance) = (config.span(stride), config.advance(stride));
+        let base = library.base(&config, seed, span)?;
+
+        let mut targets = Vec::new();
+        let mut first_items = Vec::new();
+        let mut num_items = 0;
+        for subject in library.subjects(&config, seed, span) {
+            if !base.iter().any(|&clip| library.may_meet(clip, subject)) {
+                return Err(Error::NoPartner {
+                    motion: library.clip(library.target_of(subject)).id.clone(),
+                });
+            }
+            let fixed = config.fixed_pairs.then(|| {
+                let mut rng = seed.rng(&["fixed pair", library.subject_id(subject)]);
+                library.draw_pairing(&base, subject, &config, &mut rng)
+            });
+            let num_frames =
+                fixed.map_or_else(|| library.frames_of(subject), |fixed| fixed.crop.num_frames);
+            first_items.push(num_items);
+            num_items += ((num_frames - span) / advance + 1) as u64;
+            targets.push(Target::new(&library, &config, subject, num_frames, fixed));
+        }
+        if targets.is_empty() {
+            return Err(Error::NoItem {
+                split: library.split(),
+                frames: span,
+            });
+        }
+
+        let mut used = vec![false; library.num_motions()];
+        for &clip in &base {
+            used[clip] = true;
+        }
+        for target in &targets {
+            for clip in library.clips_of(target.subject) {
+                used[clip] = true;
+            }
+        }
+        let thinned = used
+            .into_par_iter()
+            .enumerate()
+            .map(|(clip, used)| {
+                used.then(|| Thinned::new(&library.clip(clip).motion, stride, library.skeleton()))
+            })
+            .collect();
+        Ok(Self {
+            composer: Composer::new(library.skeleton(), config.anchor, normalizer),
+            recipe_hash: config.recipe_hash(),
+            library,
+            config,
+            seed,
+            thinned,
+            base,
+            targets,
+            first_items,
+            num_items,
+            span,
+            advance,
+        })
+    }
+
+    /// The motions, masks and pairs the stream composes.
+    pub fn library(&self) -> &Arc<Library> {
+        &self.library
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &ComposeConfig {
+        &self.config
+    }
+
+    /// Items of an epoch: the windows of all annotated motions and pairs in use.
+    pub fn epoch_len(&self) -> u64 {
+        self.num_items
+    }
+
+    pub(super) fn subjects_in_use(&self) -> impl Iterator<Item = Subject> + '_ {
+        self.targets.iter().map(|target| target.subject)
+    }
+
+    /// Numbers of a window.
+    pub fn window_len(&self) -> usize {
+        self.config.window * FRAME_WIDTH
+    }
+
+    /// Every instruction that an item can have, sorted and without duplicates.
+    pub fn instructions(&self) -> Vec<String> {
+        let mut all: Vec<String> = self
+            .targets
+            .iter()
+            .flat_map(|target| {
+                let sides = target.sides.iter().flat_map(|side| &side.wordings);
+                sides.chain(&target.plain).cloned()
+            })
+            .collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
+    /// Composes the items `first_item..first_item + num_items` of an epoch. The bytes are the same
+    /// on any number of threads.
+    ///
+    /// Original and edited windows are each canonicalised by their own first frame: the model sees every
+    /// original window as a canonical segment, and its fixed frames are in the canonical frame of the
+    /// edited window.
+    ///
+    /// # Panics
+    /// If the items are not all in the epoch.
+    pub fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut WindowBatch) {
+        /// Items per parallel job.
+        const AT_ONCE: usize = 16;
+        let end = first_item.saturating_add(num_items as u64);
+        assert!(
+            end <= self.num_items,
+            "items {first_item}..{end} of an epoch of {}",
+            self.num_items
+        );
+        let window = self.window_len();
+        batch.resize(num_items, window);
+        let order = self.order(epoch);
+        let epoch_seed = self.epoch_seed(epoch);
+        batch
+            .original
+            .par_chunks_mut(AT_ONCE * window)
+            .zip(batch.edited.par_chunks_mut(AT_ONCE * window))
+            .zip(batch.progress.par_chunks_mut(AT_ONCE))
+            .zip(batch.instructions.par_chunks_mut(AT_ONCE))
+            .enumerate()
+            .for_each(|(chunk, (((original, edited), progress), instructions))| {
+                let windows = original
+                    .chunks_exact_mut(window)
+                    .zip(edited.chunks_exact_mut(window));
+                let said = progress.iter_mut().zip(instructions);
+                for (place, ((original, edited), (progress, instruction))) in
+                    windows.zip(said).enumerate()
+                {
+                    let place = first_item + (chunk * AT_ONCE + place) as u64;
+                    let drawn = self.draw_window(order.at(place), epoch_seed);
+                    self.compose(&drawn, original, edited);
+                    *progress = drawn.progress as f32;
+                    instruction.clear();
+                    instruction.push_str(drawn.instruction);
+                }
+            });
+    }
+
+    /// Composes windows of the stream, epoch after epoch, as rows for recording. `take` gets each row,
+    /// its batch and its index in the batch.
+    pub fn for_each_recorded(
+        &self,
+        windows: std::ops::Range<u64>,
+        mut take: impl FnMut(WindowRow, &WindowBatch, usize),
+    ) {
+        /// Windows composed at a time.
+        const AT_ONCE: u64 = 4096;
+        let window = self.window_len();
+        let mut batch = WindowBatch::default();
+        let mut done = windows.start;
+        while done < windows.end {
+            let (epoch, first) = (done / self.num_items, done % self.num_items);
+            let len = AT_ONCE.min(windows.end - done).min(self.num_items - first);
+            self.fill(epoch, first, len as usize, &mut batch);
+            for at in 0..len as usize {
+                let frames = |numbers: &[f32]| {
+                    let window = &numbers[at * window..][..window];
+                    window.as_chunks::<FRAME_WIDTH>().0.to_vec()
+                };
+                let row = WindowRow {
+                    split: self.library.split(),
+                    epoch,
+                    item: first + at as u64,
+                    progress: batch.progress[at],
+                    instruction: batch.instructions[at].clone(),
+                    original: frames(&batch.original),
+                    edited: frames(&batch.edited),
+                };
+                take(row, &batch, at);
+            }
+            done += len;
+        }
+    }
+
+    fn compose(&self, drawn: &DrawnWindow<'_>, original: &mut [f32], edited: &mut [f32]) {
+        let [before, after] = drawn.windows;
+        match (drawn.under, drawn.plan) {
+            (Some(under), Some(plan)) => {
+                let alpha = drawn.alpha as f32;
+                match before {
+                    None => self.composer.original(under, original),
+                    Some(before) => self.composer.blended(under, before, plan, alpha, original),
+                }
+                let after = after.expect("an edit has a motion after it");
+                self.composer.blended(under, after, plan, alpha, edited);
+            }
+            _ => {
+                let [before, after] = drawn
+                    .windows
+                    .map(|w| w.expect("a plain pair is two motions"));
+                self.composer.original(before, original);
+                self.composer.original(after, edited);
+            }
+        }
+    }
+
+    /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window.
+    pub(super) fn pairing(&self, epoch: u64, place: u64) -> Pairing {
+        let item = self.order(epoch).at(place);
+        let mut rng = item_rng(self.epoch_seed(epoch), item);
+        self.draw_pairing(self.target_of(item).0, &mut rng)
+    }
+
+    /// The kind of edit an item of an epoch is.
+    pub(super) fn kind(&self, epoch: u64, place: u64) -> EditKind {
+        let item = self.order(epoch).at(place);
+        self.library.kind_of(self.target_of(item).0.subject)
+    }
+
+    fn order(&self, epoch: u64) -> Shuffle {
+        let key = self.seed.draw_u64(&["epoch order", &epoch.to_string()]);
+        Shuffle::new(self.num_items, key)
+    }
+
+    pub(super) fn epoch_seed(&self, epoch: u64) -> Seed {
+        self.seed.derive(&["compose", &epoch.to_string()])
+    }
+
+    pub(super) fn window_of(&self, clip: usize, start: usize) -> &[Frame] {
+        self.thinned[clip]
+            .as_ref()
+            .expect("every clip that can be drawn is thinned out")
+            .window(start, self.config.window)
+    }
+
+    /// The target of an item, and the index of its window.
+    fn target_of(&self, item: u64) -> (&Target, usize) {
+        let place = self.first_items.partition_point(|&first| first <= item) - 1;
+        (
+            &self.targets[place],
+            (item - self.first_items[place]) as usize,
+        )
+    }
+
+    fn draw_pairing(&self, target: &Target, rng: &mut Rng) -> Pairing {
+        target.fixed.unwrap_or_else(|| {
+            self.library
+                .draw_pairing(&self.base, target.subject, &self.config, rng)
+        })
+    }
+
+    fn draw_window(&self, item: u64, epoch_seed: Seed) -> DrawnWindow<'_> {
+        let mut rng = item_rng(epoch_seed, item);
+        let (target, window) = self.target_of(item);
+        let pairing = self.draw_pairing(target, &mut rng);
+        let earliest = window * self.advance;
+        let latest = (earliest + self.advance - 1).min(target.num_frames - self.span);
+        let start = rng.random_range(earliest..=latest);
+        let library = &self.library;
+        let partner_at = |rng: &mut Rng, clip: usize, fixed: usize| {
+            // The clips of a fixed pair are aligned: their windows start together.
+            let at = if target.fixed.is_some() {
+                fixed + start
+            } else {
+                rng.random_range(0..=library.len_of(clip) - self.span)
+            };
+            self.window_of(clip, at)
+        };
+        let crop = pairing.crop;
+        let (windows, under, shown) = match target.subject {
+            Subject::Annotation(_) => {
+                let clip = library.target_of(target.subject);
+                let source = pairing.partner.expect("a semantic edit has a source");
+                let under = partner_at(&mut rng, source, crop.source_start);
+                let at = match target.fixed {
+                    Some(_) => crop.target_start + start,
+                    None => start,
+                };
+                (
+                    [None, Some(self.window_of(clip, at))],
+                    Some(under),
+                    (at, clip),
+                )
+            }
+            Subject::Pair(_) => {
+                let [source, target] = library.clips_of(target.subject)[..] else {
+                    unreachable!("a pair is two motions")
+                };
+                let at = crop.target_start + start;
+                let under = pairing
+                    .partner
+                    .map(|donor| partner_at(&mut rng, donor, pairing.donor.source_start));
+                let before = self.window_of(source, crop.source_start + start);
+                (
+                    [Some(before), Some(self.window_of(target, at))],
+                    under,
+                    (at, target),
+                )
+            }
+        };
+        let (side, wordings) = target.side_of(&pairing);
+        let wording = (pairing.wording * wordings.len() as f64) as usize;
+        DrawnWindow {
+            windows,
+            under,
+            plan: side.map(|side| &side.plan),
+            alpha: pairing.alpha,
+            progress: shown.0 as f64 / library.len_of(shown.1) as f64,
+            instruction: &wordings[wording.min(wordings.len() - 1)],
+        }
+    }
+
+    /// The wording of a pairing.
+    pub(super) fn instruction_of(&self, epoch: u64, place: u64, pairing: &Pairing) -> &str {
+        let item = self.order(epoch).at(place);
+        let (_, wordings) = self.target_of(item).0.side_of(pairing);
+        let wording = (pairing.wording * wordings.len() as f64) as usize;
+        &wordings[wording.min(wordings.len() - 1)]
+    }
+}
+
+/// The random numbers of an item, independent of its batch.
+pub(super) fn item_rng(epoch_seed: Seed, item: u64) -> Rng {
+    epoch_seed.rng_of(item)
+}
+
+struct DrawnWindow<'a> {
+    /// Windows before and after the edit; before a semantic edit there is only the partner.
+    windows: [Option<&'a [Frame]>; 2],
+    /// The window of the partner, which they are blended into.
+    under: Option<&'a [Frame]>,
+    plan: Option<&'a BlendPlan>,
+    alpha: f64,
+    progress: f64,
+    instruction: &'a str,
+}
