@@ -1,0 +1,217 @@
+//! Findings as text.
+
+use std::fmt;
+
+use super::findings::{
+    Diagnosis, Findings, HumanMl3dFindings, IndexFindings, Part, SubsetFindings,
+};
+
+const KB: f64 = 1e3;
+
+/// A size with three digits.
+fn size(bytes: u64) -> String {
+    let mut value = bytes as f64;
+    for unit in ["B", "kB", "MB", "GB"] {
+        if value < KB {
+            return match unit {
+                "B" => format!("{bytes} B"),
+                _ => format!("{value:.1} {unit}"),
+            };
+        }
+        value /= KB;
+    }
+    format!("{value:.1} TB")
+}
+
+fn duration(seconds: f64) -> String {
+    const MINUTE: f64 = 60.0;
+    const HOUR: f64 = 3600.0;
+    if seconds < MINUTE {
+        format!("{:.0} s", seconds.ceil())
+    } else if seconds < HOUR {
+        format!("{:.0} min", (seconds / MINUTE).ceil())
+    } else {
+        format!("{:.1} h", seconds / HOUR)
+    }
+}
+
+/// Writes rows of text as columns, the first to the left and the others to the right.
+fn columns(f: &mut fmt::Formatter<'_>, rows: &[Vec<String>]) -> fmt::Result {
+    let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..num_columns)
+        .map(|column| {
+            let cells = rows.iter().filter_map(|row| row.get(column));
+            cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+        })
+        .collect();
+    for row in rows {
+        let mut line = String::from("  ");
+        for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
+            line += &match column {
+                0 => format!("{cell:<width$}"),
+                _ => format!("  {cell:>width$}"),
+            };
+        }
+        writeln!(f, "{}", line.trim_end())?;
+    }
+    Ok(())
+}
+
+impl fmt::Display for Diagnosis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for source in &self.sources {
+            write!(f, "{source}")?;
+        }
+        if let Some(index) = &self.index {
+            write!(f, "{index}")?;
+        }
+        writeln!(f, "estimate")?;
+        columns(
+            f,
+            &[
+                vec!["clips".to_owned(), self.estimate.clips.to_string()],
+                vec!["dataset".to_owned(), size(self.estimate.bytes)],
+                vec![
+                    "time on one core".to_owned(),
+                    duration(self.estimate.core_seconds),
+                ],
+            ],
+        )?;
+        if self.advice.is_empty() {
+            return writeln!(f, "nothing is missing");
+        }
+        writeln!(f, "to do")?;
+        for advice in &self.advice {
+            writeln!(f, "  - {advice}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Findings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{}: {} files, {}",
+            self.path.display(),
+            self.files,
+            size(self.bytes)
+        )?;
+        let kinds: Vec<Vec<String>> = self
+            .kinds
+            .iter()
+            .map(|kind| {
+                let name = match kind.is_motion {
+                    true => kind.name.clone(),
+                    false => format!("not read: {}", kind.name),
+                };
+                vec![name, kind.files.to_string(), size(kind.bytes)]
+            })
+            .collect();
+        columns(f, &kinds)?;
+        for folder in &self.humanml3d {
+            write!(f, "{folder}")?;
+        }
+        if !self.amass.is_empty() {
+            writeln!(f, " AMASS")?;
+            let rows: Vec<Vec<String>> = self.amass.iter().map(SubsetFindings::cells).collect();
+            columns(f, &rows)?;
+        }
+        for (name, releases) in [("STANCE", &self.stance), ("MotionFix", &self.motionfix)] {
+            for release in releases {
+                writeln!(f, " {name} release at {}", place(&release.root))?;
+                let rows: Vec<Vec<String>> = release.parts.iter().map(Part::cells).collect();
+                columns(f, &rows)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn place(root: &str) -> &str {
+    match root {
+        "" => "the top",
+        root => root,
+    }
+}
+
+impl SubsetFindings {
+    fn cells(&self) -> Vec<String> {
+        let name = match self.name.as_str() {
+            "" => "outside known subsets",
+            name => name,
+        };
+        let variants = match self.variants.as_slice() {
+            [] => "not AMASS".to_owned(),
+            variants => variants.join(", "),
+        };
+        vec![
+            name.to_owned(),
+            self.files.to_string(),
+            size(self.bytes),
+            variants,
+        ]
+    }
+}
+
+impl Part {
+    fn cells(&self) -> Vec<String> {
+        vec![
+            self.name.clone(),
+            self.files.to_string(),
+            format!("of {}", self.published),
+        ]
+    }
+}
+
+impl fmt::Display for HumanMl3dFindings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, " HumanML3D at {}", place(&self.root))?;
+        let mut rows: Vec<Vec<String>> = [
+            ("joints", self.joints),
+            ("vectors", self.vectors),
+            ("captions", self.texts),
+            ("captions without motion", self.texts_without_motion),
+            ("motions without captions", self.motions_without_text),
+            ("motions in no split", self.motions_without_split),
+        ]
+        .into_iter()
+        .map(|(name, count)| vec![name.to_owned(), count.to_string()])
+        .collect();
+        for list in &self.lists {
+            rows.push(vec![
+                list.file.clone(),
+                format!("{} ids", list.ids),
+                format!("{} without motion", list.without_motion),
+                format!("{} without captions", list.without_text),
+            ]);
+        }
+        columns(f, &rows)
+    }
+}
+
+impl fmt::Display for IndexFindings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{}: {} clips, {} of them from HumanAct12; {} can be cut",
+            self.path.display(),
+            self.rows,
+            self.humanact12,
+            self.found
+        )?;
+        let rows: Vec<Vec<String>> = self
+            .subsets
+            .iter()
+            .map(|subset| {
+                let fetch = subset.archive.as_ref();
+                vec![
+                    subset.name.clone(),
+                    format!("{} of {}", subset.found, subset.rows),
+                    fetch.map_or("complete".to_owned(), |archive| format!("fetch {archive}")),
+                ]
+            })
+            .collect();
+        columns(f, &rows)
+    }
+}

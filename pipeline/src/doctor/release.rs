@@ -1,0 +1,108 @@
+//! Releases made of several parts: STANCE and MotionFix.
+
+use std::collections::BTreeSet;
+
+use super::findings::{Part, ReleaseFindings};
+use super::listed::Looked;
+use crate::source::motionfix;
+
+/// Parts of the STANCE release and the number of files published, those of its earlier form
+/// included.
+const STANCE_PARTS: [(&str, u64); 8] = [
+    ("base_motion", 24_746),
+    ("style_transfer", 749),
+    ("adjustment", 4_411),
+    ("regen/mask_all.json", 1),
+    ("regen/part_annotations.json", 1),
+    ("split/base_motion", 2),
+    ("split/style_transfer", 2),
+    ("split/adjustment", 2),
+];
+/// Files of the MotionFix release.
+const MOTIONFIX_PARTS: [(&str, u64); 4] = [
+    ("motionfix.pth.tar", 1),
+    ("motionfix_val.pth.tar", 1),
+    ("motionfix_test.pth.tar", 1),
+    ("splits.json", 1),
+];
+
+/// Whether a file is a motion of the STANCE release, by where it lies.
+pub(super) fn is_stance(relative: &str) -> bool {
+    let motion_folders = &STANCE_PARTS[..3];
+    relative.ends_with(".pkl")
+        && motion_folders
+            .iter()
+            .any(|(folder, _)| root_before(relative, folder).is_some())
+}
+
+/// The path before a part, if the file is the part or lies in it.
+fn root_before<'a>(relative: &'a str, part: &str) -> Option<&'a str> {
+    let starts = relative.match_indices(part).map(|(at, _)| at);
+    starts
+        .filter(|&at| at == 0 || relative[..at].ends_with('/'))
+        .find(|at| {
+            let rest = &relative[at + part.len()..];
+            rest.is_empty() || rest.starts_with('/')
+        })
+        .map(|at| &relative[..at])
+}
+
+pub(super) fn stance_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
+    let mut roots: BTreeSet<&str> = BTreeSet::new();
+    for file in rest {
+        let is_list = file.relative.ends_with("mask_all.json");
+        let (motions, lists) = (&STANCE_PARTS[..3], &STANCE_PARTS[3..4]);
+        let parts = match (is_stance(&file.relative), is_list) {
+            (true, _) => motions,
+            (false, true) => lists,
+            (false, false) => continue,
+        };
+        roots.extend(
+            parts
+                .iter()
+                .filter_map(|(part, _)| root_before(&file.relative, part)),
+        );
+    }
+    releases(&roots, rest, &STANCE_PARTS)
+}
+
+pub(super) fn motionfix_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
+    let roots: BTreeSet<&str> = rest
+        .iter()
+        .filter(|file| motionfix::is_dump(&file.relative))
+        .map(|file| {
+            let slash = file.relative.rfind('/');
+            &file.relative[..slash.map_or(0, |slash| slash + 1)]
+        })
+        .collect();
+    releases(&roots, rest, &MOTIONFIX_PARTS)
+}
+
+fn releases(
+    roots: &BTreeSet<&str>,
+    rest: &[&Looked],
+    parts: &[(&str, u64)],
+) -> Vec<ReleaseFindings> {
+    roots
+        .iter()
+        .map(|root| {
+            let inside: Vec<&str> = rest
+                .iter()
+                .filter(|file| !file.is_pointer)
+                .filter_map(|file| file.relative.strip_prefix(root))
+                .collect();
+            let parts = parts.iter().map(|&(name, published)| Part {
+                name: name.to_owned(),
+                files: inside
+                    .iter()
+                    .filter(|path| root_before(path, name) == Some(""))
+                    .count() as u64,
+                published,
+            });
+            ReleaseFindings {
+                root: (*root).to_owned(),
+                parts: parts.collect(),
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,135 @@
+use super::*;
+use crate::fixture::npy_f8;
+use crate::fixture::npz;
+use crate::source::amass::tests::clip_members;
+
+fn write(folder: &Path, name: &str, bytes: &[u8]) {
+    let path = folder.join(name);
+    fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+    fs::write(path, bytes).expect("written");
+}
+
+#[test]
+fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let root = folder.path();
+    let vector = npy_f8(&[3, 263], &[0.0; 3 * 263]);
+    write(root, "h/new_joint_vecs/000001.npy", &vector);
+    write(root, "h/texts/000001.txt", b"a man walks#a/DET#0.0#0.0\n");
+    write(root, "h/texts/000002.txt", b"a man runs#a/DET#0.0#0.0\n");
+    write(root, "h/train.txt", b"000001\n000002\n000003\n");
+    write(
+        root,
+        "h/new_joints/000004.npy",
+        &npy_f8(&[3, 22, 3], &[0.0; 198]),
+    );
+    let diagnosis = examine(&[root.to_owned()], None).expect("listed");
+    let found = &diagnosis.sources[0].humanml3d[0];
+    assert_eq!((found.vectors, found.joints, found.texts), (1, 1, 2));
+    assert_eq!(found.texts_without_motion, 1, "000002");
+    assert_eq!(found.motions_without_text, 1, "000004");
+    assert_eq!(found.motions_without_split, 1, "000004");
+    let list = &found.lists[0];
+    assert_eq!(
+        (list.ids, list.without_motion, list.without_text),
+        (3, 2, 1)
+    );
+    assert_eq!(list.examples, ["000002", "000003"]);
+    assert_eq!(diagnosis.estimate.clips, 2);
+    assert!(diagnosis.to_string().contains("2 of 3 ids of h/train.txt"));
+}
+
+#[test]
+fn the_index_names_the_archive_of_every_missing_subset() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let root = folder.path();
+    write(
+        root,
+        "amass/KIT/3/kick_stageii.npz",
+        &npz(&clip_members(40, 165)),
+    );
+    let index = root.join("list.csv");
+    write(
+        root,
+        "list.csv",
+        b"source_path,start_frame,end_frame,new_name\n\
+          ./pose_data/KIT/3/kick_poses.npy,0,5,000000.npy\n\
+          ./pose_data/MPI_Limits/1/a_poses.npy,0,5,000001.npy\n\
+          ./pose_data/humanact12/humanact12/P1.npy,0,-1,000002.npy\n",
+    );
+    let diagnosis = examine(&[root.to_owned()], Some(&index)).expect("listed");
+    let found = diagnosis.index.as_ref().expect("given");
+    assert_eq!((found.rows, found.humanact12, found.found), (3, 1, 1));
+    let text = diagnosis.to_string();
+    assert!(
+        text.contains("fetch PosePrior.tar.bz2 (SMPL-H G)"),
+        "{text}"
+    );
+    assert!(text.contains("KIT is SMPL-X G"), "{text}");
+    // 40 frames at 120 fps are 6.67 at 20 fps.
+    assert_eq!(diagnosis.estimate.frames, 7);
+}
+
+#[test]
+fn releases_tell_which_parts_are_there_and_pointers_are_counted() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let root = folder.path();
+    write(root, "dataset/base_motion/000000.pkl", &[0; 276]);
+    write(root, "dataset/regen/mask_all.json", b"{}");
+    write(root, "mf/motionfix_val.pth.tar", b"\x80\x03");
+    write(
+        root,
+        "dataset/style_transfer/000009_proud.pkl",
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n",
+    );
+    let diagnosis = examine(&[root.to_owned()], None).expect("listed");
+    let source = &diagnosis.sources[0];
+    assert_eq!(source.lfs_pointers, 1);
+    let counts = |release: &ReleaseFindings| -> Vec<u64> {
+        release.parts.iter().map(|part| part.files).collect()
+    };
+    assert_eq!(source.stance.len(), 1);
+    assert_eq!(source.stance[0].root, "dataset/");
+    assert_eq!(counts(&source.stance[0]), [1, 0, 0, 1, 0, 0, 0, 0]);
+    assert_eq!(counts(&source.motionfix[0]), [0, 1, 0, 0]);
+    let text = diagnosis.to_string();
+    assert!(text.contains("git lfs pull"), "{text}");
+    let json = serde_json::to_value(&diagnosis).expect("plain data");
+    assert_eq!(json["sources"][0]["lfs_pointers"], 1);
+}
+
+#[test]
+fn the_real_files_are_all_counted_once() {
+    let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from) else {
+        skipped();
+        return;
+    };
+    let diagnosis = examine(&[root], None).expect("listed");
+    let source = &diagnosis.sources[0];
+    let files: u64 = source.kinds.iter().map(|kind| kind.files).sum();
+    assert_eq!(files, source.files);
+    let lists: BTreeMap<&str, u64> = source.humanml3d[0]
+        .lists
+        .iter()
+        .map(|list| (list.file.as_str(), list.without_motion))
+        .collect();
+    assert_eq!(
+        lists["humanml3d/all.txt"], 29_227,
+        "one clip of all is there"
+    );
+    let index = diagnosis.index.as_ref().expect("found");
+    assert_eq!(
+        (index.rows, index.humanact12, index.found),
+        (14_616, 1_191, 0)
+    );
+    assert_eq!(index.subsets.len(), 17, "subsets with clips");
+    assert!(index.subsets.iter().all(|subset| subset.archive.is_some()));
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped() {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder");
+}
