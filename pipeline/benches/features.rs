@@ -12,6 +12,7 @@ use datasets_spec::table::write_rows;
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
+use pipeline::clip::Outcome;
 use pipeline::feature::{self, humanml3d};
 use pipeline::source::{ReadOptions, amass};
 use pipeline::write;
@@ -93,7 +94,7 @@ fn amass_to_parquet(bencher: Bencher) {
             ..ReadOptions::default()
         };
         match amass::read(Path::new("clip.npz"), bytes, &options) {
-            Ok(amass::Content::Clip(clip)) => clip.motion,
+            Ok(Outcome::Clip(clip)) => clip.motion,
             _ => panic!("the archive is good"),
         }
     };

@@ -1,4 +1,4 @@
-//! Checks on a finished motion: what must be rejected, and what is worth a flag.
+//! Checks of a finished motion: rejections and flags.
 
 use std::ops::Range;
 
@@ -24,7 +24,7 @@ pub const FLAG_NO_CONTACT: u32 = 1 << 4;
 pub const FLAG_FAST: u32 = 1 << 5;
 /// A caption speaks of a time outside the clip.
 pub const FLAG_CAPTION_OUTSIDE: u32 = 1 << 6;
-/// Nothing is said about the clip.
+/// The clip has no description.
 pub const FLAG_NO_CAPTION: u32 = 1 << 7;
 /// Joints of the source and of the stored motion lie more than 5 cm apart on average.
 pub const FLAG_POOR_FIT: u32 = 1 << 8;
@@ -52,7 +52,7 @@ pub const FLAG_NAMES: [(u32, &str); 12] = [
     (FLAG_TELEPORT, "teleport"),
 ];
 
-/// What becomes of a motion with a jump that no person can make.
+/// Handling of a motion with a jump that no person can make.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Teleports {
     /// It is put into quarantine.
@@ -66,10 +66,10 @@ pub enum Teleports {
 
 type Joints = [DVec3; NUM_BODY_JOINTS];
 
-/// Fewest frames of a motion: one frame does not move.
+/// Minimum number of frames of a motion.
 const MIN_FRAMES: usize = 2;
-/// Speed of a joint in m/s above which the motion is broken. The fastest human movements, of a
-/// pitcher's hand, come near it.
+/// Speed of a joint in m/s above which the motion is broken. The fastest human movement, a pitcher's
+/// hand, comes close to it.
 const TELEPORT_SPEED: f64 = 20.0;
 const FAST_SPEED: f64 = 12.0;
 const PENETRATION_M: f64 = 0.05;
@@ -84,12 +84,11 @@ const SKATE_SPEED: f64 = 0.3;
 /// The joints at the balls of both feet.
 const FEET: [usize; 2] = [10, 11];
 
-/// Judges a motion.
+/// Checks a motion.
 ///
 /// `max_speed` is the highest speed of any of the 22 body joints. `foot_skate` is the mean
-/// horizontal speed of the foot joints, weighted by `2 - 2^(h / 2.5 cm)` with `h` their height, so
-/// that a swinging foot that clears the floor closely counts little and one above 2.5 cm not at
-/// all. Both are in m/s.
+/// horizontal speed of the foot joints, weighted by `2 - 2^(h / 2.5 cm)` with `h` their height: a foot
+/// that swings close to the floor counts little, a foot above 2.5 cm does not count. Both are in m/s.
 ///
 /// # Errors
 /// `E-TOO-SHORT` for fewer than 2 frames, `E-TELEPORT` for speeds above 20 m/s.
@@ -105,8 +104,8 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
     }
 }
 
-/// Judges a motion as [`check`] does, with another fate for jumps. Returns what is left of the
-/// motion, and its frames if they are not all.
+/// As [`check`], with another handling of jumps. Returns the kept motion, and its frame range if it was
+/// trimmed.
 ///
 /// # Errors
 /// As [`check`]; `E-TELEPORT` also if nothing is left of a trimmed motion.
@@ -138,7 +137,7 @@ pub fn check_with(
     }
 }
 
-/// The longest run of frames into which no joint teleports; the first of several.
+/// The longest run of frames without a teleport; of several, the first.
 fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
     let fps = motion.fps().get();
     let mut longest = 0..0;
@@ -210,7 +209,7 @@ fn judge(motion: &Motion, skeleton: &Skeleton) -> Result<(Quality, Option<Jump>)
     let fps = motion.fps().get();
     let mut first: Option<Joints> = None;
     let mut before: Joints = [DVec3::ZERO; NUM_BODY_JOINTS];
-    // Squares of distances: a root for each joint and frame would cost as much as the kinematics.
+    // Compare squared distances: a square root per joint and frame would cost as much as the kinematics.
     let mut longest_step = 0.0f64;
     let mut fastest = (0, 0);
     let mut longest_shift = 0.0f64;

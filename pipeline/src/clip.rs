@@ -1,4 +1,4 @@
-//! A motion as a reader gives it, and why a file has none.
+//! The result of a reader: a motion, or the reason why there is none.
 
 use std::ops::Range;
 
@@ -42,9 +42,9 @@ pub struct SourceClip {
     pub fit_error_m: Option<f32>,
     /// Frames of the file the motion was made of.
     pub source_frames: Range<usize>,
-    /// What the clip is said to show.
+    /// Captions of the clip.
     pub captions: Vec<Caption>,
-    /// What single body parts are said to do.
+    /// Captions of single body parts.
     pub part_captions: Vec<PartCaption>,
     /// Action label.
     pub action: Option<String>,
@@ -67,7 +67,7 @@ pub struct SourceClip {
 }
 
 impl SourceClip {
-    /// A clip of a whole file, with nothing said about it.
+    /// A clip of a whole file, without captions and labels.
     pub fn new(motion: Motion, rotation_source: RotationSource) -> Self {
         let (num_frames, source_fps) = (motion.len(), motion.fps());
         Self {
@@ -112,7 +112,7 @@ pub struct Markers {
     pub fit_residuals: Vec<f32>,
 }
 
-/// What makes a clip the edit of another one.
+/// The edit that leads to a clip from another one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EditOf {
     /// Id of the motion before the edit.
@@ -121,9 +121,9 @@ pub struct EditOf {
     pub kind: &'static str,
     /// Style of the edit.
     pub style: Option<String>,
-    /// Body parts the edit is said to change.
+    /// Body parts that the edit changes, as stated.
     pub parts: Vec<BodyPart>,
-    /// What turns the one into the other; empty where the source gives no words.
+    /// Instruction of the edit; empty if the source has none.
     pub instruction: String,
 }
 
@@ -132,16 +132,16 @@ pub struct EditOf {
 pub struct SourceMask {
     /// The parts it is made of.
     pub parts: Vec<BodyPart>,
-    /// What the masked parts do; empty where the source does not say.
+    /// What the masked parts do; empty if the source does not say.
     pub text: String,
 }
 
-/// What became of a source item.
+/// Outcome of a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// It is a clip.
     Clip(Box<SourceClip>),
-    /// It is a capture whose markers no known set explains, so that no body could be solved.
+    /// It is a capture whose markers belong to no known set, so that no body was solved.
     Markers {
         /// The capture.
         markers: Box<Markers>,
@@ -155,6 +155,15 @@ pub enum Outcome {
     },
     /// It is a motion that cannot be used.
     Rejected(Rejected),
+}
+
+impl From<Result<SourceClip, Rejected>> for Outcome {
+    fn from(read: Result<SourceClip, Rejected>) -> Self {
+        match read {
+            Ok(clip) => Self::Clip(Box::new(clip)),
+            Err(rejected) => Self::Rejected(rejected),
+        }
+    }
 }
 
 /// Why a file was put into quarantine.
@@ -173,9 +182,9 @@ pub struct Rejected {
 impl Rejected {
     /// Stage of parsing the file.
     pub const READ: &'static str = "read";
-    /// Stage of carrying the motion over to the body.
+    /// Stage of retargeting the motion to the body.
     pub const RETARGET: &'static str = "retarget";
-    /// Stage of judging the finished motion.
+    /// Stage of checking the finished motion.
     pub const CHECK: &'static str = "check";
 
     /// Rejects a file for something found while reading it.
@@ -223,8 +232,8 @@ impl From<pickle::Error> for Rejected {
     }
 }
 
-/// Slowest frame rate believed, in 1/s. A wrong rate of once a day would make a stored clip of
-/// a few frames grow to millions.
+/// Lowest accepted frame rate in 1/s. Resampling from a wrong rate of one frame a day would turn a few
+/// frames into millions.
 pub(crate) const MIN_FPS: f64 = 1.0;
-/// Fastest frame rate believed, in 1/s; optical capture ends near 2000.
+/// Highest accepted frame rate in 1/s; optical capture reaches about 2000.
 pub(crate) const MAX_FPS: f64 = 10_000.0;

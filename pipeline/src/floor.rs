@@ -1,15 +1,15 @@
-//! Where the floor is: files put it anywhere, the store has it at y = 0.
+//! Height of the floor: it varies among files, and is y = 0 in the store.
 
 use datasets_spec::quantile::quantile;
 use datasets_spec::{Fps, Pose, Skeleton};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-/// The joints that meet the floor: both ankles and both feet.
+/// The joints that touch the floor: both ankles and both feet.
 pub(crate) const FOOT_JOINTS: [usize; 4] = [7, 8, 10, 11];
 
-/// Share of the frames whose lowest foot joint may lie below the floor. The very lowest value is
-/// noise: one bad frame would lift the whole clip off the floor.
+/// Fraction of frames whose lowest foot joint may lie below the floor. With the minimum instead, one bad
+/// frame would lift the whole clip off the floor.
 const FLOOR_PERCENTILE: f64 = 0.02;
 
 /// Height in metres above the floor, and speed in m/s, below which a foot joint may be standing.
@@ -23,7 +23,7 @@ const AIRBORNE_HEIGHT_M: f64 = 0.3;
 ///
 /// The floor is the 2nd percentile over the frames of the height of the lowest of both ankle and
 /// both foot joints. A clip that never touches it (no foot joint slower than 0.5 m/s within 5 cm of
-/// it) and keeps 0.3 m above the file's own zero is taken to be airborne, and stays where it is.
+/// it) and stays 0.3 m above the file's own zero counts as airborne and is not moved.
 pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
     let feet: Vec<[DVec3; 4]> = skeleton
         .points_of_poses::<NUM_BODY_JOINTS>(poses)

@@ -23,7 +23,7 @@ pub fn stored_clip(dataset: &Dataset, id: &str) -> Result<MotionRow, Error> {
         })
 }
 
-/// The item of an id, or of the beginning of one.
+/// The item with an id, or with a prefix of one.
 ///
 /// # Errors
 /// There is no such item or several, or the dataset cannot be read.
@@ -72,7 +72,7 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
     }
 }
 
-/// What reading each motion of a source file gives, by its name within the file.
+/// Outcome of reading each motion of a source file, by its name within the file.
 ///
 /// # Errors
 /// The file cannot be read, or its format is unknown.

@@ -1,4 +1,4 @@
-//! How far a dataset is from a published HumanML3D folder, group of features by group.
+//! Comparison of a dataset with a published HumanML3D folder, by feature group.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -19,26 +19,26 @@ use crate::feature::smpl_body;
 use crate::source::{self};
 use pickle::npy;
 
-/// Where a published folder has its vectors and its joints.
+/// Folders of the vectors and joints in a published folder.
 const VECTORS: &str = "new_joint_vecs";
 const JOINTS: &str = "new_joints";
-/// The name of the group that holds the positions of [`JOINTS`].
+/// Name of the group of joint positions, from [`JOINTS`].
 const JOINT_GROUP: &str = "recovered joints";
 
-/// Largest difference of a feature, and of a joint in metres, that other implementations of the
-/// recipe are held to; and the share of frames whose contacts have to be the same.
+/// Tolerance of a feature, and of a joint in metres, for other implementations of the recipe; and the
+/// required fraction of frames with equal contacts.
 const FEATURE_TOLERANCE: f64 = 1e-3;
 const JOINT_TOLERANCE_M: f64 = 1e-4;
 const CONTACT_SHARE: f64 = 0.99;
-/// Ids listed of clips that differ most or that one side lacks.
+/// Number of ids listed, of clips that differ most or that one side lacks.
 const LISTED: usize = 10;
 
-/// A dataset beside a published folder.
+/// Comparison of a dataset with a published folder.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The recipe both sides are held to follow.
+    /// The recipe that both sides should follow.
     pub recipe: &'static str,
-    /// Clips that both sides have and that could be compared.
+    /// Number of clips that were compared.
     pub clips: u64,
     /// Frames of those clips.
     pub frames: u64,
@@ -48,7 +48,7 @@ pub struct Comparison {
     pub only_in_dataset: Missing,
     /// Clips of the folder that the dataset lacks.
     pub only_in_reference: Missing,
-    /// Clips that both sides have and that cannot be compared, or differ in length.
+    /// Clips of both sides that cannot be compared, or differ in length.
     pub problems: Vec<Problem>,
 }
 
@@ -59,7 +59,7 @@ pub struct Group {
     pub name: &'static str,
     /// Largest difference within which a frame agrees.
     pub tolerance: f64,
-    /// Share of frames that have to agree.
+    /// Required fraction of frames that agree.
     pub least_agreeing: f64,
     /// Frames compared; none if the folder lacks the files of this group.
     pub frames: u64,
@@ -71,7 +71,7 @@ pub struct Group {
     pub mean: f64,
     /// Whether enough frames agree.
     pub passed: bool,
-    /// The clips that differ most, none of them equal on both sides.
+    /// The clips that differ most; equal ones are left out.
     pub worst: Vec<Worst>,
 }
 
@@ -95,26 +95,26 @@ pub struct Missing {
     pub first_ids: Vec<String>,
 }
 
-/// A clip that could not be compared in whole.
+/// A clip that could not be compared completely.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
     /// Id of the clip.
     pub id: String,
-    /// What is in the way, with the numbers found and expected.
+    /// The reason, with the numbers found and expected.
     pub reason: String,
 }
 
 impl Comparison {
-    /// Whether there was something to compare, all of it could be compared, and every group agrees.
-    /// Clips that one side lacks do not count: a dataset may be part of the published one.
+    /// Whether there were clips to compare, all could be compared, and every group agrees. Missing clips do not
+    /// count: a dataset may be part of the published one.
     pub fn passed(&self) -> bool {
         self.clips > 0 && self.problems.is_empty() && self.groups.iter().all(|group| group.passed)
     }
 }
 
 /// Compares the features of a dataset with those of a published folder, clip by clip of the same
-/// id. They are those of the table `humanml3d`, or those of the motions where there is no such
-/// table. Memory is bounded by one shard.
+/// id. The features are read from the table `humanml3d`, or computed from the motions if there is none.
+/// Memory is bounded by one shard.
 ///
 /// # Errors
 /// The folder has neither vectors nor joints, or it or the dataset cannot be read. A file of the
@@ -190,14 +190,14 @@ struct Reference {
     joints: BTreeMap<String, PathBuf>,
 }
 
-/// What came of a clip of the dataset.
+/// Result for a clip of the dataset.
 enum Met {
     /// The folder lacks it.
     Unknown,
-    /// It was compared, as far as it could be.
+    /// It was compared as far as possible.
     Compared {
         frames: usize,
-        /// By group; none for a group whose file is not there or not readable.
+        /// By group; none for a group whose file is missing or unreadable.
         differences: Vec<Option<Difference>>,
         problems: Vec<String>,
     },
@@ -315,7 +315,7 @@ fn note_lengths(folder: &str, own: usize, published: usize, problems: &mut Vec<S
     }
 }
 
-/// What a group of features is held to.
+/// Tolerance of a group of features.
 #[derive(Clone, Copy)]
 struct Rule {
     name: &'static str,
@@ -413,7 +413,7 @@ impl Difference {
     }
 }
 
-/// What was found so far.
+/// Results so far.
 struct Tally {
     clips: u64,
     frames: u64,
@@ -504,8 +504,8 @@ impl Rule {
     }
 }
 
-/// Puts a clip in its place among those that differ most: by the frames that disagree for contacts,
-/// by the largest difference otherwise. The first of equal ones stays first.
+/// Inserts a clip into the list of those that differ most: ordered by differing frames for contacts, else by
+/// the largest difference. Ties keep their order.
 fn rank(worst: &mut Vec<Worst>, id: &str, difference: &Difference) {
     if difference.max == 0.0 {
         return;

@@ -3,9 +3,8 @@
 use datasets_spec::table::{Caption, PartCaption};
 use serde::{Deserialize, Serialize};
 
-/// The content of `<stem>.stance.json`, which may lie beside any motion file and says what the
-/// file itself has no place for. Every field may be left out; unknown fields are an error, so that
-/// a misspelt one is noticed.
+/// The content of `<stem>.stance.json`, which may lie beside any motion file and adds what its format
+/// cannot hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {

@@ -1,7 +1,7 @@
-//! Stages from folder to folder: open what the stage before wrote, do the work, commit the result.
+//! Stages from folder to folder: open the result of the stage before, do the work, commit the result.
 //!
-//! Each function is one verb of the command. A stage whose result is there already, by the same plan,
-//! does nothing.
+//! Each function is one verb of the command. A stage does nothing if its result already exists by the
+//! same plan.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -28,7 +28,7 @@ use crate::catalogue::other_than_motions;
 use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Stream, draw_items};
 use crate::ingest::IngestOptions;
 
-/// Tables that composed edits follow from.
+/// Tables that composed edits depend on.
 pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
 
 /// Context of a stage: where it reports and who locks the folder it writes.
@@ -99,7 +99,7 @@ impl IngestConfig {
 /// Opens a dataset for a stage that works on motions.
 ///
 /// # Errors
-/// The folder is no dataset, or holds something else than motions.
+/// The folder is not a dataset, or holds no motions.
 pub fn open_motions(root: &Path) -> Result<Dataset, Error> {
     let dataset = Dataset::open(root)?;
     match other_than_motions(&dataset) {
@@ -111,7 +111,7 @@ pub fn open_motions(root: &Path) -> Result<Dataset, Error> {
     }
 }
 
-/// What becomes of masks that people have judged when automatic ones are asked for.
+/// Handling of human-judged masks when automatic ones are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judged {
     /// They stay, and the stage does nothing.
@@ -176,8 +176,8 @@ pub fn masks(
     context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)
 }
 
-/// Makes style pairs from the labels of a dataset and commits them beside those that its sources
-/// came with. Also returns the styled motions without a counterpart.
+/// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also
+/// returns the styled motions without a counterpart.
 ///
 /// # Errors
 /// The dataset cannot be read or written.
@@ -378,7 +378,7 @@ pub fn can_coordinate(root: &Path) -> Result<bool, Error> {
 pub struct DrawnItems {
     /// The folder of items.
     pub dataset: Dataset,
-    /// Number of items drawn now, where it is less than the number asked for.
+    /// Number of items drawn, if it is less than requested.
     pub fewer: Option<usize>,
 }
 

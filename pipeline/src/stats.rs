@@ -1,4 +1,4 @@
-//! Numbers about a dataset: how much, of what, how well.
+//! Statistics of a dataset.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,10 +13,10 @@ use crate::Error;
 use crate::check::FLAG_NAMES;
 use crate::ingest::REMARKS_FACT;
 
-/// Upper ends of the classes of durations, in seconds; the last class has none.
+/// Upper bounds of the duration classes in seconds; the last class has none.
 const DURATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 60.0];
 
-/// Clips that have something in common.
+/// Totals of a group of clips.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Share {
     /// Clips.
@@ -27,21 +27,21 @@ pub struct Share {
     pub hours: f64,
 }
 
-/// How a number is spread.
+/// Distribution of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// Value below which 5 % lie.
+    /// 5th percentile.
     pub p5: f64,
     /// The median.
     pub p50: f64,
-    /// Value below which 95 % lie.
+    /// 95th percentile.
     pub p95: f64,
     /// The largest.
     pub max: f64,
 }
 
 impl Spread {
-    /// The spread of numbers; none of none.
+    /// The distribution of some numbers; none if there are none.
     fn of(mut numbers: Vec<f64>) -> Option<Self> {
         let mut at = |share: f64| quantile(&mut numbers, share);
         Some(Self {
@@ -53,7 +53,7 @@ impl Spread {
     }
 }
 
-/// Numbers about a dataset.
+/// Statistics of a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Statistics {
     /// All clips.
@@ -62,7 +62,7 @@ pub struct Statistics {
     pub splits: BTreeMap<String, Share>,
     /// By kind of source.
     pub sources: BTreeMap<String, Share>,
-    /// By where the rotations come from.
+    /// By origin of the rotations.
     pub rotations: BTreeMap<String, Share>,
     /// By stored frame rate.
     pub rates: BTreeMap<String, Share>,
@@ -78,7 +78,7 @@ pub struct Statistics {
     pub captions: u64,
     /// Words of all captions.
     pub words: u64,
-    /// Clips nothing is said of.
+    /// Clips without captions.
     pub silent: u64,
     /// Clips by duration, in classes.
     pub durations: Vec<(String, u64)>,
@@ -96,7 +96,7 @@ pub struct Statistics {
     pub pairs: BTreeMap<String, u64>,
     /// Pairs by split.
     pub pair_splits: BTreeMap<String, u64>,
-    /// What ingestion found worth knowing about the splits.
+    /// Remarks of the ingestion on the splits.
     pub remarks: Option<String>,
 }
 

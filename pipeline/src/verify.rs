@@ -1,4 +1,4 @@
-//! Whether a dataset is what it says: hashes, columns, contents, and splits that keep apart.
+//! Verification of a dataset: hashes, columns, contents, and no leaks between splits.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,21 +17,21 @@ use serde::Serialize;
 use crate::Error;
 use crate::compose::{check_mask, check_pair};
 
-/// What a finding is about.
+/// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Check {
-    /// Files are there, with the recorded size and hash.
+    /// Files exist with the recorded size and hash.
     Files,
     /// Every table has its columns, and rows decode.
     Schema,
-    /// Motions are what their hashes and counts say.
+    /// Motions match their hashes and counts.
     Contents,
-    /// Rows that name a motion or an item name one that is there, and say the same of it.
+    /// Rows that name a motion or an item name an existing one and agree with it.
     References,
-    /// Edits have names of their own: system, item and seed.
+    /// Edits are unique by system, item and seed.
     Systems,
-    /// Nothing of a source clip is in two splits.
+    /// No source clip is in two splits.
     Splits,
     /// Sources equal ingested, quarantined and skipped.
     Accounting,
@@ -63,7 +63,7 @@ impl Check {
     }
 }
 
-/// Something that is not as it should be.
+/// A defect.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Finding {
     /// The check that found it.
@@ -74,29 +74,29 @@ pub struct Finding {
     pub problem: String,
 }
 
-/// What was checked and what was found.
+/// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Verification {
     /// Files whose hashes were computed.
     pub files: u64,
     /// Rows that were decoded.
     pub rows: u64,
-    /// Everything that is wrong.
+    /// All defects.
     pub findings: Vec<Finding>,
-    /// Motions that are equal to one of another split. Published datasets contain some, so they are
-    /// told apart from the findings.
+    /// Motions equal to one of another split. Published datasets contain some, so they are listed apart from
+    /// the findings.
     pub duplicates: Vec<Finding>,
 }
 
 impl Verification {
-    /// Whether nothing is wrong.
+    /// Whether there are no findings.
     pub fn passed(&self) -> bool {
         self.findings.is_empty()
     }
 }
 
-/// Checks a dataset from its files to its contents. Memory is bounded by one shard a thread and a
-/// line for each motion.
+/// Checks a dataset from its files to its contents. Memory is bounded by one shard per thread and a
+/// small record per motion.
 ///
 /// # Errors
 /// The folder is no dataset, or of a newer format.
@@ -176,7 +176,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     for name in named {
         findings.extend(name.check(&motions));
     }
-    // Motions of several rates can be stored, and cannot be composed.
+    // Motions of several rates can be stored, but not composed.
     let composed: BTreeSet<Split> = labels.into_values().collect();
     for (_, rates) in rates
         .into_iter()
@@ -224,7 +224,7 @@ impl Rates {
     }
 }
 
-/// What is kept of a motion to compare it with others.
+/// Data of a motion for comparison with others.
 struct Met {
     fps: f32,
     id: MotionId,
@@ -234,7 +234,7 @@ struct Met {
 }
 
 impl Met {
-    /// Whether a motion that was met before has the same content and another split.
+    /// Whether an earlier motion has the same content and another split.
     fn duplicate_of(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
         let first = met
             .entry(self.content_hash.clone())
@@ -249,7 +249,7 @@ impl Met {
         })
     }
 
-    /// Whether a motion made of the same source clip was met in another split.
+    /// Whether an earlier motion of the same source clip is in another split.
     fn leak(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
         let clip = match &self.mirrored_of {
             Some(original) => {
@@ -271,7 +271,7 @@ impl Met {
     }
 }
 
-/// What an item asks, which its answers repeat.
+/// Columns of an item that its edits repeat.
 #[derive(PartialEq)]
 struct Asked {
     split: Split,
@@ -279,7 +279,7 @@ struct Asked {
     instruction: String,
 }
 
-/// An edit: what it answers, and who made it.
+/// An edit: its item and its system.
 struct Answer {
     id: String,
     asked: Asked,
@@ -299,8 +299,8 @@ impl Answer {
     }
 }
 
-/// Whether every edit answers an item that is there, once for each seed, and every system is one
-/// checkpoint with one set of settings.
+/// Whether every edit answers an existing item, once per seed, and every system has one checkpoint and
+/// one set of settings.
 fn check_answers(answers: &[Answer], items: &BTreeMap<String, Asked>) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut taken = BTreeSet::new();
@@ -369,16 +369,16 @@ impl Named {
     }
 }
 
-/// What a mask or pair says of itself.
+/// Identity of a mask or pair.
 struct Label<'a> {
     id: &'a str,
     split: Split,
     motions: Vec<&'a MotionId>,
-    /// Whether it can be composed.
+    /// Whether the composer accepts it.
     usable: Result<(), crate::compose::Error>,
 }
 
-/// What one file was found to hold.
+/// Contents of one file.
 #[derive(Default)]
 struct Read {
     rows: u64,
@@ -440,7 +440,7 @@ impl Read {
         });
     }
 
-    /// Decodes the rows of a table and takes the motions they name.
+    /// Decodes the rows of a table and collects the motions they name.
     fn rows_of<R: Row>(
         &mut self,
         path: &Path,
@@ -459,7 +459,7 @@ impl Read {
         Ok(())
     }
 
-    /// Decodes masks or pairs: whether they can be composed, and the motions they name.
+    /// Decodes masks or pairs: whether the composer accepts them, and the motions they name.
     fn labels_of<R: Row>(
         &mut self,
         path: &Path,
@@ -504,7 +504,7 @@ impl Read {
         Ok(rows)
     }
 
-    /// Checks that every item is what its id says.
+    /// Checks that every item matches its id.
     fn items(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
         for row in self.decoded::<ItemRow>(path, file)? {
             if let Err(error) = row.check() {
@@ -520,7 +520,7 @@ impl Read {
         Ok(())
     }
 
-    /// Checks that edits are motions, and that their settings are those of their hash.
+    /// Checks that edits are motions, and that their settings match their hash.
     fn edits(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
         for row in self.decoded::<EditRow>(path, file)? {
             let item = format!("{} of {}", row.id, row.system);

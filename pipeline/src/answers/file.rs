@@ -18,7 +18,7 @@ use pickle::npy;
 use pickle::npz::Archive;
 use pickle::{self, Value};
 
-/// What the name of a file says it holds.
+/// Kind of a file by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// SMPL parameters of AMASS's layouts, z up, or of the store's, y up.
@@ -32,7 +32,7 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// The kind of a file; why it holds no answer if it has none.
+    /// The kind of a file, or why it holds no answer.
     pub(super) fn of(path: &Path) -> Result<Self, String> {
         let extension = path
             .extension()
@@ -54,7 +54,7 @@ const MOTIONFIX_FPS: f64 = 30.0;
 const RELEASE_FPS: f64 = 20.0;
 /// Numbers of a frame of MotionFix's `pose`: translation, root and 21 body joints with 6 each.
 const POSE_WIDTH: usize = 3 + 6 * NUM_BODY_JOINTS;
-/// The keys of the store's layout, which SMPL-X users know.
+/// Keys of the store's layout, in the names of SMPL-X.
 const STORE_KEYS: [&str; 3] = ["transl", "global_orient", "body_pose"];
 
 /// Reads a file with one answer.
@@ -91,7 +91,7 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
     }
     let fps = match archive.has("fps") {
         true => archive.numbers("fps")?.values.first().copied(),
-        // A rate that is missing is reported with what can be done about it.
+        // A missing rate is reported later, with what to do about it.
         false => amass::read_fps(&mut archive).ok(),
     };
     let mut frames = |key: &str, width: usize| -> Result<Vec<f64>, Rejected> {
@@ -146,7 +146,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
             ..error
         };
         let value = pickle::read(dump).map_err(at)?;
-        // NumPy pickles the array, whose one item is the dictionary.
+        // NumPy pickles the dictionary as an array of one item.
         return match value.as_sequence() {
             Some([inner]) => of_value(inner),
             _ => of_value(&value),
@@ -154,7 +154,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
     }
     let clip = humanml3d::read_array(bytes, skeleton)?;
     Ok(Recorded {
-        // The vector knows no origin and no heading.
+        // The vector has no origin and no heading.
         place: Place::Source,
         fit_error_m: clip.fit_error_m,
         ..Recorded::of_motion(&clip.motion)
@@ -163,7 +163,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
 
 /// The motion of a dictionary: `pose`, or `rots` and `trans`, of MotionFix (SMPL-H, z up, 30 fps), or
 /// `body_pose`, `global_orient` and `transl` (SMPL-X, y up, 20 fps) as the STANCE release has them.
-/// A number `fps` beside them wins.
+/// A number `fps` beside them takes precedence.
 ///
 /// # Source
 /// Repository athn-nik/motionfix: what its evaluation writes for each item.
@@ -218,7 +218,7 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
     Ok(Recorded {
         fps: fps.or(Some(MOTIONFIX_FPS)),
         up: Up::Z,
-        // Its evaluation integrates from an origin and a heading of its own.
+        // Its evaluation integrates from its own origin and heading.
         place: Place::Source,
         ..recorded
     })
@@ -235,8 +235,8 @@ fn wide<const N: usize>(frame: &[f32]) -> [f64; N] {
     std::array::from_fn(|column| f64::from(frame[column]))
 }
 
-/// Rotation vectors from the first two rows of each joint's matrix. Numbers that are not finite stay
-/// so, for the check behind.
+/// Rotation vectors from the first two rows of each joint's matrix. Numbers that are not finite stay so and
+/// are checked later.
 fn from_rows(frame: &[f32]) -> [f64; VECTORS_WIDTH] {
     let mut vectors = [0.0; VECTORS_WIDTH];
     for (rows, vector) in frame.chunks_exact(6).zip(vectors.chunks_exact_mut(3)) {

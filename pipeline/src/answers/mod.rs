@@ -1,7 +1,7 @@
-//! Answers of systems that live elsewhere: from files to rows of table `edits`.
+//! Answers of external systems: from files to rows of table `edits`.
 //!
-//! Every answer found is imported, refused with a code and a reason, or passed over because it is no
-//! motion; the three add up to what was found. Items without an answer are named.
+//! Every answer found is imported, refused with a code and a reason, or skipped because it is not a motion;
+//! the three add up to the number found. Items without an answer are listed.
 
 mod file;
 mod recorded;
@@ -35,12 +35,12 @@ pub enum Up {
     Z,
 }
 
-/// Where an answer stands on the ground.
+/// Placement of an answer on the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// Where its file says.
+    /// As in its file.
     File,
-    /// On the floor, beginning where the item's source begins and facing as it does.
+    /// On the floor, with the position and heading of the first frame of the item's source.
     Source,
 }
 
@@ -53,11 +53,11 @@ pub struct AnswerOptions {
     pub settings: String,
     /// Seed of answers that state none; takes of one item differ by it.
     pub seed: Seed,
-    /// Rate of all answers, in place of what files say.
+    /// Rate of all answers, in place of the files' own.
     pub fps: Option<Fps>,
-    /// Vertical axis of all answers, in place of what their formats have.
+    /// Vertical axis of all answers, in place of that of their formats.
     pub up: Option<Up>,
-    /// Place of all answers, in place of what their formats have.
+    /// Placement of all answers, in place of that of their formats.
     pub place: Option<Place>,
 }
 
@@ -66,12 +66,12 @@ pub struct AnswerOptions {
 pub struct Answers {
     /// The edits, in the order of the items, then of the seeds.
     pub rows: Vec<EditRow>,
-    /// What became of every answer.
+    /// Report on every answer.
     pub report: AnswerReport,
     quarantine: Vec<QuarantineRow>,
 }
 
-/// What became of every answer: `found = imported + refused + passed_over`.
+/// Report on every answer: `found = imported + refused + passed_over`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AnswerReport {
     /// Items asked.
@@ -88,9 +88,9 @@ pub struct AnswerReport {
     pub refused: Vec<Refusal>,
     /// Files that hold no answer.
     pub passed_over: Vec<PassedOver>,
-    /// What looks as if the files were read in another way than they were written.
+    /// Signs that the files were read with the wrong settings.
     pub warnings: Vec<String>,
-    /// BLAKE3 of the imported bytes: what the edits have in place of a checkpoint's hash.
+    /// BLAKE3 of the imported bytes, which replaces the hash of a checkpoint.
     pub checkpoint_hash: String,
 }
 
@@ -99,7 +99,7 @@ pub struct AnswerReport {
 pub struct Refusal {
     /// Path of the file, relative to what was given.
     pub file: String,
-    /// What it is called: the stem of the file, or the id of the row.
+    /// Its name: the stem of the file, or the id of the row.
     pub name: String,
     /// Code that scripts may rely on.
     pub code: &'static str,
@@ -134,11 +134,11 @@ impl AnswerReport {
     }
 }
 
-/// The names items go by.
+/// Names of the items.
 struct Names(BTreeMap<String, usize>);
 
 impl Names {
-    /// Ends that exporters put behind the name of a motion.
+    /// Suffixes that exporters append to the name of a motion.
     const ENDS: [&'static str; 2] = ["_stageii", "_poses"];
 
     fn of(items: &[ItemRow]) -> Result<Self, Error> {
@@ -151,7 +151,7 @@ impl Names {
                 });
             }
         }
-        // Names that are not ids must not take the place of one, nor mean two items.
+        // A name that is not an id must not shadow an id or be ambiguous.
         let mut others: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
         for (index, item) in items.iter().enumerate() {
             for name in [Some(item_stem(&item.id)), motionfix_number(item)]
@@ -169,7 +169,7 @@ impl Names {
         Ok(Self(names))
     }
 
-    /// The item of a name, and the seed behind it if there is one.
+    /// The item of a name, and the seed in its suffix if there is one.
     fn find(&self, name: &str) -> Option<(usize, Option<Seed>)> {
         let plain = |name: &str| self.0.get(name).copied();
         let bare = Self::ENDS
@@ -184,7 +184,7 @@ impl Names {
     }
 }
 
-/// The number of a pair in MotionFix, by which its evaluation names files.
+/// The number of a pair in MotionFix, which its evaluation uses as a file name.
 fn motionfix_number(item: &ItemRow) -> Option<String> {
     if item.task != crate::compose::ItemTask::MotionFix.as_str() {
         return None;
@@ -193,7 +193,7 @@ fn motionfix_number(item: &ItemRow) -> Option<String> {
     Some(name.strip_suffix("-source")?.to_owned())
 }
 
-/// An answer on its way to a row.
+/// An answer that was read.
 struct Found {
     file: String,
     file_hash: String,
@@ -205,13 +205,13 @@ struct Found {
 
 /// Reads the answers in files, and in files under folders, to the items.
 ///
-/// An answer belongs to the item whose id is the stem of its file, or stands in column `id` of its
-/// table. A number behind the stem, as in `ID-7`, is the seed of the sample. MotionFix's items also go
-/// by the number of their pair.
+/// An answer belongs to the item whose id is the stem of its file, or is in column `id` of its table. A
+/// number after the stem, as in `ID-7`, is the seed of the sample. The number of the pair is also a name
+/// of MotionFix's items.
 ///
 /// # Errors
-/// A path does not exist, there is no file, or the items are not what their ids say. What is wrong
-/// with an answer is in the report.
+/// A path does not exist, there is no file, or an item does not match its id. Errors of single answers are in
+/// the report.
 pub fn read_answers(
     files: &[PathBuf],
     items: &[ItemRow],
@@ -251,7 +251,7 @@ pub fn read_answers(
     Ok(Answers::of(found, passed_over, items, options))
 }
 
-/// What reading an answer needs.
+/// Context for reading an answer.
 struct Reader<'a> {
     names: &'a Names,
     items: &'a [ItemRow],
@@ -279,8 +279,7 @@ impl Reader<'_> {
             }
         };
         let file_hash = blake3::hash(&bytes).to_hex().to_string();
-        // The readers are written not to panic; a bug in one of them must not take the other answers
-        // with it.
+        // Readers should not panic, but a bug in one of them must not lose the other answers.
         let guarded = |work: &mut dyn FnMut() -> Result<Vec<Found>, Rejected>| {
             std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|_| {
                 Err(Rejected::read(
@@ -407,8 +406,8 @@ impl Answers {
     }
 
     /// Commits items and edits as a folder that `stance eval` scores: tables `items`, `edits` and,
-    /// where answers were refused, `quarantine`, all or none of them. What is there already by the
-    /// same answers is left as it is.
+    /// where answers were refused, `quarantine`, all or none of them. If the folder already holds the same
+    /// answers, nothing is written.
     ///
     /// # Errors
     /// The folder is a dataset of something else, is locked, or cannot be written.
@@ -503,7 +502,7 @@ impl Answers {
     }
 }
 
-/// Several answers to one item with one seed: nothing says which is meant, so none is taken.
+/// Several answers to one item with one seed are ambiguous, so all are refused.
 fn refuse_repeated(found: &mut [Found]) {
     let mut places: BTreeMap<(usize, u64), Vec<usize>> = BTreeMap::new();
     for (at, found) in found.iter().enumerate() {
@@ -539,8 +538,8 @@ fn quarantined(file: &str, source_hash: String, rejected: &Rejected) -> Quaranti
     }
 }
 
-/// BLAKE3 of the imported bytes: of the pairs (item, hash of the file its answer came from), sorted,
-/// and of how the files were read. It depends on no name or order of files beyond what they answer.
+/// BLAKE3 of the imported bytes: of the sorted pairs (item, hash of the answer's file), and of the settings
+/// they were read with. It does not depend on the names or the order of the files.
 fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> String {
     imported.sort();
     imported.dedup();
@@ -554,14 +553,13 @@ fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> Str
     hasher.finalize().to_hex().to_string()
 }
 
-/// Cosine between the body's axis and the vertical above which it stands, and below which it lies.
+/// Cosine between the body's axis and the vertical above which the body stands, and below which it lies.
 const STANDING: f64 = 0.7;
 const LYING: f64 = 0.3;
-/// Distance in metres over the ground between the first frames of an answer and of its source that
-/// no edit makes.
+/// Implausible distance in metres over the ground between the first frames of an answer and its source.
 const FAR_M: f64 = 2.0;
 
-/// What looks as if files were read in another way than they were written.
+/// Signs that files were read with the wrong settings.
 fn warnings(rows: &[(usize, Seed, Motion, Option<f32>)], items: &[ItemRow]) -> Vec<String> {
     let (mut lying, mut far) = (0, 0);
     for (index, _, motion, _) in rows {

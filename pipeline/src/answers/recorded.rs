@@ -1,4 +1,4 @@
-//! A motion as a foreign file has it, and how it is brought into the frame of an item.
+//! A motion of a foreign file, and its conversion to the frame of an item.
 
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
@@ -16,7 +16,7 @@ use crate::source::smpl;
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
 
-/// SMPL parameters as a file has them.
+/// SMPL parameters of a file.
 ///
 /// # Shapes
 /// `transl` is `[T, 3]` in metres, `vectors` `[T, 66]` in radians.
@@ -24,9 +24,9 @@ pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
 pub(super) struct Recorded {
     /// Rate the file states, in 1/s.
     pub(super) fps: Option<f64>,
-    /// The vertical axis files of its kind have.
+    /// The vertical axis of its format.
     pub(super) up: Up,
-    /// Where motions of its kind stand.
+    /// Placement of motions of its format.
     pub(super) place: Place,
     pub(super) transl: Vec<[f64; 3]>,
     pub(super) vectors: Vec<[f64; VECTORS_WIDTH]>,
@@ -36,7 +36,7 @@ pub(super) struct Recorded {
 }
 
 impl Recorded {
-    /// Puts columns together.
+    /// Makes parameters from columns.
     ///
     /// # Errors
     /// `E-SMPL-SHAPE` if they differ in length.
@@ -89,11 +89,11 @@ impl Recorded {
         recorded
     }
 
-    /// The motion at the rate of an item, y up, where the item's source stands if that is asked for
-    /// or the file has no place of its own. What needs no change keeps its bits.
+    /// The motion at the rate of an item, y up. It is placed at the item's source on request, or if the file has
+    /// no placement. Numbers that need no change keep their bits.
     ///
     /// # Errors
-    /// `E-ANSWER-FPS` if nobody states a rate or none can be believed, `E-NOT-FINITE`, `E-TOO-SHORT`.
+    /// `E-ANSWER-FPS` if no valid rate is stated, `E-NOT-FINITE`, `E-TOO-SHORT`.
     pub(super) fn motion(
         &self,
         item: &ItemRow,
@@ -192,8 +192,8 @@ fn bad(error: &dyn std::fmt::Display) -> Rejected {
     Rejected::read("E-NOT-FINITE", error.to_string())
 }
 
-/// Moves a motion over the ground and turns it about the vertical, so that its first frame stands
-/// where `first` does and faces as it does.
+/// Moves a motion over the ground and rotates it about the vertical, so that its first frame has the position
+/// and heading of `first`.
 fn stand_where(poses: &mut [Pose], first: &Pose, rest_pelvis: DVec3) {
     let heading = |pose: &Pose| rotation::yaw(DMat3::from_quat(pose.rotations[0]));
     let on_ground = |pose: &Pose| (pose.transl + rest_pelvis).with_y(0.0);

@@ -1,8 +1,7 @@
-//! Answers in a Parquet file that somebody else wrote.
+//! Answers in a foreign Parquet file.
 //!
-//! The columns are found by name and read by meaning: text of any width, numbers of any type, lists
-//! of any kind and with any name of their item. Tables of our own go through the strict reader of
-//! `datasets-spec`.
+//! The columns are found by name and read with any compatible type: text of any width, numbers of any type,
+//! lists of any kind and item name. Our own tables go through the strict reader of `datasets-spec`.
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
@@ -21,22 +20,22 @@ use parquet::arrow::arrow_reader::{
 use super::recorded::Recorded;
 use crate::clip::Rejected;
 
-/// Columns that may hold the id of the item, the first that is there.
+/// Columns that may hold the id of the item; the first that exists is used.
 const ID_COLUMNS: [&str; 2] = ["id", "item"];
 const MOTION_COLUMNS: [&str; 3] = ["transl", "global_orient", "body_pose"];
 const FPS_COLUMN: &str = "fps";
 const SEED_COLUMN: &str = "seed";
 /// Rows decoded at a time.
 const BATCH_ROWS: usize = 64;
-/// Most bytes the columns that are read may unpack to: ten thousand answers of ten seconds in double
-/// precision take 2.2 GB.
+/// Limit on the unpacked bytes of the columns: ten thousand answers of ten seconds in double precision take
+/// 2.2 GB.
 const MAX_UNPACKED_LEN: i64 = 8 << 30;
-/// Deepest nesting of lists: frames of joints of axes nest three deep.
+/// Limit on the nesting of lists: frames of joints of axes nest three deep.
 const MAX_DEPTH: usize = 4;
 
 /// An answer of a table.
 pub(super) struct TableAnswer {
-    /// What the row calls its item.
+    /// The row's name of its item.
     pub(super) id: String,
     pub(super) seed: Option<u64>,
     pub(super) recorded: Result<Recorded, Rejected>,
@@ -46,8 +45,8 @@ pub(super) struct TableAnswer {
 ///
 /// # Errors
 /// `E-TABLE-FORMAT` if the bytes are no Parquet file that can be read, `E-TABLE-LIMIT` if it unpacks
-/// too far, `E-TABLE-COLUMNS` if a column is missing or of a type that holds no such thing. What is
-/// wrong with a single row is that row's.
+/// too far, `E-TABLE-COLUMNS` if a column is missing or of an incompatible type. Errors of single rows are
+/// kept with the row.
 pub(super) fn read(bytes: Vec<u8>) -> Result<Vec<TableAnswer>, Rejected> {
     crate::source::refuse_pointer(&bytes)?;
     // The Parquet library panics on some damaged pages.
@@ -180,7 +179,7 @@ fn whole(values: &ArrayRef, row: usize) -> Option<u64> {
             let mut found = Vec::new();
             numbers(values, row, MAX_DEPTH, &mut found).ok()?;
             let [value] = found[..] else { return None };
-            // Beyond this a double holds no odd numbers.
+            // Beyond this a double cannot hold odd numbers.
             let is_exact = value.fract() == 0.0 && (0.0..=2f64.powi(53)).contains(&value);
             is_exact.then_some(value as u64)
         }
@@ -191,7 +190,7 @@ fn bad_column(name: &str, row: usize, problem: &str) -> Rejected {
     Rejected::read("E-TABLE-VALUE", format!("row {row}, {name}: {problem}"))
 }
 
-/// The text of a row, whatever its width; what the column holds instead.
+/// The text of a row of any width, or the type that the column has instead.
 fn text(values: &ArrayRef, row: usize) -> Result<Option<String>, String> {
     if values.is_null(row) {
         return Ok(None);
@@ -262,7 +261,7 @@ fn is_list(data_type: &DataType) -> bool {
     )
 }
 
-/// The values of a list column and which of them a row has; none for a column of anything else.
+/// The values of a list column and the range of a row; none for other columns.
 fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<usize>)> {
     Some(match values.data_type() {
         DataType::List(_) => {

@@ -13,7 +13,7 @@ use super::paths::{safe_path, unique};
 use crate::Error;
 use crate::write::amass;
 
-/// End of the names of the files of the release.
+/// Suffix of the release's file names.
 const NAME_END: &str = "_stageii.npz";
 
 /// Writes a file for each motion, in folders as its id has them, and returns their number.

@@ -1,4 +1,4 @@
-//! Exports with one file a clip.
+//! Exports with one file per clip.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -27,8 +27,8 @@ pub(super) fn gltf(
     each(dataset, folder, "glb", progress, write::gltf::encode)
 }
 
-/// Writes every clip under a path made from its id, with its sidecar beside it, so that nothing that
-/// is said of it is lost on the way back.
+/// Writes every clip under a path made from its id, with its metadata in a sidecar, so that ingesting it
+/// again loses nothing.
 fn each(
     dataset: &Dataset,
     folder: &Path,

@@ -1,4 +1,4 @@
-//! Edits of systems, and the questions they answer, with one file each.
+//! Edits of systems and their items, with one file each.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,12 +15,12 @@ use crate::{Error, write};
 
 const LIST: &str = "edits.json";
 
-/// Which motions of the questions are exported beside the answers.
+/// Motions of the items that are exported beside the edits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sides {
-    /// Those that were to be edited.
+    /// The sources.
     pub sources: bool,
-    /// Those they should have become.
+    /// The targets.
     pub targets: bool,
 }
 
@@ -46,8 +46,8 @@ struct Said<'a> {
     frames: usize,
 }
 
-/// Writes the edits of a folder to a new one, each under `SYSTEM/ITEM`, with its seed behind where a
-/// system has several takes of an item, and `edits.json` with what was asked. Sources and targets of
+/// Writes the edits of a folder to a new one, each under `SYSTEM/ITEM`, with the seed as a suffix where a
+/// system has several takes of an item, and the questions to `edits.json`. Sources and targets of
 /// the items go to `sources/ITEM` and `targets/ITEM` on request. Returns the number of motions.
 ///
 /// # Errors

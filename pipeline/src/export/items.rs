@@ -1,4 +1,4 @@
-//! Test items for systems that live elsewhere.
+//! Test items for external systems.
 
 use std::fs;
 use std::path::Path;
@@ -25,7 +25,7 @@ struct List<'a> {
     items: Vec<Item<'a>>,
 }
 
-/// A test question, without what only the target knows.
+/// A test question, without information from the target.
 #[derive(Serialize)]
 struct Item<'a> {
     id: &'a str,
@@ -35,7 +35,7 @@ struct Item<'a> {
     parts: &'a [String],
     fps: f32,
     source: File,
-    /// Frames of the target: published protocols tell systems how long their answer is to be.
+    /// Frames of the target: published protocols give systems the length of the answer.
     target_frames: i32,
     #[serde(skip_serializing_if = "Option::is_none")]
     target: Option<File>,
@@ -53,13 +53,13 @@ pub(crate) fn item_stem(id: &str) -> String {
 }
 
 /// Writes items to a new folder: `sources/ID.npz` with SMPL-X parameters in AMASS's layout (z up) and
-/// `keypoints` `[T, 28, 3]` in the same frame, and `items.json` with what is asked. Targets go to
-/// `targets/ID.npz`, and only if they are asked for. Equal items give equal bytes. Returns the number of
-/// motions written.
+/// `keypoints` `[T, 28, 3]` in the same frame, and the questions to `items.json`. Targets go to
+/// `targets/ID.npz`, but only on request. Equal items give equal bytes. Returns the number of motions
+/// written.
 ///
 /// # Errors
-/// The folder exists and is not empty, an item is not what its id says, or writing fails; nothing is
-/// left behind then.
+/// The folder exists and is not empty, an item does not match its id, or writing fails; nothing is left
+/// behind then.
 pub fn export_items(
     items: &[ItemRow],
     skeleton: &Skeleton,

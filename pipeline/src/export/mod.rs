@@ -1,7 +1,7 @@
 //! Datasets in the layouts that other tools read.
 //!
-//! An export appears whole or not at all: it is written to a folder beside the one asked for, which
-//! gets its name when everything is in it.
+//! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
+//! renamed when it is complete.
 
 mod amass;
 mod clips;
@@ -43,7 +43,7 @@ pub enum Layout {
     Gltf,
     /// Tar shards of npy and json members.
     WebDataset,
-    /// LeRobot v3: one row a frame.
+    /// LeRobot v3: one row per frame.
     LeRobot,
 }
 
@@ -103,7 +103,7 @@ pub fn export(
     Ok(clips)
 }
 
-/// A folder that is removed again unless it is published.
+/// A temporary folder that is removed unless it is published.
 struct Staging {
     path: PathBuf,
     published: bool,
@@ -157,8 +157,8 @@ impl Staging {
 impl Drop for Staging {
     fn drop(&mut self) {
         if !self.published {
-            // What is left behind by a failing disk cannot be reported from here; the error that
-            // led here is.
+            // A failure to remove the folder cannot be reported from here; the error that led here
+            // is reported.
             let _ = fs::remove_dir_all(&self.path);
         }
     }

@@ -1,9 +1,9 @@
-//! File names made of ids.
+//! File names made from ids.
 
 use std::collections::BTreeSet;
 
-/// A relative path of an id that every file system takes: characters with a meaning become `_`, and
-/// no part is empty or a dot path.
+/// A relative path for an id that is valid on every file system: special characters become `_`, and no
+/// component is empty or a dot path.
 pub(super) fn safe_path(id: &str) -> String {
     let parts: Vec<String> = id
         .split('/')
@@ -24,7 +24,7 @@ pub(super) fn safe_path(id: &str) -> String {
     parts.join("/")
 }
 
-/// The path, with a number where a path that differs in case alone is taken.
+/// The path, with a number if a path that differs only in case is taken.
 pub(super) fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
     let mut candidate = path.clone();
     let mut number = 1;

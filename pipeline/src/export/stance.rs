@@ -1,8 +1,8 @@
 //! The layout of the STANCE release: pickles of 20 fps and the lists that go with them.
 //!
-//! The release numbers its files by HumanML3D's clips. Motions that are none of those get numbers
-//! beyond; what the layout has no place for (ids, splits, captions) is in `origin.json`, which the
-//! reader of this crate takes into account and other readers need not know.
+//! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. Metadata that the
+//! layout cannot hold (ids, splits, captions) is in `origin.json`, which the reader of this crate uses and
+//! other readers may ignore.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -22,11 +22,11 @@ use crate::source::stance::{
 };
 use pickle::{self, Array, Value};
 
-/// Writes the motions, pairs and masks of a dataset into an empty folder, and returns how many
-/// motions there are.
+/// Writes the motions, pairs and masks of a dataset into an empty folder, and returns the number of
+/// motions.
 ///
-/// Pairs of kind semantic have no place in the release and are left out; so is a mask without named
-/// parts. Motions of other rates than 20 fps are resampled.
+/// Semantic pairs and masks without named parts are left out, because the release cannot hold them. Motions
+/// of other rates than 20 fps are resampled.
 ///
 /// # Errors
 /// The dataset cannot be read or the folder cannot be written.
@@ -68,24 +68,24 @@ pub(super) fn write(
     Ok(clips)
 }
 
-/// An adjustment to be written: its file, its motions and what is said of it.
+/// An adjustment to be written: its file, motions and texts.
 struct Adjustment {
     stem: String,
     pair: PairRow,
 }
 
-/// Which file every motion goes to.
+/// Files of the motions.
 struct Plan {
-    /// Section and file stem of the motions in files of their own, by id; none for those that are
-    /// in adjustments alone.
+    /// Section and file stem of motions with their own file, by id; none for motions that occur only in
+    /// adjustments.
     places: BTreeMap<String, Option<(&'static str, String)>>,
     adjustments: Vec<Adjustment>,
-    /// Which adjustments a motion is in.
+    /// The adjustments of each motion.
     uses: BTreeMap<String, Vec<usize>>,
 }
 
 impl Plan {
-    /// `annotated` motions need a file that annotations can name.
+    /// `annotated` motions need their own file, so that annotations can name it.
     fn make(dataset: &Dataset, annotated: &BTreeSet<String>) -> Result<Self, Error> {
         let mut ids = BTreeSet::new();
         for (path, _) in dataset.files(MotionRow::TABLE, None) {
@@ -197,7 +197,7 @@ fn adjustment_stem(pair: &PairRow) -> Option<String> {
     (source == target).then_some(source)
 }
 
-/// A text as a part of a file name of any system.
+/// A text as a portable part of a file name.
 fn file_name(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
     text.chars()
@@ -205,7 +205,7 @@ fn file_name(text: &str) -> String {
         .collect()
 }
 
-/// What is said of the parts of each motion: masks and their texts in turn.
+/// Part annotations of each motion: masks and their texts, alternating.
 #[derive(Default)]
 struct Annotations {
     by_id: BTreeMap<String, Vec<(String, String)>>,
@@ -226,7 +226,7 @@ impl Annotations {
         }
     }
 
-    /// Takes what a part does, unless a mask that has the part says it already.
+    /// Adds the text of a part, unless a mask with the part has it already.
     fn take_caption(&mut self, id: &str, caption: &PartCaption) {
         let PartCaption { part, text } = caption;
         let said = self.by_id.get(id).into_iter().flatten();
@@ -249,7 +249,7 @@ struct Writer<'a> {
     plan: &'a Plan,
     origins: Origins,
     annotations: Annotations,
-    /// Motions of adjustments, until both of a pair are there and every pair of theirs is written.
+    /// Motions of adjustments, kept until all their pairs are written.
     waiting: BTreeMap<String, Waiting>,
 }
 
@@ -286,8 +286,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// Writes those of the adjustments whose motions are both there, and lets go of motions that no
-    /// other one needs.
+    /// Writes the adjustments whose motions are both present, and releases motions that no other one needs.
     fn write_adjustments(&mut self, numbers: &[usize]) -> Result<(), Error> {
         for &number in numbers {
             let Adjustment { stem, pair } = &self.plan.adjustments[number];

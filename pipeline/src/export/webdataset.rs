@@ -1,4 +1,4 @@
-//! WebDataset: tar shards whose members come in groups of one name, as PyTorch loaders stream them.
+//! WebDataset: tar shards with members grouped by name, for streaming loaders.
 //!
 //! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`. A key is
 //! the clip's id with every character but letters, digits, `-` and `_` replaced by `%XX`, because a
@@ -16,10 +16,10 @@ use serde_json::json;
 use crate::Error;
 use pickle::npy;
 
-/// Clips and bytes of a shard, whichever is reached first.
+/// Limits on the clips and bytes of a shard.
 const SHARD_CLIPS: usize = 1000;
 const SHARD_BYTES: u64 = 256 << 20;
-/// Everybody may read a member and its owner write it.
+/// Permissions of a member.
 const MODE: u32 = 0o644;
 
 /// Writes the shards of every split and returns the number of clips.
@@ -131,7 +131,7 @@ impl Shards<'_> {
 }
 
 impl Shard {
-    /// Appends a member whose header holds nothing that differs from run to run.
+    /// Appends a member with a reproducible header.
     fn append(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);

@@ -1,9 +1,9 @@
-//! The 263 features a frame of HumanML3D, from the joints of any motion and back.
+//! The 263 features per frame of HumanML3D, from the joints of any motion and back.
 //!
 //! The published preparation brings a clip to a uniform skeleton, puts it on the floor and turns it
 //! to face +z; then a frame becomes root motion, joint positions, joint rotations, joint velocities
-//! and foot contacts, all seen from the heading of the root. Equal output needs its quirks, so they
-//! are part of the recipe:
+//! and foot contacts, all seen from the heading of the root. Its quirks are
+//! part of the recipe, because the output must be equal:
 //!
 //! * the heading of the features is found from a forward vector in which the hips are swapped and
 //!   the shoulders are not, smoothed over 20 frames;
@@ -11,8 +11,8 @@
 //! * the chains of the arms start from the root's rotation, not from that of the chest;
 //! * the yaw velocity is half the angle.
 //!
-//! A bone that points exactly against its rest direction is a division by zero there; here it is a
-//! half turn about an axis at right angles.
+//! A bone that points exactly against its rest direction divides by zero there; here it is a half turn
+//! about a perpendicular axis.
 //!
 //! # Source
 //! EricGuo5513/HumanML3D, notebook `motion_representation` and `common/skeleton.py`.
@@ -41,7 +41,7 @@ pub fn joints_of_motion(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
 /// The features of world joints by the whole recipe.
 ///
 /// # Shapes
-/// `T` frames in, `T - 1` out: a frame's velocities reach into the next.
+/// `T` frames in, `T - 1` out: velocities need the next frame.
 ///
 /// # Errors
 /// There are fewer than two frames, or a bone without a direction.
@@ -55,12 +55,13 @@ pub fn features_of_joints(joints: &[Joints]) -> Result<Vec<Features>, FeatureErr
     Ok(features_of(&clip, start(&clip)))
 }
 
-/// Brings world joints to the skeleton of the given bone lengths, to the floor at y = 0, and to a
-/// first frame at x = z = 0 that faces +z.
+/// Retargets world joints to the given bone lengths, puts them on the floor at y = 0, and puts the first
+/// frame at x = z = 0, facing +z.
 ///
 /// # Errors
 /// There is no frame, or a bone without a direction.
-pub fn process_joints(
+#[cfg(test)]
+pub(crate) fn process_joints(
     joints: &[Joints],
     bones: &[f64; NUM_BODY_JOINTS],
 ) -> Result<Vec<Joints>, FeatureError> {
@@ -81,8 +82,8 @@ fn unified(joints: &[Joints], bones: &[f64; NUM_BODY_JOINTS]) -> Result<Clip, Fe
     Ok(clip)
 }
 
-/// Where a clip of at least one frame is put: on the floor, its first frame at x = z = 0 and facing
-/// +z by hips and shoulders, none of them swapped.
+/// Placement of a clip of at least one frame: on the floor, its first frame at x = z = 0 and facing +z by
+/// hips and shoulders, without the swap.
 fn start(clip: &Clip) -> Placement {
     let first = clip.frame(0);
     let across = first[RIGHT_HIP] - first[LEFT_HIP] + first[RIGHT_SHOULDER] - first[LEFT_SHOULDER];
@@ -90,7 +91,7 @@ fn start(clip: &Clip) -> Placement {
     Placement::new(origin, across.cross(DVec3::NEG_Y))
 }
 
-/// The features of a clip of at least two frames, each with its bones.
+/// The features of a clip of at least two frames.
 fn features_of(clip: &Clip, placement: Placement) -> Vec<Features> {
     let mut forwards = clip.forwards();
     for forward in &mut forwards {
@@ -99,8 +100,8 @@ fn features_of(clip: &Clip, placement: Placement) -> Vec<Features> {
     clip.features(placement, &Headings::of(&forwards))
 }
 
-/// A rotation about the vertical that takes where the root faces to +z, by the half-angle's cosine
-/// and sine.
+/// The rotation about the vertical that takes the root's heading to +z, as cosine and sine of the
+/// half-angle.
 #[derive(Clone, Copy, Debug)]
 struct Heading {
     half_cosine: f64,
@@ -112,7 +113,7 @@ impl Heading {
         DQuat::from_xyzw(0.0, self.half_sine, 0.0, self.half_cosine)
     }
 
-    /// A vector seen with this heading, in the world.
+    /// A vector in the frame of this heading, rotated to the world.
     fn unsee(self, v: DVec3) -> DVec3 {
         let cosine = self.half_cosine * self.half_cosine - self.half_sine * self.half_sine;
         let sine = 2.0 * self.half_cosine * self.half_sine;
@@ -162,7 +163,8 @@ pub fn recover_joints(features: &[Features]) -> Vec<Joints> {
 }
 
 /// World joints from the rotations of the features, on a skeleton of the given bone lengths.
-pub fn recover_joints_from_rotations(
+#[cfg(test)]
+fn recover_joints_from_rotations(
     features: &[Features],
     bones: &[f64; NUM_BODY_JOINTS],
 ) -> Vec<Joints> {
@@ -192,7 +194,7 @@ fn globals_of(frame: &Features, heading: Heading) -> [DMat3; NUM_BODY_JOINTS] {
     rotations
 }
 
-/// Where each bone points in the world, by the rotations of a frame.
+/// World direction of each bone, by the rotations of a frame.
 fn directions_of(frame: &Features, heading: Heading) -> Joints {
     let rotations = globals_of(frame, heading);
     std::array::from_fn(|joint| rotations[joint] * REST_AXES[joint])

@@ -1,12 +1,12 @@
-//! The body that HumanML3D's joints are those of, for motions of another one.
+//! The body of HumanML3D's joints, for motions of another body.
 
 use datasets_spec::Skeleton;
 use glam::DVec3;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
-/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. The joints of
-/// HumanML3D are those of this body, whose spine and shoulders lie elsewhere than SMPL-X's; bone
-/// directions are compared with these, and the rotations found drive either body.
+/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. HumanML3D uses this
+/// body, whose spine and shoulders differ from SMPL-X's. Rotations are measured from these directions and
+/// drive either body.
 ///
 /// # Source
 /// Stanford-TML/EDGE, the offset table of its visualisation.
@@ -35,12 +35,12 @@ pub(crate) const SMPL_REST_BONES: [[f64; 3]; NUM_BODY_JOINTS] = [
     [-0.26910836, 0.00679372, -0.00602676],
 ];
 
-/// A body whose bones point at rest as those of SMPL and have the lengths of another body's.
+/// A body with SMPL's bone directions at rest and another body's bone lengths.
 ///
-/// SMPL-X has its spine, neck, collars and head elsewhere than SMPL, so that its joints, taken for
-/// those of SMPL, would show a bent back and a raised chin: a published clip that went through the
-/// store comes back 3.2 cm away on average by SMPL-X's joints, 1.3 cm by these. Keeping the lengths
-/// keeps the height of the pelvis true to the legs, which the recipe scales the path by.
+/// Spine, neck, collars and head of SMPL-X differ from SMPL's: its joints used as SMPL's would show a bent
+/// back and a raised chin. A published clip that is ingested and exported again differs by 3.2 cm on
+/// average with SMPL-X's joints, and by 1.3 cm with these. The lengths are kept because the recipe scales
+/// the path by the leg length.
 pub fn smpl_body(skeleton: &Skeleton) -> Skeleton {
     let mut joints = [DVec3::ZERO; NUM_JOINTS];
     for joint in 0..NUM_JOINTS {

@@ -4,8 +4,7 @@ use datasets_spec::record::HUMANML3D_WIDTH;
 
 use super::humanml3d::{Features, GROUPS};
 
-/// Mean and variance of every feature over frames met so far. Those of two sets of frames can be
-/// merged exactly.
+/// Running mean and variance of every feature. Two of them merge exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistics {
     frames: u64,
@@ -25,7 +24,7 @@ impl Default for Statistics {
 }
 
 impl Statistics {
-    /// Takes the frames of a clip, by Welford's update.
+    /// Adds the frames of a clip, by Welford's update.
     pub fn take(&mut self, features: &[Features]) {
         for frame in features {
             self.frames += 1;
@@ -38,7 +37,7 @@ impl Statistics {
         }
     }
 
-    /// Adds the frames another set has met.
+    /// Merges another set of frames.
     pub fn merge(&mut self, other: &Self) {
         let frames = self.frames + other.frames;
         if frames == 0 {
@@ -54,7 +53,7 @@ impl Statistics {
         self.frames = frames;
     }
 
-    /// Frames met.
+    /// Number of frames.
     pub fn frames(&self) -> u64 {
         self.frames
     }

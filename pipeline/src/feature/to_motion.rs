@@ -1,10 +1,9 @@
-//! From joints of a SMPL body to the rotations that pose it.
+//! Rotations of a SMPL body from its joint positions.
 //!
-//! The 263 features and the joint files of HumanML3D say where each bone points, and nothing of how
-//! it is turned about itself: the rotations among the features are the shortest ones from an axis
-//! to the bone, so they hold no more than the positions do. What is lost comes back where the body
-//! leaves no choice: the pelvis and the chest are turned as the bones that leave them say, and
-//! thighs and upper arms so that knees and elbows bend about their hinges.
+//! The 263 features and the joint files of HumanML3D hold the direction of each bone but not its twist:
+//! the rotations among the features are the shortest ones from an axis to the bone. Some twists follow
+//! from anatomy: pelvis and chest are aligned to the bones that leave them, and thighs and upper arms are
+//! twisted so that knees and elbows bend about their hinges.
 
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
@@ -19,8 +18,7 @@ use super::humanml3d::{
 use super::smpl_body::{SMPL_REST_BONES, smpl_body};
 use crate::floor;
 
-/// A limb of two bones: the joint it hangs from, the joint between its bones, the joint at its end,
-/// and the axis at rest about which it bends.
+/// A limb of two bones: its first, middle and last joint, and the axis about which it bends at rest.
 struct Limb {
     upper: usize,
     middle: usize,
@@ -54,7 +52,7 @@ const LIMBS: [Limb; 4] = [
         hinge: DVec3::Y,
     },
 ];
-/// Sine of the bend from which on a hinge is believed whole; a straighter limb says less of it.
+/// Sine of the bend from which a hinge sets the full twist; a straighter limb gets less.
 const CLEAR_BEND: f64 = 0.5;
 
 /// A body rest bone of SMPL.
@@ -62,13 +60,11 @@ fn rest_bone(joint: usize) -> DVec3 {
     DVec3::from_array(SMPL_REST_BONES[joint])
 }
 
-/// Fits the body to the positions of the 22 joints: every bone of the source is brought to the
-/// body's length, and the pose whose joints are nearest in the least-squares sense is taken. Also
-/// returns the mean distance in metres between the two.
+/// Fits the body to the positions of the 22 joints: the bones of the source are scaled to the body's
+/// lengths, and the least-squares pose is found. Also returns the mean distance in metres.
 ///
-/// A published clip ends 0.9 cm from its joints on average, since SMPL bodies differ in shape;
-/// pointing bones alone, as [`motion_of_features`] does, leaves 1.1 cm and turns that jump more from
-/// frame to frame.
+/// The mean distance on a published clip is 0.9 cm, because SMPL bodies differ in shape. Aligning bone
+/// directions alone, as [`motion_of_features`] does, gives 1.1 cm and less smooth rotations.
 ///
 /// # Errors
 /// There is no frame, or a bone without a direction.
@@ -85,7 +81,7 @@ pub fn motion_of_joints(
     let targets: Vec<KeypointFrame> = directions_of_joints(joints)?
         .iter()
         .map(|(root, directions)| {
-            // The points that SMPL lacks have no weight.
+            // Keypoints that SMPL lacks have no weight.
             let mut target = [*root * scale; NUM_KEYPOINTS];
             for joint in 1..NUM_BODY_JOINTS {
                 let bone = directions[joint] * skeleton.offset(joint).length();
@@ -122,7 +118,7 @@ pub fn motion_of_features(
 }
 
 /// Poses the body by the position of the root and the directions of the bones, frame by frame.
-/// `leg_m` is the length of the source's leg, by whose ratio to the body's the path is scaled.
+/// The path is scaled by the ratio of the body's leg length to the source's, `leg_m`.
 ///
 /// # Errors
 /// There is no frame, or a direction is no number.
@@ -194,13 +190,13 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
     globals
 }
 
-/// The rotation nearest to that of the joint above which points a bone where it points.
+/// The rotation nearest to that of the joint above that aligns the bone.
 fn swing(above: DQuat, bone: usize, directions: &Joints) -> DQuat {
     let carried = above * rest_bone(bone).normalize();
     (arc(carried, directions[bone]) * above).normalize()
 }
 
-/// The rotation of a joint that a left, a right and an upward bone leave.
+/// The rotation of a joint with a left, a right and an upward bone.
 fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
     let axes = |bone: &dyn Fn(usize) -> DVec3| {
         let lengths = [left, right].map(|joint| rest_bone(joint).length());
@@ -217,8 +213,8 @@ fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
 }
 
 impl Limb {
-    /// The turn of the upper bone about itself that brings the hinge to the axis about which the
-    /// limb is bent, as far as the limb is bent at all.
+    /// The twist of the upper bone that takes the hinge to the bending axis of the limb, reduced for straight
+    /// limbs.
     fn twist(&self, swung: DQuat, directions: &Joints) -> DQuat {
         let (upper, lower) = (directions[self.middle], directions[self.end]);
         let axis = upper.cross(lower);
@@ -230,14 +226,14 @@ impl Limb {
             return DQuat::IDENTITY;
         }
         let angle = hinge.cross(bent).dot(upper).atan2(hinge.dot(bent));
-        // A knee or elbow bent the wrong way says more of the noise than of a twist by half.
+        // A knee or elbow bent the wrong way is noise rather than a twist by half a turn.
         let believable = angle.abs() < std::f64::consts::FRAC_PI_2;
         let angle = if believable { angle * weight } else { 0.0 };
         DQuat::from_axis_angle(upper, angle)
     }
 }
 
-/// Mean distance between the joints that the directions give and those that the rotations do.
+/// Mean distance between the joints by directions and the joints by rotations.
 fn distance(directions: &Joints, globals: &[DQuat; NUM_BODY_JOINTS]) -> f64 {
     let mut seen = [DVec3::ZERO; NUM_BODY_JOINTS];
     let mut posed = [DVec3::ZERO; NUM_BODY_JOINTS];

@@ -23,17 +23,16 @@ pub(super) struct Source {
     pub(super) head: Vec<u8>,
 }
 
-/// The regular files under the sources, and why other things there are passed over.
+/// The regular files under the sources, and the reasons why other entries are skipped.
 pub(crate) struct Listing {
     /// The files by their relative paths.
     pub(crate) files: BTreeMap<String, PathBuf>,
-    /// Why each other thing is passed over.
+    /// Reasons why other entries are skipped.
     pub(crate) special: Vec<String>,
 }
 
-/// All files under the sources by the relative path that will name them. With several sources the
-/// name of each one's folder comes first, and a number where two have one name, so that equal paths
-/// stay apart.
+/// All files under the sources by their relative path. With several sources, the path starts with the
+/// name of the source's folder, made unique by a number, so that equal paths stay apart.
 pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
     let mut listing = Listing {
         files: BTreeMap::new(),

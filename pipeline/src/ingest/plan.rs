@@ -21,25 +21,26 @@ use crate::annotation::pairs::{PairList, names_of, originals, style_group};
 use crate::clip::Rejected;
 use crate::feature::humanml3d;
 use crate::source::{
-    Entry, Files, Format, Recognised, Release, find_releases, labels, recognise, refuse_pointer,
+    Entry, Files, Format, FoundRelease, Recognised, find_releases, labels, recognise,
+    refuse_pointer,
 };
 
 /// Version of the rules by which files become rows. It is part of every plan, so a dataset made by
 /// older rules is never continued by newer ones.
 pub(super) const INGEST_VERSION: u32 = 3;
 
-/// Source items of a shard: few enough that a shard's motions fit in memory many times over.
+/// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(super) const SHARD_SOURCES: usize = 256;
 
 /// Everything a run will do, known before any motion is read.
 pub(super) struct Plan {
     pub(super) files: Files,
     pub(super) sources: BTreeMap<String, Source>,
-    pub(super) releases: Vec<Box<dyn Release>>,
+    pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
     /// Files without a motion, by reason.
     pub(super) skipped: BTreeMap<String, u64>,
-    /// Files that were found broken while planning.
+    /// Files found broken while planning.
     pub(super) rejected: Vec<QuarantineRow>,
     /// What a reader of the dataset should know about its splits.
     pub(super) remarks: Vec<String>,
@@ -49,11 +50,11 @@ pub(super) struct Plan {
 pub(super) struct Planned {
     pub(super) entry: Entry,
     pub(super) format: Format,
-    /// Which release reads it; none for files that stand alone.
+    /// The release that reads it; none for single files.
     pub(super) release: Option<usize>,
     /// Id prefix that keeps two releases' ids apart.
     pub(super) prefix: String,
-    /// What decides the split together with other clips; none for a clip that decides alone.
+    /// Group of clips that share a split; none for a clip outside any group.
     pub(super) group: Option<String>,
 }
 
@@ -68,9 +69,9 @@ impl Planned {
         MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())
     }
 
-    /// What decides the split where no list is published.
+    /// Key of the drawn split, for clips without a published one.
     fn split_key(&self) -> String {
-        // Two releases of one clip fall into one split, whatever stands before their ids.
+        // Two releases of one clip share a split: the id prefix is left out.
         let clip = || {
             let own_id = MotionId::parse(&self.entry.id);
             own_id.map_or(self.entry.id.clone(), |id| id.source_clip().to_owned())
@@ -79,7 +80,7 @@ impl Planned {
     }
 }
 
-/// A motion on its way into a shard.
+/// A motion assigned to a shard.
 pub(super) struct Item<'a> {
     pub(super) entry: &'a Entry,
     pub(super) prefix: &'a str,
@@ -127,19 +128,19 @@ impl Plan {
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
         let mut taken = BTreeSet::new();
-        for (index, release) in self.releases.iter().enumerate() {
-            let format = release.format();
-            let prefix = prefix_of(release.as_ref(), &taken);
-            let ids = release.entries().iter();
+        for (index, (format, release)) in self.releases.iter().enumerate() {
+            let (format, release) = (*format, release.contents());
+            let prefix = prefix_of(format, &release.entries, &taken);
+            let ids = release.entries.iter();
             taken.extend(ids.map(|entry| format!("{prefix}{}", entry.id)));
-            claimed.extend(release.entries().iter().map(|entry| entry.file.clone()));
+            claimed.extend(release.entries.iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
                 let files: BTreeSet<&str> =
-                    release.entries().iter().map(|e| e.file.as_str()).collect();
+                    release.entries.iter().map(|e| e.file.as_str()).collect();
                 let reason = format!("{} file, not asked for", format.as_str());
                 *self.skipped.entry(reason).or_default() += files.len() as u64;
             } else {
-                let entries = release.entries().iter().cloned();
+                let entries = release.entries.iter().cloned();
                 self.items.extend(entries.map(|entry| Planned {
                     entry,
                     format,
@@ -147,9 +148,9 @@ impl Plan {
                     prefix: prefix.clone(),
                     group: None,
                 }));
-                self.remarks.extend(release.remarks().iter().cloned());
+                self.remarks.extend(release.remarks.iter().cloned());
             }
-            for (file, reason) in release.passed_over() {
+            for (file, reason) in &release.passed_over {
                 if !claimed.insert(file.clone()) {
                     continue;
                 }
@@ -158,7 +159,7 @@ impl Plan {
                     None => *self.skipped.entry(reason.clone()).or_default() += 1,
                 }
             }
-            for (file, rejected) in release.rejected() {
+            for (file, rejected) in &release.rejected {
                 if claimed.insert(file.clone()) {
                     let hash = source_hash(&self.sources, file);
                     let row = quarantine_row(file, "", hash, rejected.clone());
@@ -214,7 +215,7 @@ impl Plan {
                 });
             }
         }
-        // Files that differ in their extension alone keep it in their id.
+        // Files that differ only in their extension keep it in their id.
         let mut seen = BTreeSet::new();
         let mut twice = BTreeSet::new();
         let single = |item: &&Planned| item.release.is_none();
@@ -344,7 +345,7 @@ impl Plan {
             take(relative);
             take(source.hash.as_deref().unwrap_or(""));
         }
-        // Which motions there are can depend on more than the files, such as an index elsewhere.
+        // The list of motions can depend on more than the files, such as an index elsewhere.
         for item in &self.items {
             take(item.format.as_str());
             take(&item.entry.file);
@@ -363,8 +364,8 @@ impl Plan {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Whether the finished run of this plan failed to read a file that can be read now, so that
-    /// it is worth doing again.
+    /// Whether the finished run of this plan failed to read a file that is readable now, so that the plan
+    /// must run again.
     pub(super) fn may_read_more_now(&self, transaction: &Transaction) -> bool {
         let Some(base) = transaction.base() else {
             return false;
@@ -417,8 +418,8 @@ impl Plan {
     }
 }
 
-/// The motions of a file that stands alone; the empty key where it holds one, or where it cannot
-/// be told, which the reader then reports.
+/// Keys of the motions of a single file. The key is empty if the file holds one motion or cannot be
+/// read; the reader then reports the error.
 fn keys_of(format: Format, path: &Path) -> Vec<String> {
     let whole = || vec![String::new()];
     if !format.may_hold_several() {
@@ -450,14 +451,13 @@ fn without_extension(relative: &str) -> &str {
     }
 }
 
-/// What to put before the ids of a release so that none of them is taken: nothing, its format, or
-/// its format and a number.
-fn prefix_of(release: &dyn Release, taken: &BTreeSet<String>) -> String {
-    let name = release.format().as_str();
+/// Id prefix that keeps a release's ids unique: empty, its format, or its format and a number.
+fn prefix_of(format: Format, entries: &[Entry], taken: &BTreeSet<String>) -> String {
+    let name = format.as_str();
     let mut prefix = String::new();
     let mut number = 1;
     let is_taken = |prefix: &str| {
-        let mut ids = release.entries().iter();
+        let mut ids = entries.iter();
         ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
     };
     while is_taken(&prefix) {

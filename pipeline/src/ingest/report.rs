@@ -1,4 +1,4 @@
-//! What a run did, and what its shards add up to.
+//! The report of a run, and the sums over its shards.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -14,21 +14,20 @@ use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
 
-/// What a run did.
+/// The report of a run.
 #[derive(Clone, Debug)]
 pub struct IngestReport {
     /// The committed dataset.
     pub dataset: Dataset,
-    /// What became of the source items: a file, or one of the motions of a file that holds several.
+    /// Counts of the source items. An item is a file, or one motion of a file that holds several.
     pub accounting: Accounting,
     /// Files the items came from.
     pub files: u64,
     /// Pairs that were dropped because one of their motions is not in the dataset.
     pub dropped_pairs: u64,
-    /// Lines of the list of pairs that no pair was made of.
+    /// Lines of the list of pairs that gave no pair.
     pub refused_pairs: Vec<RefusedLine>,
-    /// What is worth knowing about the splits; what concerns the dataset rather than this run is
-    /// recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
+    /// Remarks on the splits. Remarks that concern the dataset, not only this run, are recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
     /// The rejected sources.
     pub quarantine: Vec<QuarantineRow>,
@@ -65,7 +64,7 @@ pub(super) fn already_complete(
     })
 }
 
-/// What the shards of a run add up to.
+/// Sums over the shards of a run.
 #[derive(Default)]
 pub(super) struct Tally {
     pub(super) tables: BTreeMap<String, Vec<FileEntry>>,
@@ -111,7 +110,7 @@ impl Tally {
         }
     }
 
-    /// The pairs whose motions are both in the dataset and of one split, and how many are not.
+    /// The pairs whose motions are both in the dataset and in one split, and the number of the others.
     pub(super) fn pairs(&self, shards: &Shards) -> (Vec<PairRow>, u64) {
         let splits = splits_of(shards);
         let mut rows: Vec<PairRow> = Vec::new();

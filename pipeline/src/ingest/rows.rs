@@ -13,7 +13,7 @@ use crate::feature::{humanml3d, smpl_body};
 /// captures of people measure 0.01 to 0.04.
 pub(super) const FIT_ERROR_LIMIT_M: f32 = 0.05;
 
-/// The rows of a clip, and what has to wait for the rows of others.
+/// The rows of a clip, and the rows that depend on other clips.
 pub(super) struct ClipRows {
     pub(super) motion: MotionRow,
     pub(super) features: Option<HumanMl3dRow>,
@@ -51,7 +51,7 @@ pub(super) fn marker_row(
     }
 }
 
-/// Brings a clip to the stored rate, judges it, and makes its rows.
+/// Resamples a clip to the stored rate, checks it, and makes its rows.
 pub(super) fn clip_rows(
     clip: SourceClip,
     id: MotionId,
@@ -78,7 +78,7 @@ pub(super) fn clip_rows(
     let entry = item.entry;
     let features = match options.humanml3d_features {
         true => {
-            // The joints of HumanML3D are those of SMPL, which lie elsewhere than SMPL-X's.
+            // HumanML3D uses the joints of SMPL, whose positions differ from SMPL-X's.
             let body = clip.body.clone();
             let body = body.unwrap_or_else(|| smpl_body(&options.read.skeleton));
             Some(feature_row(&motion, &id, item.split, &body)?)
@@ -147,7 +147,7 @@ pub(super) fn feature_row(
     })
 }
 
-/// Flags for what is said about a clip, and for how well it was fitted.
+/// Flags for the captions of a clip and for its fit.
 pub(super) fn said_flags(clip: &SourceClip) -> u32 {
     let duration = clip.motion.duration_secs() as f32;
     // Times are written with one decimal at most, and a clip of n frames ends a frame early.
@@ -170,8 +170,8 @@ pub(super) fn said_flags(clip: &SourceClip) -> u32 {
     .fold(0, |flags, (_, flag)| flags | flag)
 }
 
-/// The pair that a clip forms with the motion it is an edit of; none where the id of the latter is
-/// no id. Whether that motion is in the dataset is known once every shard is done.
+/// The pair of a clip and the motion it edits; none if that motion's id is malformed. Whether that motion
+/// is in the dataset is known once every shard is done.
 pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<PairRow> {
     let source_id = MotionId::parse(&format!("{}{}", item.prefix, edit.source_id)).ok()?;
     Some(PairRow {

@@ -21,18 +21,18 @@ use crate::Error;
 use crate::clip::{Outcome, Rejected};
 use crate::source::read_clip;
 
-/// Largest file read at once, in bytes; releases that keep many motions in a file have rules of
-/// their own.
+/// Limit on files that are read whole, in bytes. Releases with many motions in a file have their own
+/// limits.
 const MAX_FILE_LEN: u64 = 4 << 30;
 
-/// What a shard needs at the commit beside its file.
+/// Data of a shard for the commit, beside its file.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct ShardNotes {
     pub(super) quarantine: Vec<QuarantineRow>,
     pub(super) skipped: BTreeMap<String, u64>,
     /// Files of other tables that were written with the shard.
     pub(super) beside: Vec<(String, FileEntry)>,
-    /// Items whose only row is one of `markers`.
+    /// Items that have only a row of `markers`.
     pub(super) markers_only: u64,
     pub(super) ingested: Vec<String>,
     pub(super) pairs: Vec<PairRow>,
@@ -41,7 +41,7 @@ pub(super) struct ShardNotes {
     pub(super) masks: Vec<MaskRow>,
 }
 
-/// What became of one item.
+/// Outcome of one item.
 enum Done {
     Clip(Box<ClipRows>),
     Markers(Box<MarkerRow>),
@@ -115,8 +115,7 @@ impl Plan {
     }
 
     fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
-        // The readers are written not to panic; a bug in one of them must still not take ten hours
-        // of other clips with it.
+        // Readers should not panic, but a bug in one of them must not lose ten hours of other clips.
         let attempt = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             self.read_checked(item, options)
         }));
@@ -147,7 +146,10 @@ impl Plan {
             None => String::new(),
         };
         let outcome = match item.release {
-            Some(release) => self.releases[release].read(&self.files, entry, &options.read),
+            Some(release) => self.releases[release]
+                .1
+                .read(&self.files, entry, &options.read)
+                .into(),
             None => self.read_file(item, options),
         };
         let clip = match outcome {
@@ -173,7 +175,7 @@ impl Plan {
             .path(&entry.file)
             .and_then(Path::parent)
             .unwrap_or(Path::new("."));
-        // A companion that is there and cannot be read must not pass for one that is not there.
+        // An unreadable companion must not be treated as a missing one.
         let failure = RefCell::new(None);
         let companions = |name: &str| match self.files.read_beside(&folder.join(name)) {
             Ok(bytes) => bytes,
@@ -209,7 +211,7 @@ impl Plan {
     }
 }
 
-/// Writes rows of another table as the shard beside one of motions, if there are any.
+/// Writes the rows of another table as a shard that accompanies one of motions, if there are any.
 fn write_beside<R: Row>(
     transaction: &Transaction,
     name: &ShardName,

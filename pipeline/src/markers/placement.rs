@@ -1,19 +1,19 @@
-//! Where the markers of known sets sit on the body.
+//! Placement of the markers of known sets on the body.
 
 use datasets_spec::Joint;
 use glam::DVec3;
 
-/// A marker's place: the joint that carries it, and where it is from there at rest, in metres, x to
-/// the body's left, y up and z to the front.
+/// Placement of a marker: its joint, and its offset from the joint at rest in metres, x to the body's left,
+/// y up and z to the front.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// The joint that carries the marker.
     pub joint: Joint,
-    /// From that joint to the marker at rest.
+    /// Offset of the marker from the joint at rest.
     pub offset: DVec3,
 }
 
-/// A set of markers that is worn whole.
+/// A marker set.
 #[derive(Clone, Copy, Debug)]
 pub struct MarkerSet {
     /// Name of the set.
@@ -133,7 +133,7 @@ pub fn bare_label(label: &str) -> String {
     bare.trim().to_ascii_uppercase()
 }
 
-/// Where the marker of a label sits; none if the label is not known.
+/// Placement of the marker with a label; none if the label is not known.
 pub fn placement(label: &str) -> Option<Placement> {
     let bare = bare_label(label);
     let found = |table: &[(&str, Joint, [f64; 3])], name: &str| {
@@ -158,8 +158,8 @@ pub fn placement(label: &str) -> Option<Placement> {
     })
 }
 
-/// Whether a point is the output of a model and no marker: an angle, a force, or an axis of a
-/// segment such as `LFEA`.
+/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as
+/// `LFEA`.
 pub fn is_model_output(label: &str) -> bool {
     const QUANTITIES: [&str; 6] = ["ANGLE", "POWER", "FORCE", "MOMENT", "GRF", "CENTREOFMASS"];
     const SEGMENTS: [&str; 10] = [
@@ -176,7 +176,7 @@ pub fn is_model_output(label: &str) -> bool {
     let of_limb = segment
         .strip_prefix(['L', 'R'])
         .is_some_and(|limb| LIMBS.contains(&limb));
-    // A toe marker is no axis of the toes.
+    // A toe marker is not a segment axis.
     segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && placement(&bare).is_none()
 }
 

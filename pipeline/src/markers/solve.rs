@@ -1,9 +1,8 @@
-//! The body in a cloud of markers: a pose for every frame, and where the markers were worn.
+//! Solving the body from labelled markers: a pose for every frame, and the offsets of the markers.
 //!
-//! Nobody knows where on the skin a marker sat, so its offset from the joint that carries it is an
-//! unknown like the pose. Both are found in turns: poses for some frames with the offsets held,
-//! offsets and the size of the capture from those poses, and again; then every frame is posed, each
-//! starting from the one before.
+//! The offset of a marker from its joint is unknown, like the pose. They are solved alternately: poses of
+//! some frames with fixed offsets, then offsets and the size of the capture from these poses. Then every
+//! frame is posed, each starting from the one before.
 //!
 //! # Source
 //! The alternation is that of MoSh (Loper et al. 2014) without body shape: the store has one body,
@@ -26,23 +25,23 @@ const MIN_SEEN_SHARE: f64 = 0.5;
 /// Frames from which offsets and size are found, and how often.
 const CALIBRATION_FRAMES: usize = 60;
 const CALIBRATION_ROUNDS: usize = 4;
-/// How much the first guess of an offset weighs against what is measured.
+/// Weight of the initial guess of an offset against measurements.
 const OFFSET_PRIOR: f64 = 0.1;
 /// Unknowns of a pose: the pelvis, and a turn of each joint.
 const UNKNOWNS: usize = 3 + 3 * NUM_BODY_JOINTS;
-/// Weight in m²/rad² of the squared angle of each joint from rest: enough to decide what no marker
-/// shows, too little to be seen where one does.
+/// Weight in m²/rad² of the squared angle of each joint from rest: it determines rotations that no marker
+/// observes, and is negligible elsewhere.
 const REST_WEIGHT: f64 = 4e-4;
-/// The same for joints that people hardly turn on their own, and for the angle from the frame before.
+/// The same for joints that hardly move independently, and for the angle from the frame before.
 const STIFF_WEIGHT: f64 = 4e-3;
 const SMOOTH_WEIGHT: f64 = 1e-3;
 /// Spine, collars and toes.
 const STIFF: [usize; 7] = [3, 6, 9, 13, 14, 10, 11];
 const FIRST_ITERATIONS: usize = 60;
 const ITERATIONS: usize = 8;
-/// Step in metres and radians at which a pose is found.
+/// Step in metres and radians below which a pose has converged.
 const SMALL_STEP: f64 = 1e-5;
-/// Distance in metres beyond which a marker pulls no harder: it was mistaken for another.
+/// Distance in metres beyond which the pull of a marker is constant: it may be mislabelled.
 const OUTLIER_M: f64 = 0.15;
 
 /// Why no body was solved.
@@ -62,7 +61,7 @@ pub enum SolveError {
         /// The set.
         set: &'static str,
     },
-    /// The markers do not lie as on a body.
+    /// The markers do not fit a body.
     #[error("the markers of the set {set} do not lie as on a standing or moving body")]
     NoBody {
         /// The set.
@@ -91,7 +90,7 @@ pub struct Solved {
 /// Solves the body in a capture.
 ///
 /// # Errors
-/// The labels are of no known set, or no body is in the markers.
+/// The labels are of no known set, or the markers do not fit a body.
 pub fn solve(markers: &Markers, skeleton: &Skeleton) -> Result<Solved, SolveError> {
     let set = recognise(&markers.labels)?;
     let mut markers = markers.clone();
@@ -146,7 +145,7 @@ pub fn solve(markers: &Markers, skeleton: &Skeleton) -> Result<Solved, SolveErro
     })
 }
 
-/// The known set of which the largest share of labels is there.
+/// The known set with the largest fraction of its labels present.
 fn recognise(labels: &[String]) -> Result<&'static str, SolveError> {
     let bare: Vec<String> = labels.iter().map(|label| bare_label(label)).collect();
     let mut best = (0.0, "");
@@ -170,7 +169,7 @@ fn recognise(labels: &[String]) -> Result<&'static str, SolveError> {
     })
 }
 
-/// The markers whose place is known.
+/// The markers with a known placement.
 struct LabelledMarkers {
     /// Column of each among the labels.
     columns: Vec<usize>,
@@ -189,7 +188,7 @@ impl LabelledMarkers {
         };
         for (column, label) in markers.labels.iter().enumerate() {
             let name = bare_label(label);
-            // Of a label that occurs twice the first is the marker.
+            // Of repeated labels, the first is used.
             if let Some(place) = placement(label).filter(|_| !worn.names.contains(&name)) {
                 worn.columns.push(column);
                 worn.names.push(name);
@@ -201,7 +200,7 @@ impl LabelledMarkers {
     }
 }
 
-/// Positions of the worn markers, frame by frame; none where one was not seen.
+/// Positions of the labelled markers, frame by frame; none where a marker was not seen.
 struct Frames {
     points: Vec<Vec<Option<DVec3>>>,
 }
@@ -237,10 +236,11 @@ impl Frames {
     }
 }
 
-/// The turn to y up, by where the upper markers are from the lower ones, and the file's up axis.
+/// The rotation to y up, from the direction of the upper markers from the lower ones, and the file's up
+/// axis.
 fn up_turn(markers: &Markers, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
     let frames = Frames::of(markers, worn);
-    // Heads, chests and hips are above feet; whichever there are.
+    // Heads, chests and hips are above feet; use those that are present.
     let level = |joint: usize| match joint {
         7 | 8 | 10 | 11 => -1.0,
         4 | 5 => -0.4,
@@ -291,14 +291,14 @@ struct Solver<'a> {
     skeleton: &'a Skeleton,
     /// Joint that carries each marker.
     joints: Vec<usize>,
-    /// From there to the marker, in the joint's frame.
+    /// Offset of the marker in the joint's frame.
     offsets: Vec<DVec3>,
     first_offsets: Vec<DVec3>,
-    /// Metres of the body for a metre of the capture.
+    /// Scale from the capture to the body.
     scale: f64,
 }
 
-/// A posed body with what is asked of it again and again.
+/// A posed body with cached transforms.
 #[derive(Clone)]
 struct Body {
     pelvis: DVec3,
@@ -326,8 +326,7 @@ impl Body {
 }
 
 impl Solver<'_> {
-    /// The ratio of the body's height between its markers at rest to that of the capture, taken
-    /// where the captured person is tallest.
+    /// The ratio of the body's height between its markers at rest to that of the capture in its tallest frames.
     fn first_scale(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
         let rest = Body::posed(
             self.skeleton.rest(0),
@@ -337,7 +336,7 @@ impl Solver<'_> {
         let body_markers: Vec<DVec3> = (0..self.joints.len())
             .map(|marker| rest.points[self.joints[marker]] + self.offsets[marker])
             .collect();
-        // Arms may be anywhere; legs, trunk and head are as high as the body stands.
+        // Arms are left out, because their height varies.
         let upright = |marker: &usize| !matches!(self.joints[*marker], 16..=21);
         let mut ratios: Vec<f64> = Vec::new();
         for &frame in usable {
@@ -361,15 +360,15 @@ impl Solver<'_> {
             }
         }
         ratios.sort_by(f64::total_cmp);
-        // The tallest frames stand; the very tallest may be a mistaken marker.
+        // People stand in the tallest frames; the very tallest may contain a mislabelled marker.
         let tall = *ratios.get(ratios.len().checked_sub(1)? * 9 / 10)?;
         let scale = 1.0 / tall;
-        /// A person is between a small child and a giant.
+        /// Limits on the height of a person.
         const BELIEVABLE: std::ops::Range<f64> = 0.5..2.5;
         BELIEVABLE.contains(&scale).then_some(scale)
     }
 
-    /// A first body for a frame: standing at rest, turned so that left and right, and up, fit.
+    /// An initial pose for a frame: the rest pose, rotated so that left, right and up fit.
     fn start(&self, points: &[Option<DVec3>]) -> Option<Body> {
         let mean = |keep: &dyn Fn(usize) -> bool| -> Option<DVec3> {
             let seen: Vec<DVec3> = (0..points.len())
@@ -400,7 +399,7 @@ impl Solver<'_> {
         Some(Body::posed(pelvis, locals, self.skeleton))
     }
 
-    /// Finds offsets and scale on frames all over the capture.
+    /// Finds offsets and scale on frames spread over the capture.
     fn calibrate(&mut self, frames: &Frames, usable: &[usize]) -> Option<()> {
         let step = usable.len().div_ceil(CALIBRATION_FRAMES).max(1);
         let chosen: Vec<usize> = usable.iter().copied().step_by(step).collect();
@@ -417,7 +416,7 @@ impl Solver<'_> {
         Some(())
     }
 
-    /// Offsets and scale by least squares, the poses held.
+    /// Offsets and scale by least squares, for fixed poses.
     fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
         let (mut along, mut spread) = (0.0, 0.0);
         for (body, &frame) in bodies.iter().zip(chosen) {
@@ -460,7 +459,7 @@ impl Solver<'_> {
         }
     }
 
-    /// Poses every frame; those that show too little lie between their neighbours.
+    /// Poses every frame. Frames with too few markers are interpolated.
     fn all(&self, frames: &Frames, usable: &[usize]) -> Option<(Vec<Pose>, Vec<f32>, usize)> {
         let mut solved: Vec<Option<Body>> = vec![None; frames.len()];
         let mut before: Option<Body> = None;
@@ -564,7 +563,7 @@ impl Solver<'_> {
         let mut locals = body.locals;
         for joint in 0..NUM_BODY_JOINTS {
             let turn = DVec3::from_slice(&step[3 + 3 * joint..]);
-            // A turn about world axes, seen from the joint above.
+            // A rotation about world axes, in the parent's frame.
             let above = match joint {
                 0 => DQuat::IDENTITY,
                 _ => body.globals[parent_of(joint)],
@@ -575,8 +574,7 @@ impl Solver<'_> {
         Body::posed(body.pelvis + DVec3::from_slice(step), locals, self.skeleton)
     }
 
-    /// How a joint is turned where nothing else says so. Arms hang: a capture of the legs alone shows
-    /// nobody with arms stretched out.
+    /// Default rotation of an unobserved joint. Arms hang down, which is likely in a capture of the legs alone.
     fn at_rest(joint: usize) -> DQuat {
         const HANGING: f64 = 1.1;
         match joint {
@@ -586,7 +584,7 @@ impl Solver<'_> {
         }
     }
 
-    /// Weight of the angle from rest of a joint; the root may face anywhere.
+    /// Weight of a joint's angle from rest; 0 for the root.
     fn rest_weight(joint: usize) -> f64 {
         match joint {
             0 => 0.0,
@@ -600,7 +598,7 @@ impl Solver<'_> {
         for (marker, point) in points.iter().enumerate() {
             let Some(point) = point else { continue };
             let away = (self.marker(body, marker) - *point * self.scale).length();
-            // Quadratic near, linear beyond.
+            // Huber weight: quadratic near, linear beyond.
             cost += if away < OUTLIER_M {
                 away * away
             } else {
@@ -686,7 +684,7 @@ impl Solver<'_> {
     }
 }
 
-/// How a point at `arm` from a joint moves as the joint turns: the matrix of `turn x arm`.
+/// Derivative of a point at `arm` from a joint by the joint's rotation: the matrix of `turn x arm`.
 fn cross_matrix(arm: DVec3) -> DMat3 {
     DMat3::from_cols(
         DVec3::new(0.0, -arm.z, arm.y),

@@ -1,9 +1,9 @@
 //! The constant rotation between a joint's frame in the source and in the body.
 //!
-//! For each mapped joint there is one rotation `A` with `body = source * A`, both global. A source
-//! whose rest pose is a person standing tells it by geometry ([`by_rest_pose`]). Other sources
-//! choose their joint frames freely, often with every bone along x, and their zero pose means
-//! nothing; there it is estimated from the motion ([`by_motion`]).
+//! Each mapped joint has one rotation `A` with `body = source * A`, both global. If the source's rest pose
+//! is a standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames
+//! freely, often with every bone along x, and their zero pose is arbitrary; then `A` is estimated from the
+//! motion ([`by_motion`]).
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -33,8 +33,7 @@ const LIMBS: [(usize, usize); 8] = [
 const LEGS: [[usize; 4]; 2] = [[1, 4, 7, 10], [2, 5, 8, 11]];
 /// Shoulder, elbow and wrist of each arm.
 const ARMS: [[usize; 3]; 2] = [[16, 18, 20], [17, 19, 21]];
-/// Most frames that constant rotations are estimated from. Longer motions are sampled evenly: their
-/// neighbouring frames say the same.
+/// Limit on the frames that constant rotations are estimated from. Longer motions are sampled evenly.
 const MAX_SAMPLES: usize = 256;
 /// The joints between pelvis and neck, lowest first.
 pub(super) const SPINE: [usize; 3] = [3, 6, 9];
@@ -42,9 +41,9 @@ pub(super) const SPINE: [usize; 3] = [3, 6, 9];
 /// Aligns the frames of a source by a pose that shows a standing person with arms out or down; none
 /// if it does not. The pose may be in any unit and orientation.
 ///
-/// Both bodies then strike the same pose: torsos upright and facing the same way, limbs with bones
-/// in the same directions, soles level. Spine, neck, collar and head joints sit at different
-/// places in every skeleton, so there the torso's orientation counts, not the directions of bones.
+/// Both bodies then have the same pose: torsos upright with the same heading, limb bones in the same
+/// directions, soles level. The positions of spine, neck, collar and head joints differ between
+/// skeletons, so these joints use the torso's orientation instead of bone directions.
 pub(super) fn by_rest_pose(
     rest: &TrackRest,
     track: &Track,
@@ -57,8 +56,8 @@ pub(super) fn by_rest_pose(
         if !track.is_located(joint) {
             continue;
         }
-        // Hips and shoulders start from the torso; knees and elbows from the bone above, so that
-        // a limb that rests at an angle turns as a whole.
+        // Hips and shoulders start from the torso, knees and elbows from the bone above, so that a
+        // limb that rests at an angle rotates as a whole.
         let from = if matches!(joint, 4 | 5 | 18 | 19) {
             alignment[parent_of(joint)]
         } else {
@@ -74,9 +73,9 @@ pub(super) fn by_rest_pose(
         alignment[arm[2]] = alignment[arm[1]];
     }
     for [hip, _, ankle, foot] in LEGS {
-        // A leg that rests aslant takes its foot along, so the sole is level relative to the line
-        // from hip to ankle. Of the foot's direction only the heading counts: how far the ankle
-        // is above the toes is a property of the skeleton, not of the pose.
+        // The foot of an inclined leg inclines with it, so the sole is levelled relative to the
+        // line from hip to ankle. Only the heading of the foot's direction is used: the height of
+        // the ankle above the toes depends on the skeleton, not on the pose.
         let leg = skeleton.rest(ankle) - skeleton.rest(hip);
         let level = arc(torso * leg, zero[ankle] - zero[hip]) * torso;
         alignment[ankle] = if track.is_located(foot) {
@@ -87,7 +86,7 @@ pub(super) fn by_rest_pose(
         };
         alignment[foot] = alignment[ankle];
     }
-    // So far these are the body's rotations in the pose; the source's own come off.
+    // These are the body's rotations in the pose; divide by the source's.
     for (rotation, source) in alignment.iter_mut().zip(&rest.rotations) {
         *rotation = source.inverse() * *rotation;
     }
@@ -112,7 +111,7 @@ fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQua
     let hips_middle = zero[1].midpoint(zero[2]);
     let top = if track.is_located(15) { 15 } else { 12 };
     let spine = (zero[top] - hips_middle).try_normalize()?;
-    // Zero poses are authored along the axes; what deviates from them is where joints sit.
+    // Zero poses are authored along the axes; deviations come from joint positions.
     let up = nearest_axis(spine);
     let hips = direction(2, 1)?;
     let left = nearest_axis(hips);
@@ -156,12 +155,11 @@ fn nearest_axis(direction: DVec3) -> DVec3 {
 
 /// Estimates the frames of a source from its motion, which must be y up.
 ///
-/// Positions alone give the body's orientation in each frame up to some twist: the pelvis from the
-/// line of the hips and the lowest spine bone, the chest from the line of the collars and the
-/// spine, upper limbs from the plane in which elbow or knee is bent, feet from the moments they
-/// stand flat. `A` is the mean over the frames of `source^-1 * body`, made exact for the directions
-/// of limb bones. The twist at each instant then comes from the source's rotations; only its
-/// constant part is estimated.
+/// Positions determine the body's rotations in each frame up to twists: the pelvis from the line of the
+/// hips and the lowest spine bone, the chest from the line of the collars and the spine, upper limbs from
+/// the plane in which elbow or knee is bent, feet from the frames in which they stand flat. `A` is the mean
+/// over the frames of `source^-1 * body`, corrected so that limb bones have exact directions. The twist of
+/// each frame comes from the source's rotations; only its constant part is estimated.
 pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
     let mut alignment = [DQuat::IDENTITY; NUM_BODY_JOINTS];
     let stride = track.num_frames().div_ceil(MAX_SAMPLES);
@@ -184,7 +182,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
         }))
     };
 
-    // Joints closer than this to the leg's length coincide and give no direction.
+    // Joints closer than this fraction of the leg's length coincide and give no direction.
     let apart = 0.02 * track.leg_length();
     let is_apart = |a: &dyn Fn(usize) -> DVec3, b: &dyn Fn(usize) -> DVec3| {
         frames
@@ -246,7 +244,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
             alignment[joint] = mean_of(joint, &body).0;
         }
     }
-    // The head joint of the body is off its midline; a neck that is straight must not tilt.
+    // The body's head joint is off its midline, which must not tilt a straight neck.
     let neck_bone = skeleton.offset(15).with_x(0.0);
     let neck = |frame: usize| {
         let chest = chest(frame);
@@ -260,7 +258,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
             mean_of(12, &|frame| (chest(frame), 1.0)).0
         };
     }
-    // On average the head is held as the chest is, and shoulders neither shrug nor droop.
+    // On average the head is aligned with the chest, and the shoulders are level.
     for joint in [13, 14, 15] {
         if is_mapped(joint) {
             alignment[joint] = mean_of(joint, &|frame| (chest(frame), 1.0)).0;
@@ -296,8 +294,8 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
                 (axes(bone, axis) * axes(upper_bone, hinge).inverse(), weight)
             })
         };
-        /// Sum of the squared sines of bending that makes the plane of bending trustworthy: three
-        /// frames at a right angle, or some thirty at 20 degrees.
+        /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right
+        /// angle, or some thirty at 20 degrees.
         const MIN_BENDING: f64 = 3.0;
         let mut estimate = (DQuat::IDENTITY, 0.0);
         if track.is_located(end) {
@@ -326,8 +324,8 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
             };
         }
         if is_mapped(end) {
-            // Wrists are on average in line with the forearm, ankles with the shin until the soles
-            // say better.
+            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles
+            // determine them.
             let middle_alignment = alignment[middle];
             let body = |frame: usize| (rotation(frame, middle) * middle_alignment, 1.0);
             alignment[end] = mean_of(end, &body).0;
@@ -346,11 +344,9 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
     alignment
 }
 
-/// The axis a joint is bent about and how much that axis can be trusted; none if it is nearly
-/// straight or folded flat.
+/// The bending axis of a joint and its weight; none if the joint is nearly straight or folded.
 fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
-    /// Sine of 20 degrees: below that, noise in the positions turns the axis at will, and real
-    /// knees and elbows overextend.
+    /// Sine of 20 degrees: for smaller bends the axis is noise, and real knees and elbows overextend.
     const MIN_SINE: f64 = 0.342;
     let axis = bone.cross(next);
     let sine = axis.length();
@@ -397,7 +393,7 @@ fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Opt
     Some(right_of(normal, direction) * right_of(DVec3::Y, body).inverse())
 }
 
-/// The rotation that carries x to the first direction and y as near as possible to the second.
+/// The rotation that takes x to the first direction and y as near as possible to the second.
 fn axes(first: DVec3, second: DVec3) -> DQuat {
     let Some(x) = first.try_normalize() else {
         return DQuat::IDENTITY;
@@ -445,7 +441,7 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
     (mean, total)
 }
 
-/// The rotation that carries an axis that is up to y.
+/// The rotation that takes an up axis to y.
 pub(super) fn y_up_from_axis(up: DVec3) -> DQuat {
     if up.z != 0.0 {
         DQuat::from_rotation_x(-FRAC_PI_2 * up.z.signum())
@@ -458,10 +454,10 @@ pub(super) fn y_up_from_axis(up: DVec3) -> DQuat {
     }
 }
 
-/// The rotation that brings a source to y up, and the name of the axis that was up.
+/// The rotation of a source to y up, and the name of its up axis.
 ///
-/// The body's own direction from hips to head, averaged over the frames, says where up is. It says
-/// nothing for someone who lies down or bends, so anything but y needs a clear majority.
+/// The up axis is the mean direction from hips to head. That is unreliable for a person who lies or bends,
+/// so an axis other than y needs a clear majority.
 pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
     /// Share of the mean direction that must lie along another axis than y.
     const CLEAR: f64 = 0.7;
@@ -478,7 +474,7 @@ pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
     (y_up_from_axis(axis), axis_name(axis))
 }
 
-/// What an axis of the coordinates is called.
+/// Name of an axis.
 pub(super) fn axis_name(axis: DVec3) -> &'static str {
     match (axis.x, axis.y, axis.z) {
         (x, _, _) if x > 0.0 => "x",

@@ -11,10 +11,10 @@ use super::track::Track;
 /// reaches 0.62; a fox that carries its head high stays at 0.5.
 pub(super) const LEAST: f64 = 0.6;
 
-/// Trust in a map that no name speaks for, relative to one by names.
+/// Confidence of a map without names, relative to one by names.
 const NAMELESS: f64 = 0.8;
 
-/// Joints and those that hang from them in every body.
+/// Joints and their descendants in every body.
 const DESCENT: [(usize, usize); 9] = [
     (1, 4),
     (2, 5),
@@ -34,7 +34,7 @@ const SIDES: [[(usize, usize); 2]; 4] = [
     [(18, 20), (19, 21)],
 ];
 
-/// What speaks for a guessed map, each from 0 to 1.
+/// Evidence for a guessed map, each from 0 to 1.
 pub(super) struct Evidence {
     /// Share of the body joints that were found.
     found: f64,
@@ -44,13 +44,13 @@ pub(super) struct Evidence {
     symmetry: f64,
     /// How upright the trunk is over the legs.
     posture: f64,
-    /// Whether names speak for it.
+    /// Whether names support it.
     named: bool,
 }
 
 impl Evidence {
-    /// Gathers what the skeleton and its motion say. `stands` is whether a rest pose shows a person
-    /// standing.
+    /// Collects the evidence of the skeleton and its motion. `stands` tells whether a rest pose is a standing
+    /// person.
     pub(super) fn gather(
         mapping: &Mapping,
         bones: &[Bone<'_>],
@@ -82,16 +82,16 @@ impl Evidence {
     }
 
     /// The confidence, from 0 to 1: 0.6 for joints found, 0.2 each for descent and symmetry, all of
-    /// it times the posture, and times 0.8 where no name speaks for the map.
+    /// it times the posture, and times 0.8 without names.
     pub(super) fn confidence(&self) -> f64 {
         let built = 0.6 * self.found + 0.2 * self.descent + 0.2 * self.symmetry;
         let trust = if self.named { 1.0 } else { NAMELESS };
         built * self.posture * trust
     }
 
-    /// What speaks against the map.
+    /// The evidence against the map.
     pub(super) fn doubts(&self, mapping: &Mapping) -> String {
-        /// Share below which a piece of evidence is worth a word.
+        /// Value below which a piece of evidence is mentioned.
         const WEAK: f64 = 0.7;
         let mut doubts = Vec::new();
         if self.posture < WEAK {
@@ -128,8 +128,8 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     if count == 0 { 0.0 } else { sum / count as f64 }
 }
 
-/// How straight the line from ankles over hips to the head is over the frames: a body that stands,
-/// walks or lies is straight, a beast on four legs is bent by a right angle.
+/// Straightness of the line from ankles over hips to the head: a person who stands, walks or lies is
+/// straight, a quadruped is bent by a right angle.
 fn straightness(track: &Track) -> f64 {
     /// Mean cosine from which a body counts as straight: people also bow and sit.
     const STRAIGHT: f64 = 0.7;

@@ -19,10 +19,10 @@ pub struct JointMap {
     pub source_names: [&'static str; NUM_BODY_JOINTS],
 }
 
-/// The known dialects. The one with most names in the file is taken, the first of them in a tie.
+/// The known dialects. The one with most names in the file is used; ties go to the first.
 ///
-/// Spines differ in number and place. Each source joint is given to the body joint whose height on
-/// the way from pelvis to neck is nearest; the joints left over follow from their neighbours.
+/// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest
+/// height between pelvis and neck; the other body joints follow from their neighbours.
 pub const JOINT_MAPS: [JointMap; 9] = [
     JointMap {
         name: "smplx",
@@ -271,7 +271,7 @@ pub const JOINT_MAPS: [JointMap; 9] = [
     },
 ];
 
-/// Joints without which a skeleton is no body. One of neck and head is needed besides.
+/// Required joints of a body. Neck or head is required too.
 const REQUIRED: [Joint; 7] = [
     Joint::Pelvis,
     Joint::LeftHip,
@@ -291,11 +291,11 @@ pub enum Origin {
     Dialect,
     /// By words in names.
     Words,
-    /// By how the bones hang together.
+    /// By the topology of the bones.
     Topology,
 }
 
-/// The joints of a file that were found to be joints of the body.
+/// The joints of a file that map to joints of the body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mapping {
     /// Name of the map or dialect, or how the joints were guessed.
@@ -307,11 +307,11 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// Finds the body in a skeleton: by the user's map, a known dialect, the words in its names, or
-    /// how its bones hang together, whichever is first to find pelvis, legs and head.
+    /// Finds the body in a skeleton: by the user's map, a known dialect, the words in its names, or its
+    /// topology. The first that finds pelvis, legs and head is used.
     ///
     /// # Errors
-    /// What is missing, if none does, or which name that is needed occurs twice.
+    /// No method finds them (the error names what is missing), or a required name occurs twice.
     pub fn find(
         bones: &[Bone<'_>],
         rests: &[Rest],
@@ -407,8 +407,8 @@ impl Mapping {
         })
     }
 
-    /// Takes limb joints that the dialect's names did not find, such as a foot of another name,
-    /// from a guess. Spine joints are left out: the guess counts them differently.
+    /// Adds limb joints that the dialect's names did not find, such as a foot with another name, from a guess.
+    /// Spine joints are left out: the guess assigns them differently.
     fn completed(mut self, guessed: &Self) -> Self {
         for joint in 0..NUM_BODY_JOINTS {
             let is_limb = Joint::ALL[joint].mirrored() != Joint::ALL[joint];
@@ -459,7 +459,7 @@ enum Side {
     Right,
 }
 
-/// A part of the body by itself, before its side is known.
+/// A body joint without its side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Part {
     /// The pelvis, which some rigs have twice: as root of the legs and of the spine.
@@ -478,7 +478,7 @@ enum Part {
     Head,
 }
 
-/// Words for each part. The longest word that ends a name decides: a forearm is no arm.
+/// Words for each part. The longest word that ends a name decides, so that a forearm is not an arm.
 const WORDS: [(&str, Part); 38] = [
     ("pelvis", Part::Pelvis),
     ("hips", Part::Pelvis),
@@ -520,7 +520,7 @@ const WORDS: [(&str, Part); 38] = [
     ("head", Part::Head),
 ];
 
-/// Words of bones that steer or twist others and are no joints.
+/// Words of control and twist bones, which are not joints.
 const STEERING: [&str; 8] = [
     "ik", "fk", "pole", "target", "ctrl", "control", "twist", "nub",
 ];
@@ -634,7 +634,7 @@ fn common_ancestor(bones: &[Bone<'_>], a: usize, b: usize) -> Option<usize> {
     ancestors(bones, b).find(|candidate| above.contains(candidate))
 }
 
-/// Whether a bone hangs from another one, directly or not.
+/// Whether a bone descends from another one.
 pub(super) fn hangs_from(bones: &[Bone<'_>], bone: usize, from: usize) -> bool {
     ancestors(bones, bone).any(|ancestor| ancestor == from)
 }

@@ -1,8 +1,8 @@
-//! Carrying a motion from another skeleton over to the body.
+//! Retargeting a motion from another skeleton to the body.
 //!
-//! Rotations are carried joint by joint through a constant rotation per joint; the pelvis
-//! follows the middle of the source's hips, scaled by the ratio of the legs, so that feet which
-//! stood still keep standing. Bone lengths of the source other than the legs' do not matter.
+//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's
+//! hips, scaled by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the
+//! source have no effect.
 
 mod align;
 mod confidence;
@@ -28,8 +28,7 @@ use self::user_map::{RestPose, Up};
 use crate::clip::{Rejected, RotationSource, SourceClip};
 use crate::floor;
 
-/// Units that motion files are written in, in metres. The CMU unit is 1/0.45 inch, the scale of the
-/// original ASF files, which their conversions kept.
+/// Units of motion files in metres. The CMU unit is 1/0.45 inch, the scale of the original ASF files.
 const UNITS: [(&str, f64); 5] = [
     ("metres", 1.0),
     ("CMU units of 5.64 cm", 0.0254 / 0.45),
@@ -38,12 +37,12 @@ const UNITS: [(&str, f64); 5] = [
     ("millimetres", 0.001),
 ];
 
-/// Retargets a parsed file to the body. `joint_map` is that of the user, which wins over those that
-/// are known wherever its joints are there.
+/// Retargets a parsed file to the body. The user's `joint_map` takes precedence over
+/// known ones if the file has its joints.
 ///
 /// # Errors
-/// The rig's code for skeletons if its skeleton is no body, `E-NOT-FINITE` if its joints leave the
-/// numbers.
+/// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not
+/// finite.
 pub fn clip(
     rig: &impl Rig,
     skeleton: &Skeleton,
@@ -53,7 +52,7 @@ pub fn clip(
     let rests = rig.rests();
     let reject = |reason: String| Rejected::retarget(rig.skeleton_code(), reason);
     let mapping = Mapping::find(&bones, &rests, joint_map).map_err(reject)?;
-    // What the user says of unit, axes and rest belongs to the files the map fits.
+    // The user's unit, axes and rest pose apply to files that the map fits.
     let user_map = joint_map.filter(|_| mapping.origin == Origin::User);
     let mut track = Track::follow(rig, &bones, &rests, &mapping)?;
     let from_rest = by_rest(&track, user_map.and_then(UserMap::rest), skeleton);
@@ -127,7 +126,7 @@ fn by_rest(
     }
 }
 
-/// The note on a guessed map, or why it is not believed.
+/// The note on a guessed map, or why it is rejected.
 fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     let confidence = evidence.confidence();
     if confidence < confidence::LEAST {
@@ -145,7 +144,7 @@ fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     ))
 }
 
-/// Turns a track so that y is up, and notes the axis that was up if it was another.
+/// Rotates a track to y up, and notes the up axis if it was another.
 fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
     let (turn, axis) = match stated_up {
         Some(up) => (align::y_up_from_axis(up), align::axis_name(up)),
@@ -158,7 +157,7 @@ fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
     Some(format!("{axis} is up in the file"))
 }
 
-/// A note if feet point to where, by what is called left and right, the back is.
+/// A note if the feet point backwards by the names of left and right.
 fn facing_note(track: &Track, origin: Origin) -> Option<String> {
     let believed = match origin {
         Origin::Topology => "build",
@@ -184,7 +183,7 @@ fn mean_up(track: &Track) -> DVec3 {
     sum / track.num_frames() as f64
 }
 
-/// Whether feet point to where, by the names of the sides, the back is.
+/// Whether the feet point backwards by the names of the sides.
 fn feet_point_backwards(track: &Track) -> bool {
     let ahead: f64 = (0..track.num_frames())
         .map(|frame| {
@@ -202,10 +201,9 @@ fn feet_point_backwards(track: &Track) -> bool {
     ahead < 0.0
 }
 
-/// Says which unit the leg's length speaks for. The unit is of no consequence: the motion is
-/// scaled by the ratio of the legs.
+/// The unit that the leg's length suggests, for a note only: the motion is scaled by the ratio of the legs.
 fn unit_note(track: &Track, body_leg: f64) -> String {
-    /// A leg within this factor of the body's own is a person's.
+    /// Largest ratio of a person's leg to the body's.
     const PLAUSIBLE: f64 = 1.45;
     let misfit = |metres: f64| (track.leg_length() * metres / body_leg).ln().abs();
     let (name, metres) = UNITS.into_iter().fold(UNITS[0], |best, unit| {
@@ -233,7 +231,7 @@ fn stated_unit_note(track: &Track, metres: f64) -> String {
     )
 }
 
-/// Carries the frames of a track over to the body.
+/// Retargets the frames of a track to the body.
 struct Carrier<'a> {
     track: &'a Track,
     alignment: Alignment,
@@ -241,19 +239,19 @@ struct Carrier<'a> {
     skeleton: &'a Skeleton,
 }
 
-/// A motion carried over to the body.
+/// A retargeted motion.
 struct Carried {
     motion: Motion,
-    /// Mean distance in metres between the body's joints and the source's, the latter with every
-    /// bone in its own direction but of the body's length. Both start from the same hips, which are
-    /// rigid parts of the pelvis.
+    /// Mean distance in metres between the joints of the body and of the source, whose bones keep their
+    /// directions but get the body's lengths. Both start from the same hips, which are rigid parts of the
+    /// pelvis.
     error_m: f64,
 }
 
-/// A bone of the source whose direction the body's is compared with.
+/// A bone of the source that is compared with the body's.
 struct Compared {
     joint: usize,
-    /// The nearest joint above that the source tells the place of.
+    /// The nearest ancestor that the source has a position for.
     from: usize,
     /// The bone's length in the body in metres.
     length: f64,
@@ -334,10 +332,10 @@ impl Carrier<'_> {
         }
     }
 
-    /// Positions of the body's joints in a frame in metres, at the height the scaled source has.
+    /// Positions of the body's joints in a frame in metres, at the height of the scaled source.
     ///
-    /// The hips are followed, not the pelvis joint, whose place in the pelvis every skeleton
-    /// chooses differently: with it, feet would slide whenever the pelvis tilts.
+    /// It follows the hips, not the pelvis joint: skeletons place that joint differently, and feet would slide
+    /// whenever the pelvis tilts.
     fn joints(
         &self,
         frame: usize,
@@ -374,8 +372,8 @@ impl Carrier<'_> {
             .collect()
     }
 
-    /// Sum of the distances that [`Carried::error_m`] is the mean of, for one frame. Bones without
-    /// a direction in the source are taken to be where the body's are.
+    /// Sum of one frame's distances for [`Carried::error_m`]. Bones without a direction in the source count as
+    /// equal to the body's.
     fn direction_error(
         &self,
         frame: usize,

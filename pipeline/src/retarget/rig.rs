@@ -1,4 +1,4 @@
-//! What retargeting needs to know of a source, whatever its format.
+//! The interface of a source that retargeting needs, independent of its format.
 
 use std::ops::Range;
 
@@ -12,11 +12,11 @@ pub struct Bone<'a> {
     pub name: &'a str,
     /// Index of the parent, which precedes its children; none for a root.
     pub parent: Option<usize>,
-    /// Where the bone ends in its own frame, if the file says so.
+    /// End of the bone in its own frame, if the file states it.
     pub tip: Option<DVec3>,
 }
 
-/// Where a bone is in the file's world, in the file's unit and axes.
+/// World transform of a bone in the file's unit and axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed {
     /// Origin of the bone.
@@ -26,25 +26,25 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// At the origin, unturned.
+    /// The identity.
     pub const ORIGIN: Placed = Placed {
         position: DVec3::ZERO,
         rotation: DQuat::IDENTITY,
     };
 }
 
-/// A pose in which the source may show a person standing.
+/// A pose that may be a standing person.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rest {
-    /// What the pose is called in the file's format.
+    /// Name of the pose in the file's format.
     pub name: &'static str,
     /// Every bone, `[B]`. The axes need not be those of the motion.
     pub bones: Vec<Placed>,
 }
 
-/// A skeleton and its motion as a file has them: own names, unit, axes and joint frames.
+/// A skeleton and its motion with the file's names, unit, axes and joint frames.
 pub trait Rig {
-    /// Code of the rejection of a skeleton that is no body.
+    /// Rejection code for a skeleton that is not a body.
     fn skeleton_code(&self) -> &'static str;
 
     /// The bones, parents first.
@@ -56,15 +56,15 @@ pub trait Rig {
     /// The frames that are motion.
     fn frames(&self) -> Range<usize>;
 
-    /// The axis that the format says is up; none if files differ.
+    /// The up axis that the format specifies; none if it varies among files.
     fn up(&self) -> Option<DVec3> {
         None
     }
 
-    /// Poses that may show a person standing, the most trustworthy first. At least one.
+    /// Poses that may be a standing person, the most reliable first. At least one.
     fn rests(&self) -> Vec<Rest>;
 
-    /// Visits the frames in order with the bones of each, `[B]`. Only those that `needed` says are
-    /// computed; with a bone its ancestors must be needed.
+    /// Visits the frames in order with the bones of each, `[B]`. Only bones marked in `needed` are computed;
+    /// their ancestors must be marked too.
     fn follow(&self, needed: &[bool], visit: &mut dyn FnMut(usize, &[Placed]));
 }

@@ -1,12 +1,12 @@
-//! Finding the body in a skeleton whose names say nothing, from how its bones hang together.
+//! Finding the body in a skeleton without known names, from the topology of its bones.
 
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::rig::{Bone, Placed};
 
-/// Children of one bone that are looked at. The hips and chest of a body have three to six; every
-/// pair of them is tried.
+/// Limit on the children of a bone. The hips and chest of a body have three to six; every pair of them is
+/// tried.
 const MAX_CHILDREN: usize = 16;
 /// Bones of a leg that has a knee and an ankle, and of an arm that has an elbow.
 const MIN_LEG: usize = 3;
@@ -100,7 +100,7 @@ impl Tree<'_> {
             .iter()
             .filter(|child| legs.iter().all(|leg| leg[0] != **child))
             .find_map(|&child| self.trunk(child, up))?;
-        // Without toes nothing tells front from back, and thus left from right.
+        // Without toes, front and back, and so left and right, are ambiguous.
         let toes = |leg: &Chain| Some(self.position(*leg.get(3)?) - self.position(leg[2]));
         let front = toes(&legs[0])? + toes(&legs[1])?;
         let left = up.cross(front).try_normalize()?;
@@ -142,7 +142,7 @@ impl Tree<'_> {
         Some(body)
     }
 
-    /// Spine, arms and neck with head of what hangs from a child of the pelvis.
+    /// Spine, arms, neck and head below a child of the pelvis.
     fn trunk(&self, start: usize, up: DVec3) -> Option<(Chain, [Chain; 2], Chain)> {
         let spine = self.chain(start);
         let chest = *spine.last()?;
@@ -161,7 +161,7 @@ impl Tree<'_> {
     }
 }
 
-/// Which bones of a spine, lowest first, are which joints: the highest is the chest.
+/// Maps the bones of a spine, lowest first, to joints: the highest is the chest.
 pub(super) fn spine_joints(spine: &[usize]) -> Vec<(usize, usize)> {
     match *spine {
         [] => Vec::new(),

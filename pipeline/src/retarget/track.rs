@@ -1,4 +1,4 @@
-//! The joints of a source that matter to the body, frame by frame.
+//! The mapped joints of a source, frame by frame.
 
 use glam::{DQuat, DVec3};
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -17,9 +17,9 @@ pub(super) struct Track {
     leg_length: f64,
 }
 
-/// The mapped joints in a pose that may show a person standing, in axes of its own.
+/// The mapped joints in a pose that may be a standing person, in the axes of the pose.
 pub(super) struct TrackRest {
-    /// What the pose is called.
+    /// Name of the pose.
     pub(super) name: &'static str,
     /// Global rotations, `[22]`; the identity for joints that are not mapped.
     pub(super) rotations: [DQuat; NUM_BODY_JOINTS],
@@ -27,11 +27,10 @@ pub(super) struct TrackRest {
     pub(super) points: [DVec3; NUM_BODY_JOINTS],
 }
 
-/// Largest coordinate followed, in the file's unit: anything beyond is not a motion and would
-/// overflow on the way.
+/// Limit on coordinates in the file's unit: larger values are not motion and would overflow.
 const MAX_COORDINATE: f64 = 1e9;
 
-/// Joints of each foot, and the ankle whose end site stands in where a skeleton has no foot joint.
+/// Joints of each foot, and the ankle whose end site replaces a missing foot joint.
 const FOOT_OF_ANKLE: [(usize, usize); 2] = [(7, 10), (8, 11)];
 
 /// The point of a bone that is a body joint: its origin, or its tip.
@@ -41,8 +40,8 @@ impl Track {
     /// Follows the mapped joints of a source.
     ///
     /// # Errors
-    /// `E-NOT-FINITE` if a joint leaves the numbers, the rig's code for skeletons if the legs have
-    /// no length.
+    /// `E-NOT-FINITE` if a joint position is not finite, the rig's code for skeletons if the legs have no
+    /// length.
     pub(super) fn follow(
         rig: &impl Rig,
         bones: &[Bone<'_>],
@@ -56,7 +55,7 @@ impl Track {
         let mut lost = None;
         rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
             let frame_points = points_of(&anchors, placed);
-            // One number that is not finite, or a sum that overflows, makes the sum so.
+            // The sum is not finite if any number is not, or if it overflows.
             let reach = frame_points
                 .iter()
                 .fold(0.0, |sum, point| sum + point.abs().element_sum());
@@ -109,7 +108,7 @@ impl Track {
         Ok(track)
     }
 
-    /// Turns the whole track.
+    /// Rotates the whole track.
     pub(super) fn turn(&mut self, turn: DQuat) {
         for rotations in &mut self.rotations {
             for rotation in rotations {
@@ -133,7 +132,7 @@ impl Track {
         self.source_of[joint].is_some()
     }
 
-    /// Whether the source tells where this body joint is: it has the joint, or an end site there.
+    /// Whether the source has a position for this body joint: the joint itself, or an end site.
     pub(super) fn is_located(&self, joint: usize) -> bool {
         self.located[joint]
     }
@@ -148,7 +147,7 @@ impl Track {
         &self.points[frame]
     }
 
-    /// The poses that may show a person standing, the most trustworthy first.
+    /// The poses that may be a standing person, the most reliable first.
     pub(super) fn rests(&self) -> &[TrackRest] {
         &self.rests
     }

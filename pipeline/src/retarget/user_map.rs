@@ -26,7 +26,7 @@ pub struct UserMap {
     rest: Option<RestPose>,
 }
 
-/// The axis that is up in a file.
+/// The up axis of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub(super) enum Up {
     #[serde(rename = "x")]
@@ -67,14 +67,14 @@ pub(super) enum RestPose {
     FirstFrame,
 }
 
-/// Why a text is no joint map.
+/// Why a joint map is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UserMapError {
-    /// It is no JSON, or has fields that a map has not.
+    /// It is not JSON, or has unknown fields.
     #[error("a joint map is JSON with name, joints and, if needed, unit, up and rest")]
     Syntax(#[from] serde_json::Error),
-    /// A joint of the map is no SMPL-X body joint.
+    /// A joint of the map is not an SMPL-X body joint.
     #[error("joint map names {joint}, which is no SMPL-X body joint such as left_knee")]
     Joint {
         /// The name given.
@@ -86,7 +86,7 @@ pub enum UserMapError {
         /// The source joint.
         source_name: String,
     },
-    /// The unit is no positive number.
+    /// The unit is not a positive number.
     #[error("joint map has a unit of {unit} m; expected a positive number of metres")]
     Unit {
         /// The unit given.

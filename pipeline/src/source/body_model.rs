@@ -1,5 +1,5 @@
-//! The rest skeleton of a body model the user has: SMPL-X or SMPL-H as npz, or its joints as npy;
-//! and the bodies of subjects, by gender and shape.
+//! Rest skeletons of the user's body models (SMPL-X or SMPL-H as npz, or joints as npy), and the bodies of
+//! subjects by gender and shape.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -13,12 +13,12 @@ use crate::clip::Rejected;
 use pickle::npy::{self, Array};
 use pickle::npz::Archive;
 
-/// Largest array read of a model, in bytes, but for its shapes. The joint regressor of SMPL-X takes
-/// 4.6 MB; pose blend shapes, which take hundreds, are never unpacked.
+/// Limit on arrays of a model in bytes, except its shapes. The joint regressor of SMPL-X takes 4.6 MB; pose
+/// blend shapes take hundreds and are not read.
 const MAX_ARRAY_LEN: u64 = 64 << 20;
-/// Largest array of blend shapes read, in bytes: the 400 of SMPL-X take 101 MB.
+/// Limit on the array of blend shapes in bytes: the 400 of SMPL-X take 101 MB.
 const MAX_SHAPES_LEN: u64 = 256 << 20;
-/// Betas that count.
+/// Number of betas that are used.
 const NUM_BETAS: usize = 10;
 /// Joints of SMPL-H: the body and two hands of 15.
 const NUM_SMPLH_JOINTS: usize = 52;
@@ -134,8 +134,8 @@ impl BodyModel {
         Ok(Self { joints, shapes })
     }
 
-    /// The rest skeleton of a subject. Betas the model does not have, and those after the tenth,
-    /// count for nothing, as in the published preparation.
+    /// The rest skeleton of a subject. Betas beyond those of the model and beyond the tenth are ignored, as in
+    /// the published preparation.
     pub fn skeleton(&self, name: &str, betas: &[f64]) -> Skeleton {
         let joints: Vec<DVec3> = (0..self.joints.len())
             .map(|joint| {
@@ -156,7 +156,7 @@ impl BodyModel {
     }
 }
 
-/// The body models of a release by gender, to pose each subject on the own body.
+/// The body models of a release by gender, to pose each subject on their own body.
 #[derive(Clone)]
 pub struct Subjects {
     male: BodyModel,
@@ -164,7 +164,7 @@ pub struct Subjects {
     hash: String,
 }
 
-/// The hash of the models stands for their numbers: it is part of what a plan is known by.
+/// The hash of the models identifies them in a plan.
 impl std::fmt::Debug for Subjects {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Subjects({})", self.hash)
@@ -249,7 +249,7 @@ fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(),
     Ok(())
 }
 
-/// The gender a model is of by its name, or by that of the nearest folder that tells one.
+/// The gender of a model by its file name or the nearest folder that states one.
 fn gender_of(root: &Path, file: &Path) -> Option<&'static str> {
     let inside = file.strip_prefix(root).unwrap_or(file).with_extension("");
     let mut names: Vec<String> = inside
@@ -362,7 +362,7 @@ impl Template {
     }
 }
 
-/// Where a joint of a model stands in SMPL-X.
+/// Index of a model's joint in SMPL-X.
 fn smplx_index(joint: usize, num_joints: usize) -> usize {
     if num_joints == NUM_SMPLH_JOINTS && joint >= NUM_BODY_JOINTS {
         joint + NUM_FACE_JOINTS
@@ -408,7 +408,7 @@ fn known_count(num_joints: usize) -> Result<(), Rejected> {
     }
 }
 
-/// Puts what the model lacks where it is on the neutral body relative to its parent.
+/// Places joints that the model lacks as on the neutral body, relative to their parents.
 fn complete(joints: Vec<DVec3>) -> Result<[DVec3; NUM_JOINTS], Rejected> {
     known_count(joints.len())?;
     let neutral = Skeleton::smplx_neutral();

@@ -8,7 +8,7 @@ use datasets_spec::store::{Disk, Store};
 
 use crate::clip::Rejected;
 
-/// The files under the ingested sources, by their relative paths with forward slashes.
+/// The files under the sources, by relative path with forward slashes.
 #[derive(Clone, Debug)]
 pub struct Files {
     store: Arc<dyn Store>,
@@ -16,7 +16,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Takes the path of every file by its relative path.
+    /// Makes the list from the path of every file, by its relative path.
     pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
         Self::on(Disk::store(), paths)
     }
@@ -94,17 +94,16 @@ impl Files {
     }
 }
 
-/// First words of a Git LFS pointer: what lies in a checkout in place of a large file that was
-/// not downloaded.
+/// First words of a Git LFS pointer, which replaces a large file that was not downloaded.
 pub(super) const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
 
-/// Whether these are the first bytes of what stands in for a file that was not downloaded.
+/// Whether these are the first bytes of a Git LFS pointer.
 pub(crate) fn is_pointer(head: &[u8]) -> bool {
     head.starts_with(LFS_POINTER)
 }
 
-/// Refuses what stands in for a file that was not downloaded.
+/// Refuses a Git LFS pointer.
 ///
 /// # Errors
 /// `E-LFS-POINTER`.

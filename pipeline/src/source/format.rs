@@ -1,4 +1,4 @@
-//! What a source format says of itself, and what a release is.
+//! The interface of a source format, and of a release.
 
 use std::fmt;
 use std::path::Path;
@@ -7,21 +7,21 @@ use datasets_spec::Split;
 
 use super::files::Files;
 use super::options::ReadOptions;
-use crate::clip::{Outcome, Rejected};
+use crate::clip::{Outcome, Rejected, SourceClip};
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
-/// A format of single files implements [`SourceFormat::read`] and a way to recognise them; one of
-/// whole releases, whose files belong together, implements [`SourceFormat::find`].
+/// A format of single files implements [`SourceFormat::read`] and a way to recognise them; a format of
+/// releases, whose files belong together, implements [`SourceFormat::find`].
 pub trait SourceFormat: fmt::Debug + Send + Sync {
     /// The name used in tables and on the command line.
     fn name(&self) -> &'static str;
 
-    /// Bytes that a second of motion takes in a file, for estimates.
+    /// Bytes per second of motion in a file, for estimates.
     fn bytes_per_second(&self) -> f64;
 
-    /// Says what a file is by its name; none where the name says nothing about this format.
-    /// `extension` is in lower case.
+    /// Recognises a file by its name; none if the name is not of this format. `extension` is in lower
+    /// case.
     fn by_name(&self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
         let _ = (extension, name, head);
         None
@@ -44,7 +44,7 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// Reads one motion of a file that stands alone. `key` is one of [`SourceFormat::keys`], or empty.
+    /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
     fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let _ = (path, key, bytes, options);
         Outcome::Rejected(Rejected::read(
@@ -112,7 +112,7 @@ pub enum Recognised {
     Motion(Format),
     /// Not a motion, or not one this crate reads.
     NotMotion {
-        /// Why the file is passed over.
+        /// Why the file is skipped.
         reason: String,
     },
 }
@@ -124,34 +124,41 @@ pub struct Entry {
     pub file: String,
     /// Which of the file's motions; empty if it holds one.
     pub key: String,
-    /// Id the motion is to have.
+    /// Id of the motion.
     pub id: String,
-    /// The published split; none draws one.
+    /// The published split; without one, a split is drawn.
     pub split: Option<Split>,
     /// Id of the motion it mirrors.
     pub mirrored_of: Option<String>,
 }
 
-/// A release: files that belong together and are read by rules of their own.
-pub trait Release: Send + Sync {
-    /// Its format.
-    fn format(&self) -> Format;
-
+/// The files of a release.
+#[derive(Debug, Default)]
+pub struct Contents {
     /// Its motions, in an order that depends on the files alone.
-    fn entries(&self) -> &[Entry];
-
-    /// Its files that hold no motion of their own: why each is passed over. Every file of the
-    /// release is named either here, in [`Release::rejected`] or by an entry.
-    fn passed_over(&self) -> &[(String, String)];
-
-    /// Its files that were found broken before any motion was read.
-    fn rejected(&self) -> &[(String, Rejected)];
-
+    pub entries: Vec<Entry>,
+    /// Files without a motion of their own, with the reason why each is skipped. Every file of the
+    /// release is named here, in `rejected` or by an entry.
+    pub passed_over: Vec<(String, String)>,
+    /// Files that were found broken before any motion was read.
+    pub rejected: Vec<(String, Rejected)>,
     /// What a reader of the dataset should know about the splits of its motions.
-    fn remarks(&self) -> &[String] {
-        &[]
-    }
+    pub remarks: Vec<String>,
+}
+
+/// A release: files that belong together and are read by their own rules.
+pub trait Release: Send + Sync {
+    /// Its files.
+    fn contents(&self) -> &Contents;
 
     /// Reads one motion. Called from many threads at once.
-    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome;
+    ///
+    /// # Errors
+    /// The motion cannot be used.
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected>;
 }

@@ -1,5 +1,5 @@
-//! What is written about a clip beside its file: sidecars, HumanML3D captions, and the labels of
-//! the Bandai-Namco motion dataset.
+//! Labels beside a motion file: sidecars, HumanML3D captions, and the labels of the Bandai-Namco motion
+//! dataset.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::clip::{Rejected, SourceClip};
 use crate::sidecar::Sidecar;
 
-/// Reads what lies beside a motion file into its clip.
+/// Adds the labels beside a motion file to its clip.
 ///
 /// A `<stem>.stance.json` overrides labels found elsewhere; captions add up.
 ///
@@ -53,8 +53,8 @@ pub fn attach(
     Ok(clip)
 }
 
-/// The action and the style a motion file is labelled with, by its name or its sidecar; none unless
-/// both are known. A sidecar that cannot be read says nothing here: [`attach`] reports it.
+/// Action and style of a motion file, by its name or its sidecar; none unless both are known. An unreadable
+/// sidecar is ignored here: [`attach`] reports it.
 pub(crate) fn action_and_style(
     path: &Path,
     companions: &dyn Fn(&str) -> Option<Vec<u8>>,
@@ -157,8 +157,7 @@ impl BandaiNamcoLabel {
         Some(Self { note, ..label })
     }
 
-    /// One plain sentence, since a clip without text is of no use to text-guided work; that it was
-    /// made from labels shows in the action and style beside it.
+    /// A sentence made from the labels, because text-guided work needs a text for every clip.
     fn caption(&self) -> Caption {
         let mut words = self.action.split('-');
         let verb = third_person(words.next().unwrap_or_default());

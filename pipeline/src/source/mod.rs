@@ -1,7 +1,7 @@
-//! Foreign motion files: what is recognised, and how one file becomes one clip.
+//! Foreign motion files: how they are recognised, and how one file becomes one clip.
 //!
-//! Everything that a foreign format does in its own way (units, up axis, joint names, frame rate,
-//! where labels are kept) ends here: a [`SourceClip`](crate::clip::SourceClip) is SMPL-X parameters with y up and in metres.
+//! Everything specific to a foreign format (units, up axis, joint names, frame rate, place of the
+//! labels) ends here: a [`SourceClip`](crate::clip::SourceClip) is SMPL-X parameters with y up and in metres.
 //! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`](crate::clip::Rejected).
 
 mod files;
@@ -24,7 +24,7 @@ use std::path::Path;
 
 pub use self::files::Files;
 pub(crate) use self::files::{is_pointer, refuse_pointer};
-pub use self::format::{Entry, Format, Recognised, Release, SourceFormat};
+pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
 pub use self::options::ReadOptions;
 use crate::clip::Outcome;
 
@@ -35,7 +35,7 @@ pub const FORMATS: [Format; 8] = [
     amass::FORMAT,
     c3d::FORMAT,
     gltf::FORMAT,
-    // Before `humanml3d`: it reads captions that would otherwise count as those of no motion.
+    // Before `humanml3d`, which would list its captions as captions without a motion.
     humanml3d_amass::FORMAT,
     humanml3d::FORMAT,
     stance::FORMAT,
@@ -47,23 +47,27 @@ pub fn format_named(name: &str) -> Option<Format> {
     FORMATS.into_iter().find(|format| format.as_str() == name)
 }
 
-/// The releases among the files, each found by its layout. `humanml3d_index` is the `index.csv` by
-/// which HumanML3D's clips are to be cut from AMASS files.
+/// A release among the files, and its format.
+pub type FoundRelease = (Format, Box<dyn Release>);
+
+/// The releases among the files with their formats, each found by its layout. `humanml3d_index` is the
+/// `index.csv` by which HumanML3D's clips are cut from AMASS files.
 ///
 /// # Errors
 /// The index cannot be read.
 pub fn find_releases(
     files: &Files,
     humanml3d_index: Option<&Path>,
-) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-    let mut releases: Vec<Box<dyn Release>> = Vec::new();
+) -> Result<Vec<FoundRelease>, crate::Error> {
+    let mut releases = Vec::new();
     for format in FORMATS {
-        releases.extend(format.find(files, humanml3d_index)?);
+        let found = format.find(files, humanml3d_index)?;
+        releases.extend(found.into_iter().map(|release| (format, release)));
     }
     Ok(releases)
 }
 
-/// Says what a file is from its name and first bytes (a few hundred are plenty).
+/// Recognises a file by its name and first bytes (a few hundred suffice).
 pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
     let not_motion = |reason: String| Recognised::NotMotion { reason };
     let lower = |text: &std::ffi::OsStr| text.to_string_lossy().to_lowercase();
@@ -95,8 +99,8 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
 
 /// Turns the bytes of one file into a clip on the given body.
 ///
-/// `companions` reads a file beside it by its name (`/` separates folders), and answers none where
-/// there is no such file.
+/// `companions` reads a file beside it by its name (`/` separates folders), or returns none if it does not
+/// exist.
 pub fn read_clip(
     format: Format,
     path: &Path,
@@ -112,10 +116,7 @@ pub fn read_clip(
         Outcome::Clip(clip) => *clip,
         other => return other,
     };
-    match labels::attach(clip, path, companions) {
-        Ok(clip) => Outcome::Clip(Box::new(clip)),
-        Err(rejected) => Outcome::Rejected(rejected),
-    }
+    labels::attach(clip, path, companions).into()
 }
 
 #[cfg(test)]

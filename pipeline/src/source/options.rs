@@ -12,10 +12,10 @@ use crate::retarget::UserMap;
 pub struct ReadOptions {
     /// Skeleton the motions are posed on.
     pub skeleton: Skeleton,
-    /// Joint names of the user, which win over those that are known.
+    /// The user's joint names, which take precedence over known ones.
     pub user_map: Option<UserMap>,
-    /// The rate at which clips are wanted, interpolated at exact times. Readers that can skip the
-    /// frames between do so; the others give the file's own rate.
+    /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
+    /// file's own rate.
     pub rate: Option<Fps>,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,

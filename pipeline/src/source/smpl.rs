@@ -1,4 +1,4 @@
-//! SMPL parameters of files without a layout of their own, brought to the store's axes.
+//! SMPL parameters of files, rotated to the store's axes.
 
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
@@ -9,7 +9,7 @@ use crate::clip::Rejected;
 use crate::floor;
 use pickle::{Array, Value};
 
-/// Parameters of a motion as a file has them, in single precision.
+/// Parameters of a motion as stored in a file, in single precision.
 ///
 /// # Shapes
 /// `root` and `trans` are `[T, 3]`, `body` is `[T, 63]`.
@@ -21,7 +21,7 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
-    /// Takes the columns of a motion.
+    /// Makes parameters from the columns of a motion.
     ///
     /// # Errors
     /// `E-SMPL-SHAPE` if they differ in length.
@@ -84,7 +84,7 @@ impl Parameters {
         .unchanged(fps)
     }
 
-    /// The motion with every number as it is.
+    /// The motion with unchanged numbers.
     ///
     /// # Errors
     /// As [`Parameters::turned`].

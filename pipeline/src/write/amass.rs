@@ -3,7 +3,7 @@
 //!
 //! AMASS is z up. The reader's rule `p' = (x, z, -y)`, a rotation `Q` by -90 degrees about x with
 //! `R' = Q R` and `t' = Q (t + J0) - J0`, is inverted here; `J0` is the rest pelvis of the skeleton.
-//! The body rotations are written as they are, for the skeleton the motion belongs to.
+//! The body rotations are written unchanged, for the motion's own skeleton.
 //!
 //! # Source
 //! The key lists of the SMPL+H G and SMPL-X N releases of AMASS.
@@ -106,7 +106,7 @@ pub(crate) fn encode_smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<V
 pub(crate) fn encode_with_keypoints(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     let mut archive = smplx(motion, skeleton)?;
     let points = skeleton.motion_keypoints(motion).points;
-    // The rotation from y up written out, so that its numbers are exact.
+    // The rotation from y up, written out so that its numbers are exact.
     let z_up: Vec<f64> = points
         .iter()
         .flatten()

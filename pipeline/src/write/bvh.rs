@@ -11,10 +11,9 @@ const CM: f64 = 100.0;
 /// A joint of the file.
 struct FileJoint {
     name: &'static str,
-    /// Place of the parent in [`HIERARCHY`]; the root has none.
+    /// Index of the parent in [`HIERARCHY`]; the root has none.
     parent: Option<usize>,
-    /// The body joint that it is; none for the joints of zero length that the CMU hierarchy has at
-    /// the hips and below the neck.
+    /// The body joint; none for the zero-length joints of the CMU hierarchy at the hips and below the neck.
     joint: Option<Joint>,
     /// The SMPL-X joint at which a chain ends, for the `End Site`.
     end: Option<usize>,
@@ -47,12 +46,12 @@ const fn tip(name: &'static str, parent: usize, joint: Joint, end: usize) -> Fil
     }
 }
 
-/// SMPL-X joints without a rotation of their own that end a chain.
+/// SMPL-X joints without a rotation, at the end of a chain.
 const LEFT_EYE: usize = 23;
 const LEFT_MIDDLE: usize = 28;
 const RIGHT_MIDDLE: usize = 43;
 
-/// The joints in the order of the file: depth first, as the format wants them.
+/// The joints in the order of the file: depth first, as the format requires.
 const HIERARCHY: [FileJoint; 25] = [
     FileJoint {
         name: "Hips",
@@ -90,8 +89,8 @@ const HIERARCHY: [FileJoint; 25] = [
 const TOE_LENGTH: f64 = 0.06;
 
 /// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation
-/// channels in the order Z, Y, X of the CMU conversions. Every body joint has one of the file, so
-/// nothing but the last digits is lost.
+/// channels in the order Z, Y, X of the CMU conversions. Every body joint has a joint in the file, so only
+/// the last digits are lost.
 pub fn encode(motion: &Motion, skeleton: &Skeleton) -> String {
     // About 8 characters for each of the 3 positions and 75 rotations of a frame.
     let mut out = String::with_capacity(8192 + motion.len() * 8 * 80);
@@ -138,7 +137,7 @@ fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize
         None => ("ROOT", "6 Xposition Yposition Zposition"),
         Some(_) => ("JOINT", "3"),
     };
-    // The root's place is in its position channels alone.
+    // The root's position is only in its channels.
     let offset = match (file_joint.parent, file_joint.joint) {
         (Some(_), Some(joint)) => skeleton.offset(joint.index()),
         _ => DVec3::ZERO,
@@ -178,8 +177,8 @@ fn write_offset(out: &mut String, indent: &str, offset: DVec3) {
     );
 }
 
-/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. Where y is a quarter turn, z and x turn about
-/// the same axis, and x is taken to be zero.
+/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. Where y is a quarter turn, z and x rotate about the
+/// same axis, and x is set to zero.
 fn euler_zyx(rotation: DQuat) -> [f64; 3] {
     let m = DMat3::from_quat(rotation);
     let cos_y = m.x_axis.x.hypot(m.x_axis.y);

@@ -5,11 +5,12 @@ use std::io;
 
 use datasets_spec::{Motion, Skeleton};
 use glam::{DQuat, DVec3, Vec3, Vec4};
+use gltf::binary::{Glb, Header};
 use kinematics::skeleton::{JOINT_NAMES, NUM_BODY_JOINTS, PARENTS};
 use serde_json::{Value, json};
 
-/// Encodes a motion as GLB: metres, y up, the 22 body joints by their SMPL-X names, each with a
-/// rotation for every frame, the pelvis with a translation besides.
+/// Encodes a motion as GLB: metres, y up, the 22 body joints by their SMPL-X names. Every joint has a
+/// rotation for each frame, and the pelvis also has a translation.
 ///
 /// The body is a mesh of capsules around the bones, bound in the T-pose.
 ///
@@ -73,44 +74,41 @@ fn nodes(skeleton: &Skeleton) -> Vec<Value> {
     nodes
 }
 
-/// The matrix that brings a point of the T-pose to the frame of a joint, column by column.
+/// The matrix that takes a point of the T-pose to the frame of a joint, in column-major order.
 fn inverse_bind(rest: DVec3) -> [f32; 16] {
     let back = (-rest).as_vec3();
     glam::Mat4::from_translation(back).to_cols_array()
 }
 
-/// Puts JSON and binary data into the chunks of a GLB, each filled up to a multiple of four bytes.
-fn pack(mut text: Vec<u8>, mut binary: Vec<u8>) -> io::Result<Vec<u8>> {
-    const ALIGNMENT: usize = 4;
-    const HEADER_LEN: usize = 12;
-    const CHUNK_HEADER_LEN: usize = 8;
-    text.resize(text.len().next_multiple_of(ALIGNMENT), b' ');
-    binary.resize(binary.len().next_multiple_of(ALIGNMENT), 0);
-    let length = HEADER_LEN + 2 * CHUNK_HEADER_LEN + text.len() + binary.len();
-    let as_u32 = |length: usize| {
-        u32::try_from(length).map_err(|_| {
-            io::Error::new(
-                io::ErrorKind::FileTooLarge,
-                format!("a GLB of {length} bytes cannot be written; export shorter motions"),
-            )
-        })
-    };
-    let mut out = Vec::with_capacity(length);
-    out.extend(b"glTF");
-    out.extend(2u32.to_le_bytes());
-    out.extend(as_u32(length)?.to_le_bytes());
-    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &binary)] {
-        out.extend(as_u32(chunk.len())?.to_le_bytes());
-        out.extend(kind);
-        out.extend(chunk);
+/// Packs JSON and binary data as a GLB.
+fn pack(text: Vec<u8>, binary: Vec<u8>) -> io::Result<Vec<u8>> {
+    /// Bytes of headers and padding, at most.
+    const OVERHEAD: usize = 64;
+    let length = text.len() + binary.len();
+    if u32::try_from(length + OVERHEAD).is_err() {
+        return Err(io::Error::new(
+            io::ErrorKind::FileTooLarge,
+            format!("a GLB of {length} bytes cannot be written; export shorter motions"),
+        ));
     }
-    Ok(out)
+    let header = Header {
+        magic: *b"glTF",
+        version: 2,
+        // The writer states the length itself.
+        length: 0,
+    };
+    let file = Glb {
+        header,
+        json: text.into(),
+        bin: Some(binary.into()),
+    };
+    file.to_vec().map_err(io::Error::other)
 }
 
-/// What a buffer view of a mesh is used for, in the numbers of OpenGL.
+/// OpenGL constants for the use of a buffer view.
 const VERTICES: u32 = 34_962;
 const INDICES: u32 = 34_963;
-/// Component types in the numbers of OpenGL.
+/// OpenGL constants for component types.
 const U8: u32 = 5_121;
 const U16: u32 = 5_123;
 const F32: u32 = 5_126;
@@ -124,7 +122,7 @@ struct Builder {
 }
 
 impl Builder {
-    /// Adds data with an accessor of its own, and returns the index of that.
+    /// Adds data with its own accessor and returns the index of the accessor.
     fn add(
         &mut self,
         kind: &str,
@@ -160,7 +158,7 @@ impl Builder {
         self.add(kind, F32, values.len() / width, bytes, target)
     }
 
-    /// States the least and the largest element of an accessor.
+    /// Sets the minimum and maximum of an accessor.
     fn bound(&mut self, accessor: usize, min: &[f32], max: &[f32]) {
         self.accessors[accessor]["min"] = json!(min);
         self.accessors[accessor]["max"] = json!(max);
@@ -255,7 +253,7 @@ fn joint_rotations(motion: &Motion, joint: usize) -> Vec<f32> {
         .collect()
 }
 
-/// A limb of the body: from one place to another, moved by a joint.
+/// A limb of the body, moved by one joint.
 struct Limb {
     joint: usize,
     from: DVec3,
@@ -286,7 +284,8 @@ const LIMBS: [(usize, usize, f64); 19] = [
     (18, 20, 0.038),
     (19, 21, 0.038),
 ];
-/// What has no joint at its end: chest, head, toes and hands, as offsets from their joints in metres.
+/// Limbs without a joint at their end (chest, head, toes, hands): joint, offset of the end and radius
+/// in metres.
 const ENDS: [(usize, DVec3, f64); 6] = [
     (9, DVec3::new(0.0, 0.06, -0.01), 0.12),
     (15, DVec3::new(0.0, 0.09, 0.02), 0.09),
@@ -296,7 +295,7 @@ const ENDS: [(usize, DVec3, f64); 6] = [
     (21, DVec3::new(-0.14, 0.0, 0.0), 0.03),
 ];
 
-/// A triangle mesh in the T-pose, each vertex moved by one joint.
+/// A triangle mesh in the T-pose; each vertex is moved by one joint.
 #[derive(Default)]
 struct Mesh {
     positions: Vec<Vec3>,
@@ -305,7 +304,7 @@ struct Mesh {
     triangles: Vec<[u16; 3]>,
 }
 
-/// Vertices around a capsule, and circles of vertices on each of its halves.
+/// Vertices in a ring of a capsule, and rings in each half.
 const AROUND: u16 = 12;
 const RINGS: u16 = 4;
 
@@ -330,12 +329,12 @@ impl Mesh {
         mesh
     }
 
-    /// Adds a capsule: a pole, circles from there to the other pole, and the triangles between.
+    /// Adds a capsule: a pole, the rings, the other pole, and the triangles between them.
     fn add_capsule(&mut self, limb: &Limb) {
         let along = (limb.to - limb.from).normalize_or(DVec3::Y);
         let across = along.any_orthonormal_vector();
         let third = along.cross(across);
-        // Half a mesh of some thousand vertices: indices fit into 16 bits.
+        // A mesh has some thousand vertices: indices fit into 16 bits.
         let first = self.positions.len() as u16;
         self.add_vertex(limb, limb.from, -along);
         for ring in 0..2 * RINGS {
@@ -381,10 +380,11 @@ mod tests {
     use datasets_spec::Fps;
 
     use super::*;
+    use crate::clip::Outcome;
     use crate::floor;
     use crate::retarget::tests::walk;
     use crate::source::ReadOptions;
-    use crate::source::gltf::{Content, keys, read};
+    use crate::source::gltf::{keys, read};
 
     #[test]
     fn the_crate_for_the_format_finds_nothing_wrong() {
@@ -436,7 +436,7 @@ mod tests {
         let bytes = encode(&motion, &skeleton).expect("encoded");
         assert_eq!(keys(&bytes), ["motion"]);
         let content = read(&bytes, "motion", &ReadOptions::default()).expect("readable");
-        let Content::Clip(clip) = content else {
+        let Outcome::Clip(clip) = content else {
             panic!("no clip");
         };
         assert_eq!(clip.motion.fps(), Fps::STORE);

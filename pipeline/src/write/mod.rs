@@ -1,5 +1,5 @@
-//! Writers of source formats: the inverse of the readers, so that what is generated or exported
-//! goes the way of any other file.
+//! Writers of source formats, the inverse of the readers: generated and exported motions are ingested like
+//! any other file.
 
 pub mod amass;
 pub mod bvh;
@@ -18,7 +18,7 @@ pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
     std::fs::write(&staged, content)
         .and_then(|()| std::fs::rename(&staged, path))
         .inspect_err(|_| {
-            // The staged file may not exist; the error that matters is returned already.
+            // The temporary file may not exist; the first error is returned.
             let _removed = std::fs::remove_file(&staged);
         })
 }

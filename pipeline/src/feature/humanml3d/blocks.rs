@@ -1,8 +1,8 @@
-//! The recipe on blocks of frames: an array over the frames for every coordinate, so that a loop
-//! over a block does the arithmetic of several frames in one instruction.
+//! The recipe on blocks of frames, with an array over the frames per coordinate, so that loops over a
+//! block vectorise.
 //!
-//! Positions are computed in `f64`. The rotations among the features depend on bone directions
-//! alone, which `f32` holds to 1e-7, and the features are stored in `f32`.
+//! Positions are computed in `f64`, rotations in `f32`: they depend on bone directions alone, which `f32`
+//! holds to 1e-7, and the features are stored in `f32`.
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use glam::{DVec2, DVec3};
@@ -25,13 +25,13 @@ type Run = [[[f64; LANES + 1]; 3]; NUM_BODY_JOINTS];
 /// The features of a block, by column.
 type Columns = [[f32; LANES]; HUMANML3D_WIDTH];
 
-/// The joints of a clip, in blocks. What lies past the last frame repeats it.
+/// The joints of a clip, in blocks. The last block is padded with the last frame.
 pub(super) struct Clip {
     blocks: Vec<Block>,
     frames: usize,
 }
 
-/// Where a clip is put: moved by an offset, then turned about the vertical.
+/// Placement of a clip: an offset, then a rotation about the vertical.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     origin: DVec3,
@@ -40,8 +40,7 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Puts `origin` at zero and turns a direction on the ground to +z; one without length is
-    /// taken for +z.
+    /// Moves `origin` to zero and rotates a direction on the ground to +z; a zero vector counts as +z.
     pub(super) fn new(origin: DVec3, forward: DVec3) -> Self {
         let forward = DVec2::new(forward.x, forward.z).normalize_or(DVec2::Y);
         Self {
@@ -57,7 +56,7 @@ impl Placement {
         DVec3::new(x, moved.y, z)
     }
 
-    /// A direction on the ground, after the turn.
+    /// A direction on the ground, after the rotation.
     #[inline(always)]
     pub(super) fn turned(&self, [x, z]: [f64; 2]) -> [f64; 2] {
         let (sine, cosine) = (self.turn.x, self.turn.y);
@@ -119,7 +118,7 @@ impl Clip {
         let mut lowest = [f64::INFINITY; LANES];
         for vectors in self.blocks.iter().flatten() {
             for (low, &height) in lowest.iter_mut().zip(&vectors[1]) {
-                // One instruction, unlike `f64::min`, which has to mind NaN.
+                // A single instruction, unlike `f64::min`, which handles NaN.
                 *low = if height < *low { height } else { *low };
             }
         }
@@ -149,14 +148,15 @@ impl Clip {
         forwards
     }
 
-    /// Moves the clip.
+    /// The joints of the placed clip.
+    #[cfg(test)]
     pub(super) fn placed(&self, placement: Placement) -> Vec<Joints> {
         (0..self.frames)
             .map(|frame| self.frame(frame).map(|joint| placement.apply(joint)))
             .collect()
     }
 
-    /// The features of the clip where it is put, one frame fewer than it has.
+    /// The features of the placed clip, one frame fewer than the clip.
     pub(super) fn features(&self, placement: Placement, headings: &Headings) -> Vec<Features> {
         let mut rows = vec![[0.0; HUMANML3D_WIDTH]; self.frames - 1];
         lanes::dispatch(WriteFeatures {
@@ -168,7 +168,7 @@ impl Clip {
         rows
     }
 
-    /// Puts a block of the clip in place, and the frame after it.
+    /// Places a block of the clip and the frame after it.
     #[inline(always)]
     fn place(&self, index: usize, placement: Placement, run: &mut Run) {
         let block = &self.blocks[index];
@@ -187,8 +187,8 @@ impl Clip {
     }
 }
 
-/// The bones of a block, each laid in its direction at the length it is to have. Gives all bits set
-/// for frames in which every bone has a direction.
+/// Sets the bones of a block to their lengths and keeps their directions. Returns a mask of the frames in
+/// which every bone has a direction (all bits set).
 struct LayBones<'a> {
     source: &'a Block,
     bones: &'a [f64; NUM_BODY_JOINTS],
@@ -278,7 +278,7 @@ fn is_sound(squared: f64) -> u64 {
     if sound { u64::MAX } else { 0 }
 }
 
-/// Names the first joint of a block that has no place or no bone, if there is one.
+/// The first joint of a block without a position or bone, if any.
 fn check(sound: &[u64; LANES], block: &Block, start: usize) -> Result<(), FeatureError> {
     let Some(lane) = sound.iter().position(|&sound| sound == 0) else {
         return Ok(());
@@ -304,7 +304,7 @@ fn scale_by(vectors: &mut Vectors<f64>, factor: f64) {
     }
 }
 
-/// Puts a joint where the bone from its parent leads if it has the given length.
+/// Places a joint at the given length along the bone from its parent.
 #[inline(always)]
 fn lay_bone(
     [from, to]: [&Vectors<f64>; 2],
@@ -324,13 +324,13 @@ fn lay_bone(
     }
 }
 
-/// A direction on the ground as seen with a heading.
+/// A direction on the ground, in the frame of a heading.
 #[inline(always)]
 fn see(cosine: f64, sine: f64, x: f64, z: f64) -> [f64; 2] {
     [cosine * x + sine * z, cosine * z - sine * x]
 }
 
-/// The root's step, seen with the heading it leads to, and its height.
+/// The root's step in the frame of the next heading, and its height.
 #[inline(always)]
 fn write_root(
     run: &Run,
@@ -423,9 +423,8 @@ fn turn_root(cosines: &[f64; LANES + 1], sines: &[f64; LANES + 1], root: &mut Tu
     }
 }
 
-/// The first two columns of each joint's rotation relative to the one before it in its chain, given
-/// the root's. A joint's rotation takes the rest axis of the bone that ends in it to where the bone
-/// points.
+/// The first two columns of each joint's rotation relative to the one before it in its chain, given the
+/// root's. A joint's rotation takes the rest axis of the bone that ends in it to the bone's direction.
 #[inline(always)]
 fn write_rotations(run: &Run, turns: &mut [Turns; NUM_BODY_JOINTS], columns: &mut Columns) {
     let (columns, _) = columns[67..193].as_chunks_mut::<6>();
@@ -463,12 +462,12 @@ fn bone_directions(parent: &[[f64; LANES + 1]; 3], child: &[[f64; LANES + 1]; 3]
 /// The shortest rotations that take an axis, or its opposite if `sign` is -1, to directions.
 ///
 /// For the axis `a`, the direction `d` and `h = 1 / (1 + a . d)`, the column of another axis `e` is
-/// `e - (a + d) h (d . e)`. Where the two are more against than with each other, `h` is had from
-/// the part `v` of `d` across `a` instead, as `(1 - a . d) / |v|^2`, which loses no digits.
+/// `e - (a + d) h (d . e)`. For obtuse angles `h` is computed from the component `v` of `d` perpendicular
+/// to `a`, as `(1 - a . d) / |v|^2`, which avoids cancellation.
 #[inline(always)]
 fn turn_from_axis<const AXIS: usize>(sign: f32, directions: &Vectors<f32>, turns: &mut Turns) {
-    /// A direction this near to the opposite of the axis is taken to lie this far from it, so that
-    /// there is one axis to turn by half about.
+    /// Minimum distance of a direction from the opposite of the axis, so that the half turn has a defined
+    /// axis.
     const NUDGE: f32 = 1e-12;
     let (second, third) = ((AXIS + 1) % 3, (AXIS + 2) % 3);
     for lane in 0..LANES {
@@ -494,7 +493,7 @@ fn turn_from_axis<const AXIS: usize>(sign: f32, directions: &Vectors<f32>, turns
     }
 }
 
-/// Vectors as seen from within rotations: their transposes times the vectors.
+/// Vectors in the local frames of rotations: transposes times vectors.
 #[inline(always)]
 fn see_column(turns: &Turns, vectors: &Vectors<f32>, seen: &mut [[f32; LANES]]) {
     for (seen, axis) in seen.iter_mut().zip(turns) {

@@ -1,16 +1,16 @@
-//! Where the root is taken to face in every frame.
+//! Heading of the root in every frame.
 
 use kinematics::simd::lanes::{self, Kernel, LANES};
 
-/// Standard deviation in frames of the smoothing of the forward vector, and the reach of its
-/// kernel: four of them, as SciPy cuts it off.
+/// Standard deviation in frames of the Gaussian that smooths the forward vector, and its radius: four
+/// standard deviations, as in SciPy.
 const SMOOTHING_FRAMES: f64 = 20.0;
 const SMOOTHING_REACH: usize = 80;
 /// Frames smoothed at a time: their sums stay in registers.
 const SMOOTHED_AT_ONCE: usize = 8;
 
-/// The rotation about the vertical that takes where the root faces to +z, for every frame of a clip
-/// in blocks and one more: sine and cosine of the angle and of its half.
+/// The rotation about the vertical that takes the root's heading to +z, for every frame of a clip in blocks
+/// and one more: sine and cosine of the angle and of its half.
 pub(super) struct Headings {
     cosine: Vec<f64>,
     sine: Vec<f64>,
@@ -38,8 +38,8 @@ impl Headings {
             let inverse = if length > 0.0 { 1.0 / length } else { 0.0 };
             *cosine = if length > 0.0 { ahead * inverse } else { 1.0 };
             *sine = aside * inverse;
-            // The half-angle is within a quarter turn. Its larger part first: the other one would
-            // lose its digits to cancellation.
+            // The half-angle is within a quarter turn. Compute the larger component first, to avoid
+            // cancellation in the other.
             let larger = (0.5 + 0.5 * cosine.abs()).sqrt();
             let smaller = 0.5 * sine.abs() / larger;
             let sign = if *sine < 0.0 { -1.0 } else { 1.0 };
@@ -59,8 +59,8 @@ impl Headings {
         (run(&self.cosine, index), run(&self.sine, index))
     }
 
-    /// The half-angle from each frame of a block to the next. It comes from the sine alone, so
-    /// that a step across the back, where the half-angle jumps, has the sign it was published with.
+    /// The half-angle from each frame of a block to the next, from the sine alone: then a step across the back,
+    /// where the half-angle jumps, has the published sign.
     pub(super) fn write_yaw_velocity(&self, index: usize, column: &mut [f32; LANES]) {
         let (cosine, sine) = (run(&self.half_cosine, index), run(&self.half_sine, index));
         for (lane, value) in column.iter_mut().enumerate() {
@@ -76,7 +76,7 @@ fn run(values: &[f64], index: usize) -> &[f64; LANES + 1] {
         .expect("headings reach one frame past the last block")
 }
 
-/// A Gaussian over one coordinate of the frames, the ends repeated without end, for `count` frames.
+/// A Gaussian over one coordinate of the frames with clamped ends, for `count` frames.
 fn smoothed(values: &[[f64; 2]], coordinate: usize, count: usize) -> Vec<f64> {
     let last = values.len() - 1;
     let chunks = count.div_ceil(SMOOTHED_AT_ONCE);

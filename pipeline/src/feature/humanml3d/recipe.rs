@@ -6,7 +6,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 /// Name and version of the recipe. Any change of its numbers is a new version.
 pub const RECIPE: &str = "humanml3d@1";
-/// Rate the recipe is made for, in 1/s: contacts and smoothing count frames, not seconds.
+/// Frame rate of the recipe in 1/s: contacts and smoothing count frames, not seconds.
 pub const FPS: f64 = 20.0;
 
 /// Positions of the 22 body joints in metres, y up.
@@ -14,7 +14,7 @@ pub type Joints = [DVec3; NUM_BODY_JOINTS];
 /// The features of a frame.
 pub type Features = [f32; HUMANML3D_WIDTH];
 
-/// Where each group of features lies in a frame, by the names used in reports.
+/// Ranges of the feature groups in a frame, by the names used in reports.
 pub const GROUPS: [(&str, std::ops::Range<usize>); 7] = [
     ("root yaw velocity", 0..1),
     ("root velocity", 1..3),
@@ -115,10 +115,10 @@ pub enum FeatureError {
     /// A velocity needs two frames.
     #[error("{frames} frames have no features; at least 2 are needed")]
     TooShort {
-        /// Frames there are.
+        /// Number of frames.
         frames: usize,
     },
-    /// A joint is at no place, or a bone has no length.
+    /// A joint has no position, or a bone has no length.
     #[error(
         "joint {} has no finite position or no bone in frame {frame}",
         kinematics::skeleton::JOINT_NAMES[*joint]

@@ -1,12 +1,12 @@
-//! What is known of AMASS beside its files: its subsets under all their names, the archives they
-//! come in, and recordings whose stated frame rate is wrong.
+//! Facts about AMASS: its subsets under all their names, their archives, and recordings whose stated frame
+//! rate is wrong.
 
 use std::path::Path;
 
 /// A subset of AMASS.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Subset {
-    /// Its name today.
+    /// Its current name.
     pub name: &'static str,
     /// Names its folder had in other releases.
     pub former_names: &'static [&'static str],
@@ -86,11 +86,11 @@ const FPS_OVERRIDES: [(&str, bool, f64); 3] = [
     ("20161014_50033", false, 59.0),
 ];
 
-/// Ends of file names that releases put behind the name of a recording.
+/// Suffixes that releases append to the name of a recording.
 const STEM_ENDS: [&str; 2] = ["_poses", "_stageii"];
 
 impl Subset {
-    /// The subset of this name, past or present.
+    /// The subset with this current or former name.
     pub fn named(name: &str) -> Option<&'static Self> {
         SUBSETS
             .iter()
@@ -106,12 +106,12 @@ impl Subset {
     }
 }
 
-/// A recording of AMASS whatever its release.
+/// A recording of AMASS, independent of its release.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Recording {
-    /// Today's name of its subset.
+    /// Current name of its subset.
     pub subset: &'static str,
-    /// Folders and name within the subset, without the ends that differ between releases.
+    /// Folders and name within the subset, without the suffixes that differ between releases.
     pub name: String,
 }
 
@@ -150,7 +150,7 @@ impl Recording {
     }
 }
 
-/// The subset a file lies in, and the name of the folder that says so.
+/// The subset of a file, and the name of its folder.
 pub fn subset_of(path: &Path) -> Option<(&'static Subset, String)> {
     let folders: Vec<_> = path.parent()?.components().collect();
     folders.into_iter().rev().find_map(|part| {

@@ -1,9 +1,9 @@
 //! The C3D reader: marker positions of an optical capture, from any of the three kinds of processor
 //! that ever wrote the format.
 //!
-//! A C3D file is blocks of 512 bytes: a header, a section of parameters and the frames. What the
-//! three say of the same thing often differs, so the parameters are believed before the header, and
-//! the length of the file before both.
+//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They
+//! often contradict each other: the parameters take precedence over the header, and the length of the
+//! file over both.
 //!
 //! # Source
 //! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
@@ -26,15 +26,14 @@ use crate::markers::{self, is_model_output};
 const BLOCK: usize = 512;
 /// Second byte of every C3D file.
 const MAGIC: u8 = 0x50;
-/// Distance in metres from the origin beyond which no marker is: the plausibility test that finds
-/// numbers read with the wrong processor's rules.
+/// Maximum distance in metres of a marker from the origin: a plausibility test for the number format.
 const MAX_DISTANCE_M: f64 = 100.0;
-/// Share of implausible positions above which the processor's flag is not believed.
+/// Fraction of implausible positions above which the processor flag is taken to be wrong.
 const MAX_IMPLAUSIBLE: f64 = 0.1;
-/// Most points of a frame; real captures have a few hundred.
+/// Limit on points per frame; real captures have a few hundred.
 const MAX_POINTS: usize = 10_000;
 
-/// Whose numbers a file holds.
+/// Number format of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Processor {
     /// Little-endian IEEE numbers.
@@ -82,13 +81,13 @@ impl Processor {
 /// A parsed capture.
 #[derive(Clone, Debug)]
 pub struct C3dFile {
-    /// Whose numbers the file holds.
+    /// Number format of the file.
     pub processor: Processor,
-    /// Whether the points are stored as whole numbers with a scale.
+    /// Whether the points are stored as scaled integers.
     pub integer: bool,
     /// The markers in metres, in the file's own axes.
     pub markers: Markers,
-    /// Points that are no markers but angles, forces and the like, by name.
+    /// Points that are not markers but angles, forces and the like, by name.
     pub model_outputs: Vec<String>,
     /// Decisions a reader may want to check.
     pub notes: Vec<String>,
@@ -143,7 +142,7 @@ impl C3dFile {
     }
 }
 
-/// What the first block says.
+/// Contents of the header block.
 struct Header {
     points: usize,
     analog_per_frame: usize,
@@ -175,11 +174,11 @@ impl Header {
     }
 }
 
-/// Where the frames are and what is in them.
+/// Layout of the frames.
 struct Layout {
     start: usize,
     points: usize,
-    /// Values of a frame behind those of the points.
+    /// Analogue values of a frame, after the points.
     analog: usize,
     frames: usize,
     scale: f64,
@@ -359,8 +358,7 @@ fn real_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
         f64::from(processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
     };
     let at = DVec3::new(value(0), value(1), value(2));
-    // The fourth number holds, as a whole number, cameras in its high byte and the residual in its
-    // low one.
+    // The fourth number is an integer: cameras in its high byte, the residual in its low byte.
     let packed = value(3);
     let residual = if packed < 0.0 || !packed.is_finite() || !at.is_finite() {
         -1.0
@@ -382,8 +380,8 @@ fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
     Point { at, residual }
 }
 
-/// Number of frames: what the parameters say, for long captures in two words or as a real number,
-/// else what the header says, as long as the file has room for it.
+/// Number of frames by the parameters (for long captures in two words or as a real number), else by the
+/// header, limited by the length of the file.
 fn frame_count(
     header: &Header,
     parameters: &Parameters,
@@ -466,8 +464,8 @@ fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
     labels
 }
 
-/// Metres of the file's unit. Files that state none are in millimetres, unless they then would be
-/// of a doll.
+/// The file's unit in metres. Files without one are in millimetres, unless the body would then be the
+/// size of a doll.
 fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
     match units.to_ascii_lowercase().as_str() {
         "mm" | "millimeters" | "millimetres" => return 0.001,
@@ -477,7 +475,7 @@ fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
         "in" | "inches" => return 0.0254,
         _ => {}
     }
-    /// A capture volume smaller than this many units is not stated in millimetres.
+    /// A capture volume smaller than this many units is not in millimetres.
     const SMALLEST_VOLUME: f64 = 20.0;
     let largest = points
         .iter()

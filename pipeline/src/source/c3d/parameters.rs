@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::Processor;
 use crate::clip::Rejected;
 
-/// Groups whose labels name points that are no markers.
+/// Groups whose labels name points that are not markers.
 const MODEL_OUTPUTS: [&str; 6] = [
     "ANGLES",
     "FORCES",
@@ -24,7 +24,7 @@ enum Value {
         characters: Vec<u8>,
     },
     Bytes(Vec<u8>),
-    /// Words as stored, still without a sign.
+    /// Words as stored, not yet signed.
     Words(Vec<u16>),
     Reals(Vec<f32>),
 }
@@ -35,7 +35,7 @@ pub(super) struct Parameters {
     values: BTreeMap<(String, String), Value>,
 }
 
-/// Reads on through bytes, each step checked.
+/// Reads bytes sequentially with bounds checks.
 struct Cursor<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -74,7 +74,7 @@ impl Parameters {
         start: usize,
         processor: Processor,
     ) -> Result<Self, Rejected> {
-        // The number of blocks is zero or too small in some files; the section ends by itself.
+        // Some files state too few blocks, so the section is read to its own end.
         let end = bytes.len();
         let mut groups: BTreeMap<u8, String> = BTreeMap::new();
         let mut by_group: Vec<(u8, String, Value)> = Vec::new();
@@ -83,7 +83,7 @@ impl Parameters {
             at: start + 4,
         };
         while cursor.at < end {
-            // The sign of a name's length says whether it is locked.
+            // The sign of the length of a name is the lock flag.
             let length = usize::from((cursor.byte()? as i8).unsigned_abs());
             if length == 0 {
                 break;
@@ -103,7 +103,7 @@ impl Parameters {
                 let value = value(&mut cursor, processor)?;
                 by_group.push((group.unsigned_abs(), name, value));
             }
-            // An offset of zero ends the section; one that leads back would never end.
+            // An offset of zero ends the section; an offset backwards would loop forever.
             if offset == 0 || next <= offset_at || next > end {
                 break;
             }

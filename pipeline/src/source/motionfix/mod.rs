@@ -1,5 +1,5 @@
-//! The MotionFix release: pairs of motions and the words that turn one into the other, in joblib
-//! dumps with split and label files beside them.
+//! The MotionFix release: pairs of motions and their edit instructions, in joblib dumps with split and
+//! label files beside them.
 //!
 //! # Source
 //! Repository athn-nik/motionfix: `motionfix.pth.tar` is a dictionary from ids to `motion_source`,
@@ -14,10 +14,10 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
 use super::files::{Files, LFS_POINTER, refuse_pointer};
-use super::format::{Entry, Format, Release, SourceFormat};
+use super::format::{Contents, Entry, Format, Release, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use crate::clip::{EditOf, Outcome, Rejected, RotationSource, SourceClip};
+use crate::clip::{EditOf, Rejected, RotationSource, SourceClip};
 use pickle::joblib;
 use pickle::{Options, Value};
 
@@ -29,7 +29,7 @@ const ID_DIGITS: usize = 6;
 const ROTATIONS_WIDTH: usize = 66;
 
 pub(crate) const SPLITS: &str = "splits.json";
-/// What the names of the release's label and statistics files begin with, beside `splits.json`.
+/// Name prefixes of the release's label and statistics files, beside `splits.json`.
 const LABELS: [&str; 8] = [
     "amt_motionfix",
     "gpt-labels_full",
@@ -46,44 +46,41 @@ const PART_LABELS: &str = "gpt-labels_full";
 const SOURCE: &str = "source";
 const TARGET: &str = "target";
 
-/// A pair of the release, as the dump has it.
+/// A pair of the dump.
 ///
 /// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
-/// about 570 MB while it is ingested; decoding a dump takes hardly more than what it holds.
+/// about 570 MB while it is ingested; decoding a dump takes little more memory than its contents.
 struct Pair {
     source: Result<Parameters, Rejected>,
     target: Result<Parameters, Rejected>,
     text: String,
-    /// What its split rests on, if on no list.
+    /// How its split was found, if no list names it.
     note: Option<String>,
 }
 
 /// A release, with its dumps decoded.
 struct MotionFixRelease {
-    entries: Vec<Entry>,
-    passed_over: Vec<(String, String)>,
-    rejected: Vec<(String, Rejected)>,
+    contents: Contents,
     pairs: BTreeMap<String, Pair>,
     /// Body parts by instruction.
     parts: BTreeMap<String, Vec<BodyPart>>,
-    /// Pairs that no list gives a split, by what gave them one.
+    /// Number of pairs without a listed split, by how it was found.
     unlisted: BTreeMap<Unlisted, u64>,
-    remarks: Vec<String>,
 }
 
-/// What gives a pair its split where no list names it.
+/// How a pair that no list names gets its split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Unlisted {
-    /// The name of its dump.
+    /// By the name of its dump.
     FileName,
-    /// A draw by its id: there is no list at all.
+    /// Drawn by its id: there is no list.
     Draw,
-    /// There is a list, so what it leaves out is for training.
+    /// There is a list: pairs outside it are for training.
     Train,
 }
 
 impl Unlisted {
-    /// What the note of a clip says.
+    /// The note of a clip.
     fn note(self, split: Split) -> String {
         match self {
             Self::FileName => {
@@ -103,17 +100,14 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
         return Vec::new();
     }
     let mut release = MotionFixRelease {
-        entries: Vec::new(),
-        passed_over: Vec::new(),
-        rejected: Vec::new(),
+        contents: Contents::default(),
         pairs: BTreeMap::new(),
         parts: BTreeMap::new(),
         unlisted: BTreeMap::new(),
-        remarks: Vec::new(),
     };
     if dumps.is_empty() {
         let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
-        release.passed_over = labels
+        release.contents.passed_over = labels
             .into_iter()
             .map(|file| (file.to_owned(), reason.to_owned()))
             .collect();
@@ -153,7 +147,7 @@ fn is_label(file: &str, dumps: &[&str]) -> bool {
         && LABELS.iter().any(|label| name.starts_with(label))
 }
 
-/// The split a dump holds alone, by its name: `motionfix_val.pth.tar`.
+/// The single split of a dump by its name: `motionfix_val.pth.tar`.
 fn split_of_dump(file: &str) -> Option<Split> {
     let name = name_of(file).to_lowercase();
     let stem = name.strip_suffix(".pth.tar")?;
@@ -165,13 +159,13 @@ fn padded(id: &str) -> String {
 }
 
 impl MotionFixRelease {
-    /// Reads the label files that say something of motions, and passes over the others.
+    /// Reads the label files that describe motions, and skips the others.
     fn take_label(&mut self, files: &Files, file: &str, splits: &mut BTreeMap<String, Split>) {
         let name = name_of(file);
         let has_parts = name.starts_with(PART_LABELS);
         if name != SPLITS && !has_parts {
             let reason = "MotionFix label file that belongs to no motion".to_owned();
-            self.passed_over.push((file.to_owned(), reason));
+            self.contents.passed_over.push((file.to_owned(), reason));
             return;
         }
         let read = files.read(file).and_then(|bytes| {
@@ -183,7 +177,7 @@ impl MotionFixRelease {
         let content = match read {
             Ok(content) => content,
             Err(rejected) => {
-                self.rejected.push((file.to_owned(), rejected));
+                self.contents.rejected.push((file.to_owned(), rejected));
                 return;
             }
         };
@@ -202,15 +196,15 @@ impl MotionFixRelease {
             }
         }
         let reason = "MotionFix label file, read with the motions".to_owned();
-        self.passed_over.push((file.to_owned(), reason));
+        self.contents.passed_over.push((file.to_owned(), reason));
     }
 
-    /// Decodes a dump and plans the motions no dump before it had.
+    /// Decodes a dump and plans the motions that no earlier dump had.
     fn take_dump(&mut self, files: &Files, file: &str, splits: &BTreeMap<String, Split>) {
         let entries = match decode(files, file) {
             Ok(entries) => entries,
             Err(rejected) => {
-                self.rejected.push((file.to_owned(), rejected));
+                self.contents.rejected.push((file.to_owned(), rejected));
                 return;
             }
         };
@@ -232,10 +226,10 @@ impl MotionFixRelease {
                 0 => "MotionFix dump without motions".to_owned(),
                 _ => "MotionFix dump whose motions are all in another one".to_owned(),
             };
-            self.passed_over.push((file.to_owned(), reason));
+            self.contents.passed_over.push((file.to_owned(), reason));
         }
         for id in added {
-            // Both motions of a pair need one split even where no list gives it.
+            // Both motions of a pair share a split, even if no list states it.
             let listed = splits.get(&id).copied();
             let (split, unlisted) = match (listed, split_of_dump(file)) {
                 (Some(split), _) => (split, None),
@@ -249,7 +243,8 @@ impl MotionFixRelease {
                 *self.unlisted.entry(unlisted).or_default() += 1;
                 pair.note = Some(unlisted.note(split));
             }
-            self.entries
+            self.contents
+                .entries
                 .extend([SOURCE, TARGET].into_iter().map(|side| Entry {
                     file: file.to_owned(),
                     key: format!("{id}/{side}"),
@@ -260,10 +255,10 @@ impl MotionFixRelease {
         }
     }
 
-    /// Says what the splits of pairs rest on that no list names.
+    /// Adds remarks on the splits of pairs that no list names.
     fn remark(&mut self) {
         for (unlisted, count) in &self.unlisted {
-            self.remarks.push(match unlisted {
+            self.contents.remarks.push(match unlisted {
                 Unlisted::FileName => format!(
                     "MotionFix: {count} pairs are in no splits.json and have the split of their dump's \
                      name, which repackagings are known to get wrong: test pairs may be in train"
@@ -278,8 +273,23 @@ impl MotionFixRelease {
             });
         }
     }
+}
 
-    fn read_checked(&self, entry: &Entry, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+fn motion_id(id: &str, side: &str) -> String {
+    format!("motionfix/{id}-{side}")
+}
+
+impl Release for MotionFixRelease {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        _files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
         let planned = entry.key.split_once('/');
         let (id, side, pair) = planned
             .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
@@ -316,41 +326,8 @@ impl MotionFixRelease {
     }
 }
 
-fn motion_id(id: &str, side: &str) -> String {
-    format!("motionfix/{id}-{side}")
-}
-
-impl Release for MotionFixRelease {
-    fn format(&self) -> Format {
-        FORMAT
-    }
-
-    fn entries(&self) -> &[Entry] {
-        &self.entries
-    }
-
-    fn passed_over(&self) -> &[(String, String)] {
-        &self.passed_over
-    }
-
-    fn rejected(&self) -> &[(String, Rejected)] {
-        &self.rejected
-    }
-
-    fn remarks(&self) -> &[String] {
-        &self.remarks
-    }
-
-    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> Outcome {
-        match self.read_checked(entry, options) {
-            Ok(clip) => Outcome::Clip(Box::new(clip)),
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
-    }
-}
-
-/// The entries of a dump. It is unpacked as a stream: positions of joints, which follow from the
-/// rotations, are never all in memory.
+/// The entries of a dump. It is decoded as a stream: joint positions, which follow from the rotations, are
+/// dropped on the way.
 fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
     let failed =
         |error: std::io::Error| Rejected::read("E-IO", format!("cannot read {file}: {error}"));
@@ -421,8 +398,8 @@ fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
     )
 }
 
-/// The parts an answer such as `Answer: right arm\nleft arm` names. `buttocks` stand for the root,
-/// which is the lower body's alone to move; `neck` is the head's.
+/// The parts that an answer such as `Answer: right arm\nleft arm` names. `buttocks` maps to the lower
+/// body, which owns the root; `neck` maps to the head.
 fn parse_parts(answer: &str) -> Vec<BodyPart> {
     let answer = answer.trim().trim_start_matches("Answer:").to_lowercase();
     let mut parts: Vec<BodyPart> = answer

@@ -71,12 +71,10 @@ fn only_release(files: &Files) -> Box<dyn Release> {
 }
 
 fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    let mut entries = release.entries().iter();
+    let mut entries = release.contents().entries.iter();
     let entry = entries.find(|entry| entry.id == id).expect(id);
-    match release.read(files, entry, &ReadOptions::default()) {
-        Outcome::Clip(clip) => *clip,
-        other => panic!("{id}: {other:?}"),
-    }
+    let clip = release.read(files, entry, &ReadOptions::default());
+    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
 #[test]
@@ -112,7 +110,8 @@ fn dumps_and_lists_become_pairs() {
         let files = files_under(dir.path());
         let release = only_release(&files);
         let planned: Vec<(&str, &str, Option<Split>)> = release
-            .entries()
+            .contents()
+            .entries
             .iter()
             .map(|entry| (entry.id.as_str(), entry.key.as_str(), entry.split))
             .collect();
@@ -152,7 +151,8 @@ fn dumps_and_lists_become_pairs() {
             ]
         );
         let passed: Vec<&str> = release
-            .passed_over()
+            .contents()
+            .passed_over
             .iter()
             .map(|(file, _)| file.as_str())
             .collect();
@@ -164,7 +164,7 @@ fn dumps_and_lists_become_pairs() {
         assert_eq!(passed, expected);
 
         assert_eq!(
-            release.remarks().len(),
+            release.contents().remarks.len(),
             1,
             "000007 has the split of its dump"
         );
@@ -212,7 +212,12 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
         let moved = motion.transl()[1][0] - motion.transl()[0][0];
         assert!((moved - 0.01).abs() < 1e-6, "x stays x, {moved}");
     }
-    let splits: Vec<Option<Split>> = release.entries().iter().map(|entry| entry.split).collect();
+    let splits: Vec<Option<Split>> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|entry| entry.split)
+        .collect();
     assert!(
         splits[0].is_some() && splits[0] == splits[1],
         "a pair is not torn apart"
@@ -241,7 +246,12 @@ fn broken_pairs_and_dumps_are_on_record() {
     put(dir.path(), "splits.json", "[");
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let codes: Vec<&str> = release.rejected().iter().map(|(_, r)| r.code).collect();
+    let codes: Vec<&str> = release
+        .contents()
+        .rejected
+        .iter()
+        .map(|(_, r)| r.code)
+        .collect();
     let expected = [
         "E-MOTIONFIX-JSON",
         "E-PICKLE-REFUSED",
@@ -249,11 +259,12 @@ fn broken_pairs_and_dumps_are_on_record() {
         "E-MOTIONFIX-KEYS",
     ];
     assert_eq!(codes, expected);
-    let outcome = release.read(&files, &release.entries()[0], &ReadOptions::default());
-    assert!(
-        matches!(&outcome, Outcome::Rejected(rejected) if rejected.code == "E-MOTIONFIX-KEYS"),
-        "{outcome:?}"
+    let read = release.read(
+        &files,
+        &release.contents().entries[0],
+        &ReadOptions::default(),
     );
+    assert_eq!(read.expect_err("no motion").code, "E-MOTIONFIX-KEYS");
 }
 
 #[test]
@@ -290,8 +301,8 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
     };
     let files = files_under(&folder);
     let release = only_release(&files);
-    assert_eq!(release.passed_over().len(), files.len());
-    assert!(release.entries().is_empty() && release.rejected().is_empty());
+    assert_eq!(release.contents().passed_over.len(), files.len());
+    assert!(release.contents().entries.is_empty() && release.contents().rejected.is_empty());
     let labels = files.read("gpt-labels_full_v2.json").expect("there");
     let labels: BTreeMap<String, String> = serde_json::from_slice(&labels).expect("a map");
     let understood = labels

@@ -1,4 +1,4 @@
-//! `mask_all.json` and `part_annotations.json`, in every shape they are known or likely to have.
+//! `mask_all.json` and `part_annotations.json`, in all known and likely layouts.
 
 use std::collections::BTreeMap;
 
@@ -9,13 +9,13 @@ use serde_json::Value;
 use super::name::{listed_name, motion_id};
 use crate::clip::{SourceClip, SourceMask};
 
-/// What the release says of the body parts of its motions.
+/// Body-part annotations of the release.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Annotations {
     by_id: BTreeMap<String, Annotation>,
 }
 
-/// What it says of one motion.
+/// Annotation of one motion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Annotation {
     pub(super) masks: Vec<SourceMask>,
@@ -42,7 +42,7 @@ impl Annotations {
         Self { by_id }
     }
 
-    /// Adds what is said of a motion to its clip.
+    /// Adds the annotation of a motion to its clip.
     pub(super) fn attach(&self, id: &str, clip: &mut SourceClip) {
         let Some(annotation) = self.by_id.get(id) else {
             return;
@@ -153,7 +153,7 @@ fn all_texts(value: &Value) -> Vec<String> {
 }
 
 /// The parts a name stands for, several joined by `+`, in any case and with spaces or underscores;
-/// and a note for each name that is none.
+/// and a note for each unknown name.
 pub(super) fn parse_parts(names: &str) -> (Vec<BodyPart>, Vec<String>) {
     let mut parts = Vec::new();
     let mut unknown = Vec::new();

@@ -1,9 +1,9 @@
 //! The STANCE release: base motions, body-part annotations, style transfers and fine-grained
 //! adjustments, in its present layout and under the path names of its earlier revision.
 //!
-//! A folder is a release if a pickle lies under `base_motion`, `style_transfer` or `adjustment` in
-//! it, at any depth. Motions keep their numbers: they are y up already, and the two motions of an
-//! adjustment share a world, so that neither is moved to a floor of its own.
+//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at
+//! any depth. Motions are not moved: they are y up already, and the two motions of an adjustment share
+//! world coordinates.
 
 mod annotation;
 mod motion;
@@ -59,10 +59,7 @@ impl SourceFormat for Stance {
     }
 
     fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        match read_pickle_motion(bytes, &options.skeleton) {
-            Ok(clip) => Outcome::Clip(Box::new(clip)),
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
+        read_pickle_motion(bytes, &options.skeleton).into()
     }
 
     fn find(

@@ -21,7 +21,7 @@ const SMPL_WIDTH: usize = 72;
 const ROOT_COLUMNS: Range<usize> = 0..3;
 const BODY_COLUMNS: Range<usize> = 3..3 + BODY_POSE_WIDTH;
 
-/// Reads a pickle that stands alone as a motion: a dictionary of the STANCE release (`body_pose`,
+/// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`,
 /// `global_orient`, `transl`; SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`,
 /// `smpl_scaling`; SMPL, y up, 60 fps).
 ///
@@ -67,8 +67,8 @@ pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
     Ok(clip)
 }
 
-/// A dance of AIST++. Its annotations scale the body about its origin and place it in the world
-/// afterwards, so that metres of the store are translations over the scale.
+/// A dance of AIST++. Its annotations scale the body about its origin before placing it in the world, so
+/// translations are divided by the scale to get metres.
 fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     let poses: Vec<[f32; SMPL_WIDTH]> = column(value, "smpl_poses")?;
     let mut trans: Vec<[f32; 3]> = column(value, "smpl_trans")?;

@@ -1,4 +1,4 @@
-//! The numbers of the release's files and the ids of HumanML3D.
+//! File numbers of the release and ids of HumanML3D.
 
 /// Clips of HumanML3D before mirroring. The release numbers a clip's mirrored copy this much
 /// higher: its last file, 029231, is the copy of the last clip.
@@ -7,8 +7,8 @@
 /// The id range of the release, compared with the 14,616 rows of HumanML3D's `index.csv`.
 const NUM_ORIGINALS: u32 = 14_616;
 
-/// The id of a motion by the name of its file or its key in a list: with or without zeros in front,
-/// mirrored copies as `M` and a number or by the release's higher number.
+/// The id of a motion by the name of its file or its key in a list. Leading zeros are optional; mirrored
+/// copies are `M` and a number, or the release's higher number.
 pub(crate) fn motion_id(name: &str) -> String {
     let (mirrored, digits) = match name.strip_prefix('M') {
         Some(rest) => (true, rest),
@@ -25,7 +25,7 @@ pub(crate) fn motion_id(name: &str) -> String {
     }
 }
 
-/// The name of the file an id has in the release; none if no file name would give the id back.
+/// The file name of an id in the release; none if no file name maps back to the id.
 pub(crate) fn file_stem(id: &str) -> Option<String> {
     let stem = match id.strip_prefix('M') {
         Some(digits) => {

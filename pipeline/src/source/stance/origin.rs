@@ -1,4 +1,4 @@
-//! What the release's layout has no place for: the file `origin.json` of an export.
+//! The file `origin.json` of an export: metadata that the release's layout cannot hold.
 
 use std::collections::BTreeMap;
 

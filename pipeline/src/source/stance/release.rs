@@ -10,9 +10,9 @@ use super::name::{listed_name, motion_id, original_of};
 use super::origin::{self, Origin, Origins};
 use super::rejected_json;
 use super::split::{ClipSplits, Lists};
-use crate::clip::{EditOf, Outcome, Rejected, SourceClip};
+use crate::clip::{EditOf, Rejected, SourceClip};
 use crate::source::files::{Files, refuse_pointer};
-use crate::source::format::{Entry, Format, Release};
+use crate::source::format::{Contents, Entry, Release};
 use crate::source::options::ReadOptions;
 use pickle::Value;
 use pickle::joblib;
@@ -60,7 +60,7 @@ fn place(path: &str) -> Option<(&str, &'static str, &str)> {
     None
 }
 
-/// What a motion is in the release.
+/// Role of a motion in the release.
 #[derive(Clone, Debug)]
 enum Role {
     /// A base motion.
@@ -77,20 +77,18 @@ enum Role {
     },
 }
 
-/// A motion of the release beyond what its entry says.
+/// Data of a motion beside its entry.
 #[derive(Clone, Debug)]
 struct Detail {
     role: Role,
     origin: Option<Origin>,
-    /// Where the motion is written again as the edit of another one: file and source id.
+    /// Second place of the motion as the edit of another one: file and source id.
     edited_in: Option<(String, String)>,
 }
 
 /// A planned release.
 pub(super) struct StanceRelease {
-    entries: Vec<Entry>,
-    passed_over: Vec<(String, String)>,
-    rejected: Vec<(String, Rejected)>,
+    contents: Contents,
     /// By file and key.
     details: BTreeMap<(String, String), Detail>,
     annotations: Annotations,
@@ -106,7 +104,42 @@ impl StanceRelease {
         planner.release
     }
 
-    fn read_checked(&self, files: &Files, entry: &Entry) -> Result<SourceClip, Rejected> {
+    /// The edit that an adjustment describes.
+    fn edit_of(
+        &self,
+        pair: &Value,
+        file: &str,
+        source_id: &str,
+        notes: &mut Vec<String>,
+    ) -> EditOf {
+        let beside = &self.adjustments[stem_of(file)];
+        let said = |key: &str| match text_of(pair, key) {
+            text if text.is_empty() => beside[key].as_str().unwrap_or_default().to_owned(),
+            text => text,
+        };
+        let (parts, unknown) = parse_parts(&said("body_part"));
+        notes.extend(unknown);
+        EditOf {
+            source_id: source_id.to_owned(),
+            kind: "fine-grained",
+            style: None,
+            parts,
+            instruction: said("text"),
+        }
+    }
+}
+
+impl Release for StanceRelease {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        _options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
         let detail = self
             .details
             .get(&(entry.file.clone(), entry.key.clone()))
@@ -157,55 +190,6 @@ impl StanceRelease {
             clip.license.clone_from(&origin.license);
         }
         Ok(clip)
-    }
-
-    /// What an adjustment says of its target.
-    fn edit_of(
-        &self,
-        pair: &Value,
-        file: &str,
-        source_id: &str,
-        notes: &mut Vec<String>,
-    ) -> EditOf {
-        let beside = &self.adjustments[stem_of(file)];
-        let said = |key: &str| match text_of(pair, key) {
-            text if text.is_empty() => beside[key].as_str().unwrap_or_default().to_owned(),
-            text => text,
-        };
-        let (parts, unknown) = parse_parts(&said("body_part"));
-        notes.extend(unknown);
-        EditOf {
-            source_id: source_id.to_owned(),
-            kind: "fine-grained",
-            style: None,
-            parts,
-            instruction: said("text"),
-        }
-    }
-}
-
-impl Release for StanceRelease {
-    fn format(&self) -> Format {
-        super::FORMAT
-    }
-
-    fn entries(&self) -> &[Entry] {
-        &self.entries
-    }
-
-    fn passed_over(&self) -> &[(String, String)] {
-        &self.passed_over
-    }
-
-    fn rejected(&self) -> &[(String, Rejected)] {
-        &self.rejected
-    }
-
-    fn read(&self, files: &Files, entry: &Entry, _options: &ReadOptions) -> Outcome {
-        match self.read_checked(files, entry) {
-            Ok(clip) => Outcome::Clip(Box::new(clip)),
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
     }
 }
 
@@ -262,7 +246,7 @@ struct Planner<'a> {
     style_lists: Lists,
     adjustment_lists: Lists,
     origins: Origins,
-    /// Where each motion of an export was found first: an export may write one twice.
+    /// First place of each motion of an export, which may write one twice.
     taken: BTreeMap<String, (String, String)>,
 }
 
@@ -272,9 +256,7 @@ impl<'a> Planner<'a> {
             files,
             root,
             release: StanceRelease {
-                entries: Vec::new(),
-                passed_over: Vec::new(),
-                rejected: Vec::new(),
+                contents: Contents::default(),
                 details: BTreeMap::new(),
                 annotations: Annotations::default(),
                 adjustments: Json::Null,
@@ -287,7 +269,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Reads everything that is no motion.
+    /// Reads the lists and annotations.
     fn read_lists(&mut self) {
         let (mut masks, mut texts) = (Json::Null, Json::Null);
         let files: Vec<&str> = self.files.under(self.root).collect();
@@ -333,7 +315,11 @@ impl<'a> Planner<'a> {
                     lists.take_lines(split, &String::from_utf8_lossy(&bytes));
                     self.read_with_motions(file);
                 }
-                Err(rejected) => self.release.rejected.push((file.to_owned(), rejected)),
+                Err(rejected) => self
+                    .release
+                    .contents
+                    .rejected
+                    .push((file.to_owned(), rejected)),
             },
             "json" => {
                 if let Some(value) = self.json::<Json>(file) {
@@ -350,7 +336,7 @@ impl<'a> Planner<'a> {
         all.join(lists);
     }
 
-    /// The content of a JSON file of the release; none if it is broken, which is then on record.
+    /// The content of a JSON file of the release; none if it is broken, which is recorded.
     fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
         let read = self.files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
@@ -362,7 +348,10 @@ impl<'a> Planner<'a> {
                 Some(value)
             }
             Err(rejected) => {
-                self.release.rejected.push((file.to_owned(), rejected));
+                self.release
+                    .contents
+                    .rejected
+                    .push((file.to_owned(), rejected));
                 None
             }
         }
@@ -370,7 +359,10 @@ impl<'a> Planner<'a> {
 
     fn read_with_motions(&mut self, file: &str) {
         let reason = "list of the STANCE release, read with its motions".to_owned();
-        self.release.passed_over.push((file.to_owned(), reason));
+        self.release
+            .contents
+            .passed_over
+            .push((file.to_owned(), reason));
     }
 
     fn plan_motions(&mut self) {
@@ -408,7 +400,10 @@ impl<'a> Planner<'a> {
         let Some((base, style)) = stem_of(file).split_once('_') else {
             let reason = "the file name has no style, expected one such as 000009_proud.pkl";
             let rejected = Rejected::read("E-STANCE-NAME", reason);
-            self.release.rejected.push((file.to_owned(), rejected));
+            self.release
+                .contents
+                .rejected
+                .push((file.to_owned(), rejected));
             return;
         };
         let source_id = self
@@ -457,12 +452,15 @@ impl<'a> Planner<'a> {
         ];
         if both == [false; 2] {
             let reason = "its motions are in other files of the release".to_owned();
-            self.release.passed_over.push((file.to_owned(), reason));
+            self.release
+                .contents
+                .passed_over
+                .push((file.to_owned(), reason));
         }
     }
 
-    /// Adds a motion, by its origin where one is recorded. Answers whether it is a new one: an
-    /// export writes a motion again for each pair it is in.
+    /// Adds a motion, by its recorded origin if it has one. Returns whether it is new: an export writes a
+    /// motion again for each of its pairs.
     fn plan(&mut self, mut entry: Entry, mut role: Role, section: &str) -> bool {
         let suffix = match entry.key.as_str() {
             "" => String::new(),
@@ -496,7 +494,7 @@ impl<'a> Planner<'a> {
             edited_in: None,
         };
         self.release.details.insert(place, detail);
-        self.release.entries.push(entry);
+        self.release.contents.entries.push(entry);
         true
     }
 }

@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use super::name::{listed_name, motion_id, original_of};
 
-/// The names of one section's lists, and the split each is in. A name in several lists is in the
-/// one that is looked at last: nothing that is tested may be trained on.
+/// The names of one section's lists and their splits. A name in several lists gets the split furthest
+/// from training, so that no test motion is trained on.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists {
     names: BTreeMap<String, Split>,
@@ -25,14 +25,14 @@ impl Lists {
         }
     }
 
-    /// Takes a list of lines.
+    /// Adds a list of lines.
     pub(super) fn take_lines(&mut self, split: Split, text: &str) {
         for line in text.lines() {
             self.put(split, line);
         }
     }
 
-    /// Takes every name in a list of names or pairs, or in a map.
+    /// Adds every name in a list of names or pairs, or in a map.
     pub(super) fn take_json(&mut self, split: Split, value: &Value) {
         match value {
             Value::String(name) => self.put(split, name),
@@ -57,7 +57,7 @@ impl Lists {
         *found = split.max(*found);
     }
 
-    /// Takes the names of other lists of the same section.
+    /// Adds the names of other lists of the same section.
     pub(super) fn join(&mut self, other: Self) {
         for (name, split) in other.names {
             self.put(split, &name);
@@ -73,8 +73,8 @@ impl Lists {
     }
 }
 
-/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one:
-/// the last of any that the lists of base motions or of style transfers give to one of them.
+/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share the split
+/// furthest from training that the lists of base motions or style transfers give to any of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClipSplits {
     clips: BTreeMap<String, Split>,

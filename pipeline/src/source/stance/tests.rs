@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::check::check;
-use crate::clip::{Outcome, SourceClip};
+use crate::clip::SourceClip;
 use crate::source::format::Entry;
 use crate::source::options::ReadOptions;
 use pickle::encode;
@@ -120,15 +120,17 @@ fn only_release(files: &Files) -> Box<dyn Release> {
 }
 
 fn entry<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
-    let mut found = release.entries().iter().filter(|entry| entry.id == id);
+    let mut found = release
+        .contents()
+        .entries
+        .iter()
+        .filter(|entry| entry.id == id);
     found.next().unwrap_or_else(|| panic!("no {id}"))
 }
 
 fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    match release.read(files, entry(release, id), &ReadOptions::default()) {
-        Outcome::Clip(clip) => *clip,
-        other => panic!("{id}: {other:?}"),
-    }
+    let clip = release.read(files, entry(release, id), &ReadOptions::default());
+    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
 #[test]
@@ -138,7 +140,8 @@ fn a_release_becomes_motions_masks_and_pairs() {
     let files = files_under(dir.path());
     let release = only_release(&files);
     let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
-        .entries()
+        .contents()
+        .entries
         .iter()
         .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
         .collect();
@@ -158,12 +161,12 @@ fn a_release_becomes_motions_masks_and_pairs() {
         ]
     );
     assert_eq!(
-        release.passed_over().len(),
+        release.contents().passed_over.len(),
         6,
         "{:?}",
-        release.passed_over()
+        release.contents().passed_over
     );
-    assert_eq!(release.rejected(), []);
+    assert_eq!(release.contents().rejected, []);
 
     let base = clip(&*release, &files, "000009");
     assert_eq!(base.motion, motion(1, 30), "bit for bit");
@@ -239,7 +242,12 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     put(dir.path(), "demo/style_transfer/text.txt", "a\n");
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let ids: Vec<&str> = release.entries().iter().map(|e| e.id.as_str()).collect();
+    let ids: Vec<&str> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|e| e.id.as_str())
+        .collect();
     let expected = [
         "000001",
         "000002",
@@ -249,10 +257,19 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     ];
     assert_eq!(ids, expected);
     assert!(
-        release.entries().iter().all(|entry| entry.split.is_none()),
+        release
+            .contents()
+            .entries
+            .iter()
+            .all(|entry| entry.split.is_none()),
         "no lists"
     );
-    let codes: Vec<&str> = release.rejected().iter().map(|(_, r)| r.code).collect();
+    let codes: Vec<&str> = release
+        .contents()
+        .rejected
+        .iter()
+        .map(|(_, r)| r.code)
+        .collect();
     assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
     let edit = clip(&*release, &files, "adjustment/a#tgt")
         .edit_of
@@ -260,10 +277,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     assert_eq!(edit.instruction, "lower");
     assert_eq!(edit.parts, [BodyPart::LeftArm]);
     let pointer = release.read(&files, entry(&*release, "000002"), &ReadOptions::default());
-    assert!(
-        matches!(&pointer, Outcome::Rejected(rejected) if rejected.code == "E-LFS-POINTER"),
-        "{pointer:?}"
-    );
+    assert_eq!(pointer.expect_err("no motion").code, "E-LFS-POINTER");
 }
 
 #[test]
@@ -375,8 +389,8 @@ proptest! {
         put(dir.path(), "split/base_motion/val.txt", &line);
         let files = files_under(dir.path());
         let release = only_release(&files);
-        prop_assert_eq!(release.entries().len(), 1);
-        let outcome = release.read(&files, &release.entries()[0], &ReadOptions::default());
-        prop_assert!(matches!(outcome, Outcome::Rejected(_)), "{:?}", outcome);
+        prop_assert_eq!(release.contents().entries.len(), 1);
+        let read = release.read(&files, &release.contents().entries[0], &ReadOptions::default());
+        prop_assert!(read.is_err(), "{:?}", read);
     }
 }
