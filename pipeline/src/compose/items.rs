@@ -369,11 +369,8 @@ mod tests {
             assert_eq!(item.split, Split::Test);
             assert_ne!(item.source_id, item.target_id);
             // Annotated clips wave, the others kick.
-            let source = Some(library.captured(&item.source_id));
-            assert_eq!(
-                source.expect("of the library").action.as_deref(),
-                Some("kick")
-            );
+            let source = library.captured(&item.source_id);
+            assert_eq!(source.action.as_deref(), Some("kick"));
             item.check().expect("named by its content");
         }
         let ids: BTreeSet<&str> = items.iter().map(|item| item.id.as_str()).collect();

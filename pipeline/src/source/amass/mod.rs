@@ -33,7 +33,7 @@ pub use variant::Variant;
 /// needs are converted, and the floor is estimated from them. All frames are checked to be finite.
 ///
 /// # Errors
-/// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`npy`], `E-AMASS-KEYS`,
+/// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`pickle::npy`], `E-AMASS-KEYS`,
 /// `E-AMASS-SHAPE`, `E-AMASS-FPS`, `E-TOO-SHORT` or `E-NOT-FINITE`.
 ///
 /// # Source

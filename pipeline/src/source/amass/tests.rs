@@ -207,9 +207,7 @@ fn what_is_wrong_is_rejected_by_code() {
     assert_eq!(code(&with("poses", npy(lie, &[0; 16]))), "E-NPY-SHAPE");
     let mut trans = vec![0.0; 9];
     trans[7] = f64::NAN;
-    let rejected = read_members(&with("trans", npy_f8(&[3, 3], &trans)))
-        .err()
-        .expect("not a number");
+    let rejected = read_members(&with("trans", npy_f8(&[3, 3], &trans))).expect_err("not a number");
     assert_eq!(rejected.code, "E-NOT-FINITE");
     assert!(rejected.reason.contains("frame 2"), "{}", rejected.reason);
     // A gender that is pickled costs the gender, not the clip.
@@ -310,9 +308,8 @@ fn the_variant_is_told_from_the_headers() {
 fn damaged_archives_are_rejected_by_code() {
     let bytes = npz(&clip_members(30, 156));
     for len in [0, 3, 100, bytes.len() / 2, bytes.len() - 1] {
-        let rejected = read(Path::new("x"), &bytes[..len], &ReadOptions::default())
-            .err()
-            .expect("cut off");
+        let rejected =
+            read(Path::new("x"), &bytes[..len], &ReadOptions::default()).expect_err("cut off");
         assert_eq!(rejected.code, "E-NPZ-TRUNCATED", "{len} bytes");
     }
     let stored = {
@@ -329,9 +326,8 @@ fn damaged_archives_are_rejected_by_code() {
     };
     let mut flipped = stored.clone();
     flipped[400] ^= 1;
-    let rejected = read(Path::new("x"), &flipped, &ReadOptions::default())
-        .err()
-        .expect("one bit is wrong");
+    let rejected =
+        read(Path::new("x"), &flipped, &ReadOptions::default()).expect_err("one bit is wrong");
     assert_eq!(rejected.code, "E-NPZ-TRUNCATED");
 }
 
