@@ -11,6 +11,7 @@ import { Strip } from "../strips";
 import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import type { MaskTextAnswer, Next, Suggestion, TaskView } from "../wire";
+import { finisher } from "./finish";
 import { askSkip } from "./skip";
 import { emptyScreen } from "./empty";
 
@@ -75,24 +76,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   );
   const masks = editor;
 
-  let busy = false;
-  const finish = async (run: () => Promise<"done" | "waiting" | "refused">): Promise<void> => {
-    if (busy) return;
-    busy = true;
-    try {
-      const outcome = await run();
-      if (outcome === "done") app.go("mask");
-      else if (outcome === "waiting") {
-        app.toasts.show("The server has not answered yet. Your answer is stored and will be sent; continue when it is saved.", {
-          id: "waiting",
-          kind: "error",
-          ms: 10_000,
-        });
-      }
-    } finally {
-      busy = false;
-    }
-  };
+  const finish = finisher(app, "mask");
   const submit = async (): Promise<void> => {
     const answer = await masks.complete();
     if (answer) await finish(() => session.submit(answer));

@@ -14,6 +14,7 @@ import type { BundleItem, Next, Suggestion, Task, TaskKind, TaskView, Verdict } 
 import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
+import { finisher } from "./finish";
 import { askSkip } from "./skip";
 
 /** How long the toast for withdrawing a rejection is shown. */
@@ -132,26 +133,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   let editor: PairEditor | null = null;
   const session = await TaskSession.open<TwoAnswer>(app, view, blankTwo(task), (answer) => editor?.setAnswer(answer));
 
-  let busy = false;
-  const finish = async (run: () => Promise<"done" | "waiting" | "refused">, after?: () => void): Promise<void> => {
-    if (busy) return;
-    busy = true;
-    try {
-      const outcome = await run();
-      if (outcome === "done") {
-        app.go(route);
-        after?.();
-      } else if (outcome === "waiting") {
-        app.toasts.show("The server has not answered yet. Your answer is stored and will be sent; continue when it is saved.", {
-          id: "waiting",
-          kind: "error",
-          ms: 10_000,
-        });
-      }
-    } finally {
-      busy = false;
-    }
-  };
+  const finish = finisher(app, route);
   const takeBack = async (): Promise<void> => {
     app.toasts.clear("verdict");
     if (await TaskSession.takeBack(app, task.id)) app.go(`${route}/${task.id}`);
