@@ -5,7 +5,7 @@ use std::path::Path;
 use super::*;
 use crate::record::{MaskRow, MotionRow};
 use crate::table::{self, Row};
-use crate::table::{Caption, PartCaption, Quality};
+use crate::table::{Caption, PartCaption, Quality, ShardReader};
 use crate::{Error, Skeleton, Split};
 use crate::{Fps, Motion, MotionId, Pose};
 
@@ -58,6 +58,11 @@ fn row(index: usize) -> MotionRow {
     }
 }
 
+fn rows_at(path: &Path, rows: &[usize]) -> Vec<MotionRow> {
+    let shard = ShardReader::open(path).expect("opens");
+    shard.rows_at(rows).expect("reads")
+}
+
 fn shard(index: usize, of: usize) -> ShardName {
     ShardName {
         table: MotionRow::TABLE,
@@ -100,8 +105,7 @@ fn single_clips_are_read_as_they_were_written() {
                     assert_eq!(reader.ids()[at], rows[at].id);
                     let motion = reader.motion(at).expect("read");
                     assert_eq!(motion, rows[at].motion().expect("valid"));
-                    let one: Vec<MotionRow> =
-                        crate::table::read_rows_at(path, &[at]).expect("read");
+                    let one: Vec<MotionRow> = rows_at(path, &[at]);
                     assert_eq!(one[0], rows[at]);
                 }
             });
@@ -136,7 +140,7 @@ fn single_rows_are_read_by_their_place() {
     let rows: Vec<MotionRow> = (0..300).map(row).collect();
     let dataset = commit_motions(dir.path(), &rows);
     let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
-    let some: Vec<MotionRow> = table::read_rows_at(path, &[299, 0, 257, 0]).expect("reads");
+    let some: Vec<MotionRow> = rows_at(path, &[299, 0, 257, 0]);
     assert_eq!(
         some,
         [rows[0].clone(), rows[257].clone(), rows[299].clone()]

@@ -18,7 +18,7 @@ pub use cell::Cell;
 pub use pages::{ClipReader, FramePages};
 pub use shard::{
     ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
-    read_rows_at, write_rows,
+    write_rows,
 };
 
 /// Version of the table schemas. The major number changes when an old reader would misread a

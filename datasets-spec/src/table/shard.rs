@@ -24,11 +24,10 @@ use super::positioned::Positioned;
 use super::{Cell, Row, SCHEMA_VERSION, decode_column, entropy};
 use crate::Error;
 
-/// Pages in a row group: of motion, whose pages are clips, about 30 MB, well under the limits of
-/// table viewers.
+/// Pages per row group: about 30 MB of motion, whose pages are clips, well under the limits of table
+/// viewers.
 const ROW_GROUP_PAGES: usize = 256;
-/// Zstandard level. On byte-split motion, level 3 takes half as long again and is not a percent
-/// smaller.
+/// Zstandard level. On byte-split motion, level 3 takes 1.5 times as long and saves less than 1 %.
 const ZSTD_LEVEL: i32 = 1;
 /// One clip must stay one page however long it is.
 const PAGE_BYTES: usize = 64 << 20;
@@ -77,7 +76,7 @@ fn properties(
         .set_key_value_metadata(Some(key_values));
     let leaves = frame_leaves(schema);
     if !leaves.is_empty() {
-        // One clip a page, so that a reader fetches any clip by its page and decodes nothing else.
+        // One clip per page, so that a reader decodes only the pages of the clips it needs.
         builder = builder
             .set_data_page_row_count_limit(page_rows)
             .set_write_batch_size(page_rows)
@@ -127,8 +126,8 @@ pub fn write_rows<R: Row, W: Write + Send>(
     writer.into_inner().map_err(wrap())
 }
 
-/// Writes rows that come a few at a time as the file that [`write_rows`] would write of all, holding
-/// no more than a row group. It is for tables without frames.
+/// Writes rows incrementally, with the same bytes as [`write_rows`] and at most one row group in memory.
+/// It is for tables without frames.
 pub struct RowWriter<R, W: Write + Send> {
     writer: ArrowWriter<W>,
     path: PathBuf,
@@ -256,15 +255,7 @@ pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
     read_selected(path, bytes, metadata, None)
 }
 
-/// Reads the rows at the given places, in file order. Only their pages are read and decoded.
-///
-/// # Errors
-/// As [`read_rows`].
-pub fn read_rows_at<R: Row>(path: &Path, rows: &[usize]) -> Result<Vec<R>, Error> {
-    ShardReader::open(path)?.rows_at(rows)
-}
-
-/// A file that stays open for rows to be read at any place.
+/// An open file, for reading rows at any place.
 #[derive(Debug)]
 pub struct ShardReader {
     path: PathBuf,
@@ -296,7 +287,8 @@ impl ShardReader {
         usize::try_from(self.metadata.metadata().file_metadata().num_rows()).unwrap_or(0)
     }
 
-    /// Reads the rows at the given places, in file order; places behind the end are passed over.
+    /// Reads the rows at the given places, in file order; places after the end are ignored. Only their
+    /// pages are read and decoded.
     ///
     /// # Errors
     /// The file cannot be read or holds something else.
@@ -365,7 +357,7 @@ fn read_selected<R: Row>(
     Ok(rows)
 }
 
-/// What a Parquet file says of itself, without decoding a row.
+/// Footer of a Parquet file.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ShardDescription {
     /// Rows.

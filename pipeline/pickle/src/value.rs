@@ -70,14 +70,6 @@ impl Value {
         }
     }
 
-    /// A whole number.
-    pub fn as_int(&self) -> Option<i128> {
-        match self {
-            Self::Int(number) => Some(*number),
-            _ => None,
-        }
-    }
-
     /// A number of either kind.
     pub fn as_float(&self) -> Option<f64> {
         match self {
