@@ -8,7 +8,7 @@ use datasets_spec::{Dataset, Motion, Skeleton, Split};
 use eval::EncoderError;
 use eval::answers;
 use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
-use eval::metric::matching::CrossRetrieval;
+use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
 use train::checkpoint::{Slot, check_skeleton};
 use train::coordinator::TrainedCoordinator;

@@ -12,7 +12,7 @@ use crate::Error;
 use crate::compare::{Comparison, compare};
 use crate::evaluators::Evaluators;
 use crate::linalg::Matrix;
-use crate::metric::matching::{CrossRetrieval, cross_retrieval};
+use crate::metric::cross_retrieval::{CrossRetrieval, cross_retrieval};
 use crate::metric::retrieval::unit_rows;
 use crate::protocol::Protocol;
 use crate::score::score;

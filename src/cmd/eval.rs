@@ -7,7 +7,7 @@ use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Paired, Scores};
 use eval::format;
 use eval::metric::interval::Interval;
-use eval::metric::matching::CrossRetrieval;
+use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::retrieval::Retrieval;
 use eval::metric::{self, Part};
 use eval::names::{ALL_TASKS, RECAPTURED};

@@ -4,13 +4,13 @@
 //! directions, formats and the tables of `--further` follow from the declaration.
 
 pub mod composed;
+pub mod cross_retrieval;
 mod definition;
 pub mod diversity;
 pub mod fid;
 pub mod fit_error;
 pub mod foot_score;
 pub mod interval;
-pub mod matching;
 pub mod motion_quality;
 pub mod multimodality;
 pub mod position_error;
