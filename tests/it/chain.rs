@@ -5,6 +5,7 @@ use std::fs;
 
 use serde::Deserialize;
 
+use crate::tables::tables;
 use crate::util::{arg, corpus, stance};
 
 #[derive(Deserialize)]
@@ -135,14 +136,17 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     ])
     .expect_code(0);
     assert!(explained.stdout.contains("recipe_hash"));
-    let table = stance(&[
-        "eval",
-        arg(&run.join("edits/full")),
-        "--encoder",
-        arg(&run.join("runs/tmr")),
-    ])
-    .expect_code(0);
-    assert!(table.stdout.contains("Real Data") && table.stdout.contains("E2T"));
+    let edits = run.join("edits/full");
+    let encoder = run.join("runs/tmr");
+    let eval = |more: &[&str]| {
+        let args = ["eval", arg(&edits), "--encoder", arg(&encoder)];
+        stance(&[&args, more].concat()).expect_code(0)
+    };
+    let scores: serde_json::Value = eval(&["--json"]).json();
+    for table in tables(&eval(&["--format", "markdown"]).stdout) {
+        table.check_measured(&table.names(), &scores);
+        assert_eq!(table.names()[..2], ["Real Data", "Identity"]);
+    }
     let strip = dir.path().join("strip.svg");
     let clip = first_clip(&dataset);
     stance(&[

@@ -13,5 +13,6 @@ mod ingest;
 mod pairs;
 mod results;
 mod seams;
+mod tables;
 mod train;
 mod util;

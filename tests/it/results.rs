@@ -5,10 +5,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow};
+use datasets_spec::table::Row;
+use eval::metric::{Part, of_part};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
+use crate::tables::{printed, tables};
 use crate::util::{arg, stance};
 
 /// The items the bench answers.
@@ -108,33 +111,48 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let mean = |scores: &Value| score(scores, "MotionReFit", "FID")["mean"].clone();
     assert_eq!(mean(&scores), mean(&over_repeats));
 
-    let text = bench.eval(&[&edits], &[]).expect_code(0).stdout;
-    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in [
+    let counted = |count: usize, what: &str| match count {
+        1 => format!("1 {what}"),
+        _ => format!("{count} {what}s"),
+    };
+    let dataset = Dataset::open(&bench.workshop.dataset()).expect("a dataset");
+    let dataset = dataset.content_hash(&[MotionRow::TABLE]);
+    let table = |more: &[&str]| {
+        let args = [&["--format", "markdown"], more].concat();
+        let mut found = tables(&bench.eval(&[&edits], &args).expect_code(0).stdout);
+        assert_eq!(found.len(), 1, "one task, one table");
+        found.remove(0)
+    };
+    let conditions = |intervals: &str| {
         format!(
-            "8 items ({targets} target{}, {sources} source{}, {instructions} instruction{}; ids {digest}), \
-             1 take, 2 repeats; one gallery of all 8 (fewer than 32)",
-            if targets == 1 { "" } else { "s" },
-            if sources == 1 { "" } else { "s" },
-            if instructions == 1 { "" } else { "s" },
-        ),
-        "95 % intervals from 1000 draws of the targets".to_owned(),
-        "FID: 4 motions a side are too few for latents of 32 numbers".to_owned(),
-        "smpl135 at 10 fps".to_owned(),
-    ] {
-        assert!(text.contains(&part), "{part}: {text}");
-    }
+            "8 items ({}, {}, {}; ids {digest}), 1 take, 2 repeats; one gallery of all 8 (fewer than 32), \
+             real queries, 8 diversity pairs, FID between halves of 4, floor at the lowest foot, seed 0, \
+             95 % intervals {intervals}; encoder {:.12} (smpl135 at 10 fps, trained on dataset {dataset:.12})",
+            counted(targets, "target"),
+            counted(sources, "source"),
+            counted(instructions, "instruction"),
+            row["encoder_hash"].as_str().expect("a hash"),
+        )
+    };
+    let of_targets = table(&[]);
+    assert_eq!(
+        of_targets.conditions,
+        conditions("from 1000 draws of the targets (100 for FID and Diversity)")
+    );
+    let [behind, small] = &of_targets.notes[..] else {
+        panic!("{of_targets:?}");
+    };
+    assert!(behind.starts_with("Behind the identity editor"));
+    assert!(small.starts_with("FID: 4 motions a side are too few for latents of 32 numbers, "));
+    let names = ["Real Data", "Identity", "MotionReFit"];
+    of_targets.check_measured(&names, &scores);
+    let of_repeats = table(&["--interval", "repeats"]);
+    assert_eq!(of_repeats.conditions, conditions("over the repeats"));
+    of_repeats.check_measured(&names, &over_repeats);
     // The rate in the README is the one that is printed here.
     let readme = include_str!("../../eval/README.md");
     let line = readme.lines().find(|line| line.starts_with("| `smpl135`"));
     assert!(line.is_some_and(|line| line.contains("10 fps in preset `tiny`")));
-    assert!(
-        bench
-            .eval(&[&edits], &["--interval", "repeats"])
-            .expect_code(0)
-            .stdout
-            .contains("95 % intervals over the repeats")
-    );
 }
 
 #[test]
@@ -174,29 +192,63 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     );
     assert_eq!(own["behind_identity"], true);
     assert_eq!(identity["behind_identity"], false);
-    let value = format!("{:.2}", own["mean"].as_f64().expect("a number"));
-    for (format, marked) in [
-        ("text", format!("*{value}")),
-        ("markdown", format!("**{value}")),
-        ("latex", format!("\\textbf{{{value}")),
-    ] {
-        let table = bench
-            .eval(&[&edits], &["--further", "--format", format])
-            .expect_code(0)
-            .stdout;
-        let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
-        let behind = words
-            .split_once(
-                "Behind the identity editor, which returns the original unchanged: lifted in ",
-            )
-            .unwrap_or_else(|| panic!("{table}"))
-            .1;
-        assert!(behind.contains("Position error (cm)"), "{table}");
-        assert!(
-            table.contains(&value) && !table.contains(&marked),
-            "{table}"
+    let table = |format: &str| {
+        let args = ["--further", "--format", format];
+        bench.eval(&[&edits], &args).expect_code(0).stdout
+    };
+    let markdown = tables(&table("markdown"));
+    let further = &markdown[1];
+    let column = further
+        .head
+        .iter()
+        .position(|label| label == "Position error (cm) ↓");
+    // Printed without the mark of the best.
+    assert_eq!(
+        further.row("lifted")[column.expect("a column") - 1],
+        printed(own)
+    );
+    let behind: Vec<&str> = scores
+        .as_array()
+        .expect("rows")
+        .iter()
+        .filter(|row| row["behind_identity"] == true)
+        .map(|row| row["metric"].as_str().expect("a name"))
+        .collect();
+    for table in &markdown {
+        let metrics: Vec<&str> = table.head[1..]
+            .iter()
+            .map(|label| label.rsplit_once(' ').expect("an arrow").0)
+            .filter(|metric| behind.contains(metric))
+            .collect();
+        let clause = if metrics.len() + 1 == table.head.len() {
+            "every column".to_owned()
+        } else {
+            metrics.join(", ")
+        };
+        let note = format!(
+            "Behind the identity editor, which returns the original unchanged: lifted in {clause}."
         );
+        assert_eq!(
+            metrics.is_empty(),
+            !table.notes.contains(&note),
+            "{table:?}"
+        );
+        for (cell, label) in table.row("lifted").iter().zip(&table.head[1..]) {
+            let is_behind = metrics.iter().any(|metric| label.starts_with(metric));
+            assert!(!(is_behind && cell.contains('*')), "{label}: {cell}");
+        }
     }
+    let mean = printed(own);
+    let mean = mean.split(' ').next().expect("a mean");
+    let is_cell = |format: &str, separator: &str, prefix: &str| {
+        let cell = format!("{prefix}{mean}");
+        let text = table(format);
+        let rows = text.lines().filter(|line| line.starts_with("lifted"));
+        let mut cells = rows.flat_map(|row| row.split(separator));
+        cells.any(|found| found.trim().split(['±', '{']).next() == Some(&cell))
+    };
+    assert!(is_cell("text", "  ", "") && !is_cell("text", "  ", "*"));
+    assert!(is_cell("latex", " & ", "") && !is_cell("latex", " & ", "\\textbf"));
 }
 
 #[test]
@@ -303,7 +355,12 @@ fn a_comparison_names_its_fid_and_draws_targets() {
             .is_some_and(|count| (1..=8).contains(&count))
     );
     assert_eq!(task["items_digest"].as_str().map(str::len), Some(12));
-    assert!(compare(&[]).stdout.contains("FID of whole sets"));
+    let printed = tables(&compare(&["--format", "markdown"]).stdout);
+    assert_eq!(
+        printed[0].head,
+        ["Metric", "A", "B", "B - A", "from", "to", "better"]
+    );
+    assert_eq!(printed[0].names(), names);
 }
 
 #[test]
@@ -324,27 +381,50 @@ fn pairs_of_motionfix_fill_its_tables() {
         row.set_motions(&source, Some(&shorter), None);
     });
     let edits = bench.answers("editor", "motionfix", "answers", &[]);
-    for (table, gallery, published) in [
-        ("2", "(fewer than 32)", "480 items (SimMotionEdit"),
-        ("a3", "one gallery of all 8", "1012 items (MotionReFit)"),
+    let names = ["Real Data", "Identity", "MotionReFit"];
+    for (table, gallery, published, counts) in [
+        (
+            "2",
+            "one gallery of all 8 (fewer than 32)",
+            ["TMED", "MotionReFit w/o MCM"],
+            "480 items (SimMotionEdit, Cross-Axis, OmniME, CIME)",
+        ),
+        (
+            "a3",
+            "one gallery of all 8",
+            ["TMED", "MotionReFit"],
+            "1012 items (MotionReFit)",
+        ),
     ] {
-        let ran = bench
-            .eval(
-                &[&edits],
-                &["--table", table, "--published", "--format", "markdown"],
-            )
-            .expect_code(0);
+        let format = ["--table", table, "--published", "--format", "markdown"];
+        let ran = bench.eval(&[&edits], &format).expect_code(0);
         assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
-        assert!(ran.stdout.starts_with("### motionfix"), "{}", ran.stdout);
-        for text in [
-            "| Identity |",
-            "| MotionReFit |",
-            "| TMED (published) |",
-            gallery,
-            published,
-        ] {
-            assert!(ran.stdout.contains(text), "{text}: {}", ran.stdout);
-        }
+        let scores: Value = bench
+            .eval(&[&edits], &["--table", table, "--json"])
+            .expect_code(0)
+            .json();
+        let [laid_out] = &tables(&ran.stdout)[..] else {
+            panic!("{}", ran.stdout);
+        };
+        assert_eq!(laid_out.heading, "motionfix");
+        laid_out.check_measured(&names, &scores);
+        let all = ["Real Data", "MDM-BP"].into_iter().chain(published);
+        let all = all.chain(["SimMotionEdit", "Cross-Axis", "OmniME", "CIME"]);
+        let all: Vec<String> = all.map(|name| format!("{name} (published)")).collect();
+        assert_eq!(laid_out.names()[3..], all);
+        let protocol = laid_out
+            .conditions
+            .split("; ")
+            .nth(2)
+            .expect("the protocol");
+        assert_eq!(protocol.split(',').next(), Some(gallery));
+        assert!(
+            laid_out
+                .notes
+                .last()
+                .is_some_and(|note| note.contains(counts)),
+            "{laid_out:?}"
+        );
     }
     let alone = stance(&[
         "eval",
@@ -352,11 +432,13 @@ fn pairs_of_motionfix_fill_its_tables() {
         arg(&items),
         "--table",
         "2",
+        "--format",
+        "markdown",
         "--encoder",
         arg(&bench.encoder),
     ])
     .expect_code(0);
-    assert!(alone.stdout.contains("Identity"), "{}", alone.stdout);
+    assert_eq!(tables(&alone.stdout)[0].names(), names[..2]);
 
     let error = |keypoints: &str| {
         let scores: Value = bench
@@ -392,13 +474,15 @@ fn pairs_of_motionfix_fill_its_tables() {
 fn many_takes_tell_how_motions_of_one_item_differ() {
     let bench = Bench::open();
     let edits = bench.edits("takes", &["--takes", "11"]);
-    let ran = bench.eval(&[&edits], &["--further"]).expect_code(0);
-    assert!(
-        ran.stdout.contains(", 11 takes, 2 repeats"),
-        "{}",
-        ran.stdout
-    );
+    let ran = bench
+        .eval(&[&edits], &["--further", "--format", "markdown"])
+        .expect_code(0);
     let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    for table in tables(&ran.stdout) {
+        table.check_measured(&["Real Data", "Identity", "MotionReFit"], &scores);
+        let items = table.conditions.split("; ").nth(1).expect("the items");
+        assert!(items.ends_with("), 11 takes, 2 repeats"), "{items}");
+    }
     let row = score(&scores, "MotionReFit", "Multimodality");
     assert!(row["mean"].as_f64().expect("a number") > 0.0);
     assert_eq!(row["takes"], 11);
@@ -415,14 +499,28 @@ fn latencies_stand_apart_from_times_that_windows_share() {
         folder.read(None).expect("rows")
     };
     assert_eq!(rows(&together), rows(&alone), "the batch changes no number");
-    let ran = bench
-        .eval(&[&together, &alone], &["--table", "a4", "--published"])
-        .expect_code(0);
-    let (latency, throughput) = ran.stdout.split_once("Throughput: ").expect("two tables");
-    assert!(latency.starts_with("Latency: seconds for one window at batch 1"));
-    assert!(latency.contains("16-frame, alone") && latency.contains("0.474"));
-    assert!(!latency.contains("together") && throughput.contains("16-frame, together"));
-    assert!(!throughput.contains("RTX") && ran.stderr.contains("--max-batch 1"));
+    let format = ["--table", "a4", "--published", "--format", "markdown"];
+    let ran = bench.eval(&[&together, &alone], &format).expect_code(0);
+    assert!(ran.stderr.contains("--max-batch 1"), "{}", ran.stderr);
+    let found = tables(&ran.stdout);
+    let [latency, throughput] = &found[..] else {
+        panic!("{}", ran.stdout);
+    };
+    assert_eq!(
+        latency.heading,
+        "Latency: seconds for one window at batch 1"
+    );
+    assert_eq!(
+        latency.names(),
+        [
+            "16-frame, alone",
+            "2-frame, RTX 3090 (published)",
+            "8-frame, RTX 3090 (published)",
+            "16-frame, RTX 3090 (published)",
+        ]
+    );
+    assert!(throughput.heading.starts_with("Throughput: "));
+    assert_eq!(throughput.names(), ["16-frame, together"]);
     let times: Value = bench
         .eval(&[&together, &alone], &["--table", "a4", "--json"])
         .expect_code(0)
@@ -430,6 +528,18 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     assert_eq!([&times[0]["latency"], &times[1]["latency"]], [false, true]);
     assert_eq!(times[1]["batch"], 1.0);
     assert!(times[0]["batch"].as_f64().expect("recorded") > 1.0);
+    for (row, times) in [(throughput, &times[0]), (latency, &times[1])] {
+        let number = |field: &str| times[field].as_f64().expect("a number");
+        let secs = [
+            "diffusion_secs",
+            "coordinator_secs",
+            "fit_secs",
+            "total_secs",
+        ];
+        let mut expected = secs.map(|field| format!("{:.3}", number(field))).to_vec();
+        expected.push(format!("{:.2}", number("fps")));
+        assert_eq!(row.rows[0][2..], expected);
+    }
 }
 
 #[test]
@@ -461,21 +571,20 @@ fn a_page_shows_settings_as_a_table() {
 fn how_motions_move_stands_beside_real_data() {
     let bench = Bench::open();
     let edits = bench.edits("first", &[]);
-    let text = bench.eval(&[&edits], &["--further"]).expect_code(0).stdout;
+    let further = ["--further", "--format", "markdown"];
+    let text = bench.eval(&[&edits], &further).expect_code(0).stdout;
     let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
-    for metric in [
-        "Acceleration at seams (m/s²)",
-        "inside (m/s²)",
-        "Jerk (m/s³)",
-        "Contact slide (m/s)",
-        "Largest turn (°/frame)",
-    ] {
+    let metrics = of_part(Part::Quality);
+    for metric in &metrics {
         for system in ["Real Data", "Identity", "MotionReFit"] {
-            let mean = score(&scores, system, metric)["mean"].as_f64();
+            let mean = score(&scores, system, metric.name)["mean"].as_f64();
             assert!(mean.expect("a number") > 0.0, "{system} {metric}");
         }
-        assert!(text.contains(metric), "{metric}: {text}");
     }
+    let quality = tables(&text).pop().expect("tables");
+    let labels: Vec<String> = metrics.iter().map(|metric| format!("{metric} →")).collect();
+    assert_eq!(quality.head[1..], labels);
+    quality.check_measured(&["Real Data", "Identity", "MotionReFit"], &scores);
     let page = bench.workshop.path("page.html");
     let out = ["--encoder", arg(&bench.encoder), "--out", arg(&page)];
     stance(&[&["report", arg(&edits)], &out[..]].concat()).expect_code(0);

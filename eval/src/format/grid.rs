@@ -108,22 +108,29 @@ mod tests {
     #[test]
     fn columns_of_a_terminal_are_straight() {
         let text = grid().text();
-        let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines[0], "Times");
-        assert_eq!(lines[2], "window           FPS");
-        assert_eq!(lines[4], "16-frame       24.76");
-        assert_eq!(lines[5], "a|b, \"c\" & 5%      9");
-        assert!(lines[1].chars().count() == lines[2].chars().count());
+        let rule = "─".repeat(20);
+        assert_eq!(
+            text,
+            format!(
+                "Times\n{rule}\nwindow           FPS\n{rule}\n16-frame       24.76\n\
+                 a|b, \"c\" & 5%      9\n{rule}\n"
+            )
+        );
     }
 
     #[test]
     fn marks_of_each_format_are_escaped() {
         let grid = grid();
-        assert!(grid.markdown().contains("| a\\|b, \"c\" & 5% | 9 |"));
-        assert!(grid.markdown().contains("| :-- | --: |"));
-        assert!(
-            grid.latex()
-                .contains("a\\textbar{}b, \"c\" \\& 5\\% & 9 \\\\")
+        assert_eq!(
+            grid.markdown(),
+            "### Times\n\n| window | FPS |\n| :-- | --: |\n| 16-frame | 24.76 |\n\
+             | a\\|b, \"c\" & 5% | 9 |\n"
+        );
+        assert_eq!(
+            grid.latex(),
+            "% Times\n\\begin{tabular}{lr}\n\\toprule\nwindow & FPS \\\\\n\\midrule\n\
+             16-frame & 24.76 \\\\\na\\textbar{}b, \"c\" \\& 5\\% & 9 \\\\\n\
+             \\bottomrule\n\\end{tabular}\n"
         );
         assert_eq!(
             grid.csv(),
