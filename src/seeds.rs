@@ -4,7 +4,7 @@ use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::cli::Global;
+use crate::global::Global;
 
 /// Section `[seeds]` of a plan. Each is 0 unless it is given, and `--seed` replaces them all.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]

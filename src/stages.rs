@@ -15,7 +15,7 @@ use train::registry::open_system;
 use train::sample::EditTimes;
 use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::ingest::summary;
 use crate::device::device;
 use crate::evaluators::EvaluatorRuns;

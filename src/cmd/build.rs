@@ -12,7 +12,7 @@ use pipeline::export::{Layout, export};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::{report, settings, stages};
 

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use clap::CommandFactory;
+use clap::Command;
 use clap_complete::Shell;
 
-use crate::cli::{Cli, Global};
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Print the completions of a shell: bash, zsh, fish, elvish or powershell.
@@ -20,9 +20,9 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-pub(crate) fn run(args: &Args) -> Exit {
+pub(crate) fn run(args: &Args, mut command: Command) -> Exit {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "stance", &mut script);
+    clap_complete::generate(args.shell, &mut command, "stance", &mut script);
     report::text(&String::from_utf8_lossy(&script));
     Exit::Done
 }
@@ -35,10 +35,10 @@ pub(crate) struct ManArgs {
     out: PathBuf,
 }
 
-pub(crate) fn man(args: &ManArgs, global: &Global) -> anyhow::Result<Exit> {
+pub(crate) fn man(args: &ManArgs, command: Command, global: &Global) -> anyhow::Result<Exit> {
     let out = &args.out;
     std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
-    clap_mangen::generate_to(Cli::command(), out)
+    clap_mangen::generate_to(command, out)
         .with_context(|| format!("cannot write to {}", out.display()))?;
     if global.json {
         report::json(&serde_json::json!({ "out": out }))?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use corpus::{CorpusOptions, write_corpus};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

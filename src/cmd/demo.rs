@@ -7,7 +7,7 @@ use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
 use train::config::{Preset, RunLength, TrainConfig};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::run::{Plan, RunConfig, finish};
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use pipeline::doctor::examine;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

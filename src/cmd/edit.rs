@@ -22,7 +22,7 @@ use train::system::{
     edit_layers, edit_motion, whole,
 };
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::report;

@@ -7,7 +7,7 @@ use datasets_spec::{Dataset, Fps};
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -16,7 +16,7 @@ use eval::published::PaperTable;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, encoder_retrieval};
 use crate::exit::Exit;

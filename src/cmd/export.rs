@@ -8,7 +8,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
 use pipeline::export::{Layout, Sides, export, export_edits};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -15,7 +15,7 @@ use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -16,7 +16,7 @@ use pipeline::open::{read_file, stored_clip, stored_item};
 use pipeline::source::ReadOptions;
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::render::holds_items;
 use crate::exit::Exit;
 use crate::report;

@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, Split};
 use pipeline::compose::{ItemConfig, ItemCount, ItemTask};
 use pipeline::export::export_items;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::{report, stages};

@@ -12,7 +12,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -17,7 +17,7 @@ use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
 
-use crate::cli::{Global, PresetArg};
+use crate::global::{Global, PresetArg};
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::report;

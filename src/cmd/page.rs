@@ -12,7 +12,7 @@ use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::eval::{further_tables, tables};
 use crate::device::DeviceArgs;
 use crate::evaluators::EvaluatorRuns;

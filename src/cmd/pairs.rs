@@ -10,7 +10,7 @@ use pipeline::annotation::pairs::{PairConfig, RefusedLine};
 use pipeline::stage;
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

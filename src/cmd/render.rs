@@ -10,7 +10,7 @@ use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, sheet, strip};
 use pipeline::open::{clip_of_file, stored_clip, stored_item};
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -31,7 +31,7 @@ use train::stage::poses::train_j2s;
 use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::eval::tables;
 use crate::cmd::page::strip_of;
 use crate::device::TrainDeviceArgs;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use pipeline::stage::open_motions;
 use pipeline::stats::statistics;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -20,7 +20,7 @@ use train::stage::encoder::train_encoder;
 use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::device::TrainDeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;

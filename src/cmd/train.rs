@@ -11,7 +11,7 @@ use train::config::{RunLength, TrainConfig};
 use train::kind::TrainRequest;
 use train::registry::{self, MODELS};
 
-use crate::cli::{Global, PresetArg};
+use crate::global::{Global, PresetArg};
 use crate::cmd::model::Features;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;

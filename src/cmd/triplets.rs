@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 use train::config::overlay;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::cmd::render;
 use crate::exit::Exit;
 use crate::{report, settings};

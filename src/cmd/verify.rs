@@ -7,7 +7,7 @@ use pipeline::reference::{Comparison, compare};
 use pipeline::verify::{Check, Finding, Verification, verify};
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::global::Global;
 use crate::exit::Exit;
 use crate::report;
 

@@ -1,0 +1,108 @@
+//! Options that several verbs share.
+
+use datasets_spec::Seed;
+use pipeline::stage::Context;
+use train::config::Preset;
+
+use crate::progress::Bars;
+
+/// Options every verb takes.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Global options")]
+pub(crate) struct Global {
+    /// Worker threads; results do not depend on it [default: all cores]
+    #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Seed of every draw, in place of those in files of settings [default: 0]
+    #[arg(long, global = true)]
+    seed: Option<u64>,
+    /// Print results as one JSON document
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Print nothing but results and errors
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Draw no progress bars
+    #[arg(long, global = true)]
+    no_progress: bool,
+}
+
+impl Global {
+    /// Applies the options that concern the whole process.
+    pub(crate) fn start(&self) -> anyhow::Result<()> {
+        if let Some(threads) = self.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads.into())
+                .build_global()?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn seed(&self) -> Seed {
+        self.seed_or(None)
+    }
+
+    /// The `--seed` option as it was given, for commands printed in reports; empty without one.
+    pub(crate) fn seed_option(&self) -> String {
+        self.seed
+            .map_or(String::new(), |seed| format!(" --seed {seed}"))
+    }
+
+    /// `--seed`, if it is given.
+    pub(crate) fn given_seed(&self) -> Option<u64> {
+        self.seed
+    }
+
+    /// `--seed` if it is given, else a seed of the settings' own.
+    pub(crate) fn seed_or(&self, own: Option<u64>) -> Seed {
+        Seed(self.seed.or(own).unwrap_or(0))
+    }
+
+    /// Runs a stage of `pipeline`.
+    pub(crate) fn stage<T>(
+        &self,
+        act: impl FnOnce(&Context<'_>) -> Result<T, pipeline::Error>,
+    ) -> Result<T, pipeline::Error> {
+        act(&Context {
+            progress: &self.bars(),
+            holder: &self.holder(),
+        })
+    }
+
+    pub(crate) fn bars(&self) -> Bars {
+        Bars::new(self.no_progress, self.quiet)
+    }
+
+    /// Names this run to another one that finds a folder locked.
+    pub(crate) fn holder(&self) -> String {
+        let started = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .map_or(0, |since| since.as_secs());
+        format!(
+            "process {} since second {started} of the epoch",
+            std::process::id()
+        )
+    }
+}
+
+/// Named settings of models.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum PresetArg {
+    /// Small: minutes on two cores
+    #[default]
+    Tiny,
+    /// What the paper says
+    Paper,
+    /// The released configuration
+    Official,
+}
+
+impl From<PresetArg> for Preset {
+    fn from(preset: PresetArg) -> Self {
+        match preset {
+            PresetArg::Tiny => Self::Tiny,
+            PresetArg::Paper => Self::Paper,
+            PresetArg::Official => Self::Official,
+        }
+    }
+}
