@@ -409,6 +409,7 @@ table! {
 
 table! {
     /// A metric value.
+    #[derive(Serialize, Deserialize)]
     pub struct ScoreRow = "scores" {
         /// System the value is of
         pub system: String [""],

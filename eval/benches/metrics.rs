@@ -11,7 +11,7 @@ use divan::counter::ItemsCount;
 use eval::linalg::Matrix;
 use eval::metric::fid::fid;
 use eval::metric::foot_score::{Feet, foot_score};
-use eval::metric::retrieval::{ranks, retrieval, unit_rows};
+use eval::metric::retrieval::{gallery_ranks, ranks, unit_rows};
 use eval::protocol::{Floor, Gallery, Protocol};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
@@ -61,7 +61,7 @@ fn galleries_of_32(bencher: Bencher) {
         .collect();
     bencher.bench_local(|| {
         for galleries in &repeats {
-            black_box(retrieval(black_box(&queries), &gallery, galleries).expect("valid"));
+            black_box(gallery_ranks(black_box(&queries), &gallery, galleries).expect("valid"));
         }
     });
 }

@@ -9,24 +9,8 @@ use crate::table::behind_identity;
 /// A row of the table of scores in its JSON form.
 #[derive(Serialize)]
 struct Score<'a> {
-    system: &'a str,
-    task: &'a str,
-    metric: &'a str,
-    protocol: &'a str,
-    encoder_hash: &'a str,
-    n: u32,
-    repeats: u32,
-    mean: f64,
-    ci95: Option<f64>,
-    takes: u32,
-    targets: u32,
-    sources: u32,
-    instructions: u32,
-    gallery: u32,
-    ranked: u32,
-    fid_items: u32,
-    latent_width: u32,
-    items_digest: &'a str,
+    #[serde(flatten)]
+    row: &'a ScoreRow,
     behind_identity: bool,
 }
 
@@ -41,24 +25,7 @@ pub fn render(scores: &[ScoreRow]) -> Result<String, Error> {
     for (index, (row, behind)) in rows.enumerate() {
         text.push_str(if index == 0 { "\n" } else { ",\n" });
         let score = Score {
-            system: &row.system,
-            task: &row.task,
-            metric: &row.metric,
-            protocol: &row.protocol,
-            encoder_hash: &row.encoder_hash,
-            n: row.n,
-            repeats: row.repeats,
-            mean: row.mean,
-            ci95: row.ci95,
-            takes: row.takes,
-            targets: row.targets,
-            sources: row.sources,
-            instructions: row.instructions,
-            gallery: row.gallery,
-            ranked: row.ranked,
-            fid_items: row.fid_items,
-            latent_width: row.latent_width,
-            items_digest: &row.items_digest,
+            row,
             behind_identity: behind,
         };
         let line = serde_json::to_string(&score).map_err(|source| Error::Json { source })?;

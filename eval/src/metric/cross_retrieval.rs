@@ -1,77 +1,8 @@
-//! How well motions match their texts in a shared space: R-precision and matching score.
+//! Whether an encoder's texts find their motions, and its motions their texts.
 
-use super::definition::{check_finite, check_size, distance};
 use super::retrieval::{Retrieval, ranks_among_equivalents};
 use crate::Error;
 use crate::linalg::Matrix;
-
-const METRIC: &str = "R-precision";
-
-/// Ranks considered.
-pub const TOP: usize = 3;
-
-/// The agreement of texts with their motions.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Matching {
-    /// Share of texts whose motion is among the nearest 1, 2 and 3 of its batch.
-    pub r_precision: [f64; TOP],
-    /// Mean Euclidean distance between a text and its motion.
-    pub matching_score: f64,
-}
-
-/// Measures how often a text finds its motion among the motions of its batch.
-///
-/// Rows are cut into batches of `batch_size` in the order given and the remainder is dropped. A
-/// motion at exactly the distance of the right one counts as farther if it comes later.
-///
-/// # Shapes
-/// `texts` and `motions` are `[N, D]`, row i of one belonging to row i of the other.
-///
-/// # Errors
-/// The sets differ in size, hold less than one batch, or hold a number that is not finite.
-///
-/// # Source
-/// T2M evaluation, batches of 32.
-pub fn matching(texts: &Matrix, motions: &Matrix, batch_size: usize) -> Result<Matching, Error> {
-    check_size(
-        METRIC,
-        "number of motions",
-        motions.num_rows(),
-        texts.num_rows(),
-    )?;
-    check_size(METRIC, "latent width", motions.num_cols(), texts.num_cols())?;
-    check_finite(METRIC, texts)?;
-    check_finite(METRIC, motions)?;
-    if batch_size == 0 || texts.num_rows() < batch_size {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: batch_size.max(1),
-            found: texts.num_rows(),
-        });
-    }
-    let num_used = texts.num_rows() / batch_size * batch_size;
-    let mut hits = [0usize; TOP];
-    let mut total = 0.0;
-    for query in 0..num_used {
-        let first = query / batch_size * batch_size;
-        let text = texts.row(query);
-        let own = distance(text, motions.row(query));
-        total += own;
-        let rank = (first..first + batch_size)
-            .filter(|&other| {
-                let theirs = distance(text, motions.row(other));
-                theirs < own || (theirs == own && other < query)
-            })
-            .count();
-        for (top, hits) in hits.iter_mut().enumerate() {
-            *hits += usize::from(rank <= top);
-        }
-    }
-    Ok(Matching {
-        r_precision: hits.map(|hits| hits as f64 / num_used as f64),
-        matching_score: total / num_used as f64,
-    })
-}
 
 /// How well texts find their motions, and motions their texts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,7 +32,7 @@ pub fn cross_retrieval(
 ) -> Result<CrossRetrieval, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
         return Err(Error::TooFewRows {
-            metric: METRIC,
+            metric: "text-to-motion retrieval",
             needed: 1,
             found: 0,
         });
@@ -131,6 +62,7 @@ pub fn cross_retrieval(
 mod tests {
     use super::*;
     use crate::golden::Golden;
+    use crate::metric::definition::distance;
 
     #[test]
     fn texts_and_motions_find_each_other_and_equal_texts_share_their_motions() {
@@ -150,6 +82,8 @@ mod tests {
         assert!(cross_retrieval(&texts, &motions, &[], same).is_err());
     }
 
+    /// R-precision of the T2M evaluation: the shares of texts whose motion is among the nearest 1, 2
+    /// and 3 of a batch. They are the recalls of [`Retrieval`] where nearness is the Euclidean distance.
     #[test]
     fn golden_r_precision_agrees_with_the_reference() {
         let golden = Golden::read("metrics_t2m");
@@ -157,50 +91,26 @@ mod tests {
         let motions = golden.matrix("in.rp.motion");
         let (shape, _) = golden.tensor("out.rp.distances");
         let batch_size = shape[1];
-        let value = matching(&texts, &motions, batch_size).expect("valid");
-        let expected = golden.numbers("out.rp.value");
-        for (found, expected) in value.r_precision.iter().zip(expected) {
-            golden.check_scalar("R-precision", *found, expected, 0.0, 1e-12);
-        }
-        golden.check_scalar(
-            "matching score",
-            value.matching_score,
-            golden.scalar("out.rp.matching_score"),
-            0.0,
-            1e-9,
-        );
         let counts = golden.matrix("out.rp.top3_counts");
-        let sums = golden.numbers("out.rp.matching_sum");
-        for (batch, &sum) in sums.iter().enumerate() {
+        let mut parts = Vec::new();
+        for batch in 0..texts.num_rows() / batch_size {
             let rows: Vec<usize> = (batch * batch_size..(batch + 1) * batch_size).collect();
-            let part = matching(
-                &texts.select_rows(&rows),
-                &motions.select_rows(&rows),
-                batch_size,
-            )
-            .expect("valid");
-            let found = part.r_precision.map(|share| share * batch_size as f64);
-            for (found, expected) in found.iter().zip(counts.row(batch)) {
-                assert_eq!(found.round(), *expected);
+            let mut nearness = Matrix::zeros(batch_size, batch_size);
+            for (row, &text) in rows.iter().enumerate() {
+                for (column, &motion) in rows.iter().enumerate() {
+                    nearness.row_mut(row)[column] = -distance(texts.row(text), motions.row(motion));
+                }
             }
-            golden.check_scalar(
-                "matching sum",
-                part.matching_score * batch_size as f64,
-                sum,
-                0.0,
-                1e-9,
-            );
+            let ranks = ranks_among_equivalents(&nearness, |_, _| false).expect("square");
+            let part = Retrieval::of_ranks(&ranks);
+            for (recall, expected) in part.recall.iter().zip(counts.row(batch)) {
+                assert_eq!((recall / 100.0 * batch_size as f64).round(), *expected);
+            }
+            parts.push(part);
         }
-    }
-
-    #[test]
-    fn a_swapped_pair_is_found_second() {
-        let texts = Matrix::from_rows(&[[0.0], [1.0], [10.0], [99.0]]);
-        let motions = Matrix::from_rows(&[[1.0], [0.0], [10.0], [0.0]]);
-        let value = matching(&texts, &motions, 3).expect("valid");
-        assert_eq!(value.r_precision, [1.0 / 3.0, 1.0, 1.0]);
-        assert_eq!(value.matching_score, 2.0 / 3.0);
-        assert!(matching(&texts, &motions, 5).is_err());
-        assert!(matching(&texts, &motions, 0).is_err());
+        let recall = Retrieval::mean(&parts).recall;
+        for (recall, expected) in recall.iter().zip(golden.numbers("out.rp.value")) {
+            golden.check_scalar("R-precision", recall / 100.0, expected, 0.0, 1e-12);
+        }
     }
 }

@@ -205,16 +205,8 @@ pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 
     f64::from(nearer) + (f64::from(equal) - 1.0) / 2.0
 }
 
-/// The rank of the diagonal in each row of a similarity matrix.
-///
-/// # Errors
-/// The matrix is not square or not finite.
-pub fn ranks_of_similarity(similarity: &Matrix) -> Result<Vec<f64>, Error> {
-    ranks_among_equivalents(similarity, |query, other| query == other)
-}
-
-/// As [`ranks_of_similarity`], but any entry that counts as equivalent to the diagonal will do: the
-/// best rank among them is taken.
+/// The rank of the diagonal in each row of a similarity matrix, or the best rank of the entries that
+/// are equivalent to it.
 ///
 /// # Errors
 /// The matrix is not square or not finite.
@@ -332,28 +324,6 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
     }
 }
 
-/// Ranks within each gallery and averages the results over the galleries.
-///
-/// # Shapes
-/// Rows of unit length are compared by cosine; `galleries` lists positions.
-///
-/// # Errors
-/// As [`gallery_ranks`].
-///
-/// # Panics
-/// If a position does not exist.
-pub fn retrieval(
-    queries: &Matrix,
-    gallery: &Matrix,
-    galleries: &[Vec<usize>],
-) -> Result<Retrieval, Error> {
-    let parts: Vec<Retrieval> = gallery_ranks(queries, gallery, galleries)?
-        .iter()
-        .map(|ranks| Retrieval::of_ranks(ranks))
-        .collect();
-    Ok(Retrieval::mean(&parts))
-}
-
 /// The [`ranks`] within each gallery.
 ///
 /// # Errors
@@ -396,6 +366,10 @@ mod tests {
     const GOLDEN_RECALL_AT: [usize; 5] = [1, 2, 3, 5, 10];
     /// Galleries of the recorded batches.
     const GOLDEN_GALLERY: usize = 32;
+
+    fn ranks_of_similarity(similarity: &Matrix) -> Result<Vec<f64>, Error> {
+        ranks_among_equivalents(similarity, |_, _| false)
+    }
 
     /// Ranks in one gallery of all rows.
     fn full_ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
@@ -543,8 +517,13 @@ mod tests {
     fn galleries_are_ranked_apart_and_averaged() {
         let queries = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]);
         let gallery = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]);
-        let ranked = |galleries: &[Vec<usize>]| retrieval(&queries, &gallery, galleries);
-        let result = ranked(&[vec![0, 1], vec![2, 3]]).expect("valid");
+        let ranked = |galleries: &[Vec<usize>]| gallery_ranks(&queries, &gallery, galleries);
+        let ranks = ranked(&[vec![0, 1], vec![2, 3]]).expect("valid");
+        let parts: Vec<Retrieval> = ranks
+            .iter()
+            .map(|ranks| Retrieval::of_ranks(ranks))
+            .collect();
+        let result = Retrieval::mean(&parts);
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
         assert!(ranked(&[]).is_err());
