@@ -80,7 +80,7 @@ pub(crate) struct Args {
 }
 
 fn format_parser() -> impl TypedValueParser<Value = Format> {
-    PossibleValuesParser::new(FORMATS.map(Format::as_str))
+    PossibleValuesParser::new(FORMATS.iter().map(|format| format.as_str()))
         .map(|name| format_named(&name).expect("a listed name"))
 }
 

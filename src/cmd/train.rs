@@ -11,12 +11,12 @@ use train::config::{RunLength, TrainConfig};
 use train::kind::TrainRequest;
 use train::registry::{self, MODELS};
 
-use crate::global::{Global, PresetArg};
 use crate::cmd::model::Features;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
+use crate::global::{Global, PresetArg};
 use crate::session::{text_encoder, with_session};
 use crate::{report, settings};
 
@@ -75,7 +75,8 @@ pub(crate) struct Args {
 }
 
 fn model_names() -> PossibleValuesParser {
-    MODELS
+    let names = MODELS.iter();
+    names
         .map(|kind| PossibleValue::new(kind.name).help(kind.about))
         .into()
 }

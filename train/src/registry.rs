@@ -5,37 +5,17 @@ use datasets_spec::Skeleton;
 
 use crate::Error;
 use crate::checkpoint::read_kind;
+use crate::fit;
 use crate::kind::ModelKind;
 use crate::stage::{coordinator, editor, encoder, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
-use crate::{coordinator as guide, edit, fit, j2s, tmr};
 
 /// All models.
-pub const MODELS: [ModelKind; 4] = [
-    ModelKind {
-        name: fit::KIND,
-        about: "The MotionReFit editor, on triplets composed from motions and masks",
-        train: editor::train,
-        open: Some(edit::open),
-    },
-    ModelKind {
-        name: guide::KIND,
-        about: "The body-part coordinator, on natural segments and composed ones",
-        train: coordinator::train,
-        open: None,
-    },
-    ModelKind {
-        name: tmr::KIND,
-        about: "The encoder of motions and texts that evaluation measures with",
-        train: encoder::train,
-        open: None,
-    },
-    ModelKind {
-        name: j2s::KIND,
-        about: "The network from keypoints to rotations, measured beside the fits that follow it",
-        train: poses::train,
-        open: None,
-    },
+pub const MODELS: &[ModelKind] = &[
+    editor::MODEL,
+    coordinator::MODEL,
+    encoder::MODEL,
+    poses::MODEL,
 ];
 
 /// A model by its name.
@@ -70,7 +50,7 @@ mod tests {
 
     #[test]
     fn every_model_is_found_by_its_name() {
-        for kind in &MODELS {
+        for kind in MODELS {
             let found = model(kind.name).expect("registered");
             assert_eq!(
                 found.about, kind.about,

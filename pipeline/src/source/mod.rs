@@ -30,7 +30,7 @@ use crate::clip::Outcome;
 
 /// Every source format, in the order in which releases are looked for. To add one, write a folder
 /// with a [`SourceFormat`] and add its line here.
-pub const FORMATS: [Format; 8] = [
+pub const FORMATS: &[Format] = &[
     bvh::FORMAT,
     amass::FORMAT,
     c3d::FORMAT,
@@ -44,7 +44,8 @@ pub const FORMATS: [Format; 8] = [
 
 /// The format of this name.
 pub fn format_named(name: &str) -> Option<Format> {
-    FORMATS.into_iter().find(|format| format.as_str() == name)
+    let mut formats = FORMATS.iter().copied();
+    formats.find(|format| format.as_str() == name)
 }
 
 /// A release among the files, and its format.
@@ -90,7 +91,8 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         }
         _ => {}
     }
-    match FORMATS.into_iter().find(|format| format.by_content(head)) {
+    let mut formats = FORMATS.iter().copied();
+    match formats.find(|format| format.by_content(head)) {
         Some(format) => Recognised::Motion(format),
         None if extension.is_empty() => not_motion("no known motion format".to_owned()),
         None => not_motion(format!("{extension} is no known motion format")),

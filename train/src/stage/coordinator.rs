@@ -10,9 +10,17 @@ use super::Streams;
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::coordinator::{self, CoordinatorConfig, Segments};
-use crate::kind::{TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
+
+/// The body-part coordinator.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: coordinator::KIND,
+    about: "The body-part coordinator, on natural segments and composed ones",
+    train,
+    open: None,
+};
 
 /// Trains the coordinator on segments of the motions an editor is trained on, or continues its run.
 ///
@@ -45,7 +53,7 @@ pub fn train_coordinator<'a>(
 }
 
 /// Trains the coordinator as a command line asks for it.
-pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
     request.change(&mut config.run);
     let report = train_coordinator(

@@ -13,11 +13,20 @@ use super::{Streams, create_dir};
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::config::{TextEncoder, TrainConfig};
-use crate::fit::{Corpus, train_motionrefit};
-use crate::kind::{TrainRequest, Trained};
+use crate::edit;
+use crate::fit::{self, Corpus, train_motionrefit};
+use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::text::source::{EMBEDDINGS, TextEncoderSource};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
+
+/// The MotionReFit editor.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: fit::KIND,
+    about: "The MotionReFit editor, on triplets composed from motions and masks",
+    train,
+    open: Some(edit::open),
+};
 
 /// What the editor is trained on besides a dataset.
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +107,7 @@ pub fn train_editor<'a>(
 }
 
 /// Trains the editor as a command line asks for it.
-pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TrainConfig::preset(request.preset))?;
     request.change(&mut config.run);
     let inputs = EditorInputs {

@@ -7,10 +7,18 @@ use datasets_spec::{Dataset, Motion, Split};
 
 use super::MOTIONS;
 use crate::checkpoint::Start;
-use crate::kind::{TrainRequest, Trained};
-use crate::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
+use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::tmr::{self, CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
+
+/// The evaluation encoder.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: tmr::KIND,
+    about: "The encoder of motions and texts that evaluation measures with",
+    train,
+    open: None,
+};
 
 /// A clip with its captions.
 #[derive(Clone, Debug)]
@@ -82,7 +90,7 @@ pub fn train_encoder<'a>(
 }
 
 /// Trains the encoder as a command line asks for it.
-pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TmrConfig::preset(request.preset))?;
     request.change(&mut config.run);
     let report = train_encoder(request.dataset, request.start, &config, session)?;

@@ -8,8 +8,16 @@ use datasets_spec::{Dataset, Motion, Split};
 use super::MOTIONS;
 use crate::checkpoint::Start;
 use crate::j2s::{self, J2sConfig, J2sReport};
-use crate::kind::{TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::{Error, Session};
+
+/// The pose network.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: j2s::KIND,
+    about: "The network from keypoints to rotations, measured beside the fits that follow it",
+    train,
+    open: None,
+};
 
 /// Trains the pose network on the motions of the training split, and measures it on those of the
 /// validation split.
@@ -40,7 +48,7 @@ pub fn train_j2s<'a>(
 }
 
 /// Trains the pose network as a command line asks for it.
-pub(crate) fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&J2sConfig::of(request.preset))?;
     request.change(&mut config.run);
     let report = train_j2s(request.dataset, request.start, &config, session)?;
