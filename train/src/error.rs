@@ -295,17 +295,6 @@ pub enum Error {
         /// What is wrong with it.
         detail: String,
     },
-    /// A table of embeddings was made by another encoder.
-    #[error(
-        "the table of text embeddings was made by encoder {found}, expected {expected}; make it \
-         again with this encoder"
-    )]
-    OtherEncoder {
-        /// Identity of the encoder in use.
-        expected: String,
-        /// Identity the table records.
-        found: String,
-    },
     /// A table of embeddings lacks texts.
     #[error(
         "the table of text embeddings lacks {count} texts, such as {}; make it again from all \

@@ -589,25 +589,6 @@ pub fn solve(
     }
 }
 
-/// The upsampling of the released code: `2T` frames on the span of `T`, which is not twice the rate.
-///
-/// # Shapes
-/// `T` rows give `2T`.
-pub fn official_upsampling(rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let last = rows.len().saturating_sub(1);
-    let count = 2 * rows.len();
-    (0..count)
-        .map(|at| {
-            let place = last as f64 * at as f64 / (count - 1).max(1) as f64;
-            let before = (place.floor() as usize).min(last.saturating_sub(1));
-            let after = (before + 1).min(last);
-            let share = place - before as f64;
-            let pairs = rows[before].iter().zip(&rows[after]);
-            pairs.map(|(a, b)| a + share * (b - a)).collect()
-        })
-        .collect()
-}
-
 fn measure(
     net: &PoseNet,
     motions: &[Motion],

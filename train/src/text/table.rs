@@ -147,21 +147,6 @@ impl EmbeddingTable {
         })
     }
 
-    /// Checks that the table was made by an encoder, so that texts encoded by it now may be used
-    /// beside the table's.
-    ///
-    /// # Errors
-    /// It was made by another.
-    pub fn check_encoder(&self, identity: &str) -> Result<(), Error> {
-        if self.encoder == identity {
-            return Ok(());
-        }
-        Err(Error::OtherEncoder {
-            expected: identity.to_owned(),
-            found: self.encoder.clone(),
-        })
-    }
-
     /// BLAKE3 of the texts and vectors, for a run to record what it was trained with.
     pub fn hash(&self) -> String {
         self.content_hash(&self.texts_document())
