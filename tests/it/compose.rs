@@ -34,7 +34,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
             [pairs]
             [compose]
             alignment = "time-warp"
-            plain_pairs = 0.2
+            undonored_ratio = 0.2
         "#,
     )
     .expect("writes");

@@ -121,6 +121,9 @@ pub(crate) fn rename_former(settings: &mut Value) {
     if let Some(size) = table.remove("max_part") {
         table.insert("micro_batch_size".to_owned(), size);
     }
+    if let Some(ratio) = table.remove("plain_pairs") {
+        table.insert("undonored_ratio".to_owned(), ratio);
+    }
     if let Some(steps) = table.remove("num_steps") {
         table.insert(
             "length".to_owned(),

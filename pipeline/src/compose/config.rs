@@ -36,7 +36,9 @@ pub struct ComposeConfig {
     /// Probability that a pair is used without a donor under both of its motions.
     ///
     /// Source: 0 in the release, whose README trains on blended motions alone.
-    pub plain_pairs: f64,
+    // Named `plain_pairs` in records of earlier versions.
+    #[serde(alias = "plain_pairs")]
+    pub undonored_ratio: f64,
     /// Time alignment of the two motions of a pair.
     pub alignment: Alignment,
     /// How soft joints are interpolated.
@@ -63,7 +65,7 @@ impl Default for ComposeConfig {
             fixed_pairs: false,
             base: BaseFilter::default(),
             kinds: EditKind::ALL.to_vec(),
-            plain_pairs: 0.0,
+            undonored_ratio: 0.0,
             alignment: Alignment::None,
             slerp: SlerpRule::Exact,
             range: RangeRule::PerAxis,
@@ -215,11 +217,11 @@ impl ComposeConfig {
                 });
             }
         }
-        if !(0.0..=1.0).contains(&self.plain_pairs) {
+        if !(0.0..=1.0).contains(&self.undonored_ratio) {
             return Err(Error::Config {
-                key: "plain_pairs",
+                key: "undonored_ratio",
                 expected: "from 0 to 1",
-                got: self.plain_pairs,
+                got: self.undonored_ratio,
             });
         }
         if self.kinds.is_empty() {
@@ -323,7 +325,7 @@ mod tests {
         assert_eq!(check(|c| c.mcm_ratio = 0.0), "mcm_ratio");
         assert_eq!(check(|c| c.annotated_ratio = f64::NAN), "annotated_ratio");
         assert_eq!(check(|c| c.window = 2), "window");
-        assert_eq!(check(|c| c.plain_pairs = 1.5), "plain_pairs");
+        assert_eq!(check(|c| c.undonored_ratio = 1.5), "undonored_ratio");
         assert_eq!(check(|c| c.kinds.clear()), "kinds");
         let backwards = |c: &mut ComposeConfig| {
             c.alpha = AlphaDistribution::Uniform {
@@ -352,6 +354,9 @@ mod tests {
         let back: ComposeConfig = serde_json::from_str(&text).expect("its own text");
         assert_eq!(back, ComposeConfig::default());
         assert!(serde_json::from_str::<ComposeConfig>("{\"mcm\": 1}").is_err());
+        let older = text.replace("undonored_ratio", "plain_pairs");
+        let back: ComposeConfig = serde_json::from_str(&older).expect("an earlier record");
+        assert_eq!(back, ComposeConfig::default());
     }
 
     #[test]
@@ -362,7 +367,7 @@ mod tests {
             |c| c.fixed_pairs = true,
             |c| c.base.sources = vec!["humanml3d".to_owned()],
             |c| c.kinds = vec![EditKind::Style],
-            |c| c.plain_pairs = 0.5,
+            |c| c.undonored_ratio = 0.5,
             |c| c.alignment = Alignment::TimeWarp,
             |c| c.slerp = SlerpRule::Official,
             |c| c.range = RangeRule::Scalar,
@@ -389,7 +394,7 @@ mod tests {
             fixed_pairs: _,
             base: BaseFilter { sources: _ },
             kinds: _,
-            plain_pairs: _,
+            undonored_ratio: _,
             alignment: _,
             slerp: _,
             range: _,

@@ -299,7 +299,7 @@ mod tests {
         fn a_triplet_of_any_seed_is_explained(
             seed in any::<u64>(), epoch in any::<u32>(), at in any::<prop::sample::Index>(),
             alignment in prop::sample::select(vec![Alignment::None, Alignment::TimeWarp]),
-            fixed_pairs in any::<bool>(), plain_pairs in 0.0..1.0f64,
+            fixed_pairs in any::<bool>(), undonored_ratio in 0.0..1.0f64,
         ) {
             let (motions, masks) = fixture::rows(Split::Train, CLIPS);
             let pairs = [fixture::pair_row("style", Split::Train, 5, 6)];
@@ -309,7 +309,7 @@ mod tests {
             let config = ComposeConfig {
                 alignment,
                 fixed_pairs,
-                plain_pairs,
+                undonored_ratio,
                 ..ComposeConfig::default()
             };
             let normalizer = library.fit_normalizer(&config).expect("long enough");

@@ -249,7 +249,7 @@ impl Library {
                     ..
                 } = self.pairs[pair];
                 let mut crop = draw_crop(frames_of(source), frames_of(target));
-                let plain = rng.random::<f64>() < config.plain_pairs;
+                let plain = rng.random::<f64>() < config.undonored_ratio;
                 let half = halves[rng.random_range(0..halves.len())];
                 // A whole-clip triplet lasts as long as the shortest of the three.
                 let mut donor = match config.fixed_pairs {

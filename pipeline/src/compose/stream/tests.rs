@@ -239,7 +239,7 @@ fn one_donor_is_under_both_windows_of_a_pair() {
 }
 
 #[test]
-fn kinds_and_plain_pairs_can_be_chosen() {
+fn kinds_and_undonored_ratio_can_be_chosen() {
     let kinds_of = |kinds: Vec<EditKind>| {
         let config = ComposeConfig {
             kinds,
@@ -258,10 +258,10 @@ fn kinds_and_plain_pairs_can_be_chosen() {
         kinds_of(vec![EditKind::FineGrained]),
         [EditKind::FineGrained]
     );
-    for plain_pairs in [0.0, 0.5, 1.0] {
+    for undonored_ratio in [0.0, 0.5, 1.0] {
         let config = ComposeConfig {
             kinds: vec![EditKind::Style, EditKind::FineGrained],
-            plain_pairs,
+            undonored_ratio,
             ..ComposeConfig::default()
         };
         let stream = pair_stream(config, false);
@@ -276,10 +276,10 @@ fn kinds_and_plain_pairs_can_be_chosen() {
         // Some 200 fair coins: six standard deviations.
         let share = f64::from(plain) / f64::from(count);
         assert!(
-            (share - plain_pairs).abs() <= 0.25,
-            "{share} of {plain_pairs}"
+            (share - undonored_ratio).abs() <= 0.25,
+            "{share} of {undonored_ratio}"
         );
-        assert!(plain_pairs == 0.5 || share == plain_pairs);
+        assert!(undonored_ratio == 0.5 || share == undonored_ratio);
     }
 }
 
