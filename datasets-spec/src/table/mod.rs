@@ -1,7 +1,6 @@
 //! Tables: how row structs become Arrow batches and back, and how batches become Parquet files.
 
 mod cell;
-mod entropy;
 mod pages;
 mod positioned;
 mod shard;

@@ -461,3 +461,77 @@ impl Kernel for PutTogether<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use proptest::prelude::*;
+
+    use super::FramePages;
+    use crate::Split;
+    use crate::record::{Frames, WindowRow};
+    use crate::table::{read_rows, write_rows};
+    use kinematics::normalise::FRAME_WIDTH;
+
+    /// Rows of windows of some frames, smooth enough that exponents repeat and mantissas do not.
+    fn rows(count: usize, frames: usize) -> Vec<WindowRow> {
+        let frames_from = |first: usize| -> Frames<FRAME_WIDTH> {
+            let number =
+                |frame: usize, place: usize| ((first + 7 * frame) as f32 + place as f32).sin();
+            (0..frames)
+                .map(|frame| std::array::from_fn(|place| number(frame, place)))
+                .collect()
+        };
+        (0..count)
+            .map(|row| WindowRow {
+                split: Split::Train,
+                epoch: 0,
+                item: row as u64,
+                progress: row as f32,
+                instruction: format!("number {row}"),
+                original: frames_from(31 * row),
+                edited: frames_from(17 * row + 3),
+            })
+            .collect()
+    }
+
+    fn written(rows: &[WindowRow]) -> tempfile::NamedTempFile {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        write_rows(file.reopen().expect("opens"), file.path(), rows, &[]).expect("written");
+        file
+    }
+
+    fn numbers(path: &Path, column: usize) -> Vec<f32> {
+        let pages = FramePages::open(path, &["original", "edited"]).expect("pages");
+        (0..pages.rows_of_pages().len())
+            .flat_map(|page| pages.numbers(page, column).expect("a page"))
+            .collect()
+    }
+
+    #[test]
+    fn both_readers_find_what_was_written() {
+        // Pages that are not full, full, and of more than one row group.
+        for (count, frames) in [(1, 16), (64, 16), (150, 1), (16_385, 1)] {
+            let rows = rows(count, frames);
+            let file = written(&rows);
+            assert_eq!(read_rows::<WindowRow>(file.path()).expect("reads"), rows);
+            let original = rows.iter().flat_map(|row| row.original.concat());
+            let edited = rows.iter().flat_map(|row| row.edited.concat());
+            assert_eq!(numbers(file.path(), 0), original.collect::<Vec<_>>());
+            assert_eq!(numbers(file.path(), 1), edited.collect::<Vec<_>>());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_numbers_come_back(bits in prop::collection::vec(any::<u32>(), 2 * FRAME_WIDTH)) {
+            let mut row = rows(1, 2).remove(0);
+            let (frames, _) = bits.as_chunks::<FRAME_WIDTH>();
+            row.edited = frames.iter().map(|frame| frame.map(f32::from_bits)).collect();
+            let file = written(&[row]);
+            let found: Vec<u32> = numbers(file.path(), 1).into_iter().map(f32::to_bits).collect();
+            prop_assert_eq!(&found, &bits);
+        }
+    }
+}

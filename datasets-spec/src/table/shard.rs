@@ -4,24 +4,21 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use arrow_array::RecordBatch;
 use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
 };
-use parquet::arrow::arrow_writer::{ArrowColumnWriter, compute_leaves};
 use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::reader::ChunkReader;
-use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
 
 use super::positioned::Positioned;
-use super::{Cell, Row, SCHEMA_VERSION, decode_column, entropy};
+use super::{Cell, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 
 /// Pages per row group: about 30 MB of motion, whose pages are clips, well under the limits of table
@@ -83,10 +80,6 @@ fn properties(
             .set_data_page_size_limit(PAGE_BYTES);
     }
     for leaf in leaves {
-        if page_rows > 1 {
-            // `entropy` compresses these itself.
-            builder = builder.set_column_compression(leaf.clone(), Compression::UNCOMPRESSED);
-        }
         builder = builder
             .set_column_encoding(leaf.clone(), Encoding::BYTE_STREAM_SPLIT)
             .set_column_dictionary_enabled(leaf.clone(), false)
@@ -109,17 +102,8 @@ pub fn write_rows<R: Row, W: Write + Send>(
     let schema = R::schema();
     let wrap = || Error::parquet("write", path);
     let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
-    let writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
+    let mut writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
     let groups = rows.chunks(ROW_GROUP_PAGES * R::PAGE_ROWS);
-    if R::PAGE_ROWS > 1 {
-        let (mut file, factory) = writer.into_serialized_writer().map_err(wrap())?;
-        for (index, rows) in groups.enumerate() {
-            let columns = factory.create_column_writers(index).map_err(wrap())?;
-            write_group(&mut file, columns, R::PAGE_ROWS, &R::encode(rows)?).map_err(wrap())?;
-        }
-        return file.into_inner().map_err(wrap());
-    }
-    let mut writer = writer;
     for rows in groups {
         writer.write(&R::encode(rows)?).map_err(wrap())?;
     }
@@ -186,35 +170,6 @@ impl<R: Row, W: Write + Send> RowWriter<R, W> {
             .into_inner()
             .map_err(Error::parquet("write", &self.path))
     }
-}
-
-/// Writes a row group whose frames are compressed for reading by the thousand.
-fn write_group<W: Write + Send>(
-    file: &mut SerializedFileWriter<W>,
-    columns: Vec<ArrowColumnWriter>,
-    page_rows: usize,
-    batch: &RecordBatch,
-) -> Result<(), ParquetError> {
-    let frames = frame_leaves(batch.schema_ref());
-    let (leaves, props) = (
-        file.schema_descr().columns().to_vec(),
-        file.properties().clone(),
-    );
-    let mut group = file.next_row_group()?;
-    let mut places = leaves.iter().zip(columns).peekable();
-    for (field, values) in batch.schema_ref().fields().iter().zip(batch.columns()) {
-        if let Some((leaf, _)) = places.next_if(|(leaf, _)| frames.contains(leaf.path())) {
-            let (bytes, closed) = entropy::encode(leaf, &props, page_rows, values)?;
-            group.append_column(&bytes, closed)?;
-            continue;
-        }
-        for (part, (_, mut writer)) in compute_leaves(field, values)?.iter().zip(&mut places) {
-            writer.write(part)?;
-            writer.close()?.append_to_row_group(&mut group)?;
-        }
-    }
-    group.close()?;
-    Ok(())
 }
 
 fn options() -> ArrowReaderOptions {
