@@ -28,7 +28,7 @@ pub(crate) struct DeviceArgs {
     /// Device that models run on
     #[arg(long, value_enum, default_value_t)]
     device: Kind,
-    /// Compose models of the backend's own operations, without the fused ones for the processor
+    /// Use the backend's own operations, without the fused kernels for the processor
     #[arg(long)]
     no_fused: bool,
 }

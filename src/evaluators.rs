@@ -1,4 +1,4 @@
-//! Trained models as evaluation asks for them: `eval` knows traits, `train` knows models.
+//! Adapters between the traits of `eval` and the trained models of `train`.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -11,7 +11,7 @@ use serde::Serialize;
 /// Prints a result for people.
 pub(crate) fn text(text: &str) {
     let mut stdout = std::io::stdout().lock();
-    // A reader that went away, such as `head`, is no failure of ours.
+    // A closed pipe, as behind `| head`, is not an error.
     let _written = writeln!(stdout, "{}", text.trim_end());
 }
 
@@ -21,12 +21,12 @@ pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Says something that is not the result.
+/// Prints a note to stderr.
 pub(crate) fn note(text: &str) {
     eprintln!("{text}");
 }
 
-/// Says why the command failed, with all causes in one line.
+/// Prints an error with all its causes in one line.
 pub(crate) fn error(error: &anyhow::Error) {
     eprintln!("error: {error:#}");
 }

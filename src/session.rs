@@ -1,4 +1,4 @@
-//! What the library crates need of the process: signals, the clock, a progress sink.
+//! What the process provides to the library crates: signals, the clock, a progress sink.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Once};
@@ -15,7 +15,7 @@ use crate::device::{device, devices};
 use crate::exit::Exit;
 use crate::report;
 
-/// Set by the first interrupt: what is being trained is saved and ends.
+/// Set by the first interrupt: training saves and ends.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// Whether an interrupt has ended the work.

@@ -15,10 +15,10 @@ use train::registry::open_system;
 use train::sample::EditTimes;
 use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
 
-use crate::global::Global;
 use crate::cmd::ingest::summary;
 use crate::device::device;
 use crate::evaluators::EvaluatorRuns;
+use crate::global::Global;
 use crate::report;
 use crate::session::with_session;
 

@@ -49,7 +49,7 @@ pub struct Published {
 #[derive(Clone, Copy, Debug)]
 struct Printed {
     system: &'static str,
-    /// Items in the galleries, where the shares tell.
+    /// Items in the galleries, where the printed recalls determine it.
     n: Option<u32>,
     values: [Value; NUM_COLUMNS],
 }
@@ -105,7 +105,7 @@ impl Published {
                 let systems = systems.join(", ");
                 match n {
                     Some(n) => format!("{n} items ({systems})"),
-                    None => format!("a number their shares do not tell ({systems})"),
+                    None => format!("an unknown number of items ({systems})"),
                 }
             })
             .collect();
@@ -437,8 +437,7 @@ mod tests {
         let note = &table.notes[0];
         assert!(
             note.contains("384 items (TMED, MotionReFit w/o MCM, MotionReFit), 192 items (")
-                && note
-                    .contains("a number their shares do not tell (Real Data, MDM-BP, TMED w/ MCM)")
+                && note.contains("an unknown number of items (Real Data, MDM-BP, TMED w/ MCM)")
                 && note.ends_with("not of the same test items."),
             "{note}"
         );

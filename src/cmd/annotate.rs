@@ -20,8 +20,8 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Address of a language model's interface, up to and with its version, such as http://localhost:8000/v1.
@@ -30,9 +30,9 @@ const MODEL_URL: &str = "STANCE_MODEL_URL";
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
 /// Its key, if it needs one.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";
-/// Name of the user a first start makes.
+/// Name of the user that the first start creates.
 const FIRST_ADMIN: &str = "admin";
-/// What the last import was of.
+/// Source of the last import.
 const IMPORTED: &str = "imported dataset";
 const MINUTE: i64 = 60_000;
 const DAY: i64 = 24 * 60 * MINUTE;
@@ -70,11 +70,11 @@ enum Action {
         #[command(subcommand)]
         action: UserAction,
     },
-    /// Make a token for a user, printed this once
+    /// Make a token for a user; it is printed only once
     Token {
         /// Name of the user
         name: String,
-        /// Days it is good for
+        /// Days until it expires
         #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
         days: u16,
     },
@@ -99,20 +99,20 @@ enum Action {
         #[arg(long)]
         events: bool,
     },
-    /// Copy the store to a new file, while servers go on
+    /// Copy the store to a new file; servers may keep running
     Backup {
         /// New file
         file: PathBuf,
     },
-    /// Make all tables again from the log
+    /// Rebuild all tables from the log
     Rebuild,
-    /// Check that the log is whole and all tables follow from it
+    /// Check that the log is complete and that all tables match it
     Check,
 }
 
 #[derive(clap::Subcommand, Debug)]
 enum UserAction {
-    /// Add a user and print a token for them, this once
+    /// Add a user and print their token, only once
     Add {
         /// Name
         name: String,
@@ -130,12 +130,12 @@ enum UserAction {
         #[arg(value_parser = ["annotator", "reviewer", "admin"])]
         role: String,
     },
-    /// Keep a user out; their answers stay
+    /// Block a user; their answers stay
     Disable {
         /// Name
         name: String,
     },
-    /// Let a user in again
+    /// Unblock a user
     Enable {
         /// Name
         name: String,
@@ -165,7 +165,7 @@ fn now() -> i64 {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    // A folder that is no dataset is not to get a store.
+    // Opened first, so that a folder that is not a dataset gets no store.
     Dataset::open_unverified(&args.dataset)?;
     let store = open(args)?;
     match &args.action {
@@ -399,7 +399,7 @@ fn import(
     let taken = match file {
         None => import_dataset(args, store, global)?,
         Some(file) => {
-            // What the annotations speak of has to be known first.
+            // Annotations refer to tasks, so the tasks come first.
             import_dataset(args, store, global)?;
             let motions: BTreeMap<_, _> = store
                 .all_motions()?

@@ -12,8 +12,8 @@ use pipeline::export::{Layout, export};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::{report, settings, stages};
 
 /// Build a dataset from your own motions, without training: motions, masks, pairs, splits and triplets.
@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 format!("[export] names {name:?}, which is none of {known}")
             })?;
         let out = config.out.join(name);
-        // An export is whole or not there, and depends on the dataset alone.
+        // An export appears whole and depends on the dataset alone, so an existing one is current.
         if !out.exists() {
             export(&dataset, layout, &out, &bars)
                 .with_context(|| format!("stage export {name}"))?;

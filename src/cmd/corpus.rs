@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use corpus::{CorpusOptions, write_corpus};
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Write the built-in procedural motion corpus as source files.

@@ -7,10 +7,10 @@ use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
 use train::config::{Preset, RunLength, TrainConfig};
 
-use crate::global::Global;
 use crate::cmd::run::{Plan, RunConfig, finish};
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
+use crate::global::Global;
 
 /// Try the program: run the whole chain on the built-in motion corpus, without files of your own.
 ///

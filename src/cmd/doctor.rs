@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use pipeline::doctor::examine;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
-/// Say what lies in folders before any work: formats, releases, what is missing of them and where
-/// to get it, and what ingesting would cost.
+/// Report what folders hold, before any work: formats, releases, their missing files and where to get
+/// them, and the cost of ingestion.
 ///
 /// Files are listed and their first bytes read; nothing is written.
 #[derive(clap::Args, Debug)]

@@ -22,9 +22,9 @@ use train::system::{
     edit_layers, edit_motion, whole,
 };
 
-use crate::global::Global;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 use crate::session::{text_encoder, with_session};
 use crate::stages::{self, note_remarks, per_window};
@@ -56,20 +56,19 @@ pub(crate) struct Args {
     /// [default: 0.01 with --poses, otherwise 0]
     #[arg(long, value_name = "WEIGHT")]
     prior: Option<f64>,
-    /// How strongly the coordinator guides [default: what the editor's settings say]
+    /// How strongly the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "FACTOR", requires = "coordinator")]
     coordinator_strength: Option<f64>,
-    /// Last diffusion steps the coordinator guides [default: what the editor's settings say]
+    /// Last diffusion steps that the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
     /// Folder of the CLIP text encoder, for an editor that uses it [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
-    /// Guidance weight [default: the one the editor was trained for]
+    /// Guidance weight [default: from the editor's settings]
     #[arg(long)]
     guidance: Option<f64>,
-    /// Factor of the noise; less than 1 stays nearer to the mean of what was learned [default: the
-    /// one the editor was trained for]
+    /// Factor of the sampling noise; below 1 edits vary less [default: from the editor's settings]
     #[arg(long)]
     temperature: Option<f64>,
     /// Test items to answer, as `stance items` draws them; --seed is that of the sampling alone
@@ -81,7 +80,7 @@ pub(crate) struct Args {
     /// Edits of every item, with the sampling seeds --seed, --seed + 1 and so on
     #[arg(long, value_name = "N", default_value_t = 1, requires = "items", value_parser = clap::value_parser!(u64).range(1..))]
     takes: u64,
-    /// Windows generated at a time; with 1 the times are those of a single window, as Table A4 has them
+    /// Windows generated in one batch; 1 measures the latency of a single window, as in Table A4
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_batch: Option<u64>,
     /// Dataset folder of a stored clip
@@ -90,21 +89,21 @@ pub(crate) struct Args {
     /// One motion: a file of any format that is ingested, or the id of a clip of --dataset
     #[arg(long)]
     motion: Option<String>,
-    /// What is asked for, such as "The person is waving with their left arm."; several are laid over
-    /// each other
+    /// Instruction, such as "The person is waving with their left arm."; several are applied one after
+    /// another
     #[arg(long)]
     text: Vec<String>,
-    /// What is asked of some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
+    /// Instruction for some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
     /// outside all ranges stay as they are
     #[arg(long, value_name = "FIRST:END TEXT", conflicts_with = "text")]
     during: Vec<TimedInstruction>,
     /// File that keeps the edits of one motion; without --text the instructions are read line by line
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
-    /// Take the last edit of --history back
+    /// Undo the last edit of --history
     #[arg(long, requires = "history", conflicts_with_all = ["text", "during", "redo"])]
     undo: bool,
-    /// Make the edit of --history that was taken back again
+    /// Redo the edit of --history that was undone
     #[arg(long, requires = "history", conflicts_with_all = ["text", "during"])]
     redo: bool,
     /// Print where the time went

@@ -7,11 +7,11 @@ use datasets_spec::{Dataset, Fps};
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
-/// Bring in what systems that live elsewhere answered to items.
+/// Import answers to items from systems outside this program.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -23,7 +23,7 @@ enum Action {
     Import(ImportArgs),
 }
 
-/// Make a table of edits of answers made elsewhere, so that `stance eval` scores them.
+/// Make a table of edits from answers of another program, so that `stance eval` can score them.
 ///
 /// A file is matched by its name, a row of a table by its column `id`: that of the item, with -SEED
 /// behind where there are several takes (MotionFix's items also go by the number of their pair). Read
@@ -51,7 +51,7 @@ struct ImportArgs {
     /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]
     #[arg(long, value_enum)]
     up: Option<UpArg>,
-    /// Where the answers stand: where their files say, or on the floor where the item's source begins
+    /// Placement of the answers: as in their files, or on the floor at the start of the item's source
     /// [default: source for MotionFix and HumanML3D, whose files have an origin of their own]
     #[arg(long, value_enum)]
     place: Option<PlaceArg>,

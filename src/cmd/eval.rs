@@ -6,8 +6,8 @@ use anyhow::bail;
 use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Paired, Scores};
 use eval::format;
-use eval::metric::interval::Interval;
 use eval::metric::cross_retrieval::CrossRetrieval;
+use eval::metric::interval::Interval;
 use eval::metric::retrieval::Retrieval;
 use eval::metric::{self, Part};
 use eval::names::{ALL_TASKS, RECAPTURED};
@@ -16,10 +16,10 @@ use eval::published::PaperTable;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
-use crate::global::Global;
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, encoder_retrieval};
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::{report, stages};
 
 /// Score tables of edits and print a result table of the paper's shape, or compare two of them.
@@ -41,12 +41,11 @@ pub(crate) struct Args {
     /// Which table of the paper
     #[arg(long, value_enum, default_value_t = TableArg::One)]
     table: TableArg,
-    /// What the intervals say: how a value varies over draws of the targets, or over the repeats, as
-    /// published
+    /// Source of the intervals: bootstrap draws of the targets, or the repeats, as published
     #[arg(long, value_enum, default_value_t = IntervalArg::Targets)]
     interval: IntervalArg,
-    /// Print further columns that the paper lacks: median ranks, raw FID, multimodality, errors, and how
-    /// motions move
+    /// Print further columns that the paper lacks: median ranks, raw FID, multimodality, errors and
+    /// motion quality
     #[arg(long)]
     further: bool,
     /// Print the published rows of the paper as well, marked as published
@@ -96,7 +95,7 @@ struct Measure {
     /// Run folder of the encoder; not needed for Table A4
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
-    /// Run folder of a coordinator, to also say how much of each system it takes for composed
+    /// Run folder of a coordinator, to also measure the share of each system's windows it classifies as composed
     #[arg(long, value_name = "RUN")]
     coordinator: Option<PathBuf>,
     /// How to print; --json prints the scores
@@ -108,7 +107,7 @@ struct Measure {
     /// Items of a gallery, in place of the table's
     #[arg(long, value_name = "N")]
     gallery: Option<usize>,
-    /// Evaluations behind each value
+    /// Number of evaluations that each value is the mean of
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
     /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and the
@@ -121,8 +120,8 @@ struct Measure {
     /// Compare whole sets by FID in place of random halves
     #[arg(long)]
     fid_all: bool,
-    /// Score a random part of the items, as many as this: 506 of MotionFix' 1,013 are the half that
-    /// the code of its later systems scores
+    /// Score this many items, drawn at random: 506 of MotionFix' 1,013 are the half that the code of
+    /// later systems scores
     #[arg(long, value_name = "N")]
     items_limit: Option<usize>,
     /// Seed of the random part
@@ -133,8 +132,7 @@ struct Measure {
         requires = "items_limit"
     )]
     items_seed: u64,
-    /// Points the position error is over: 28, or the 22 joints of the body, on which the paper compares
-    /// MotionFix
+    /// Keypoints of the position error: 28, or the 22 body joints that the paper uses on MotionFix
     #[arg(long, default_value = "28", value_parser = parse_keypoints)]
     keypoints: Keypoints,
     /// Height of the floor in metres [default: the lowest foot of each motion]
@@ -448,7 +446,7 @@ pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
     Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(Part::Paper))
 }
 
-/// The columns the paper does not print, and how motions move.
+/// The columns the paper does not print, and motion quality.
 pub(crate) fn further_tables(scores: &Scores) -> Vec<Table> {
     let of = |part| Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(part));
     [of(Part::Further), of(Part::Quality)].concat()

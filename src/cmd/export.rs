@@ -8,14 +8,14 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
 use pipeline::export::{Layout, Sides, export, export_edits};
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Write a dataset, or a folder of edits, in a layout that other tools read.
 ///
 /// Edits become one file each, SYSTEM/ITEM with -SEED behind where there are several takes, and
-/// edits.json with what was asked. The folder appears when everything is in it; a failing export leaves nothing behind.
+/// edits.json with the instructions. The folder appears when it is complete; a failed export leaves nothing behind.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder, or folder of edits
@@ -23,10 +23,10 @@ pub(crate) struct Args {
     /// Layout to write; edits go to amass, bvh or gltf
     #[arg(long, value_enum)]
     to: LayoutArg,
-    /// Write the motions that were to be edited too, to sources/ITEM
+    /// Also write the source motions, to sources/ITEM
     #[arg(long)]
     sources: bool,
-    /// Write the motions they should have become too, to targets/ITEM
+    /// Also write the target motions, to targets/ITEM
     #[arg(long)]
     targets: bool,
     /// New folder to write

@@ -15,8 +15,8 @@ use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Turn motion files into one checked dataset.
@@ -55,13 +55,13 @@ pub(crate) struct Args {
     /// models (npz with shapedirs) in this folder, as the published HumanML3D features were
     #[arg(long, value_name = "FOLDER")]
     subject_models: Option<PathBuf>,
-    /// Names of a skeleton that is not known, as a joint map in JSON
+    /// Joint map in JSON, for a skeleton whose joint names are unknown
     #[arg(long, value_name = "JSON")]
     joint_map: Option<PathBuf>,
     /// Store the features of this recipe beside the motions
     #[arg(long, value_enum)]
     features: Option<FeaturesArg>,
-    /// What becomes of motions with a jump faster than 20 m/s
+    /// How to treat motions with a jump faster than 20 m/s
     #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
     teleports: TeleportsArg,
     /// Replace what the folder holds, as a new version of the dataset
@@ -86,11 +86,11 @@ fn format_parser() -> impl TypedValueParser<Value = Format> {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum TeleportsArg {
-    /// They are put into quarantine
+    /// Quarantine them
     Quarantine,
-    /// Their longest stretch without a jump is kept
+    /// Keep their longest part without a jump
     Trim,
-    /// They are kept as they are
+    /// Keep them unchanged
     Keep,
 }
 
@@ -274,7 +274,7 @@ fn table_rows(done: &IngestReport) -> BTreeMap<&str, u64> {
         .collect()
 }
 
-/// What became of the sources, on one screen.
+/// Summary of the ingestion, on one screen.
 pub(crate) fn summary(done: &IngestReport) -> String {
     const SHOWN_PER_CODE: usize = 3;
     let accounting = &done.accounting;

@@ -16,9 +16,9 @@ use pipeline::open::{read_file, stored_clip, stored_item};
 use pipeline::source::ReadOptions;
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::cmd::render::holds_items;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.

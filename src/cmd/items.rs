@@ -9,9 +9,9 @@ use datasets_spec::{Dataset, Split};
 use pipeline::compose::{ItemConfig, ItemCount, ItemTask};
 use pipeline::export::export_items;
 
-use crate::global::Global;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::{report, stages};
 
 /// Draw the test questions that systems answer: a motion, an instruction, and the motion it should
@@ -20,7 +20,7 @@ use crate::{report, stages};
 /// They are drawn once, with a seed and composer settings of their own. `stance edit RUN --items
 /// ITEMS` answers them, and `stance eval` scores the answers. An item's id is a hash of its content.
 ///
-/// `stance items export` writes drawn items for systems that live elsewhere.
+/// `stance items export` writes drawn items for systems outside this program.
 #[derive(clap::Args, Debug)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(crate) struct Args {
@@ -50,8 +50,8 @@ enum Action {
     Export(ExportArgs),
 }
 
-/// Write items for systems that live elsewhere: an npz for each source, and items.json with what is
-/// asked.
+/// Write items for systems outside this program: an npz for each source, and items.json with the
+/// questions.
 ///
 /// An npz has the arrays of AMASS's SMPL-X releases (z up) and `keypoints` [T, 28, 3] in the same frame.
 /// Equal items give equal bytes. `stance edits import` takes the answers.
@@ -62,7 +62,7 @@ struct ExportArgs {
     /// Format of the motions
     #[arg(long, value_enum, default_value_t)]
     format: FormatArg,
-    /// Write the targets too, to a folder of their own
+    /// Also write the targets, to a folder of their own
     #[arg(long)]
     targets: bool,
     /// New folder to write

@@ -12,8 +12,8 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Mark which body parts each clip is about, and let people correct it.

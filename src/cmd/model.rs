@@ -17,9 +17,9 @@ use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
 
-use crate::global::{Global, PresetArg};
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
+use crate::global::{Global, PresetArg};
 use crate::report;
 use crate::session::{hub_cache, text_encoder};
 
@@ -37,11 +37,11 @@ enum Action {
     /// Download the CLIP text encoder into the hub's cache, or resume a download
     ///
     /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
-    /// HF_ENDPOINT names; what arrives is checked against the sums the server announces.
+    /// HF_ENDPOINT names; downloads are checked against the checksums that the server announces.
     Fetch,
 }
 
-/// Make a run folder of a released checkpoint (.pth) or of a safetensors file under its names.
+/// Make a run folder from a released checkpoint (.pth) or of a safetensors file under its names.
 ///
 /// The file is read by an allow-list of what checkpoints hold; nothing in it is executed.
 #[derive(clap::Args, Debug)]
@@ -63,7 +63,7 @@ struct ImportArgs {
     /// Folder with the mean.pt and std.pt of those features
     #[arg(long, value_name = "FOLDER")]
     stats: Option<PathBuf>,
-    /// Attention heads of an evaluation encoder, which its file does not tell
+    /// Attention heads of an evaluation encoder, which its file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
     /// Folder of the CLIP text encoder that the editor uses [default: the hub's cache]

@@ -12,11 +12,11 @@ use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
 
-use crate::global::Global;
 use crate::cmd::eval::{further_tables, tables};
 use crate::device::DeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::{report, stages};
 
 /// Write one HTML file with the tables of edits, and a 3D viewer in which all systems play side by
@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
     let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
     for row in edits {
-        // What another program wrote there need not be JSON, and is shown as it is.
+        // Settings recorded by another program need not be JSON; they are shown as text.
         settings.entry(&row.system).or_insert_with(|| {
             let mut document = match serde_json::from_str(&row.settings) {
                 Ok(serde_json::Value::Object(fields)) => fields,

@@ -10,8 +10,8 @@ use pipeline::annotation::pairs::{PairConfig, RefusedLine};
 use pipeline::stage;
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Make style pairs from labels: one action, as it is and in a style; or add pairs from a list.

@@ -10,8 +10,8 @@ use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, sheet, strip};
 use pipeline::open::{clip_of_file, stored_clip, stored_item};
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
@@ -39,7 +39,7 @@ pub(crate) struct Args {
     /// Pixels of a png or gif to each of the drawing
     #[arg(long, default_value_t = 2.0, value_parser = parse_zoom)]
     zoom: f32,
-    /// From where to look
+    /// Direction of the camera
     #[arg(long, value_enum, default_value_t = ViewArg::ThreeQuarter)]
     view: ViewArg,
 }

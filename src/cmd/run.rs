@@ -31,12 +31,12 @@ use train::stage::poses::train_j2s;
 use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::global::Global;
 use crate::cmd::eval::tables;
 use crate::cmd::page::strip_of;
 use crate::device::TrainDeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::seeds::Seeds;
 use crate::session::{is_stopped, stopped, text_encoder, with_session};
 use crate::{report, settings, stages};

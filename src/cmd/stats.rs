@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use pipeline::stage::open_motions;
 use pipeline::stats::statistics;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Count a dataset: clips, hours, captions, findings of the quality checks, speeds and fit errors.

@@ -20,10 +20,10 @@ use train::stage::encoder::train_encoder;
 use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
-use crate::global::Global;
 use crate::device::TrainDeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::seeds::Seeds;
 use crate::session::{is_stopped, stopped, text_encoder, with_session};
 use crate::{report, settings, stages};
@@ -271,7 +271,7 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Names a folder by the settings behind it.
+/// Name of a folder: a hash of the settings.
 fn short<T: Serialize>(settings: &T) -> String {
     format!("{:.12}", plan_hash("sweep", settings))
 }

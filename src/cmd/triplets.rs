@@ -15,9 +15,9 @@ use serde::Serialize;
 use serde_json::Value;
 use train::config::overlay;
 
-use crate::global::Global;
 use crate::cmd::render;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::{report, settings};
 
 /// Record the composer's training stream, count it, or rebuild one of its triplets.

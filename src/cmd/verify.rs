@@ -7,8 +7,8 @@ use pipeline::reference::{Comparison, compare};
 use pipeline::verify::{Check, Finding, Verification, verify};
 use serde::Serialize;
 
-use crate::global::Global;
 use crate::exit::Exit;
+use crate::global::Global;
 use crate::report;
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
@@ -37,7 +37,7 @@ struct Document<'a> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let verification = verify(&args.dataset, &global.bars())?;
     let comparison = match &args.reference {
-        // Features of a dataset that is not whole mean nothing.
+        // Features of a damaged dataset are not compared.
         Some(folder) if verification.passed() => Some(compare(
             &Dataset::open(&args.dataset)?,
             folder,

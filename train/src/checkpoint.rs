@@ -104,7 +104,7 @@ pub struct RunRecord<C> {
     /// name alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton_hash: Option<String>,
-    /// What the weights come from, oldest first: none for a run that was trained at one go.
+    /// Lineage of the weights, oldest first; empty for a run trained in one piece.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lineage: Vec<Ancestor>,
     /// The resolved configuration and what was fitted to the training split.
@@ -121,7 +121,7 @@ pub struct Ancestor {
     pub weights: String,
     /// Step they were made by, counted in the run they come from; 0 if it was not trained here.
     pub step: u64,
-    /// Settings that are others from then on: name, value before and value after.
+    /// Settings that changed: name, value before and value after.
     pub changed: BTreeMap<String, [Value; 2]>,
 }
 
@@ -299,7 +299,7 @@ pub struct Run {
     dir: PathBuf,
     /// Weights it begins with, and the folder they are from.
     init: Option<(PathBuf, Files)>,
-    /// The record of the run as it is extended, until it is known that it can be.
+    /// The record of the extended run, until the extension is certain to succeed.
     extended: Option<(Value, Vec<Ancestor>)>,
 }
 
@@ -326,7 +326,7 @@ impl Run {
             reason: reason.to_owned(),
         };
         fs::create_dir_all(dir).map_err(Error::io("create", dir))?;
-        // Both sides go through text, so that numbers are compared as they are written.
+        // Both documents are parsed from text, so that numbers compare as written.
         let text = serde_json::to_string_pretty(record).map_err(json)?;
         let asked: Value = serde_json::from_str(&text).map_err(json)?;
         let recorded = match fs::read_to_string(&path) {
@@ -355,7 +355,7 @@ impl Run {
         if kind["kind"] != asked["kind"] {
             return Err(not_a_run(&format!("it is a run of {}", kind["kind"])));
         }
-        // Settings that an earlier version did not know get the value they had then.
+        // Settings missing in a record of an earlier version get the value that version used.
         let recorded: RunRecord<C> = parse_record(&recorded).map_err(json)?;
         let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
         if recorded.skeleton_hash.is_none() {

@@ -1,4 +1,4 @@
-//! From keypoints to SMPL-X parameters: a network gives a first pose, a fit the last one.
+//! From keypoints to SMPL-X parameters: a network predicts a pose, and a fit refines it.
 
 use std::path::Path;
 
@@ -77,7 +77,7 @@ pub struct J2sConfig {
 }
 
 impl J2sConfig {
-    /// The settings of a preset. Neither publication tells how the network was trained.
+    /// The settings of a preset. Neither publication describes the training.
     pub fn preset(preset: J2sPreset) -> Self {
         Self {
             preset,
@@ -86,8 +86,8 @@ impl J2sConfig {
                 J2sPreset::Official => 64,
             },
             noise_m: 0.005,
-            // Six numbers of a rotation matrix do not jump, and the released network sees bodies as
-            // they stand.
+            // The six numbers of a rotation matrix are continuous, and the released network sees bodies
+            // unrotated.
             faces_forward: preset == J2sPreset::Paper,
             run: RunSettings {
                 optimizer: OptimizerConfig {

@@ -39,7 +39,7 @@ const ENCODE_BATCH: usize = 32;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TmrConfig {
-    /// What of a motion the encoder sees.
+    /// Features of a motion that the encoder sees.
     pub features: FeatureRecipe,
     /// Sizes of the transformers; the width is that of the latent space.
     pub model: NetworkConfig,
@@ -84,8 +84,8 @@ impl TmrConfig {
     /// # Source
     /// `Official`: Petrovich et al. 2023 (`algorithms` section 15), its 500 epochs of HumanML3D at
     /// batch 32 given as steps. `Tiny`: our choice, for a few hundred clips and a minute on two
-    /// processor cores: every second frame, a smaller network, and a contrast that counts for more,
-    /// because there is no time for the reconstruction to shape the space.
+    /// processor cores: every second frame, a smaller network, and a larger weight of the contrastive
+    /// loss, because training is too short for the reconstruction to shape the space.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper | Preset::Official => Self {
@@ -263,7 +263,7 @@ struct ClipBatch {
     lengths: Vec<usize>,
     steps: usize,
     tokens: TokenBatch,
-    /// Pairs whose texts say the same, `[B * B]`.
+    /// Pairs with equal texts, `[B * B]`.
     same_text: Vec<bool>,
     /// Standard normal noise for the text and the motion latents, `[2, B, d]`.
     noise: Vec<f32>,
@@ -378,7 +378,7 @@ impl Task for TmrTask<'_> {
     type Batch = ClipBatch;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        // Every pair of a batch is a contrast to every other, so that a batch has no parts.
+        // Every pair is contrasted with all others of the batch, so a batch cannot be split.
         Ok(vec![(1.0, self.sampler.draw(step))])
     }
 
@@ -547,8 +547,8 @@ impl ClipSampler<'_> {
         self.batch(&crops, noise)
     }
 
-    /// All clips from their first frame with their first caption and the mean latents: what a
-    /// validation sees.
+    /// The validation batch: all clips from their first frame, with their first caption and the mean
+    /// latents.
     fn whole(&self) -> Vec<ClipBatch> {
         let crops: Vec<Crop> = (0..self.clips.len())
             .map(|clip| Crop {
@@ -640,7 +640,7 @@ fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error>
 pub struct MotionEncoderRecord {
     /// Size of the transformer.
     pub model: NetworkConfig,
-    /// What of a motion it sees, and how that is brought to units.
+    /// Features of a motion, and their normaliser.
     pub features: FeatureStats,
 }
 
@@ -648,11 +648,11 @@ pub struct MotionEncoderRecord {
 #[derive(Debug)]
 pub struct TmrEncoder {
     motion_encoder: SequenceEncoder,
-    /// What understands texts, if that is known.
+    /// The text encoder, if there is one.
     texts: Option<(Tmr, Vocabulary)>,
     features: FeatureStats,
     frame_stride: usize,
-    /// Frames past this many do not enter a motion's code.
+    /// Frames beyond this number are ignored.
     max_frames: usize,
     dataset_hash: String,
     hash: String,
@@ -715,7 +715,7 @@ impl TmrEncoder {
         })
     }
 
-    /// What the encoder sees of a motion.
+    /// Features that the encoder sees.
     pub fn recipe(&self) -> FeatureRecipe {
         self.features.recipe
     }
@@ -781,7 +781,7 @@ impl TmrEncoder {
     /// The mean latent vector of each text, `[d]`.
     ///
     /// # Errors
-    /// The encoder was trained elsewhere, so that its words are not known here.
+    /// The encoder was trained elsewhere, without its text encoder.
     pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
         let Some((model, vocabulary)) = &self.texts else {
             return Err(Error::Encoder {

@@ -1,4 +1,4 @@
-//! How much of a motion a classifier takes for composed of several.
+//! Share of a motion that a classifier takes for composed of several motions.
 
 use super::definition::{Better, Measure, Metric, Part};
 

@@ -33,7 +33,7 @@ pub enum Part {
     Paper,
     /// Columns that the paper does not print.
     Further,
-    /// How motions move, whatever they show.
+    /// Motion quality, independent of content.
     Quality,
 }
 

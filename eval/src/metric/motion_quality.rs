@@ -1,4 +1,4 @@
-//! How a motion moves, whatever it shows: acceleration at the seams of generated windows, jerk, feet
+//! Motion quality, independent of content: acceleration at the seams of generated windows, jerk, feet
 //! that slide, rotations that jump.
 
 use std::ops::RangeInclusive;

@@ -1,7 +1,7 @@
 //! AdamW in one pass over memory.
 //!
-//! Composed of tensor operations a step walks fifteen times through arrays as large as the model, none
-//! of which fits a cache; that is a tenth of a training step.
+//! Composed of tensor operations, one step reads or writes arrays as large as the model fifteen times,
+//! outside of any cache; that takes a tenth of a training step.
 
 use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;
@@ -11,15 +11,15 @@ pub const BETAS: [f32; 2] = [0.9, 0.999];
 /// Added to the root of the second mean (PyTorch's default).
 pub const EPSILON: f32 = 1e-8;
 
-/// Numbers a task steps through.
+/// Numbers that one task updates.
 const PART: usize = 1 << 14;
 
-/// What a step multiplies and divides by.
+/// Factors of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct Factors {
-    /// Bias corrections of the two means, which began at zero.
+    /// Bias corrections of the two means, which start at zero.
     corrections: [f32; 2],
-    /// Share of a weight that weight decay leaves.
+    /// Factor of weight decay.
     kept: f32,
     rate: f32,
 }

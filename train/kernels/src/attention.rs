@@ -38,7 +38,7 @@ impl Heads<'_> {
     }
 }
 
-/// Rows of a small product that are summed together.
+/// Rows of a small product that are computed together.
 const ROWS: usize = 4;
 
 /// A small matrix padded to whole blocks: rows to fours, columns to [`LANES`]. The padding is zero or never
@@ -190,7 +190,7 @@ pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32],
                 values.copy(part(2));
                 scores.multiply(&queries, &keys, head);
                 for query in 0..length {
-                    // The columns beyond the keys are padding too, so that all blocks are whole.
+                    // Columns beyond the keys count as padding, so that all blocks are whole.
                     let scores = scores.row_mut(query);
                     scores[length..].fill(f32::NEG_INFINITY);
                     for (key, score) in scores[..length].iter_mut().enumerate() {

@@ -1,9 +1,9 @@
 //! Vectorised kernels for models on the processor, on plain slices of single precision.
 //!
 //! A tensor backend composes a transformer layer from elementary operations, each of which allocates
-//! and walks through an array of its own; on a processor that costs as much as the matrix products.
-//! [`attention`] and [`rows`] do the same steps reading and writing every array once, forwards and
-//! backwards. [`adamw`] is the optimiser in one pass.
+//! and fills an array; on a processor that costs as much as the matrix products. [`attention`] and
+//! [`rows`] fuse these operations, forward and backward, so that every array is read and written once.
+//! [`adamw`] is the optimiser in one pass.
 //!
 //! [`product`] multiplies matrices in single precision. Weights that do not change, as while sampling,
 //! are packed once ([`product::Packed`]).

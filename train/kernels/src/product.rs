@@ -1,9 +1,9 @@
 //! Matrix products in single precision.
 //!
-//! The right factor is packed into panels of 16 columns before use, so that one whose numbers never
-//! change, a weight while sampling, is packed once. A tile of the result stays in registers while it
-//! is summed. Every number of the result is summed in one order, whatever the number of threads and
-//! of rows, so that a row never depends on its neighbours.
+//! The right factor is packed into panels of 16 columns, so that a constant factor, such as a weight
+//! while sampling, is packed once. A tile of the result stays in registers while it is summed. The
+//! order of summation is fixed, so results depend neither on the number of threads nor on the other
+//! rows.
 //!
 //! # Source
 //! Goto and van de Geijn 2008, Anatomy of high-performance matrix multiplication.
@@ -19,18 +19,17 @@ use crate::memory::{Aligned, prefetch, transpose};
 /// Columns of a panel: two vectors of AVX2, one of AVX-512.
 const PANEL: usize = 16;
 
-/// Terms summed before a tile of the result is written: so many rows of a panel fill a first-level
-/// cache. Writing tiles costs more than reading panels from the cache below it.
+/// Terms summed before a tile of the result is written. That many rows of a panel fill the L1 cache;
+/// writing tiles more often would cost more than reading panels from L2.
 const DEPTH: usize = 576;
 
-/// The same where caches are larger, as they are with AVX-512.
+/// The same for the larger caches of machines with AVX-512.
 const DEEP: usize = 1152;
 
-/// Most rows of the left factor that a task packs at a time: together they stay in the second-level
-/// cache.
+/// Rows of the left factor that a task packs at a time, at most; they fit the L2 cache.
 const BLOCK_ROWS: usize = 96;
 
-/// Terms after which a tile asks for lines of the panels that come next.
+/// Number of terms between prefetches of the next panels.
 const LOOK_AHEAD: usize = 4;
 
 /// A view of a matrix: row-major numbers or their transpose.
@@ -128,10 +127,10 @@ impl Packed {
     }
 }
 
-/// What happens to the numbers a product is written to.
+/// How a product is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Write {
-    /// They are written over.
+    /// The output is overwritten.
     Replace,
     /// The product is added to them.
     Add,
@@ -166,7 +165,7 @@ pub fn multiply(a: Matrix<'_>, b: &Packed, out: &mut [f32], write: Write) {
 }
 
 thread_local! {
-    /// Where rows of the left factor are packed. It is kept from one product to the next.
+    /// Scratch buffer for packed rows of the left factor, reused by the next product.
     static ROOM: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
 }
 
@@ -184,8 +183,8 @@ impl WithSimd for Block<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // Twelve sums of a vector each hide the latency of the multiply-add. AVX-512 has registers for
-        // twice as many, without which reading the factors would take longer than multiplying them.
+        // Twelve vector accumulators hide the latency of the multiply-add. AVX-512 has registers for
+        // twice as many and needs them, because it multiplies faster than it loads.
         match S::F32_LANES {
             16 => self.run::<S, 12, 10, 2, DEEP>(simd),
             8 => self.run::<S, 6, 4, 1, DEPTH>(simd),
@@ -196,9 +195,8 @@ impl WithSimd for Block<'_> {
 }
 
 impl Block<'_> {
-    /// `FEW` is the height of a cheaper tile for the last rows, which is that of the last of the two
-    /// windows of a guided step; `PANELS` are multiplied together, and `DEPTH` terms summed before a
-    /// tile is written.
+    /// `FEW`: tile height for the remainder rows (guided sampling has 34 rows: two windows of 17).
+    /// `PANELS`: panels multiplied together. `DEPTH`: terms summed before a tile is written.
     #[inline(always)]
     fn run<
         S: Simd,
@@ -211,7 +209,7 @@ impl Block<'_> {
         simd: S,
     ) {
         let num_rows = self.out.len() / self.b.columns;
-        // Equal parts: a short last one would write every tile again for little.
+        // Equal parts, because a short last part writes all tiles again for few terms.
         let depth = self.b.rows;
         let most = depth.div_ceil(depth.div_ceil(DEPTH).max(1)).max(1);
         let mut room = ROOM.take();
@@ -253,8 +251,8 @@ impl Block<'_> {
             lines.get(terms.clone()).unwrap_or(&[])
         };
         let panels: [_; PANELS] = std::array::from_fn(|at| lines(panel + at));
-        // A weight comes from main memory, slower than a tile is summed but not slower than all tiles
-        // of a panel. So each tile asks for some lines of the panels that come next.
+        // Weights stream from main memory while tiles are summed: each tile prefetches some lines of
+        // the next panels.
         let depth = terms.len();
         let at_a_time = LOOK_AHEAD.div_ceil(num_rows.div_ceil(ROWS));
         let part = depth.div_ceil(LOOK_AHEAD) * at_a_time;
@@ -271,9 +269,8 @@ impl Block<'_> {
                 let lines = lines(panel + PANELS + at);
                 lines.get(strip * part..).unwrap_or(&[])
             });
-            // Each in a function of its own: where a tile was part of this one, its sums have been
-            // seen in memory in place of registers, at a third of the speed, depending on what else
-            // was compiled.
+            // A function of its own for each tile: inlined here, the compiler sometimes spills the
+            // accumulators to memory, at a third of the speed.
             let sums = if height <= FEW {
                 simd.vectorize(Tile::<ROWS, FEW, PANELS> {
                     a,
@@ -295,7 +292,7 @@ impl Block<'_> {
                     let width = PANEL.min(b.columns - first_column);
                     let at = (first + row) * b.columns + first_column;
                     let out = &mut out[at..at + width];
-                    // A whole line has a length known in advance and is a few vectors.
+                    // A whole line has a constant length, so the copy is a few vector instructions.
                     if let Ok(out) = <&mut [f32; PANEL]>::try_from(&mut *out) {
                         put(out, sums, is_first);
                     } else {
@@ -342,10 +339,10 @@ fn pack_strip<const ROWS: usize>(
     }
 }
 
-/// Copies numbers, of which there may be fewer than there is room for; the rest is zero.
+/// Copies numbers and fills the rest of `out` with zeros.
 #[inline(always)]
 fn copy<const N: usize>(to: &mut [f32; N], from: &[f32]) {
-    // A length known in advance is a few vectors, another one a call.
+    // A copy of constant length is a few vector instructions, of any other length a call.
     if let Ok(whole) = <&[f32; N]>::try_from(from) {
         *to = *whole;
     } else {
@@ -393,9 +390,9 @@ fn put(out: &mut [f32], sums: &[f32; PANEL], is_first: bool) {
 struct Tile<'a, const ROWS: usize, const USED: usize, const PANELS: usize> {
     a: &'a [[f32; ROWS]],
     panels: [&'a [Line]; PANELS],
-    /// Lines to ask for on the way.
+    /// Lines to prefetch.
     next: [&'a [Line]; PANELS],
-    /// So many of each panel after every [`LOOK_AHEAD`] terms.
+    /// Lines of each panel that are prefetched every [`LOOK_AHEAD`] terms.
     at_a_time: usize,
 }
 
@@ -421,7 +418,7 @@ impl<const ROWS: usize, const USED: usize, const PANELS: usize> Tile<'_, ROWS, U
         let mut sums = [[[simd.splat_f32s(0.0); VECTORS]; PANELS]; USED];
         let depth = self.a.len();
         let panels = self.panels.map(|panel| &panel[..depth]);
-        // Blocks of a length known in advance become straight code.
+        // Blocks of constant length are unrolled.
         let (a, a_rest) = self.a.as_chunks::<LOOK_AHEAD>();
         for (block, a) in a.iter().enumerate() {
             let first = block * LOOK_AHEAD;

@@ -542,7 +542,7 @@ mod tests {
                 );
             }
         }
-        // Neighbours are dropped together as often as chance has it.
+        // Neighbours are dropped together as often as independent draws.
         let pairs = first
             .windows(2)
             .filter(|pair| pair[0] + pair[1] == 0.0)
