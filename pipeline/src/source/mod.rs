@@ -61,7 +61,7 @@ pub fn find_releases(
     humanml3d_index: Option<&Path>,
 ) -> Result<Vec<FoundRelease>, crate::Error> {
     let mut releases = Vec::new();
-    for format in FORMATS {
+    for &format in FORMATS {
         let found = format.find(files, humanml3d_index)?;
         releases.extend(found.into_iter().map(|release| (format, release)));
     }

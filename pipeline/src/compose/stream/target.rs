@@ -44,7 +44,7 @@ impl Target {
             Subject::Pair(_) => {
                 let halves = library.halves_of(subject).iter();
                 let sides = halves.map(|half| side(Some(*half))).collect();
-                let plain = match config.plain_pairs > 0.0 {
+                let plain = match config.undonored_ratio > 0.0 {
                     true => library.wordings(subject, None, config),
                     false => Vec::new(),
                 };
