@@ -42,7 +42,7 @@ fn changed(bench: &Bench, name: &str, change: impl Fn(&mut ItemRow)) -> PathBuf 
 }
 
 /// The one row of a system and a metric over all tasks there are.
-fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
+pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
     let rows = scores.as_array().expect("rows");
     rows.iter()
         .find(|row| row["system"] == system && row["metric"] == metric)

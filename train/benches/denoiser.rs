@@ -8,16 +8,16 @@ use std::hint::black_box;
 use burn::module::Module;
 use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor};
-use datasets_spec::Seed;
+use datasets_spec::{Fps, Seed};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use kernels::on_workers;
 use kernels::product::{Matrix, Packed, Write, multiply};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
-use kinematics::normalise::FRAME_WIDTH;
-use train::config::{NetworkConfig, Preset, TrainConfig};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use train::config::{NetworkConfig, Prediction, Preset, ScheduleName, TrainConfig};
 use train::data::{NoisyBatch, TextBatch};
-use train::diffusion::{Prediction, Schedule, ScheduleName, training_loss};
+use train::diffusion::{Objective, Schedule};
 use train::model::denoiser::Denoiser;
 use train::model::fused;
 use train::model::weights::draw;
@@ -91,10 +91,20 @@ fn step(bencher: Bencher, dropout: f64) {
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let text = normal([BATCH, 512], &device);
     let mut model = Some(denoiser(dropout, &device));
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: None,
+        config: &diffusion,
+        normalizer: &Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        fps: Fps::STORE,
+    };
     let mut optimizer = adamw(0.01);
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
         let network = model.take().expect("put back after every step");
-        let loss = training_loss(&network, &schedule, &batch, text.clone(), None, &diffusion);
+        let loss = objective.loss(&network, &batch, text.clone());
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimizer.step(1e-4, network, gradients));

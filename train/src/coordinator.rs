@@ -17,11 +17,12 @@ use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
 };
 use crate::compose::ComposeRecord;
+use crate::config::ScheduleName;
 use crate::config::{
     Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings,
     TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
 };
-use crate::diffusion::{Schedule, ScheduleName};
+use crate::diffusion::Schedule;
 use crate::model::coordinator::Coordinator;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};

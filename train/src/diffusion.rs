@@ -1,81 +1,18 @@
 //! Noise schedule, forward noising, reverse step, guidance and loss.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::FRAME_WIDTH;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::skeleton::Joint;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::config::DiffusionConfig;
+use crate::config::{
+    DiffusionConfig, FixedFrames, LINEAR_VARIANCES, Loss, Prediction, ScheduleName,
+};
 use crate::data::NoisyBatch;
 use crate::model::denoiser::Denoiser;
-
-/// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
-const LINEAR_BETAS: (f64, f64) = (1e-4, 0.02);
-
-/// Steps the linear schedule was made for.
-const REFERENCE_STEPS: f64 = 1_000.0;
-
-/// A named noise schedule.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ScheduleName {
-    /// The released one: the variances of 1000 steps spread over however many there are. With 100
-    /// steps the noisiest training sample keeps 60 % of its signal, while sampling starts from pure
-    /// noise (`algorithms` section 5).
-    Official,
-    /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
-    Rescaled,
-}
-
-/// Loss on the prediction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Loss {
-    /// Smooth L1 with a threshold of 1 (released code).
-    SmoothL1,
-    /// Squared error (paper, Eq. 2).
-    Mse,
-}
-
-/// What the network sees in place of the fixed frames while training. The editor always shows them
-/// clean.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum FixedFrames {
-    /// Scaled like the signal of a noisy frame, without noise (released code).
-    Scaled,
-    /// Clean, as while editing.
-    Clean,
-}
-
-/// What the network is asked for.
-///
-/// # Source
-/// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
-/// predicts the noise.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Prediction {
-    /// The noise. Its 84 numbers a frame are all surprise and must fit through the network.
-    Noise,
-    /// The clean window.
-    Clean,
-    /// The clean window minus the original one. Both are canonical, so an edit that leaves most of
-    /// the body alone is mostly zero; a narrow network learns it far sooner (our addition).
-    Change,
-    /// The velocity of that change: with `y` the change and `e` the noise, `sqrt(a) e - sqrt(1 - a) y`
-    /// (Salimans and Ho 2022, Sec. 4, applied to the change). Where there is much noise it is the
-    /// change, and where there is little its error counts little, so that a narrow network does not
-    /// have to pass every number of a frame to keep it.
-    Velocity,
-    /// What the change differs by from its best linear [`Extrapolation`] from the fixed frames, in units
-    /// of the spread of that difference in each frame. The frames just after the fixed ones, which
-    /// follow from them almost, then count as much as any other, and what the network misses there is
-    /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
-    /// 2022, Sec. 5, by frame in place of by noise level).
-    Residual,
-}
 
 /// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
 /// numbers of a frame, fitted to training windows.
@@ -251,17 +188,8 @@ impl Schedule {
     /// # Errors
     /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
     pub fn new(name: ScheduleName, num_steps: usize) -> Result<Self, Error> {
-        let (first, last) = LINEAR_BETAS;
-        let scale = match name {
-            ScheduleName::Official => 1.0,
-            ScheduleName::Rescaled => REFERENCE_STEPS / num_steps as f64,
-        };
-        if num_steps < 2 || scale * last >= 1.0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: format!("{num_steps} steps are too few for the schedule"),
-            });
-        }
+        let scale = name.variance_scale(num_steps)?;
+        let [first, last] = LINEAR_VARIANCES;
         let stride = scale * (last - first) / (num_steps - 1) as f64;
         let betas: Vec<f64> = (0..num_steps)
             .map(|step| scale * first + step as f64 * stride)
@@ -473,95 +401,181 @@ impl Loss {
     }
 }
 
-/// The training loss of a batch: the error of the prediction on the frames that are not fixed, and
-/// with a weight of its own the error of its differences from frame to frame.
-///
-/// # Shapes
-/// `text` `[B, d]`; the result is one number.
-///
-/// # Source
-/// Paper Eq. 2; released `train_losses` for [`Prediction::Noise`], [`FixedFrames::Scaled`] and
-/// [`Loss::SmoothL1`].
-pub fn training_loss(
-    denoiser: &Denoiser,
-    schedule: &Schedule,
-    batch: &NoisyBatch,
-    text: Tensor<2>,
-    extrapolation: Option<&Extrapolation>,
-    config: &DiffusionConfig,
-) -> Tensor<1> {
-    let device = text.device();
-    let frame_width = denoiser.frame_width();
-    let window = batch.window(frame_width);
-    let windows = |values: &[f32]| -> Tensor<3> {
-        Tensor::from_data(
-            TensorData::new(values.to_vec(), [batch.len(), window, frame_width]),
-            &device,
-        )
-    };
-    let x0 = windows(&batch.edited);
-    let noise = windows(&batch.noise);
-    let mut x_t = schedule.q_sample(x0.clone(), &batch.timesteps, noise.clone());
-    let starts = batch.is_start.contains(&true).then(|| {
-        let starts = batch
-            .is_start
-            .iter()
-            .map(|is_start| f32::from(u8::from(*is_start)));
-        let starts: Vec<f32> = starts.collect();
-        Tensor::<3>::from_data(TensorData::new(starts, [batch.len(), 1, 1]), &device)
-    });
-    if config.fixed_frames == FixedFrames::Clean {
-        let mut clean = x0.clone().narrow(1, 0, FIXED_FRAMES);
-        if config.fixed_noise > 0.0 {
-            let noise = noise.clone().narrow(1, 0, FIXED_FRAMES);
-            clean = clean + noise.mul_scalar(config.fixed_noise);
-        }
-        let shown = match &starts {
-            None => clean,
-            Some(starts) => {
-                let noisy = x_t.clone().narrow(1, 0, FIXED_FRAMES);
-                clean.clone() + (noisy - clean) * starts.clone()
+/// Slots of the ankles and feet among the keypoints.
+const FEET: [Joint; 4] = [
+    Joint::LeftAnkle,
+    Joint::RightAnkle,
+    Joint::LeftFoot,
+    Joint::RightFoot,
+];
+
+/// Speed in m/s below which a foot is at rest, and the unit of the loss on feet that slide.
+const REST_SPEED: f64 = 0.1;
+
+/// What the denoiser is trained for.
+#[derive(Clone, Copy, Debug)]
+pub struct Objective<'a> {
+    /// Noise added to windows.
+    pub schedule: &'a Schedule,
+    /// What a predicted residual is relative to; none of other predictions.
+    pub extrapolation: Option<&'a Extrapolation>,
+    /// Prediction, losses and their weights.
+    pub config: &'a DiffusionConfig,
+    /// Range the windows were scaled by.
+    pub normalizer: &'a Normalizer,
+    /// Rate of the windows.
+    pub fps: Fps,
+}
+
+impl Objective<'_> {
+    /// The training loss of a batch: the error of the prediction on the frames that are not fixed, and
+    /// with weights of their own the error of its differences from frame to frame and the speed of feet
+    /// that should rest.
+    ///
+    /// # Shapes
+    /// `text` `[B, d]`; the result is one number.
+    ///
+    /// # Source
+    /// Paper Eq. 2; released `train_losses` for [`Prediction::Noise`], [`FixedFrames::Scaled`] and
+    /// [`Loss::SmoothL1`].
+    pub fn loss(&self, denoiser: &Denoiser, batch: &NoisyBatch, text: Tensor<2>) -> Tensor<1> {
+        let Self {
+            schedule, config, ..
+        } = *self;
+        let device = text.device();
+        let frame_width = denoiser.frame_width();
+        let window = batch.window(frame_width);
+        let windows = |values: &[f32]| -> Tensor<3> {
+            Tensor::from_data(
+                TensorData::new(values.to_vec(), [batch.len(), window, frame_width]),
+                &device,
+            )
+        };
+        let x0 = windows(&batch.edited);
+        let noise = windows(&batch.noise);
+        let starts = batch.is_start.contains(&true).then(|| {
+            let starts = batch
+                .is_start
+                .iter()
+                .map(|is_start| f32::from(u8::from(*is_start)));
+            let starts: Vec<f32> = starts.collect();
+            Tensor::<3>::from_data(TensorData::new(starts, [batch.len(), 1, 1]), &device)
+        });
+        let x_t = self.shown(&x0, &noise, &batch.timesteps, starts.as_ref());
+        let original = windows(&batch.original);
+        let basis = Basis {
+            original: &original,
+            is_start: &batch.is_start,
+            extrapolation: self.extrapolation,
+        };
+        let change = || x0.clone() - original.clone();
+        let target = match config.prediction {
+            Prediction::Noise => noise,
+            Prediction::Clean => x0.clone(),
+            Prediction::Change => change(),
+            Prediction::Velocity => schedule.velocity(change(), &batch.timesteps, noise),
+            Prediction::Residual => {
+                let (guess, spread) = basis.guess(&x_t);
+                (change() - guess) / spread
             }
         };
-        x_t = put_fixed(x_t, shown);
-    }
-    let original = windows(&batch.original);
-    let basis = Basis {
-        original: &original,
-        is_start: &batch.is_start,
-        extrapolation,
-    };
-    let target = match config.prediction {
-        Prediction::Noise => noise,
-        Prediction::Clean => x0,
-        Prediction::Change => x0 - original.clone(),
-        Prediction::Velocity => schedule.velocity(x0 - original.clone(), &batch.timesteps, noise),
-        Prediction::Residual => {
-            let (guess, spread) = basis.guess(&x_t);
-            (x0 - original.clone() - guess) / spread
+        let predicted = denoiser.forward(
+            x_t.clone(),
+            &batch.timesteps,
+            text,
+            &batch.progress,
+            original.clone(),
+        );
+        let begun = starts.map(|starts| {
+            let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
+            config.loss.mean(first(&predicted), first(&target))
+        });
+        let free = |x: &Tensor<3>| x.clone().narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
+        let mut loss = config.loss.mean(free(&predicted), free(&target));
+        if let Some(begun) = begun {
+            // Every number counts the same: the mean over the first frames has as many fewer.
+            loss = loss + begun.mul_scalar(FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64);
         }
-    };
-    let predicted = denoiser.forward(x_t, &batch.timesteps, text, &batch.progress, original);
-    let begun = starts.map(|starts| {
-        let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
-        config.loss.mean(first(&predicted), first(&target))
-    });
-    let free = |x: Tensor<3>| x.narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
-    let (predicted, target) = (free(predicted), free(target));
-    let mut loss = config.loss.mean(predicted.clone(), target.clone());
-    if let Some(begun) = begun {
-        // Every number counts the same: the mean over the first frames has as many fewer.
-        loss = loss + begun.mul_scalar(FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64);
+        if config.motion_weight > 0.0 {
+            let motion = config
+                .loss
+                .mean(steps(free(&predicted)), steps(free(&target)));
+            loss = loss + motion.mul_scalar(config.motion_weight);
+        }
+        if config.contact_weight > 0.0 {
+            let clean =
+                schedule.clean_of(config.prediction, predicted, &x_t, basis, &batch.timesteps);
+            // The editor puts the fixed frames back; a foot that rests on them must not leave them.
+            let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
+            let contact = self.sliding(clean, x0);
+            loss = loss + contact.mul_scalar(config.contact_weight);
+        }
+        loss
     }
-    if config.motion_weight == 0.0 {
-        return loss;
+
+    /// What the network sees of windows: noisy frames, with the fixed ones as the settings say. A window
+    /// of `starts` has none.
+    fn shown(
+        &self,
+        x0: &Tensor<3>,
+        noise: &Tensor<3>,
+        timesteps: &[usize],
+        starts: Option<&Tensor<3>>,
+    ) -> Tensor<3> {
+        let x_t = self.schedule.q_sample(x0.clone(), timesteps, noise.clone());
+        if self.config.fixed_frames == FixedFrames::Scaled {
+            return x_t;
+        }
+        let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
+        let mut clean = first(x0);
+        if self.config.fixed_noise > 0.0 {
+            clean = clean + first(noise).mul_scalar(self.config.fixed_noise);
+        }
+        let shown = match starts {
+            None => clean,
+            Some(starts) => clean.clone() + (first(&x_t) - clean) * starts.clone(),
+        };
+        put_fixed(x_t, shown)
     }
-    let steps = |x: Tensor<3>| {
-        let rest = window - FIXED_FRAMES - 1;
-        x.clone().narrow(1, 1, rest) - x.narrow(1, 0, rest)
-    };
-    let motion = config.loss.mean(steps(predicted), steps(target));
-    loss + motion.mul_scalar(config.motion_weight)
+
+    /// The loss on feet that slide: the mean over all steps from frame to frame that end in a generated
+    /// frame, of ankles and feet whose speed in `wanted` is below [`REST_SPEED`], of their speed in
+    /// `clean` in that unit. Feet that move count as zeros, so that a window weighs by its contacts.
+    ///
+    /// # Shapes
+    /// Both `[B, W, D]`, clean windows; the result is one number.
+    fn sliding(&self, clean: Tensor<3>, wanted: Tensor<3>) -> Tensor<1> {
+        let [batch, window, _] = clean.dims();
+        let Normalizer { min, max } = self.normalizer;
+        // What a step of one model unit is in units of the speed.
+        let units: Vec<f32> = (0..3)
+            .map(|axis| ((max[axis] - min[axis]) / 2.0 * self.fps.get() / REST_SPEED) as f32)
+            .collect();
+        let units = Tensor::<4>::from_data(TensorData::new(units, [1, 1, 1, 3]), &clean.device());
+        let speeds = |x: Tensor<3>| {
+            let feet = FEET.map(|joint| x.clone().narrow(2, 3 * joint.index(), 3));
+            let steps = steps(Tensor::cat(feet.to_vec(), 2));
+            // A step between two fixed frames is given.
+            let count = window - FIXED_FRAMES;
+            let steps = steps.narrow(1, FIXED_FRAMES - 1, count);
+            steps.reshape([batch, count, FEET.len(), 3]) * units.clone()
+        };
+        let at_rest = speeds(wanted).square().sum_dim(3).lower_elem(1.0).float();
+        let sliding = speeds(clean) * at_rest;
+        let [batch, count, feet, _] = sliding.dims();
+        let sliding = sliding.reshape([batch, count, 3 * feet]);
+        let nothing = sliding.zeros_like();
+        self.config.loss.mean(sliding, nothing)
+    }
+}
+
+/// Differences from frame to frame.
+///
+/// # Shapes
+/// `[B, W, D]` give `[B, W - 1, D]`.
+fn steps(x: Tensor<3>) -> Tensor<3> {
+    let [_, frames, _] = x.dims();
+    x.clone().narrow(1, 1, frames - 1) - x.narrow(1, 0, frames - 1)
 }
 
 #[cfg(test)]
@@ -676,6 +690,50 @@ mod tests {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
+    }
+
+    #[test]
+    fn feet_that_should_rest_cost_their_speed() {
+        const WINDOW: usize = 8;
+        let config = DiffusionConfig {
+            loss: Loss::Mse,
+            ..crate::config::TrainConfig::preset(crate::config::Preset::Tiny).diffusion
+        };
+        let objective = Objective {
+            schedule: &Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps"),
+            extrapolation: None,
+            config: &config,
+            // A model unit is 2 m on the vertical and 1 m on the ground.
+            normalizer: &Normalizer {
+                min: [-1.0, -2.0, -1.0],
+                max: [1.0, 2.0, 1.0],
+            },
+            fps: Fps::new(10.0).expect("positive"),
+        };
+        let window = |numbers: &dyn Fn(usize) -> [f32; 2]| {
+            let mut values = vec![0.0f32; WINDOW * FRAME_WIDTH];
+            for (frame, row) in values.chunks_exact_mut(FRAME_WIDTH).enumerate() {
+                let [ankle, foot] = numbers(frame);
+                row[3 * Joint::LeftAnkle.index() + 1] = ankle;
+                row[3 * Joint::RightFoot.index() + 2] = foot;
+            }
+            let values = TensorData::new(values, [1, WINDOW, FRAME_WIDTH]);
+            Tensor::<3>::from_data(values, &Device::flex())
+        };
+        // The ankle rests, the foot walks at 0.5 m/s; both are said to stand still but for one jump of
+        // the ankle by 6 cm.
+        let wanted = window(&|frame| [0.3, 0.05 * frame as f32]);
+        let jump = window(&|frame| [if frame < 5 { 0.3 } else { 0.33 }, 0.0]);
+        let loss = |clean: &Tensor<3>| -> f32 {
+            objective
+                .sliding(clean.clone(), wanted.clone())
+                .into_scalar()
+        };
+        // 0.6 m/s is six units of rest; the mean is over six steps, four feet and three axes.
+        let expected = 36.0 / (6.0 * 4.0 * 3.0);
+        assert!((loss(&jump) - expected).abs() < 1e-4, "{}", loss(&jump));
+        // A foot that moves may move as it likes.
+        assert!(loss(&wanted) == 0.0 && loss(&window(&|_| [0.3, 0.0])) == 0.0);
     }
 
     proptest! {

@@ -148,7 +148,7 @@ fn settings_document(editor: &Editor, slot: Slot, settings: &EditSettings) -> se
         "coordinator": coordinator,
         "fit": settings.fit,
         "window": record.train.window,
-        "advance": record.train.window - FIXED_FRAMES,
+        "advance": record.train.window - FIXED_FRAMES - record.train.diffusion.overlap,
         "fps": record.compose.config.fps,
     })
 }

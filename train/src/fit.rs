@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::config::{TextEncoder, TrainConfig};
+use crate::config::{Prediction, TextEncoder, TrainConfig};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
-use crate::diffusion::{Extrapolation, Prediction, Schedule};
+use crate::diffusion::{Extrapolation, Objective, Schedule};
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 pub use crate::trainer::TrainReport;
@@ -281,8 +281,7 @@ pub fn train_motionrefit<'a>(
         epoch_len: corpus.train.epoch_len(),
     };
     let task = EditorTask {
-        config,
-        extrapolation: record.extrapolation.as_ref(),
+        record: &record,
         schedule,
         sampler,
         val_batches,
@@ -309,8 +308,7 @@ fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error>
 }
 
 struct EditorTask<'a> {
-    config: &'a TrainConfig,
-    extrapolation: Option<&'a Extrapolation>,
+    record: &'a EditorRecord,
     schedule: Schedule,
     sampler: WindowSampler<'a>,
     val_batches: Vec<NoisyBatch>,
@@ -321,7 +319,7 @@ impl Task for EditorTask<'_> {
     type Batch = NoisyBatch;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
-        let run = &self.config.run;
+        let run = &self.record.train.run;
         run.micro_batches(step)
             .map(|(first, count)| {
                 let share = count as f64 / run.batch_size as f64;
@@ -331,13 +329,14 @@ impl Task for EditorTask<'_> {
     }
 
     fn loss(&self, model: &MotionRefit, batch: &NoisyBatch, device: &Device) -> Tensor<1> {
-        model.loss(
-            &self.schedule,
-            batch,
-            self.extrapolation,
-            &self.config.diffusion,
-            device,
-        )
+        let objective = Objective {
+            schedule: &self.schedule,
+            extrapolation: self.record.extrapolation.as_ref(),
+            config: &self.record.train.diffusion,
+            normalizer: &self.record.normalizer,
+            fps: self.record.compose.config.fps,
+        };
+        model.loss(&objective, batch, device)
     }
 
     fn validate(&self, model: &MotionRefit, device: &Device) -> f32 {

@@ -647,3 +647,80 @@ fn measure(
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use kinematics::rotation::angle_between;
+
+    use super::*;
+
+    /// A body that lunges, turned about the vertical.
+    fn turned(degrees: f64) -> Pose {
+        let mut pose = Pose {
+            transl: DVec3::new(1.0, 0.9, -2.0),
+            ..Pose::REST
+        };
+        pose.rotations[0] =
+            DQuat::from_rotation_y(degrees.to_radians()) * DQuat::from_rotation_x(0.2);
+        pose.rotations[1] = DQuat::from_rotation_x(-0.6);
+        pose
+    }
+
+    fn of(faces_forward: bool) -> J2sConfig {
+        J2sConfig {
+            faces_forward,
+            ..J2sConfig::preset(J2sPreset::Paper)
+        }
+    }
+
+    #[test]
+    fn a_body_of_any_heading_is_one_sample() {
+        let skeleton = Skeleton::smplx_neutral();
+        let sample = |config, degrees| samples(&[turned(degrees)], config, &skeleton, None);
+        let (config, as_it_stands) = (of(true), of(false));
+        let (seen, wanted) = sample(&config, 0.0);
+        for degrees in [-179.0, -90.0, 30.0, 120.0, 180.0] {
+            let (also_seen, also_wanted) = sample(&config, degrees);
+            let pairs = seen
+                .iter()
+                .chain(&wanted)
+                .zip(also_seen.iter().chain(&also_wanted));
+            for (a, b) in pairs {
+                // Single precision, of numbers below 2.
+                assert!((a - b).abs() < 1e-6, "{degrees}: {a} {b}");
+            }
+            let (left_alone, _) = sample(&as_it_stands, degrees);
+            assert!(
+                left_alone
+                    .iter()
+                    .zip(&seen)
+                    .any(|(a, b)| (a - b).abs() > 0.05)
+            );
+        }
+    }
+
+    #[test]
+    fn a_turned_body_gets_its_heading_back() {
+        let skeleton = Skeleton::smplx_neutral();
+        let device = Device::flex();
+        let net = draw(PaperPoseNet::new(16, &device), Seed(2)).expect("known layers");
+        let net = PoseNet {
+            network: Network::Paper(Box::new(net)),
+            faces_forward: true,
+        };
+        let pose_at = |degrees| {
+            let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&[turned(degrees)]);
+            net.poses(&frames, &skeleton, &device)[0]
+        };
+        let straight = pose_at(0.0);
+        for degrees in [-170.0f64, 45.0, 180.0] {
+            let found = pose_at(degrees);
+            let turn = DQuat::from_rotation_y(degrees.to_radians());
+            let root = angle_between(found.rotations[0], turn * straight.rotations[0]);
+            let knee = angle_between(found.rotations[4], straight.rotations[4]);
+            // The network computes in single precision.
+            assert!(root < 1e-4 && knee < 1e-4, "{degrees}: {root} {knee}");
+            assert!(found.transl.distance(turned(degrees).transl) < 1e-9);
+        }
+    }
+}

@@ -19,10 +19,10 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
-use crate::config::{GuidanceConfig, GuidanceTarget, narrowed};
+use crate::config::{GuidanceConfig, GuidanceTarget, Prediction, narrowed};
 use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
-use crate::diffusion::{Basis, Extrapolation, Prediction, Schedule, guide, put_fixed};
+use crate::diffusion::{Basis, Extrapolation, Schedule, guide, put_fixed};
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::coordinator::Coordinator;
@@ -87,7 +87,7 @@ pub struct EditWindow {
     /// Position of the window in what its instruction covers, in [0, 1].
     pub progress: f32,
     /// Its first frame, at the model's rate. The window replaces what earlier ones made of the frames
-    /// after its two fixed ones.
+    /// after its two fixed ones, but for those it is blended with.
     pub start: usize,
     /// Its first frames that are used, the fixed ones included; `W` but where its instruction, or the
     /// motion, ends within it.
@@ -151,6 +151,7 @@ impl EditItem {
     ) -> Result<Self, Error> {
         let id = id.into();
         let (window, normalizer) = (editor.train.window, &editor.normalizer);
+        let overlap = editor.train.diffusion.overlap;
         let (model_fps, anchor) = (editor.compose.config.fps, editor.compose.config.anchor);
         for asked in instructions {
             let Range { start, end } = asked.frames;
@@ -199,7 +200,7 @@ impl EditItem {
             .iter()
             .flat_map(|span| {
                 let instruction = span.instruction;
-                places(&span.frames, num_frames, window)
+                places(&span.frames, num_frames, window, overlap)
                     .into_iter()
                     .map(move |(start, used)| (start, used, instruction))
             })
@@ -372,8 +373,14 @@ fn spans(
     spans
 }
 
-/// Start and used frames of the windows that make the frames of a span, of a motion of `num_frames`.
-fn places(frames: &Range<usize>, num_frames: usize, window: usize) -> Vec<(usize, usize)> {
+/// Start and used frames of the windows that make the frames of a span, of a motion of `num_frames`. Each
+/// window but the first makes the last `overlap` frames before it anew.
+fn places(
+    frames: &Range<usize>,
+    num_frames: usize,
+    window: usize,
+    overlap: usize,
+) -> Vec<(usize, usize)> {
     let mut places = Vec::new();
     let mut next = frames.start;
     while next < frames.end {
@@ -387,7 +394,11 @@ fn places(frames: &Range<usize>, num_frames: usize, window: usize) -> Vec<(usize
         };
         let used = (frames.end - start).min(window);
         places.push((start, used));
-        next = start + used;
+        let end = start + used;
+        if end == frames.end {
+            break;
+        }
+        next = end - overlap;
     }
     places
 }
@@ -717,6 +728,9 @@ pub fn edit_windows(
     let progress = session.progress;
     progress.begin("edit", Some(num_windows as u64));
     let longest = items.iter().map(|item| item.windows.len()).max();
+    let overlap = record.train.diffusion.overlap;
+    // What a window is blended with.
+    let mut former: Vec<Vec<KeypointFrame>> = vec![Vec::new(); items.len()];
     for window_index in 0..longest.unwrap_or(0) {
         // Longer motions go on while shorter ones are done.
         let mut active = Vec::new();
@@ -725,7 +739,8 @@ pub fn edit_windows(
                 continue;
             };
             if window_index > 0 {
-                stitchers[index].rewind(window.start + FIXED_FRAMES);
+                former[index] = stitchers[index].rewind(window.start + FIXED_FRAMES);
+                former[index].truncate(overlap);
             }
             if window.instruction.is_some() {
                 active.push(index);
@@ -766,7 +781,7 @@ pub fn edit_windows(
                     .take(request.window.used)
                     .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
                     .collect();
-                stitchers[request.item].push(&frames);
+                stitchers[request.item].push_over(&frames, &former[request.item]);
             }
             progress.advance(chunk.len() as u64);
         }
@@ -1112,4 +1127,65 @@ pub fn reverse(
         on_step(timestep, &x);
     }
     x
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn cubic(coefficients: [DVec3; 4], t: f64) -> DVec3 {
+        let [a, b, c, d] = coefficients;
+        a + t * (b + t * (c + t * d))
+    }
+
+    fn vector() -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-1.0..1.0).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn the_spline_follows_parabolas_and_passes_through_its_frames(
+            coefficients in prop::array::uniform3(vector()),
+            num_frames in 3usize..7,
+            place in 0.0..1.0f64,
+        ) {
+            let [a, b, c] = coefficients;
+            let parabola = |t| [cubic([a, b, c, DVec3::ZERO], t); NUM_KEYPOINTS];
+            let frames: Vec<KeypointFrame> = (0..num_frames).map(|at| parabola(at as f64)).collect();
+            let at = place * (num_frames - 1) as f64;
+            let before = (at.floor() as usize).min(num_frames - 2);
+            // A Catmull-Rom spline reproduces parabolas, and past the ends ours goes on as one. Numbers
+            // reach 50 and are rounded a dozen times.
+            let found = catmull_rom(&frames, before, at - before as f64);
+            prop_assert!(found[3].distance(parabola(at)[3]) < 1e-12, "{at}");
+            for (share, frame) in [(0.0, before), (1.0, before + 1)] {
+                let found = catmull_rom(&frames, before, share);
+                prop_assert!(found[0].distance(frames[frame][0]) < 1e-12, "{frame}");
+            }
+        }
+
+        #[test]
+        fn the_speed_of_the_spline_does_not_jump_at_a_frame(
+            points in prop::collection::vec(vector(), 4..7),
+            place in 0.0..1.0f64,
+        ) {
+            const STEP: f64 = 1e-6;
+            let frames: Vec<KeypointFrame> = points.iter().map(|point| [*point; NUM_KEYPOINTS]).collect();
+            let frame = 1 + (place * (frames.len() - 2) as f64) as usize;
+            let middle = frames[frame][0];
+            let before = middle - catmull_rom(&frames, frame - 1, 1.0 - STEP)[0];
+            let after = catmull_rom(&frames, frame, STEP)[0] - middle;
+            // Second derivatives are at most 40 for points in the unit cube.
+            prop_assert!((after - before).length() / STEP < 40.0 * 2.0 * STEP);
+        }
+    }
+
+    #[test]
+    fn two_frames_are_joined_by_a_line() {
+        let frames = [[DVec3::ZERO; NUM_KEYPOINTS], [DVec3::ONE; NUM_KEYPOINTS]];
+        assert_eq!(catmull_rom(&frames, 0, 0.25)[27], DVec3::splat(0.25));
+    }
 }

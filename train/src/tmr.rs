@@ -15,10 +15,10 @@ use crate::checkpoint::{
     self, Files, MOTION_KIND, Run, RunRecord, Slot, Start, read_for_use, read_kind, take,
     weights_hash,
 };
+use crate::config::Loss;
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
 };
-use crate::diffusion::Loss;
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::tmr::{SequenceEncoder, Tmr, TmrSizes, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};

@@ -13,14 +13,16 @@ use burn_store::ModuleSnapshot;
 use datasets_spec::{Fps, Motion, Pose, Seed};
 use glam::DVec3;
 use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::Normalizer;
 use kinematics::rotation;
 use safetensors::SafeTensors;
 use train::compose::ComposeRecord;
 use train::config::{
-    GuidanceConfig, GuidanceTarget, NetworkConfig, Preset, PreviousFrames, TrainConfig,
+    GuidanceConfig, GuidanceTarget, NetworkConfig, Prediction, Preset, PreviousFrames,
+    ScheduleName, TrainConfig,
 };
 use train::data::{NoisyBatch, TextBatch};
-use train::diffusion::{Prediction, Schedule, ScheduleName, guide, training_loss};
+use train::diffusion::{Objective, Schedule, guide};
 use train::features::smpl135;
 use train::j2s::{J2sPreset, PoseNet};
 use train::model::coordinator::Coordinator;
@@ -200,7 +202,6 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
 
 #[test]
 fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
-    use kinematics::normalise::Normalizer;
     use train::checkpoint::Slot;
     use train::exchange::{export, import_editor};
     use train::fit::{EditorRecord, TextRecord};
@@ -368,15 +369,19 @@ fn golden_training_loss() {
         is_start: vec![false; timesteps.len()],
         timesteps,
     };
-    let loss: f32 = training_loss(
-        &denoiser(),
-        &schedule,
-        &batch,
-        golden.tensor("in.loss.text"),
-        None,
-        &TrainConfig::preset(Preset::Official).diffusion,
-    )
-    .into_scalar();
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: None,
+        config: &TrainConfig::preset(Preset::Official).diffusion,
+        normalizer: &Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        fps: Fps::STORE,
+    };
+    let loss: f32 = objective
+        .loss(&denoiser(), &batch, golden.tensor("in.loss.text"))
+        .into_scalar();
     // Mean of some 3,500 terms, each within the tolerance of the network.
     assert!((loss - golden.f32s("out.loss.value")[0]).abs() < 2e-5);
 }
@@ -631,7 +636,7 @@ fn golden_guided_step() {
 fn golden_autoregressive() {
     use kinematics::KeypointFrame;
     use kinematics::canonical::{GroundTransform, Stitcher};
-    use kinematics::normalise::{NormalizedFrame, Normalizer};
+    use kinematics::normalise::NormalizedFrame;
 
     let golden = Golden::read("motionrefit_autoregressive");
     let [num_windows, draws, window, width] = golden.values("in.noise").1[..] else {

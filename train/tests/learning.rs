@@ -18,14 +18,14 @@ use rand_distr::StandardNormal;
 use train::checkpoint::{Slot, Start};
 use train::compose::ComposeRecord;
 use train::config::{
-    Decay, DiffusionConfig, NetworkConfig, Preset, PreviousFrames, RunLength, TextEncoder,
-    TrainConfig,
+    Decay, DiffusionConfig, NetworkConfig, Prediction, Preset, PreviousFrames, RunLength,
+    TextEncoder, TrainConfig,
 };
 use train::coordinator::{
     CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
 };
 use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
-use train::diffusion::{Prediction, Schedule, training_loss};
+use train::diffusion::{Objective, Schedule};
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
@@ -329,7 +329,7 @@ fn one_batch_is_overfitted() {
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = model.loss(&schedule, &batch, None, &diffusion, &device);
+        let loss = model.loss(&objective(&schedule, &diffusion), &batch, &device);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
@@ -337,6 +337,20 @@ fn one_batch_is_overfitted() {
     }
     let (first, last) = (losses[0], losses[STEPS as usize - 1]);
     assert!(last < 0.01 * first, "{first} fell to {last}");
+}
+
+/// The objective of windows whose model units are metres, at 20 fps.
+fn objective<'a>(schedule: &'a Schedule, config: &'a DiffusionConfig) -> Objective<'a> {
+    Objective {
+        schedule,
+        extrapolation: None,
+        config,
+        normalizer: &Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        fps: Fps::STORE,
+    }
 }
 
 #[test]
@@ -367,15 +381,10 @@ fn a_dropped_instruction_leaves_no_trace() {
             text_kept: vec![text_kept],
             is_start: vec![false],
         };
-        let of_zeros = training_loss(
-            &model.denoiser,
-            &schedule,
-            &batch,
-            Tensor::zeros([1, config.model.width], &device),
-            None,
-            &config.diffusion,
-        );
-        let loss = model.loss(&schedule, &batch, None, &config.diffusion, &device);
+        let objective = objective(&schedule, &config.diffusion);
+        let nothing = Tensor::zeros([1, config.model.width], &device);
+        let of_zeros = objective.loss(&model.denoiser, &batch, nothing);
+        let loss = model.loss(&objective, &batch, &device);
         (loss.into_scalar::<f32>(), of_zeros.into_scalar::<f32>())
     };
     let (raised, without) = loss("raise it", 1.0);

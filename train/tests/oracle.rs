@@ -277,19 +277,20 @@ fn the_true_windows_give_the_target_back_at_every_frame() {
         for anchor in [Anchor::Pelvis, Anchor::Translation] {
             for stride in [1.0, 2.0, 3.0] {
                 let fps = Fps::new(Fps::STORE.get() / stride).expect("valid");
-                for window in [8, 16, 21] {
+                for (window, overlap) in [(8, 0), (8, 4), (16, 0), (16, 4), (21, 7)] {
                     // Whole windows, a tail of one frame and of most of a window, a clip shorter than
                     // a window, and a single frame.
                     for num_frames in [31, 59, 60, 61, 118, 12, 1] {
-                        let record = record(window, fps, anchor, 0.25);
+                        let mut record = record(window, fps, anchor, 0.25);
+                        record.train.diffusion.overlap = overlap;
                         let asked = whole(num_frames);
                         let misses =
                             misses(&edited(&record, target, num_frames, &asked, true), target);
                         for (frame, miss) in misses.into_iter().enumerate() {
                             assert!(
                                 miss < 1e-3,
-                                "{name}, {anchor:?}, {fps}, {window} frames a window, frame {frame} \
-                                 of {num_frames}: {miss} m"
+                                "{name}, {anchor:?}, {fps}, {window} frames a window, {overlap} shared, \
+                                 frame {frame} of {num_frames}: {miss} m"
                             );
                         }
                     }

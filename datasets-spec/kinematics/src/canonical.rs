@@ -282,24 +282,40 @@ impl Stitcher {
     }
 
     /// Goes back to the first `num_frames` frames, so that the next window begins two frames before
-    /// their end. Fewer than two frames give no window its fixed ones.
-    pub fn rewind(&mut self, num_frames: usize) {
-        if num_frames < self.frames.len() {
-            self.frames.truncate(num_frames);
-            self.place_next();
+    /// their end. Fewer than two frames give no window its fixed ones. Returns the frames after them.
+    pub fn rewind(&mut self, num_frames: usize) -> Vec<KeypointFrame> {
+        if num_frames >= self.frames.len() {
+            return Vec::new();
         }
+        let removed = self.frames.split_off(num_frames);
+        self.place_next();
+        removed
     }
 
     /// Appends a window given in its own canonical coordinates, `[W, 28]`.
     pub fn push(&mut self, window: &[KeypointFrame]) {
+        self.push_over(window, &[]);
+    }
+
+    /// Appends a window whose first new frames are blended with `former` ones in the world's coordinates,
+    /// `[F, 28]`, as [`Stitcher::rewind`] returned them. Of `F` frames, frame `i` counted from 1 has
+    /// `i / (F + 1)` of the window.
+    pub fn push_over(&mut self, window: &[KeypointFrame], former: &[KeypointFrame]) {
         let new = if self.frames.is_empty() {
             window
         } else {
             window.get(FIXED_FRAMES..).unwrap_or(&[])
         };
-        for frame in new {
-            self.frames
-                .push(frame.map(|point| self.world_from_window.apply(point)));
+        let former_frames = former.len();
+        for (index, frame) in new.iter().enumerate() {
+            let mut placed = frame.map(|point| self.world_from_window.apply(point));
+            if let Some(former) = former.get(index) {
+                let share = (index + 1) as f64 / (former_frames + 1) as f64;
+                for (point, before) in placed.iter_mut().zip(former) {
+                    *point = before.lerp(*point, share);
+                }
+            }
+            self.frames.push(placed);
         }
         self.place_next();
     }

@@ -4,11 +4,12 @@ use datasets_spec::{Motion, Progress};
 use kinematics::KeypointFrame;
 use rayon::prelude::*;
 
-use super::test_set::{Side, TestSet, Windows};
+use super::test_set::{Side, TestSet};
 use crate::Error;
 use crate::evaluators::Evaluators;
 use crate::linalg::Matrix;
 use crate::metric::foot_score::MIN_FRAMES;
+use crate::metric::motion_quality::Windows;
 use crate::metric::retrieval::unit_rows;
 use crate::metric::{self, Latents, Measure, Metric, MotionSample, motion_quality};
 use crate::names::{IDENTITY, REAL_DATA};
@@ -184,8 +185,7 @@ impl Measuring<'_> {
                     } = &decoded[index];
                     let windows = rows[index].windows().or(first_windows);
                     let seams = windows.map_or_else(Vec::new, |windows| {
-                        let (frames, fps) = (windows.frames, windows.fps);
-                        motion_quality::seams(motion.len(), motion.fps(), frames, fps)
+                        motion_quality::seams(motion.len(), motion.fps(), windows)
                     });
                     let sample = MotionSample {
                         motion,

@@ -1,15 +1,23 @@
 //! Settings of a training run. The resolved settings are saved beside every result.
 
+mod diffusion;
+mod run;
+
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::Error;
-use crate::diffusion::{FixedFrames, Loss, Prediction, ScheduleName};
 use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
+
+pub(crate) use self::diffusion::LINEAR_VARIANCES;
+pub use self::diffusion::{
+    DiffusionConfig, FixedFrames, Loss, Prediction, PreviousFrames, ScheduleName,
+};
+pub use self::run::{Decay, OptimizerConfig, RunLength, RunSettings};
 
 /// Settings of the editor's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,83 +42,6 @@ pub struct TrainConfig {
     /// Settings that every training run has.
     #[serde(flatten)]
     pub run: RunSettings,
-}
-
-/// Settings that every training run has, whatever is trained. In files they stand beside the
-/// settings of the model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RunSettings {
-    /// Optimiser.
-    pub optimizer: OptimizerConfig,
-    /// Samples in a step.
-    pub batch_size: usize,
-    /// Samples computed at once. The gradients of a larger step are accumulated over several
-    /// micro-batches. `None` computes a step at once.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub micro_batch_size: Option<usize>,
-    /// Length of the run.
-    pub length: RunLength,
-    /// Steps between two lines of the metrics file.
-    #[serde(default = "default_log_every")]
-    pub log_every: u64,
-    /// Steps between two validations; each is followed by a checkpoint.
-    #[serde(default = "default_val_every")]
-    pub val_every: u64,
-    /// Epochs between two checkpoints that are kept for good; 0 keeps only the best and the last.
-    #[serde(default)]
-    pub keep_epochs: u64,
-    /// Seed of the weights and of everything drawn while training.
-    pub seed: u64,
-}
-
-/// For records of pose networks of version 0.1, which had no such setting.
-fn default_log_every() -> u64 {
-    100
-}
-
-/// For records of pose networks of version 0.1, which had no such setting.
-fn default_val_every() -> u64 {
-    200
-}
-
-impl RunSettings {
-    /// Samples computed at once.
-    pub(crate) fn micro_batch(&self) -> usize {
-        self.micro_batch_size
-            .map_or(self.batch_size, |size| size.min(self.batch_size))
-    }
-
-    /// The micro-batches of a step: first sample, counted over the whole run, and number of samples.
-    pub(crate) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
-        let (size, micro) = (self.batch_size, self.micro_batch());
-        (0..size)
-            .step_by(micro)
-            .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
-    }
-
-    /// Checks that a run can be made with the settings.
-    ///
-    /// # Errors
-    /// A setting is out of range.
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        self.optimizer.check()?;
-        self.length.check()?;
-        positive("batch_size", self.batch_size as u64)?;
-        positive("micro_batch_size", self.micro_batch() as u64)?;
-        positive("log_every", self.log_every)?;
-        positive("val_every", self.val_every)
-    }
-
-    /// Refuses micro-batches for a model whose loss needs the whole batch.
-    pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
-        if self.micro_batch() == self.batch_size {
-            return Ok(());
-        }
-        Err(Error::Config {
-            field: "micro_batch_size",
-            problem: format!("a step of this model cannot be split: {why}; leave it out"),
-        })
-    }
 }
 
 /// Gives settings of version 0.1 their present names: in records on disk and in files of settings.
@@ -169,36 +100,6 @@ pub fn overlay<T: Serialize + DeserializeOwned>(
     serde_json::from_value(settings)
 }
 
-/// How long a run is: so many epochs, but not more than so many steps.
-///
-/// An epoch visits every window of every annotated motion and of every pair once.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RunLength {
-    /// Epochs, if they are counted.
-    pub epochs: Option<u64>,
-    /// Steps at most.
-    pub steps: u64,
-}
-
-impl RunLength {
-    /// A run of so many steps.
-    pub fn of_steps(steps: u64) -> Self {
-        Self {
-            epochs: None,
-            steps,
-        }
-    }
-
-    /// Steps of the run, given those of an epoch.
-    pub fn num_steps(&self, steps_per_epoch: u64) -> u64 {
-        match self.epochs {
-            Some(epochs) => self.steps.min(epochs.saturating_mul(steps_per_epoch)),
-            None => self.steps,
-        }
-    }
-}
-
 /// Sizes of a transformer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -213,63 +114,6 @@ pub struct NetworkConfig {
     pub feed_forward: usize,
     /// Probability of dropping an activation while training.
     pub dropout: f64,
-}
-
-/// Noise schedule, loss and guidance.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DiffusionConfig {
-    /// Diffusion steps.
-    pub num_steps: usize,
-    /// Noise schedule.
-    pub schedule: ScheduleName,
-    /// What the network predicts.
-    pub prediction: Prediction,
-    /// Loss on the prediction.
-    pub loss: Loss,
-    /// What the network sees in place of the fixed frames while training.
-    pub fixed_frames: FixedFrames,
-    /// How the fixed frames enter the network.
-    pub previous: PreviousFrames,
-    /// Whether the editor clips its estimates of the clean window to [-1, 1]. The range holds the
-    /// central 95 % of the data, so that clipping cuts the lowest feet and the longest steps.
-    pub clip: bool,
-    /// Probability of training a window without its text.
-    pub text_dropout: f64,
-    /// Weight of the loss on differences from frame to frame beside the loss on the frames, where the
-    /// clean window or the change is predicted: it keeps what is generated from trembling (as in
-    /// Tevet et al. 2023, Eq. 5; neither publication has it).
-    pub motion_weight: f64,
-    /// Guidance weight the editor uses unless told otherwise.
-    pub guidance: f64,
-    /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
-    /// stays nearer to its mean.
-    pub temperature: f64,
-    /// Share of the training windows that are shown as the first of their motion, with nothing fixed.
-    /// At 0 the editor starts a motion on the first frames of the original, as published, although
-    /// training always fixes those of the edited motion; above 0 it generates them.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub generated_starts: f64,
-    /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
-    /// editing they are the network's own, and what they are wrong by is carried from window to window
-    /// unless the network has learned to mend it.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub fixed_noise: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
-}
-
-/// How the frames before a window, which are its fixed first frames, enter the network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PreviousFrames {
-    /// They are frames of the noisy window like any other (released code).
-    Inpainted,
-    /// A network of two layers encodes each into the token of its place (paper, Sec. 5.1; that the
-    /// tokens stand in the place of the frames is our reading).
-    Encoded,
 }
 
 /// How the coordinator guides the editor.
@@ -326,35 +170,6 @@ pub enum TextEncoder {
     Learned,
     /// The text tower of CLIP ViT-B/32, frozen; its vectors are made before training.
     Clip,
-}
-
-/// AdamW and its learning rate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct OptimizerConfig {
-    /// Highest learning rate.
-    pub learning_rate: f64,
-    /// How the rate falls.
-    pub decay: Decay,
-    /// Steps over which the rate rises from zero.
-    pub warmup_steps: u64,
-    /// Decoupled weight decay.
-    pub weight_decay: f64,
-    /// Norm that all gradients together are clipped to; `None` does not clip.
-    pub max_gradient_norm: Option<f64>,
-    /// Decay of the exponential moving average (EMA) of the weights: the share of itself that it keeps
-    /// in a step. The averaged weights are validated and used. `None` keeps no average.
-    pub ema_decay: Option<f64>,
-}
-
-/// How the learning rate falls over a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Decay {
-    /// It stays.
-    Constant,
-    /// It falls linearly to zero at the last step.
-    Linear,
 }
 
 /// Named settings.
@@ -423,10 +238,12 @@ impl TrainConfig {
                     clip: true,
                     text_dropout: 0.1,
                     motion_weight: 0.0,
+                    contact_weight: 0.0,
                     guidance: 4.0,
                     temperature: 1.0,
                     generated_starts: 0.0,
                     fixed_noise: 0.0,
+                    overlap: 0,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Clip,
@@ -509,10 +326,12 @@ impl TrainConfig {
                     clip: false,
                     text_dropout: 0.1,
                     motion_weight: 0.0,
+                    contact_weight: 0.0,
                     guidance: 1.25,
                     temperature: 1.0,
                     generated_starts: 0.2,
                     fixed_noise: 0.02,
+                    overlap: 4,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Learned,
@@ -565,6 +384,15 @@ impl TrainConfig {
                 problem: format!(
                     "it is {} frames, of which {FIXED_FRAMES} are fixed; at least one must be free",
                     self.window
+                ),
+            });
+        }
+        if self.window <= FIXED_FRAMES + self.diffusion.overlap {
+            return Err(Error::Config {
+                field: "diffusion.overlap",
+                problem: format!(
+                    "windows of {} frames share {} and have {FIXED_FRAMES} fixed ones; each must add one",
+                    self.window, self.diffusion.overlap
                 ),
             });
         }
@@ -621,13 +449,6 @@ pub(crate) fn narrowed(frames: Vec<f32>, keypoints: usize) -> Vec<f32> {
         .collect()
 }
 
-impl RunLength {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        positive("length.steps", self.steps)?;
-        positive("length.epochs", self.epochs.unwrap_or(1))
-    }
-}
-
 impl NetworkConfig {
     pub(crate) fn check(&self) -> Result<(), Error> {
         positive("model.num_layers", self.num_layers as u64)?;
@@ -648,84 +469,6 @@ impl NetworkConfig {
             });
         }
         Ok(())
-    }
-}
-
-impl DiffusionConfig {
-    fn check(&self) -> Result<(), Error> {
-        share("diffusion.text_dropout", self.text_dropout)?;
-        share("diffusion.generated_starts", self.generated_starts)?;
-        if !self.guidance.is_finite() {
-            return Err(Error::Config {
-                field: "diffusion.guidance",
-                problem: format!("it is {}", self.guidance),
-            });
-        }
-        for (field, value) in [
-            ("diffusion.motion_weight", self.motion_weight),
-            ("diffusion.temperature", self.temperature),
-            ("diffusion.fixed_noise", self.fixed_noise),
-        ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
-        }
-        if self.motion_weight > 0.0
-            && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
-        {
-            return Err(Error::Config {
-                field: "diffusion.motion_weight",
-                problem: "frames follow each other in a clean window or a change, not in noise"
-                    .to_owned(),
-            });
-        }
-        let needs_clean = self.prediction == Prediction::Residual || self.fixed_noise > 0.0;
-        if needs_clean && self.fixed_frames != FixedFrames::Clean {
-            return Err(Error::Config {
-                field: "diffusion.fixed_frames",
-                problem: "a residual and noise on the fixed frames need them clean".to_owned(),
-            });
-        }
-        crate::diffusion::Schedule::new(self.schedule, self.num_steps).map(|_| ())
-    }
-}
-
-impl OptimizerConfig {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        if let Some(longest) = self.max_gradient_norm
-            && !(longest.is_finite() && longest > 0.0)
-        {
-            return Err(Error::Config {
-                field: "optimizer.max_gradient_norm",
-                problem: format!("it is {longest}, and must be positive"),
-            });
-        }
-        share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
-        for (field, value) in [
-            ("optimizer.learning_rate", self.learning_rate),
-            ("optimizer.weight_decay", self.weight_decay),
-        ] {
-            if !value.is_finite() || value < 0.0 {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
-        }
-        Ok(())
-    }
-
-    /// The learning rate of a step, counted from 0, of a run of `num_steps`.
-    pub fn rate_at(&self, step: u64, num_steps: u64) -> f64 {
-        let warmup = ((step + 1) as f64 / (self.warmup_steps + 1) as f64).min(1.0);
-        let decay = match self.decay {
-            Decay::Constant => 1.0,
-            Decay::Linear => 1.0 - step as f64 / num_steps as f64,
-        };
-        self.learning_rate * warmup * decay
     }
 }
 

@@ -8,7 +8,7 @@ use super::denoiser::Denoiser;
 use super::text::LearnedText;
 use crate::config::{DiffusionConfig, NetworkConfig};
 use crate::data::{NoisyBatch, TextBatch};
-use crate::diffusion::{Extrapolation, Schedule, training_loss};
+use crate::diffusion::Objective;
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -95,10 +95,8 @@ impl MotionRefit {
     /// The result is one number.
     pub fn loss(
         &self,
-        schedule: &Schedule,
+        objective: &Objective<'_>,
         batch: &NoisyBatch,
-        extrapolation: Option<&Extrapolation>,
-        config: &DiffusionConfig,
         device: &Device,
     ) -> Tensor<1> {
         let text = self.text_vectors(&batch.texts, batch.len(), device);
@@ -106,13 +104,6 @@ impl MotionRefit {
             TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
             device,
         );
-        training_loss(
-            &self.denoiser,
-            schedule,
-            batch,
-            text * kept,
-            extrapolation,
-            config,
-        )
+        objective.loss(&self.denoiser, batch, text * kept)
     }
 }

@@ -1,0 +1,208 @@
+//! Settings of the diffusion: schedule, prediction, loss, fixed frames.
+
+use serde::{Deserialize, Serialize};
+
+use super::share;
+use crate::Error;
+
+/// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
+pub(crate) const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
+
+/// Steps the linear schedule was made for.
+const REFERENCE_STEPS: f64 = 1_000.0;
+
+/// A named noise schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScheduleName {
+    /// The released one: the variances of 1000 steps spread over however many there are. With 100
+    /// steps the noisiest training sample keeps 60 % of its signal, while sampling starts from pure
+    /// noise (`algorithms` section 5).
+    Official,
+    /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
+    Rescaled,
+}
+
+impl ScheduleName {
+    /// Factor of the variances in a schedule of so many steps.
+    ///
+    /// # Errors
+    /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
+    pub(crate) fn variance_scale(self, num_steps: usize) -> Result<f64, Error> {
+        let scale = match self {
+            Self::Official => 1.0,
+            Self::Rescaled => REFERENCE_STEPS / num_steps as f64,
+        };
+        if num_steps < 2 || scale * LINEAR_VARIANCES[1] >= 1.0 {
+            return Err(Error::Config {
+                field: "diffusion.num_steps",
+                problem: format!("{num_steps} steps are too few for the schedule"),
+            });
+        }
+        Ok(scale)
+    }
+}
+
+/// Loss on the prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Loss {
+    /// Smooth L1 with a threshold of 1 (released code).
+    SmoothL1,
+    /// Squared error (paper, Eq. 2).
+    Mse,
+}
+
+/// What the network sees in place of the fixed frames while training. The editor always shows them
+/// clean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FixedFrames {
+    /// Scaled like the signal of a noisy frame, without noise (released code).
+    Scaled,
+    /// Clean, as while editing.
+    Clean,
+}
+
+/// What the network is asked for.
+///
+/// # Source
+/// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
+/// predicts the noise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Prediction {
+    /// The noise. Its 84 numbers a frame are all surprise and must fit through the network.
+    Noise,
+    /// The clean window.
+    Clean,
+    /// The clean window minus the original one. Both are canonical, so an edit that leaves most of
+    /// the body alone is mostly zero; a narrow network learns it far sooner (our addition).
+    Change,
+    /// The velocity of that change: with `y` the change and `e` the noise, `sqrt(a) e - sqrt(1 - a) y`
+    /// (Salimans and Ho 2022, Sec. 4, applied to the change). Where there is much noise it is the
+    /// change, and where there is little its error counts little, so that a narrow network does not
+    /// have to pass every number of a frame to keep it.
+    Velocity,
+    /// What the change differs by from its best linear
+    /// [extrapolation](crate::diffusion::Extrapolation) from the fixed frames, in units
+    /// of the spread of that difference in each frame. The frames just after the fixed ones, which
+    /// follow from them almost, then count as much as any other, and what the network misses there is
+    /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
+    /// 2022, Sec. 5, by frame in place of by noise level).
+    Residual,
+}
+
+/// Noise schedule, loss and guidance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DiffusionConfig {
+    /// Diffusion steps.
+    pub num_steps: usize,
+    /// Noise schedule.
+    pub schedule: ScheduleName,
+    /// What the network predicts.
+    pub prediction: Prediction,
+    /// Loss on the prediction.
+    pub loss: Loss,
+    /// What the network sees in place of the fixed frames while training.
+    pub fixed_frames: FixedFrames,
+    /// How the fixed frames enter the network.
+    pub previous: PreviousFrames,
+    /// Whether the editor clips its estimates of the clean window to [-1, 1]. The range holds the
+    /// central 95 % of the data, so that clipping cuts the lowest feet and the longest steps.
+    pub clip: bool,
+    /// Probability of training a window without its text.
+    pub text_dropout: f64,
+    /// Weight of the loss on differences from frame to frame beside the loss on the frames, where the
+    /// clean window or the change is predicted: it keeps what is generated from trembling (as in
+    /// Tevet et al. 2023, Eq. 5; neither publication has it).
+    pub motion_weight: f64,
+    /// Weight of the loss on feet that slide beside the loss on the prediction: the speed of each foot,
+    /// in units of 0.1 m/s, in frames in which the edited motion's is slower than that (after Tevet et al.
+    /// 2023, Eq. 4; neither publication has it).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub contact_weight: f64,
+    /// Guidance weight the editor uses unless told otherwise.
+    pub guidance: f64,
+    /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
+    /// stays nearer to its mean.
+    pub temperature: f64,
+    /// Share of the training windows that are shown as the first of their motion, with nothing fixed.
+    /// At 0 the editor starts a motion on the first frames of the original, as published, although
+    /// training always fixes those of the edited motion; above 0 it generates them.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub generated_starts: f64,
+    /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
+    /// editing they are the network's own, and what they are wrong by is carried from window to window
+    /// unless the network has learned to mend it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub fixed_noise: f64,
+    /// Generated frames that a window of an edit shares with the one before it, beside the fixed ones.
+    /// The two are blended there, so that a window that goes another way does so over some frames. At 0
+    /// each window begins where the one before ends, as published.
+    #[serde(default, skip_serializing_if = "is_no_frame")]
+    pub overlap: usize,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+fn is_no_frame(count: &usize) -> bool {
+    *count == 0
+}
+
+/// How the frames before a window, which are its fixed first frames, enter the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PreviousFrames {
+    /// They are frames of the noisy window like any other (released code).
+    Inpainted,
+    /// A network of two layers encodes each into the token of its place (paper, Sec. 5.1; that the
+    /// tokens stand in the place of the frames is our reading).
+    Encoded,
+}
+
+impl DiffusionConfig {
+    pub(super) fn check(&self) -> Result<(), Error> {
+        share("diffusion.text_dropout", self.text_dropout)?;
+        share("diffusion.generated_starts", self.generated_starts)?;
+        if !self.guidance.is_finite() {
+            return Err(Error::Config {
+                field: "diffusion.guidance",
+                problem: format!("it is {}", self.guidance),
+            });
+        }
+        for (field, value) in [
+            ("diffusion.motion_weight", self.motion_weight),
+            ("diffusion.contact_weight", self.contact_weight),
+            ("diffusion.temperature", self.temperature),
+            ("diffusion.fixed_noise", self.fixed_noise),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::Config {
+                    field,
+                    problem: format!("it is {value}, and must be finite and not negative"),
+                });
+            }
+        }
+        if self.motion_weight > 0.0
+            && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
+        {
+            return Err(Error::Config {
+                field: "diffusion.motion_weight",
+                problem: "frames follow each other in a clean window or a change, not in noise"
+                    .to_owned(),
+            });
+        }
+        let needs_clean = self.prediction == Prediction::Residual || self.fixed_noise > 0.0;
+        if needs_clean && self.fixed_frames != FixedFrames::Clean {
+            return Err(Error::Config {
+                field: "diffusion.fixed_frames",
+                problem: "a residual and noise on the fixed frames need them clean".to_owned(),
+            });
+        }
+        self.schedule.variance_scale(self.num_steps).map(|_| ())
+    }
+}
