@@ -1,6 +1,7 @@
 //! Quantiles and medians of measured values.
 
-/// The quantile by nearest rank, which is one of the values; none if there are no values. Reorders the values.
+/// Quantile by nearest rank, so that it is one of the values; `None` if there are none. Reorders the
+/// values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let place = (share * last as f64).round() as usize;
@@ -8,8 +9,7 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*value)
 }
 
-/// The middle value, or the mean of the two middle ones; none if there are no values. Reorders the
-/// values.
+/// Median; `None` if there are no values. Reorders the values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     let upper = *values.get(values.len() / 2)?;

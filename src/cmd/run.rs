@@ -292,7 +292,14 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         .context("stage masks")?;
     if config.stages.pairs {
         global
-            .stage(|context| stage::pairs(&places.dataset, &config.pairs, global.seed(), context))
+            .stage(|context| {
+                stage::pairs(
+                    &places.dataset,
+                    &config.pairs,
+                    config.seeds.split(global),
+                    context,
+                )
+            })
             .context("stage pairs")?;
     }
     global

@@ -37,7 +37,7 @@ struct Document<'a> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let verification = verify(&args.dataset, &global.bars())?;
     let comparison = match &args.reference {
-        // Features of a damaged dataset are not compared.
+        // Skip the features of a damaged dataset.
         Some(folder) if verification.passed() => Some(compare(
             &Dataset::open(&args.dataset)?,
             folder,
@@ -91,7 +91,7 @@ fn text(verification: &Verification) -> String {
     text
 }
 
-/// The groups of features beside those of the reference.
+/// Table of the feature groups, compared with the reference.
 fn compared(comparison: &Comparison) -> String {
     let mut text = format!(
         "\n{} clips and {} frames beside the reference, by {}\n{:<20} {:>10} {:>10} {:>10} {:>9}\n",

@@ -109,10 +109,10 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         (ran, row(&out))
     };
     let (ran, edited) = edit(&editor, "edited");
-    // Windows of 16 frames at 5 fps, each after the first with 14 new ones, the last of which ends with
-    // the clip; a clip shorter than a window takes one.
+    // Windows of 16 frames at 5 fps, each 10 after the one before, the last of which ends with the clip; a
+    // clip shorter than a window takes one.
     let model_frames = (clip.n_frames - 1 + 3) / 4 + 1;
-    let windows = 1 + (model_frames - 16 + 13).max(0) / 14;
+    let windows = 1 + (model_frames - 16 + 9).max(0) / 10;
     assert_eq!(ran.json::<Value>()["times"]["num_windows"], windows);
     assert_eq!((edited.n_frames, edited.fps), (clip.n_frames, 20.0));
     let settings: Value = serde_json::from_str(&edited.settings).expect("an object");
@@ -123,7 +123,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
             &settings["fps"],
             &settings["fit"]
         ),
-        (&json!(16), &json!(14), &json!(5.0), &json!("exact"))
+        (&json!(16), &json!(10), &json!(5.0), &json!("exact"))
     );
 
     // The same weights with another anchor see other windows.
@@ -424,8 +424,7 @@ fn windows_of_a_trained_editor_join() {
     bench.items("asked", &["--count", "24"]);
     let change = bench.workshop.path("change.toml");
     let small = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
-    let former =
-        "[diffusion]\nprediction = \"change\"\nfixed_noise = 0.0\ngenerated_starts = 0.0\n";
+    let former = "[diffusion]\nprediction = \"change\"\nfixed_noise = 0.0\ngenerated_starts = 0.0\noverlap = 0\ncontact_weight = 0.0\n";
     fs::write(&change, small + former).expect("writes");
     bench
         .workshop
@@ -448,8 +447,7 @@ fn windows_of_a_trained_editor_join() {
     let [real, joined, apart] =
         ["Real Data", "joined", "apart"].map(|system| Quality::of(&scores, system));
     let ratio = |quality: &Quality| quality.seam / quality.inside;
-    // 1.34, where real motion has 1.23 and the plain change 3.95. Of 400 steps of a small network; a
-    // longer training comes closer.
+    // 1.26 after 400 steps of a small network, where real motion has 1.27 and the plain change about 4.
     assert!(ratio(&joined) < 1.2 * ratio(&real), "{joined:?} {real:?}");
     assert!(ratio(&apart) > 2.0 * ratio(&joined), "{apart:?} {joined:?}");
     assert!(joined.turn < 1.2 * real.turn, "{joined:?} {real:?}");

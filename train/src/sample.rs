@@ -200,6 +200,8 @@ impl EditItem {
             .iter()
             .flat_map(|span| {
                 let instruction = span.instruction;
+                // What is kept as it was meets what was there.
+                let overlap = instruction.map_or(0, |_| overlap);
                 places(&span.frames, num_frames, window, overlap)
                     .into_iter()
                     .map(move |(start, used)| (start, used, instruction))

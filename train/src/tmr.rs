@@ -39,7 +39,7 @@ const ENCODE_BATCH: usize = 32;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TmrConfig {
-    /// Features of a motion that the encoder sees.
+    /// Input features of the encoder.
     pub features: FeatureRecipe,
     /// Sizes of the transformers; the width is that of the latent space.
     pub model: NetworkConfig,
@@ -51,15 +51,15 @@ pub struct TmrConfig {
     pub frame_stride: usize,
     /// Shortest crop shown in training, in frames of the encoder.
     pub min_frames: usize,
-    /// Longest crop shown in training, in frames of the encoder. Frames of a longer motion past it
-    /// do not enter its code.
+    /// Longest crop shown in training, in frames of the encoder. Later frames of a longer motion are
+    /// ignored.
     pub max_frames: usize,
     /// Weights of the parts of the loss.
     pub weights: LossWeights,
     /// Temperature of the contrastive loss.
     pub temperature: f64,
-    /// Settings that every training run has. A step is not split: every pair of a batch is contrasted
-    /// with every other.
+    /// Settings that every training run has. The contrastive loss compares all pairs of a batch, so a
+    /// batch is not split into micro-batches.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -68,13 +68,13 @@ pub struct TmrConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LossWeights {
-    /// Motions decoded from either latent vector.
+    /// Reconstruction loss of the motions decoded from either latent vector.
     pub reconstruction: f64,
-    /// Divergences between the two distributions and from the standard normal one.
+    /// KL divergences between the two distributions and from the standard normal one.
     pub kl: f64,
     /// Distance between the two latent vectors.
     pub latent: f64,
-    /// Contrast with the other pairs of the batch.
+    /// Contrastive loss over the pairs of the batch.
     pub contrastive: f64,
 }
 
@@ -251,7 +251,7 @@ pub struct TmrRecord {
     pub vocabulary: Vocabulary,
 }
 
-/// A clip as the encoder sees it.
+/// Features and tokenised captions of a clip.
 struct Clip {
     motion: Prepared,
     captions: Vec<Vec<i32>>,
@@ -270,8 +270,8 @@ struct ClipBatch {
 }
 
 /// Trains the encoder, or continues where the run folder left off, exactly as
-/// [`crate::fit::train_motionrefit`] does. One that begins with the weights of another run keeps its
-/// words and its features' means and spreads.
+/// [`crate::fit::train_motionrefit`] does. A run that starts from the weights of another keeps its
+/// vocabulary and feature statistics.
 ///
 /// # Errors
 /// The settings are unusable, a split is empty or a clip without caption, the folder holds another
@@ -378,7 +378,7 @@ impl Task for TmrTask<'_> {
     type Batch = ClipBatch;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        // Every pair is contrasted with all others of the batch, so a batch cannot be split.
+        // The contrastive loss compares all pairs of a batch, so a batch is not split.
         Ok(vec![(1.0, self.sampler.draw(step))])
     }
 

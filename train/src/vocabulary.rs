@@ -1,4 +1,4 @@
-//! Words and their numbers.
+//! Token vocabulary of the learned text encoder.
 
 use std::collections::BTreeSet;
 
@@ -10,8 +10,8 @@ use crate::Error;
 /// Number of the token that fills a row up to the length of the longest one.
 pub const PADDING: i32 = 0;
 
-/// The words of the training instructions. A word outside it falls into one of a few buckets by a
-/// hash of its letters, so that an unknown word is at least the same unknown word each time.
+/// The words of the training instructions. Unknown words are hashed into a few buckets, so that each
+/// always gets the same token.
 ///
 /// Token numbers: 0 padding, then the words in alphabetical order, then the buckets.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,7 +90,7 @@ impl Vocabulary {
         TokenBatch { ids, width }
     }
 
-    /// Words of a text that are not known, in their order, each once, as far as the text is read.
+    /// Unknown words among the first `max_words` of a text, each once, in order.
     pub fn unknown_words(&self, text: &str) -> Vec<String> {
         let mut unknown: Vec<String> = Vec::new();
         for word in words_of(text).take(self.max_words) {

@@ -971,7 +971,8 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
 #[test]
 fn windows_hear_the_instruction_their_frames_belong_to() {
     let skeleton = Skeleton::smplx_neutral();
-    let record = untrained_record();
+    let mut record = untrained_record();
+    record.train.diffusion.overlap = 0;
     // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56, and one at 57 for the last
     // frame.
     let motion = walk(145, 1.0, 0.0);
@@ -1042,6 +1043,29 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
     for (found, expected) in progress.iter().zip(expected) {
         assert!((found - expected).abs() < 1e-6);
     }
+    // Windows that share four frames with the one before, but for those that nothing is asked of.
+    let mut overlapping = untrained_record();
+    overlapping.train.diffusion.overlap = 4;
+    let asked = [timed(0..60, "raise")];
+    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &overlapping);
+    let places: Vec<(usize, usize)> = item
+        .expect("cut")
+        .windows
+        .iter()
+        .map(|window| (window.start, window.used))
+        .collect();
+    assert_eq!(
+        places,
+        [
+            (0, 16),
+            (10, 16),
+            (20, 10),
+            (28, 16),
+            (42, 16),
+            (56, 16),
+            (57, 16)
+        ]
+    );
     for (asked, reason) in [
         (vec![timed(0..200, "raise")], "145 frames"),
         (vec![timed(20..20, "raise")], "does not fit"),

@@ -1,4 +1,4 @@
-//! Drawings as pixels: PNG of one drawing, GIF of an animation.
+//! Rasterises drawings: PNG of one drawing, GIF of an animation.
 //!
 //! The font is embedded, so a picture is the same on every machine.
 
@@ -15,7 +15,7 @@ use super::strip::{Row, Style, moment};
 const GIF_FPS: f64 = 20.0;
 /// Most frames of a GIF: half a minute.
 const MAX_FRAMES: usize = 600;
-/// How coarsely the colours of a GIF are chosen, from 1 (best) to 30 (fastest).
+/// Colour quantisation speed, from 1 (best) to 30 (fastest).
 const QUANTISER_SPEED: i32 = 10;
 
 /// Why a drawing cannot become pixels.
@@ -80,7 +80,7 @@ fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError
     Ok(pixmap)
 }
 
-/// An SVG document as PNG, `zoom` pixels to each of its own.
+/// Renders an SVG document as PNG with `zoom` pixels per unit.
 ///
 /// # Errors
 /// The document is no SVG, or the picture has no pixel.

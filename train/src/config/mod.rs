@@ -327,7 +327,7 @@ impl TrainConfig {
                     clip: false,
                     text_dropout: 0.1,
                     motion_weight: 0.0,
-                    contact_weight: 0.1,
+                    contact_weight: 0.05,
                     guidance: 1.25,
                     temperature: 1.0,
                     generated_starts: 0.2,
