@@ -1,0 +1,334 @@
+//! A trained editor.
+
+use std::cell::Cell;
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Skeleton;
+use kinematics::KeypointFrame;
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::{NormalizedFrame, Normalizer};
+use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+use super::item::EditItem;
+use super::sampler::{Condition, Guide, Sampler};
+use super::settings::{EditSettings, EditTimes};
+use super::windows::{WindowModel, WindowRequest, edit_windows};
+use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
+use crate::config::narrowed;
+use crate::coordinator::TrainedCoordinator;
+use crate::data::TextVectors;
+use crate::diffusion::Schedule;
+use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
+use crate::j2s::PoseNet;
+use crate::model::denoiser::PackedWeights;
+use crate::model::motionrefit::MotionRefit;
+use crate::{Error, Session};
+
+/// A trained editor.
+#[derive(Debug)]
+pub struct Editor {
+    model: MotionRefit,
+    /// Those of the model's denoiser.
+    weights: PackedWeights,
+    schedule: Schedule,
+    record: RunRecord<EditorRecord>,
+    hash: String,
+    device: Device,
+    vectors: Option<Box<dyn TextVectors + Send>>,
+    coordinator: Option<TrainedCoordinator>,
+    poses: Option<PoseNet>,
+}
+
+impl Editor {
+    /// Loads an editor from its run folder.
+    ///
+    /// # Errors
+    /// The folder is not a run of the editor, or its checkpoint is missing or damaged.
+    pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
+        let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let config = &record.config.train;
+        record.config.check()?;
+        let mut files = read_for_use(run_dir, slot, KIND)?;
+        let weights: Vec<&[u8]> = [DENOISER, TEXT]
+            .iter()
+            .filter_map(|&name| files.get(name).map(Vec::as_slice))
+            .collect();
+        let hash = weights_hash(&record.config, &weights);
+        let mut model = MotionRefit::of_frames(
+            &config.model,
+            &config.diffusion,
+            record.config.text.source(),
+            3 * config.keypoints,
+            device,
+        );
+        load_weights(&mut model, &mut files, run_dir)?;
+        Ok(Self {
+            weights: model.denoiser.pack(),
+            model,
+            schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,
+            hash,
+            device: device.clone(),
+            record,
+            vectors: None,
+            coordinator: None,
+            poses: None,
+        })
+    }
+
+    /// Gives the editor a network that guesses poses from keypoints. The twists that no keypoint
+    /// shows are then its own; without it they are those of the original.
+    #[must_use]
+    pub fn with_poses(mut self, net: PoseNet, hash: &str) -> Self {
+        self.mix_hash(hash);
+        self.poses = Some(net);
+        self
+    }
+
+    /// Whether the editor has a pose network.
+    pub fn has_poses(&self) -> bool {
+        self.poses.is_some()
+    }
+
+    /// Scores of an editor with helpers are not those of the editor alone.
+    fn mix_hash(&mut self, other: &str) {
+        let both = [self.hash.as_bytes(), other.as_bytes()].concat();
+        self.hash = blake3::hash(&both).to_hex().to_string();
+    }
+
+    /// The pose network.
+    pub(crate) fn poses(&self) -> Option<&PoseNet> {
+        self.poses.as_ref()
+    }
+
+    /// Where tensors live.
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Gives the editor the vectors of the instructions it will be asked, of the frozen encoder it
+    /// listens to.
+    ///
+    /// # Errors
+    /// They are of another encoder.
+    pub fn set_vectors(&mut self, vectors: Box<dyn TextVectors + Send>) -> Result<(), Error> {
+        self.record.config.text.texts(Some(&*vectors))?;
+        self.vectors = Some(vectors);
+        Ok(())
+    }
+
+    /// Gives the editor a coordinator, which guides its last steps from then on.
+    ///
+    /// # Errors
+    /// The coordinator was trained for another diffusion, another length of windows, other keypoints or
+    /// another range of model units.
+    pub fn with_coordinator(mut self, coordinator: TrainedCoordinator) -> Result<Self, Error> {
+        let theirs = &coordinator.record().config;
+        let ours = &self.record.config;
+        let diffusion = &ours.train.diffusion;
+        let problem = if theirs.train.window != ours.train.window {
+            "its windows have another length"
+        } else if theirs.train.keypoints != ours.train.keypoints {
+            "it sees other keypoints"
+        } else if theirs.compose.config.fps != ours.compose.config.fps {
+            "it was trained at another rate"
+        } else if theirs.compose.config.anchor != ours.compose.config.anchor {
+            "its windows stand above the origin by another point of the body"
+        } else if theirs.normalizer != ours.normalizer {
+            "it was trained in another range of model units"
+        } else if (theirs.train.schedule, theirs.train.diffusion_steps)
+            != (diffusion.schedule, diffusion.num_steps)
+        {
+            "it was trained for another diffusion"
+        } else {
+            self.mix_hash(coordinator.hash());
+            self.coordinator = Some(coordinator);
+            return Ok(self);
+        };
+        Err(Error::Misfit {
+            what: "the coordinator",
+            problem: problem.to_owned(),
+        })
+    }
+
+    /// Whether the editor has a coordinator.
+    pub fn has_coordinator(&self) -> bool {
+        self.coordinator.is_some()
+    }
+
+    /// The settings the editor was trained with and what was fitted to its training split.
+    pub fn record(&self) -> &RunRecord<EditorRecord> {
+        &self.record
+    }
+
+    /// The range of model units the model was trained in.
+    pub fn normalizer(&self) -> &Normalizer {
+        &self.record.config.normalizer
+    }
+
+    /// What identifies the weights, those of a coordinator included: BLAKE3, hexadecimal.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// Edits motions. Each result holds the keypoints of one item in metres at the model's rate, as many
+    /// frames as its windows make; `times` gains what each part took. Keypoints the editor does not
+    /// make lie on the joints they hang from.
+    ///
+    /// The noise of an item follows from the seed and its id, and a row of a batch never sees
+    /// another, so a result does not depend on which other items are edited with it. The device is
+    /// that of the editor.
+    ///
+    /// # Errors
+    /// As [`edit_windows`], or a text has no vector.
+    ///
+    /// # Source
+    /// Paper App. B.2; `algorithms` section 8.
+    pub fn edit_batch(
+        &self,
+        items: &[EditItem],
+        skeleton: &Skeleton,
+        settings: &EditSettings,
+        session: &Session<'_>,
+        times: &mut EditTimes,
+    ) -> Result<Vec<Vec<KeypointFrame>>, Error> {
+        times.window = self.record.config.train.window;
+        let mut generator = Generator {
+            editor: self,
+            settings,
+            session,
+            times,
+        };
+        edit_windows(
+            &mut generator,
+            &self.record.config,
+            items,
+            skeleton,
+            settings,
+            session,
+        )
+    }
+}
+
+/// The editor's network at work.
+struct Generator<'a> {
+    editor: &'a Editor,
+    settings: &'a EditSettings,
+    session: &'a Session<'a>,
+    times: &'a mut EditTimes,
+}
+
+impl WindowModel for Generator<'_> {
+    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
+        let Self {
+            editor,
+            settings,
+            session,
+            ..
+        } = self;
+        let config = &editor.record.config;
+        let begun = session.secs();
+        let num_rows = requests.len();
+        let (frames, keypoints) = (config.train.window, config.train.keypoints);
+        let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
+            Tensor::from_data(
+                TensorData::new(values, [num_rows, frames, 3 * keypoints]),
+                &editor.device,
+            )
+        };
+        let original: Vec<f32> = requests
+            .iter()
+            .flat_map(|request| request.window.original.iter().copied().flatten())
+            .collect();
+        let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
+            requests.iter().map(|request| request.fixed).collect();
+        let vectors = editor.vectors.as_deref().map(|vectors| vectors as _);
+        let texts = config.text.texts(vectors)?.batch(
+            requests
+                .iter()
+                .map(|request| request.window.instruction.as_deref().unwrap_or_default()),
+        )?;
+        let condition = Condition {
+            original: window(narrowed(original, keypoints), frames),
+            fixed: fixed.map(|fixed| {
+                let numbers = fixed.into_iter().flatten().flatten().collect();
+                window(narrowed(numbers, keypoints), FIXED_FRAMES)
+            }),
+            text: editor.model.text_vectors(&texts, num_rows, &editor.device),
+            progress: requests
+                .iter()
+                .map(|request| request.window.progress)
+                .collect(),
+        };
+        let diffusion = &config.train.diffusion;
+        let clock = || session.secs();
+        let coordinator = editor.coordinator.as_ref().map(|coordinator| Guide {
+            network: &coordinator.model,
+            config: settings.coordinator,
+            clock: &clock,
+            secs: Cell::new(0.0),
+        });
+        let sampler = Sampler {
+            denoiser: &editor.model.denoiser,
+            weights: &editor.weights,
+            schedule: &editor.schedule,
+            prediction: diffusion.prediction,
+            extrapolation: config.extrapolation.as_ref(),
+            clip: diffusion.clip,
+            guidance: settings.guidance,
+            coordinator: coordinator.as_ref(),
+        };
+        let x = sampler.sample(
+            &condition,
+            |_| {
+                let scale = settings.temperature as f32;
+                let noise: Vec<f32> = requests
+                    .iter_mut()
+                    .flat_map(|request| {
+                        (0..frames * 3 * keypoints)
+                            .map(|_| scale * request.rng.sample::<f32, _>(StandardNormal))
+                    })
+                    .collect();
+                window(noise, frames)
+            },
+            |_, _| {},
+        );
+        let generated = x
+            .into_data()
+            .try_into_vec_as()
+            .expect("a float tensor gives floats");
+        let guided = coordinator.map_or(0.0, |guide| guide.secs.get());
+        self.times.coordinator_secs += guided;
+        self.times.diffusion_secs += session.secs() - begun - guided;
+        self.times.num_windows += num_rows;
+        self.times.num_batches += 1;
+        Ok(widened(generated, keypoints))
+    }
+}
+
+/// Generated windows with all keypoints: those that were not generated lie on the joints they hang from.
+fn widened(generated: Vec<f32>, keypoints: usize) -> Vec<f32> {
+    if keypoints == NUM_KEYPOINTS {
+        return generated;
+    }
+    generated
+        .chunks_exact(3 * keypoints)
+        .flat_map(|frame| {
+            (0..NUM_KEYPOINTS).flat_map(move |slot| {
+                let known = if slot < keypoints {
+                    slot
+                } else {
+                    keypoint_parent(slot)
+                };
+                frame[3 * known..3 * known + 3].iter().copied()
+            })
+        })
+        .collect()
+}
+
+/// The keypoint that one of the others hangs from.
+pub(crate) fn keypoint_parent(slot: usize) -> usize {
+    usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
+}

@@ -1,0 +1,449 @@
+//! A motion cut into windows, and its frames at the rate of the edit.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton};
+use kinematics::KeypointFrame;
+use kinematics::canonical::{FIXED_FRAMES, GroundTransform, canonicalise, motion_from_segment};
+use kinematics::normalise::NormalizedFrame;
+use kinematics::resample::{grid, interpolate, interpolate_all};
+use serde::{Deserialize, Serialize};
+
+use super::settings::FitMethod;
+use crate::Error;
+use crate::fit::EditorRecord;
+
+/// An instruction for some frames of a motion.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimedInstruction {
+    /// The frames, at the motion's own rate.
+    pub frames: Range<usize>,
+    /// What is asked for.
+    pub text: String,
+}
+
+impl std::str::FromStr for TimedInstruction {
+    type Err = String;
+
+    /// Reads `FIRST:END TEXT`.
+    fn from_str(asked: &str) -> Result<Self, String> {
+        let parse = || {
+            let (range, text) = asked.split_once(' ')?;
+            let (first, end) = range.split_once(':')?;
+            let frames = first.parse().ok()?..end.parse().ok()?;
+            let text = text.trim().to_owned();
+            (!text.is_empty()).then_some(Self { frames, text })
+        };
+        parse().ok_or_else(|| {
+            format!("{asked:?} is not FIRST:END TEXT, such as \"0:40 The person is waving.\"")
+        })
+    }
+}
+
+/// A motion to edit, cut into windows at the model's rate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditItem {
+    /// Names the item, and with the seed decides its noise.
+    pub id: String,
+    /// The windows, each of which begins no earlier than the one before.
+    pub windows: Vec<EditWindow>,
+    /// Where the first window stands in the world.
+    pub placement: GroundTransform,
+    /// The original at the rate of the edit, which becomes equally long. What an edit keeps of it are
+    /// the twists that no keypoint shows.
+    pub original: Vec<Pose>,
+    /// Rate of the edit.
+    pub fps: Fps,
+}
+
+/// A window to edit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditWindow {
+    /// Canonical, normalised frames of the original, `W` of them.
+    pub original: Vec<NormalizedFrame>,
+    /// What is asked for; nothing keeps the window as it is.
+    pub instruction: Option<Arc<str>>,
+    /// Position of the window in what its instruction covers, in [0, 1].
+    pub progress: f32,
+    /// Its first frame, at the model's rate. The window replaces what earlier ones made of the frames
+    /// after its two fixed ones, but for those it is blended with.
+    pub start: usize,
+    /// Its first frames that are used, the fixed ones included; `W` but where its instruction, or the
+    /// motion, ends within it.
+    pub used: usize,
+}
+
+/// A run of frames at the model's rate that hear the same instruction, or none.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Span {
+    frames: Range<usize>,
+    instruction: Option<usize>,
+}
+
+impl EditItem {
+    /// Cuts a motion of any rate into windows that all ask for the same. The edit has the motion's
+    /// own rate and length.
+    ///
+    /// # Errors
+    /// The motion has no frame.
+    ///
+    /// # Source
+    /// Paper, App. B.2. The windows advance by what each adds; the released demo's 31 raw
+    /// frames drift against the generated motion (`algorithms` section 8).
+    pub fn new(
+        id: impl Into<String>,
+        motion: &Motion,
+        instruction: &str,
+        skeleton: &Skeleton,
+        editor: &EditorRecord,
+    ) -> Result<Self, Error> {
+        let whole = TimedInstruction {
+            frames: 0..motion.len(),
+            text: instruction.to_owned(),
+        };
+        Self::timed(id, motion, &[whole], motion.fps(), skeleton, editor)
+    }
+
+    /// Cuts a motion into windows that ask for what is asked of their frames; a frame belongs to the
+    /// first instruction that covers it, and stays as it is where none does. `fps` is the rate of the
+    /// edit.
+    ///
+    /// The first window of an instruction adds the first frame of its range, and the last one is used
+    /// up to its last. Where a window does not fit before the end of the motion, it begins earlier and
+    /// replaces what was made of the frames it repeats; where the range does not reach back that far,
+    /// or the motion is shorter than a window, the last pose is held to fill it, and the frames that
+    /// were added are cut off again.
+    ///
+    /// # Errors
+    /// The motion has no frame, a range is empty or ends after the motion, or an instruction has no
+    /// frame of its own.
+    ///
+    /// # Source
+    /// Paper, App. E.1 (time-variant editing); which window hears which instruction is not published.
+    pub fn timed(
+        id: impl Into<String>,
+        motion: &Motion,
+        instructions: &[TimedInstruction],
+        fps: Fps,
+        skeleton: &Skeleton,
+        editor: &EditorRecord,
+    ) -> Result<Self, Error> {
+        let id = id.into();
+        let (window, normalizer) = (editor.train.window, &editor.normalizer);
+        let overlap = editor.train.diffusion.overlap;
+        let (model_fps, anchor) = (editor.compose.config.fps, editor.compose.config.anchor);
+        for asked in instructions {
+            let Range { start, end } = asked.frames;
+            if start >= end || end > motion.len() {
+                return Err(Error::Item {
+                    id,
+                    problem: format!(
+                        "has {} frames, which the range {start}:{end} of {:?} does not fit",
+                        motion.len(),
+                        asked.text
+                    ),
+                });
+            }
+        }
+        let original = Resample::Exact
+            .apply(motion, fps)
+            .map_err(|source| Error::Motion {
+                id: id.clone(),
+                source: source.into(),
+            })?
+            .poses();
+        let mut poses = covering(motion, model_fps);
+        let num_frames = poses.len();
+        let Some(&last_pose) = poses.last() else {
+            return Err(Error::Item {
+                id,
+                problem: "has no frame".to_owned(),
+            });
+        };
+        let to_model = model_fps.get() / motion.fps().get();
+        let spans = spans(num_frames, motion.len(), to_model, instructions);
+        for (index, asked) in instructions.iter().enumerate() {
+            if spans.iter().all(|span| span.instruction != Some(index)) {
+                let Range { start, end } = asked.frames;
+                return Err(Error::Item {
+                    id,
+                    problem: format!(
+                        "has no frame of its own for {start}:{end} {:?}: at {model_fps} all of them \
+                         belong to instructions before it; widen the range",
+                        asked.text
+                    ),
+                });
+            }
+        }
+        let places: Vec<(usize, usize, Option<usize>)> = spans
+            .iter()
+            .flat_map(|span| {
+                let instruction = span.instruction;
+                // What is kept as it was meets what was there.
+                let overlap = instruction.map_or(0, |_| overlap);
+                places(&span.frames, num_frames, window, overlap)
+                    .into_iter()
+                    .map(move |(start, used)| (start, used, instruction))
+            })
+            .collect();
+        let needed = places.iter().map(|(start, ..)| start + window).max();
+        poses.resize(needed.unwrap_or(0).max(num_frames), last_pose);
+        let texts: Vec<Arc<str>> = instructions
+            .iter()
+            .map(|asked| asked.text.as_str().into())
+            .collect();
+        let windows = places
+            .into_iter()
+            .map(|(start, used, instruction)| {
+                let mut segment = poses[start..start + window].to_vec();
+                canonicalise(&mut segment, anchor, skeleton);
+                let progress = instruction.map_or(0.0, |index| {
+                    let Range { start: begin, end } = instructions[index].frames;
+                    let length = (end - begin) as f64 * to_model;
+                    ((start as f64 - begin as f64 * to_model) / length).clamp(0.0, 1.0)
+                });
+                EditWindow {
+                    original: segment
+                        .iter()
+                        .map(|pose| normalizer.normalize(&skeleton.keypoints(pose)))
+                        .collect(),
+                    instruction: instruction.map(|index| Arc::clone(&texts[index])),
+                    progress: progress as f32,
+                    start,
+                    used,
+                }
+            })
+            .collect();
+        Ok(Self {
+            id,
+            windows,
+            placement: motion_from_segment(&poses[0], anchor, skeleton),
+            original,
+            fps,
+        })
+    }
+
+    /// Resamples keypoints from the model's rate to that of the edit, and to the length of the original.
+    /// The published fit interpolates each coordinate linearly; the exact fit uses a Catmull-Rom spline,
+    /// because straight lines put all acceleration into the frames of the model.
+    ///
+    /// # Panics
+    /// If the frames do not cover the original.
+    pub fn at_own_rate(
+        &self,
+        frames: &[KeypointFrame],
+        model_fps: Fps,
+        fit: FitMethod,
+    ) -> Vec<KeypointFrame> {
+        let step = model_fps.get() / self.fps.get();
+        (0..self.original.len())
+            .map(|frame| {
+                let at = frame as f64 * step;
+                // The tolerance absorbs the rounding of a quotient of rates.
+                let before = (at + 1e-6).floor() as usize;
+                let share = (at - before as f64).max(0.0);
+                if share < 1e-6 {
+                    return frames[before];
+                }
+                match fit {
+                    FitMethod::Paper => std::array::from_fn(|slot| {
+                        frames[before][slot].lerp(frames[before + 1][slot], share)
+                    }),
+                    FitMethod::Exact => catmull_rom(frames, before, share),
+                }
+            })
+            .collect()
+    }
+}
+
+/// A Catmull-Rom spline through frames, between `before` and the frame after it. Past either end it goes
+/// on as the parabola through the last three frames.
+fn catmull_rom(frames: &[KeypointFrame], before: usize, share: f64) -> KeypointFrame {
+    let after = before + 1;
+    let (b, c) = (&frames[before], &frames[after]);
+    if frames.len() == 2 {
+        return std::array::from_fn(|slot| b[slot].lerp(c[slot], share));
+    }
+    let beyond = |end: &KeypointFrame, next: &KeypointFrame, third: &KeypointFrame| {
+        std::array::from_fn(|slot| 3.0 * (end[slot] - next[slot]) + third[slot])
+    };
+    let a = match before.checked_sub(1) {
+        Some(first) => frames[first],
+        None => beyond(b, c, &frames[after + 1]),
+    };
+    let d = match frames.get(after + 1) {
+        Some(last) => *last,
+        None => beyond(c, b, &a),
+    };
+    let (t, t2, t3) = (share, share * share, share * share * share);
+    let weights = [
+        0.5 * (-t3 + 2.0 * t2 - t),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+        0.5 * (t3 - t2),
+    ];
+    std::array::from_fn(|slot| {
+        a[slot] * weights[0] + b[slot] * weights[1] + c[slot] * weights[2] + d[slot] * weights[3]
+    })
+}
+
+/// Frames at the model's rate that cover a motion.
+pub fn model_frames(num_frames: usize, fps: Fps, editor: &EditorRecord) -> usize {
+    let to_model = editor.compose.config.fps.get() / fps.get();
+    match num_frames.checked_sub(1) {
+        Some(last) => (last as f64 * to_model - 1e-6).ceil() as usize + 1,
+        None => 0,
+    }
+}
+
+/// The poses of a motion at another rate over the whole of it: where its last frame lies between two,
+/// the second of them is there too, as far beyond the end as the one before is from it.
+fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
+    let poses = motion.poses();
+    let Some(last) = poses.len().checked_sub(1) else {
+        return poses;
+    };
+    let mut out = interpolate_all(&poses, &grid(poses.len(), motion.fps(), fps));
+    let step = motion.fps().get() / fps.get();
+    let missing = out.len() as f64 * step - last as f64;
+    if missing < step * (1.0 - 1e-6) && missing > 0.0 {
+        let mirrored = last as f64 - missing;
+        let pose = if mirrored < 0.0 {
+            poses[last]
+        } else {
+            let place = (mirrored.floor() as usize, mirrored.fract());
+            let before = interpolate_all(&poses, &[place])[0];
+            interpolate(&before, &poses[last], 2.0)
+        };
+        out.push(pose);
+    }
+    out
+}
+
+/// The spans of `num_frames` frames at the model's rate, of a motion of `length` frames of its own.
+fn spans(
+    num_frames: usize,
+    length: usize,
+    to_model: f64,
+    instructions: &[TimedInstruction],
+) -> Vec<Span> {
+    let owner = |frame: usize| {
+        // A frame past the end belongs to whom the last one belongs to.
+        let at = (frame as f64 / to_model).min((length - 1) as f64) + 1e-6;
+        instructions
+            .iter()
+            .position(|asked| (asked.frames.start as f64) <= at && at < asked.frames.end as f64)
+    };
+    let mut spans: Vec<Span> = Vec::new();
+    for frame in 0..num_frames {
+        let instruction = owner(frame);
+        match spans.last_mut() {
+            Some(span) if span.instruction == instruction => span.frames.end = frame + 1,
+            // Nothing can be fixed before the second frame: what is asked then, is asked from the
+            // first on.
+            Some(span) if span.frames.end < FIXED_FRAMES => {
+                span.frames.end = frame + 1;
+                span.instruction = instruction;
+            }
+            _ => spans.push(Span {
+                frames: frame..frame + 1,
+                instruction,
+            }),
+        }
+    }
+    spans
+}
+
+/// Start and used frames of the windows that make the frames of a span, of a motion of `num_frames`. Each
+/// window but the first makes the last `overlap` frames before it anew.
+fn places(
+    frames: &Range<usize>,
+    num_frames: usize,
+    window: usize,
+    overlap: usize,
+) -> Vec<(usize, usize)> {
+    let mut places = Vec::new();
+    let mut next = frames.start;
+    while next < frames.end {
+        let natural = next.saturating_sub(FIXED_FRAMES);
+        let latest = num_frames.saturating_sub(window);
+        let is_free = latest + FIXED_FRAMES >= frames.start;
+        let start = if natural > latest && is_free {
+            latest
+        } else {
+            natural
+        };
+        let used = (frames.end - start).min(window);
+        places.push((start, used));
+        let end = start + used;
+        if end == frames.end {
+            break;
+        }
+        next = end - overlap;
+    }
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use kinematics::skeleton::NUM_KEYPOINTS;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn cubic(coefficients: [DVec3; 4], t: f64) -> DVec3 {
+        let [a, b, c, d] = coefficients;
+        a + t * (b + t * (c + t * d))
+    }
+
+    fn vector() -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-1.0..1.0).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn the_spline_follows_parabolas_and_passes_through_its_frames(
+            coefficients in prop::array::uniform3(vector()),
+            num_frames in 3usize..7,
+            place in 0.0..1.0f64,
+        ) {
+            let [a, b, c] = coefficients;
+            let parabola = |t| [cubic([a, b, c, DVec3::ZERO], t); NUM_KEYPOINTS];
+            let frames: Vec<KeypointFrame> = (0..num_frames).map(|at| parabola(at as f64)).collect();
+            let at = place * (num_frames - 1) as f64;
+            let before = (at.floor() as usize).min(num_frames - 2);
+            // A Catmull-Rom spline reproduces parabolas, and past the ends ours goes on as one. Numbers
+            // reach 50 and are rounded a dozen times.
+            let found = catmull_rom(&frames, before, at - before as f64);
+            prop_assert!(found[3].distance(parabola(at)[3]) < 1e-12, "{at}");
+            for (share, frame) in [(0.0, before), (1.0, before + 1)] {
+                let found = catmull_rom(&frames, before, share);
+                prop_assert!(found[0].distance(frames[frame][0]) < 1e-12, "{frame}");
+            }
+        }
+
+        #[test]
+        fn the_speed_of_the_spline_does_not_jump_at_a_frame(
+            points in prop::collection::vec(vector(), 4..7),
+            place in 0.0..1.0f64,
+        ) {
+            const STEP: f64 = 1e-6;
+            let frames: Vec<KeypointFrame> = points.iter().map(|point| [*point; NUM_KEYPOINTS]).collect();
+            let frame = 1 + (place * (frames.len() - 2) as f64) as usize;
+            let middle = frames[frame][0];
+            let before = middle - catmull_rom(&frames, frame - 1, 1.0 - STEP)[0];
+            let after = catmull_rom(&frames, frame, STEP)[0] - middle;
+            // Second derivatives are at most 40 for points in the unit cube.
+            prop_assert!((after - before).length() / STEP < 40.0 * 2.0 * STEP);
+        }
+    }
+
+    #[test]
+    fn two_frames_are_joined_by_a_line() {
+        let frames = [[DVec3::ZERO; NUM_KEYPOINTS], [DVec3::ONE; NUM_KEYPOINTS]];
+        assert_eq!(catmull_rom(&frames, 0, 0.25)[27], DVec3::splat(0.25));
+    }
+}

@@ -1,0 +1,14 @@
+//! Editing motions: windows generated one after another and merged.
+
+mod editor;
+mod item;
+mod sampler;
+mod settings;
+mod windows;
+
+pub use self::editor::Editor;
+pub(crate) use self::editor::keypoint_parent;
+pub use self::item::{EditItem, EditWindow, TimedInstruction, model_frames};
+pub use self::sampler::{Condition, Guide, Sampler, reverse};
+pub use self::settings::{EditSettings, EditTimes, FitMethod};
+pub use self::windows::{WindowModel, WindowRequest, edit_windows};

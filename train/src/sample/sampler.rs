@@ -1,0 +1,204 @@
+//! The reverse process from noise to windows.
+
+use std::cell::Cell;
+
+use burn::tensor::Tensor;
+
+use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
+use crate::diffusion::{Basis, Extrapolation, Schedule, guide, put_fixed};
+use crate::model::coordinator::Coordinator;
+use crate::model::denoiser::{Denoiser, PackedWeights};
+
+/// What a batch of windows is generated from.
+#[derive(Clone, Debug)]
+pub struct Condition {
+    /// Normalised original windows, `[B, W, 84]`.
+    pub original: Tensor<3>,
+    /// Normalised first frames, `[B, 2, 84]`; none where they are to be generated too.
+    pub fixed: Option<Tensor<3>>,
+    /// Text vectors, `[B, d]`.
+    pub text: Tensor<2>,
+    /// Position of each window in its motion, `[B]`.
+    pub progress: Vec<f32>,
+}
+
+/// The coordinator as a guide of sampling.
+pub struct Guide<'a> {
+    /// The network.
+    pub network: &'a Coordinator,
+    /// What it moves, and how far.
+    pub config: GuidanceConfig,
+    /// Seconds since any fixed moment.
+    pub clock: &'a dyn Fn() -> f64,
+    /// Seconds spent in it so far.
+    pub secs: Cell<f64>,
+}
+
+impl Guide<'_> {
+    /// How far `x` is moved at a step, if this is what the guide moves and the step is among the
+    /// guided ones.
+    fn push(&self, target: GuidanceTarget, x: &Tensor<3>, timestep: usize) -> Option<Tensor<3>> {
+        let is_guided = target == self.config.target && timestep < self.config.num_steps;
+        if !is_guided || self.config.strength == 0.0 {
+            return None;
+        }
+        // A device computes behind the program: what is waited for on either side is the guide's alone.
+        let _ = x.to_data();
+        let begun = (self.clock)();
+        // A clean window is seen as one of the first step, whose noise is a hundredth.
+        let seen_as = match target {
+            GuidanceTarget::CleanPrediction => 0,
+            GuidanceTarget::PosteriorMean => timestep,
+        };
+        let gradient = self
+            .network
+            .gradient(x.clone(), &vec![seen_as; x.dims()[0]])
+            .mul_scalar(self.config.strength);
+        let _ = gradient.to_data();
+        self.secs.set(self.secs.get() + (self.clock)() - begun);
+        Some(gradient)
+    }
+}
+
+/// Generates windows from pure noise.
+#[derive(Clone, Copy)]
+pub struct Sampler<'a> {
+    /// The network.
+    pub denoiser: &'a Denoiser,
+    /// Its weights.
+    pub weights: &'a PackedWeights,
+    /// The schedule it was trained with.
+    pub schedule: &'a Schedule,
+    /// What it predicts.
+    pub prediction: Prediction,
+    /// What a predicted residual is relative to.
+    pub extrapolation: Option<&'a Extrapolation>,
+    /// Whether estimates of the clean window are clipped to [-1, 1].
+    pub clip: bool,
+    /// Guidance weight.
+    pub guidance: f64,
+    /// Guidance by a coordinator.
+    pub coordinator: Option<&'a Guide<'a>>,
+}
+
+impl Sampler<'_> {
+    /// Generates a batch of windows, `[B, W, 84]`.
+    ///
+    /// `noise` is asked first for the start (`None`), then for every reverse step in the order they
+    /// are made; `on_step` sees each result. The fixed frames are put back, unscaled, at the start
+    /// and after every step. The predictions with and without text share one batch.
+    ///
+    /// # Source
+    /// Released `p_sample_loop` (`algorithms` section 5).
+    pub fn sample(
+        &self,
+        condition: &Condition,
+        noise: impl FnMut(Option<usize>) -> Tensor<3>,
+        on_step: impl FnMut(usize, &Tensor<3>),
+    ) -> Tensor<3> {
+        let batch = condition.progress.len();
+        // At weight 1 the prediction without text cancels out.
+        let is_guided = self.guidance != 1.0;
+        let twice = |x: &Tensor<3>| Tensor::cat(vec![x.clone(), x.clone()], 0);
+        let (text, original, progress) = if is_guided {
+            (
+                Tensor::cat(vec![condition.text.clone(), condition.text.zeros_like()], 0),
+                twice(&condition.original),
+                condition.progress.repeat(2),
+            )
+        } else {
+            (
+                condition.text.clone(),
+                condition.original.clone(),
+                condition.progress.clone(),
+            )
+        };
+        let denoiser =
+            self.denoiser
+                .prepare(self.weights, self.schedule.len(), text, &progress, original);
+        let is_start = vec![condition.fixed.is_none(); batch];
+        let basis = Basis {
+            original: &condition.original,
+            is_start: &is_start,
+            extrapolation: self.extrapolation,
+        };
+        let push = |target, x: &Tensor<3>, timestep| {
+            self.coordinator
+                .and_then(|guide| guide.push(target, x, timestep))
+        };
+        let estimate = |x: &Tensor<3>, timestep: usize| {
+            let input = if is_guided { twice(x) } else { x.clone() };
+            let predicted = denoiser.forward(input, timestep);
+            let predicted = if is_guided {
+                guide(
+                    predicted.clone().narrow(0, 0, batch),
+                    predicted.narrow(0, batch, batch),
+                    self.guidance,
+                )
+            } else {
+                predicted
+            };
+            let mut x0 = self.schedule.clean_of(
+                self.prediction,
+                predicted,
+                x,
+                basis,
+                &vec![timestep; batch],
+            );
+            if self.clip {
+                x0 = x0.clamp(-1.0, 1.0);
+            }
+            match push(GuidanceTarget::CleanPrediction, &x0, timestep) {
+                Some(gradient) => x0 - gradient,
+                None => x0,
+            }
+        };
+        let nudge = |mean: Tensor<3>, timestep: usize| {
+            // The last step adds no noise, and what is scaled by it is nothing.
+            let gradient = (timestep > 0)
+                .then(|| push(GuidanceTarget::PosteriorMean, &mean, timestep))
+                .flatten();
+            match gradient {
+                Some(gradient) => {
+                    let spread = self.schedule.posterior_variance[timestep].sqrt();
+                    mean - gradient.mul_scalar(spread)
+                }
+                None => mean,
+            }
+        };
+        reverse(
+            self.schedule,
+            condition.fixed.as_ref(),
+            estimate,
+            nudge,
+            noise,
+            on_step,
+        )
+    }
+}
+
+/// Runs the reverse process from pure noise, `[B, W, 84]`, with `estimate` telling the clean windows of
+/// noisy ones and `nudge` moving the mean of a posterior. `noise` and `on_step` are those of
+/// [`Sampler::sample`].
+pub fn reverse(
+    schedule: &Schedule,
+    fixed: Option<&Tensor<3>>,
+    estimate: impl Fn(&Tensor<3>, usize) -> Tensor<3>,
+    nudge: impl Fn(Tensor<3>, usize) -> Tensor<3>,
+    mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
+    mut on_step: impl FnMut(usize, &Tensor<3>),
+) -> Tensor<3> {
+    let put = |x: Tensor<3>| match fixed {
+        Some(fixed) => put_fixed(x, fixed.clone()),
+        None => x,
+    };
+    let mut x = put(noise(None));
+    for timestep in (0..schedule.len()).rev() {
+        let x0 = estimate(&x, timestep);
+        let timesteps = vec![timestep; x.dims()[0]];
+        let mean = nudge(schedule.posterior_mean(x0, x, &timesteps), timestep);
+        x = put(schedule.add_noise(mean, timestep, noise(Some(timestep))));
+        on_step(timestep, &x);
+    }
+    x
+}
