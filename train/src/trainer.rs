@@ -1,4 +1,4 @@
-//! The training loop of every model: it trains, stops, continues and writes checkpoints.
+//! Training loop shared by all models: training, stopping, resuming, checkpoints.
 //!
 //! A model implements [`Task`]; [`train`] does the rest.
 
@@ -20,11 +20,11 @@ use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
 
-/// A model as the trainer sees it: its data, its loss and its files.
+/// What the trainer needs of a model: data, loss and checkpoint files.
 pub trait Task: Sync {
     /// The networks.
     type Model: Module;
-    /// A micro-batch: data small enough to be computed at once.
+    /// Data of a micro-batch.
     type Batch: Send + Sync;
 
     /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
@@ -37,7 +37,7 @@ pub trait Task: Sync {
     /// The mean loss of a micro-batch.
     fn loss(&self, model: &Self::Model, batch: &Self::Batch, device: &Device) -> Tensor<1>;
 
-    /// The mean loss over the validation data, which never change.
+    /// Mean loss over the validation data, which are the same at every validation.
     fn validate(&self, model: &Self::Model, device: &Device) -> f32;
 
     /// The networks as files of a checkpoint.
@@ -95,7 +95,7 @@ pub struct TrainReport {
     pub best_val_loss: Option<f64>,
     /// Step of the lowest validation loss.
     pub best_step: u64,
-    /// Items trained on per second in this session, validations and checkpoints left out.
+    /// Training samples per second in this session, without validations and checkpoints.
     pub samples_per_sec: f64,
     /// Share of that time spent waiting for data.
     pub data_wait_share: f64,
@@ -440,7 +440,7 @@ fn gradients_of<T: Task>(
     (total, sum.grads())
 }
 
-/// The model as it is validated and used: with averaged weights where there are any.
+/// The model for validation and inference: with EMA weights if the settings ask for them.
 fn used<M: Module>(model: &M, ema: Option<&Ema>) -> M {
     match ema {
         Some(ema) => ema.put_into(model.valid()),

@@ -1,4 +1,4 @@
-//! Weights in and out under PyTorch's names, and their first values.
+//! Saves and loads weights under PyTorch's names, and initialises them.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,8 +16,8 @@ use safetensors::SafeTensors;
 
 use crate::Error;
 
-/// Where a name of ours differs from PyTorch's: (pattern in PyTorch's name, ours; pattern in our
-/// name, PyTorch's). Linear layouts and the names of norms are converted by the store.
+/// Renamed parameters: (pattern in PyTorch's name, ours; pattern in our name, PyTorch's). The store
+/// converts layouts of linear layers and names of norms.
 const RENAMES: [(&str, &str, &str, &str); 7] = [
     (
         r"in_proj_(weight|bias)$",
@@ -116,8 +116,8 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
     let Err(problem) = store.apply_to(network) else {
         return Ok(());
     };
-    // The store speaks of our names; whoever brought the file knows PyTorch's. Names that differ
-    // in further ways are known in one direction only.
+    // The store reports our names; errors must name the tensors as the file does. The extra renames
+    // are known in one direction only.
     let expected = if names.is_empty() {
         shapes(&to_safetensors(network, path)?, "", path)?
     } else {
@@ -143,7 +143,7 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
     Err(Error::weights(path, detail))
 }
 
-/// Tensors an error names before it only counts them.
+/// Maximum number of tensors an error names.
 const LISTED: usize = 5;
 
 /// Shapes of the tensors of a safetensors file whose names start with `prefix`, by the rest.
@@ -157,11 +157,10 @@ fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Ve
         .collect())
 }
 
-/// Draws every parameter of a network, and names it, by its place in the network.
+/// Initialises every parameter of a network, and derives its id, from its path in the network.
 ///
-/// A value depends on the seed and the name alone, so that networks can be built side by side on
-/// any number of threads; and the optimiser finds the state of a parameter again in another
-/// process, because its id follows from its name too.
+/// A value depends only on the seed and the path, so that networks can be built in parallel. Ids follow
+/// from paths so that the optimiser finds a parameter's state again in another process.
 ///
 /// # Errors
 /// The network has a parameter that no rule is known for.

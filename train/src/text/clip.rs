@@ -12,8 +12,7 @@ use crate::model::clip::{ClipConfig, ClipText};
 use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 use crate::model::weights::to_safetensors;
 
-/// Names the weights may have, the preferred one first: one is read as it is, the other is a
-/// pickle.
+/// File names of the weights, safetensors first; the other is a pickle.
 const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
 /// Names the tokenizer may have.
 const TOKENIZERS: [&str; 3] = [
@@ -186,7 +185,7 @@ impl ClipEncoder {
     /// The weights cannot be hashed.
     pub fn new(network: ClipText, tokenizer: ClipTokenizer) -> Result<Self, Error> {
         let mut hasher = blake3::Hasher::new();
-        // Written out by the network, equal weights are equal bytes whatever file they came in.
+        // Serialise the network: equal weights give equal bytes, whatever file they came in.
         hasher.update_rayon(&to_safetensors(&network, Path::new("weights of CLIP"))?);
         tokenizer.hash_into(&mut hasher)?;
         Ok(Self {
@@ -196,8 +195,8 @@ impl ClipEncoder {
         })
     }
 
-    /// What tells this encoder from any other: a BLAKE3 of its weights and vocabulary. It is the
-    /// same whether they came as safetensors or pickle, as JSON or as a list of merges.
+    /// Identity of the encoder: BLAKE3 of its weights and vocabulary, independent of the file formats they
+    /// came in.
     pub fn identity(&self) -> &str {
         &self.identity
     }

@@ -1,9 +1,8 @@
 //! The cache of Hugging Face's tools, and downloads into it.
 //!
 //! Only [`HubCache::fetch`] downloads. The crate `hf-hub` (0.5) has the same cache layout and resumes
-//! downloads too, but renames what arrived without comparing it with its checksum, and brings an HTTP
-//! client of its own beside ureq 3. Files lie where Hugging Face's own tools
-//! put and find them: `models--OWNER--NAME/snapshots/COMMIT/FILE` is a link to
+//! downloads too, but does not verify checksums, and brings an HTTP client of its own beside ureq 3.
+//! Files are stored in the layout of Hugging Face's own tools: `models--OWNER--NAME/snapshots/COMMIT/FILE` is a link to
 //! `blobs/CHECKSUM`, and `refs/main` names the commit.
 
 use std::ffi::OsString;
@@ -24,12 +23,12 @@ use crate::Error;
 const ENDPOINT: &str = "https://huggingface.co";
 /// The branch that is followed.
 const BRANCH: &str = "main";
-/// Redirections followed to the address of a file's description.
+/// Maximum number of redirects followed for a file's metadata.
 const MAX_REDIRECTS: u32 = 5;
-/// Connections a download may lose, so long as each brought something.
+/// Maximum number of connections per download; each must have made progress.
 const MAX_ATTEMPTS: u32 = 20;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
-/// Longest silence of a server.
+/// Read timeout.
 const READ_TIMEOUT: Duration = Duration::from_secs(60);
 const BUFFER_LEN: usize = 1 << 18;
 
@@ -92,7 +91,7 @@ impl Hub {
         format!("{}/{repo}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    /// What the server says about a file; none if it has no such file.
+    /// Metadata of a file; `None` if the server has no such file.
     fn describe(&self, repo: &str, file: &str) -> Result<Option<Remote>, String> {
         let mut address = self.address(repo, BRANCH, file);
         for _ in 0..=MAX_REDIRECTS {
@@ -100,8 +99,8 @@ impl Hub {
             let response = request.call().map_err(|error| error.to_string())?;
             let status = response.status();
             let headers = response.headers();
-            // Large files are described by the answer that leads to them; a file that moved, or
-            // a small one, is described at a place on the same server.
+            // The redirect to a large file carries its metadata; for small or moved files, the
+            // target on the same server does.
             let moved = text_of(headers, header::LOCATION.as_str())
                 .filter(|place| status.is_redirection() && place.starts_with('/'))
                 .filter(|_| !headers.contains_key("x-linked-etag"));
@@ -164,8 +163,7 @@ fn text_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// What a file's content must hash to: large files are named by their SHA-256, small ones by the
-/// name Git gives them.
+/// Expected checksum of a file: SHA-256 for large files, the Git blob hash for small ones.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Checksum {
     Sha256(String),
@@ -190,7 +188,7 @@ impl Checksum {
         }
     }
 
-    /// Holds content against the checksum; `path` names it in errors.
+    /// Verifies the checksum of content; `path` names it in errors.
     fn check(&self, content: impl Read, len: u64, path: &Path) -> Result<(), Error> {
         let (name, found) = match self {
             Self::Sha256(_) => ("SHA-256", digest(Sha256::new(), content)),
@@ -226,8 +224,8 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a file. One that is a link to content named by its checksum, as in the cache, is held
-/// against it.
+/// Reads a file. If it is a link into the cache, whose blobs are named by their checksums, the checksum is
+/// verified.
 ///
 /// # Errors
 /// The file cannot be read, or is not what its checksum says.
@@ -288,10 +286,9 @@ impl HubCache {
         path.is_file().then_some(path)
     }
 
-    /// Downloads a file of a model into the cache, unless it is there, and holds it against its
-    /// checksum. An interrupted download is resumed. `progress` is told how
-    /// many bytes there are, and of how many where that is known. None if the server has no such
-    /// file.
+    /// Downloads a file of a model into the cache, unless it is there, and verifies its checksum. An
+    /// interrupted download is resumed. `progress` receives the bytes so far and the total, if known.
+    /// `None` if the server has no such file.
     ///
     /// # Errors
     /// The server cannot be reached or fails, another process is fetching the same file, the
@@ -379,7 +376,7 @@ fn download(
             Err(Interrupted::Server(problem)) => problem,
             Err(Interrupted::Disk(error)) => return Err(Error::io("write", part)(error)),
         };
-        // A server that brings nothing more is not asked again.
+        // Give up when a connection made no progress.
         if done <= before || attempt == MAX_ATTEMPTS {
             return Err(failed(lost));
         }
@@ -388,7 +385,7 @@ fn download(
     file.rewind().map_err(Error::io("read", part))?;
     let checked = remote.checksum.check(&mut file, done, part);
     if matches!(checked, Err(Error::Checksum { .. })) {
-        // Going on from wrong bytes could never end well.
+        // Resuming from wrong bytes can never succeed.
         drop(file);
         fs::remove_file(part).map_err(Error::io("remove", part))?;
     }
@@ -400,7 +397,7 @@ enum Interrupted {
     Disk(io::Error),
 }
 
-/// One connection's worth of a download: `done` counts what the file holds.
+/// Downloads over one connection; `done` counts the bytes in the file.
 fn advance(
     hub: &Hub,
     address: &str,
@@ -416,7 +413,7 @@ fn advance(
         .is_some_and(|(start, _)| start.parse() == Ok(*done));
     match response.status() {
         StatusCode::PARTIAL_CONTENT if continues => {}
-        // A server that cannot start in the middle sends everything.
+        // A server without range requests sends the whole file.
         StatusCode::OK => *done = 0,
         status => {
             return Err(Interrupted::Server(format!("the server answers {status}")));
@@ -437,7 +434,7 @@ fn advance(
             .map_err(Interrupted::Disk)?;
         *done += count as u64;
         if len.is_some_and(|len| *done > len) {
-            // The excess is cut off, so that the next run starts from what may be right.
+            // Truncate the excess, so that the next run resumes from bytes that may be right.
             *done = 0;
             file.set_len(0).map_err(Interrupted::Disk)?;
             let problem = "the server sends more than it said".to_owned();
@@ -447,10 +444,10 @@ fn advance(
     }
 }
 
-/// Makes the entry of a snapshot. Where the file system knows no links for everyone, it is a
-/// second name of the same content.
+/// Creates the entry of a snapshot: a symbolic link, or a hard link where the system does not allow
+/// those.
 fn link(blob: &Path, path: &Path) -> io::Result<()> {
-    // A link that leads nowhere may be left from a cache that was cleaned.
+    // Replace a dangling link, which cleaning the cache can leave behind.
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}

@@ -1,4 +1,4 @@
-//! Where the frozen text encoder of a model is found, and the vectors it gives.
+//! Locates the frozen text encoder of a model and computes its vectors.
 
 use std::path::{Path, PathBuf};
 
@@ -15,9 +15,9 @@ pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 /// Where CLIP is found.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {
-    /// Its folder, if the user names one.
+    /// Folder given by the user.
     pub folder: Option<PathBuf>,
-    /// Cache of the Hugging Face hub to look into otherwise.
+    /// Cache of the Hugging Face hub, searched otherwise.
     pub cache: Option<HubCache>,
 }
 

@@ -14,20 +14,20 @@ use crate::vocabulary::TokenBatch;
 /// Names of the start and end tokens in Hugging Face's and in open_clip's files.
 const START_NAMES: [&str; 2] = ["<|startoftext|>", "<start_of_text>"];
 const END_NAMES: [&str; 2] = ["<|endoftext|>", "<end_of_text>"];
-/// What stands behind the last piece of a word.
+/// Suffix of the last piece of a word.
 const WORD_END: &str = "</w>";
 /// Merges of CLIP's vocabulary of 49,408: all but 512 bytes, the start and the end. OpenAI's list
 /// is longer.
 const NUM_MERGES: usize = 49_152 - 256 - 2;
 /// How a text is cut into words that are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
-/// What the number behind a row's end token is; OpenAI fills rows with it.
+/// Padding token, after a row's end token (as OpenAI pads).
 const PADDING: i32 = 0;
 /// Largest unpacked list of merges.
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
-/// A text that tells tokenizers apart which share a vocabulary: case, contractions, digits,
-/// punctuation, white space, and letters beyond ASCII.
+/// Probe text for tokenizers that share a vocabulary: case, contractions, digits, punctuation, white
+/// space, and letters beyond ASCII.
 const PROBE: &str = "Raise  it's 2nd\tArm, café 90°-ÉÅ &amp; \u{1f600}!";
 
 /// Byte-pair encoding of texts as CLIP was trained with it.
@@ -75,12 +75,12 @@ impl ClipTokenizer {
         let document = document.transpose().map_err(failed)?;
         let tokenizer = Tokenizer::from_bytes(document.as_deref().unwrap_or(content));
         let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
-        // Rows are cut and filled here, the same for every file.
+        // Truncate and pad here, in the same way for every file.
         tokenizer
             .with_truncation(None)
             .map_err(|error| failed(error.to_string()))?;
         tokenizer.with_padding(None);
-        // A text that spells out a special token is text like any other.
+        // Special tokens in a text are encoded as plain text.
         tokenizer.set_encode_special_tokens(true);
         let special = |names: &[&str; 2]| {
             names
@@ -106,8 +106,8 @@ impl ClipTokenizer {
         self.tokenizer.get_vocab_size(true)
     }
 
-    /// The tokens of a text between the start and the end token, `context` of them at most: what
-    /// is too long loses its last words and keeps the end token.
+    /// The tokens of a text between the start and the end token, truncated to `context` tokens; the end
+    /// token is kept.
     ///
     /// # Errors
     /// The tokenizer of the file fails on the text.
@@ -127,7 +127,7 @@ impl ClipTokenizer {
             .collect())
     }
 
-    /// The tokens of several texts, filled up to the longest of them and at most `context` long.
+    /// The tokens of several texts, padded to the longest of them and at most `context` long.
     ///
     /// # Shapes
     /// `B` texts give `[B, T]`.
@@ -149,8 +149,8 @@ impl ClipTokenizer {
         Ok(TokenBatch { ids, width })
     }
 
-    /// Adds to a hash what decides which tokens a text has. The file's form does not matter: the
-    /// same vocabulary as JSON or as a list of merges hashes alike.
+    /// Hashes what determines tokenisation. The same vocabulary as JSON or as a list of merges hashes
+    /// alike.
     ///
     /// # Errors
     /// As [`ClipTokenizer::encode`].
@@ -161,7 +161,7 @@ impl ClipTokenizer {
             .into_iter()
             .map(|(token, id)| (id, token))
             .collect();
-        // The special tokens count by their numbers: their names differ between files.
+        // Hash special tokens by number: their names differ between files.
         let special = [self.start, self.end].map(i64::from);
         for (id, token) in &vocabulary {
             if !special.contains(&i64::from(*id)) {
@@ -240,8 +240,8 @@ fn document_of_merges(text: &str) -> Result<Vec<u8>, String> {
     serde_json::to_vec(&document).map_err(|error| error.to_string())
 }
 
-/// The letter that stands for each byte, in the order of the vocabulary: visible letters of
-/// Latin-1 stand for themselves and come first, and the other bytes borrow letters from 256 on.
+/// The character of each byte, in vocabulary order: printable Latin-1 characters map to themselves and
+/// come first; the other bytes map to characters from 256 on.
 ///
 /// # Source
 /// `bytes_to_unicode` of OpenAI's CLIP.
