@@ -1,8 +1,8 @@
 //! Frames read page by page, for readers that take rows in an order of their own.
 //!
-//! What the general reader spends on nesting levels and row objects is several times the cost of the
-//! numbers; for rows of one known length the levels say nothing. A page is read where it lies,
-//! unpacked, and its bytes are put together.
+//! The general reader spends several times as long on nesting levels and row objects as on the values.
+//! Rows of one known length need no levels: this reader reads the pages it needs, decompresses them and
+//! joins their byte streams.
 
 use std::cell::RefCell;
 use std::fs::File;
@@ -121,7 +121,7 @@ impl FramePages {
         self.pages.iter().map(|page| page.num_rows)
     }
 
-    /// Numbers of a row of a column, by its first page; 0 if there is no page.
+    /// Values per row of a column, taken from its first page; 0 if there is no page.
     ///
     /// # Errors
     /// The page cannot be read.
@@ -221,7 +221,7 @@ impl FramePages {
                     return Ok(take(values));
                 }
             }
-            // Pages of other forms, and bad ones, are the general reader's business.
+            // The general reader handles other encodings and reports bad pages.
             let (bytes, levels_len) = self.unpack(page, column)?;
             Ok(take(&bytes[levels_len..]))
         })
@@ -238,8 +238,8 @@ impl FramePages {
         let leaf = self.leaves[column];
         let group = self.metadata.row_group(place.row_group);
         let places = locations(&self.metadata, place.row_group, leaf).unwrap_or_default();
-        // All places, of which those before are passed over without being read: with a part of
-        // them, the reader takes what lies before for a dictionary.
+        // Pass all page locations; the reader skips the earlier ones without reading them. Given only
+        // some, it would take the bytes before the first for a dictionary page.
         let mut reader = SerializedPageReader::new(
             Arc::clone(&self.file),
             group.column(leaf),
@@ -337,21 +337,21 @@ impl ClipReader {
     }
 }
 
-/// Where the pages of a column lie.
+/// Page locations of a column.
 fn locations(metadata: &ParquetMetaData, row_group: usize, leaf: usize) -> Option<&[PageLocation]> {
     let index = metadata.offset_index()?.get(row_group)?.get(leaf)?;
     Some(index.page_locations())
 }
 
-/// Longest page that is unpacked in place, in bytes: far longer than any this crate writes.
+/// Maximum size in bytes of a page decompressed here; this crate writes far smaller ones.
 const MAX_PAGE_LEN: usize = 256 << 20;
 
 thread_local! {
     static UNPACKER: RefCell<Unpacker> = RefCell::default();
 }
 
-/// What a thread unpacks pages with. The general reader makes a new decompressor for every page it
-/// is asked for, which takes as long as the page.
+/// Decompressor of a thread. The general reader creates one for every page, which takes as long as
+/// decompressing the page.
 #[derive(Default)]
 struct Unpacker {
     zstd: Option<zstd::bulk::Decompressor<'static>>,
@@ -385,7 +385,7 @@ impl Unpacker {
     }
 }
 
-/// What of a page's header is needed.
+/// The fields of a page header that are used.
 struct PageHeader {
     start: usize,
     plain_len: usize,

@@ -1,4 +1,4 @@
-//! A file that any number of threads read at places of their own.
+//! Positioned reads of a file shared by threads.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -25,7 +25,7 @@ impl Positioned {
         })
     }
 
-    /// Fills a buffer from a place of the file.
+    /// Fills a buffer from an offset of the file.
     pub(super) fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()> {
         let mut done = 0;
         while done < buffer.len() {
@@ -51,7 +51,7 @@ impl Length for Positioned {
     }
 }
 
-/// A file read from a place on.
+/// Sequential reads of a file from an offset.
 pub(super) struct From {
     file: Positioned,
     at: u64,

@@ -247,7 +247,7 @@ pub(crate) fn interpolate(poses: &[Pose], at: &[(usize, f64)]) -> Vec<Pose> {
     struct Between<'a> {
         poses: &'a [Pose],
         at: &'a [(usize, f64)],
-        /// The places that are not frames.
+        /// Indices of the places between frames.
         places: &'a [usize],
         out: &'a mut [Pose],
     }

@@ -42,16 +42,14 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
 /// Largest angle in radians that [`sin_cos`] reduces without loss.
 pub const MAX_ANGLE: f64 = 1e6;
 
-/// Angle in radians below which its sine is the angle: the square of half of it is less than
-/// rounding.
+/// Angle in radians below which its sine equals it in double precision.
 const SMALL_ANGLE: f64 = 1e-9;
 
 /// Sine and cosine of an angle in radians, correct to 2 units in the last place of 1 for angles up
 /// to [`MAX_ANGLE`].
 #[inline(always)]
 pub fn sin_cos(angle: f64) -> (f64, f64) {
-    /// Added and taken off again, it rounds to a whole number and leaves that number in the last
-    /// bits.
+    /// Adding and subtracting it rounds to an integer, which the lowest bits of the sum hold.
     const SHIFT: f64 = 6_755_399_441_055_744.0;
     /// Pi / 2 in parts, the first two so short that their products with a count of quarter turns
     /// are exact.
@@ -116,7 +114,7 @@ pub fn angle_of(sine: f64, cosine: f64) -> f64 {
         0.039_219_552_532_551_29,
         -0.019_162_068_915_902_577,
     ];
-    // Angles near 0, pi/4 and pi/2 are told by a tangent within an eighth of pi.
+    // Reduce to a tangent within pi / 8 of 0, pi / 4 or pi / 2.
     let steep = sine > HIGH * cosine;
     let flat = sine <= LOW * cosine;
     let (over, under, base) = if flat {
@@ -192,7 +190,7 @@ pub fn slerp(from: [f64; 4], to: [f64; 4], alpha: f64) -> [f64; 4] {
     let angle = half + half;
     let near = angle < SMALL_ANGLE;
     let beta = 1.0 - alpha;
-    // What both weights have in common is lost in the normalisation.
+    // The common factor of both weights cancels in the normalisation.
     let first = sin_cos(beta * angle).0;
     let second = sin_cos(alpha * angle).0;
     let first = if near { beta } else { first };
