@@ -136,7 +136,8 @@ export class Clock {
     let offset = this.position - loopIn + seconds * fps * speed;
     if (offset < 0) offset = 0;
     this.position = loopIn + (offset % length);
-    const frame = Math.floor(this.position);
+    // The sum may round up to the frame after the loop.
+    const frame = Math.min(loopOut, Math.floor(this.position));
     if (frame !== this.state.frame) this.set({ frame });
   }
 

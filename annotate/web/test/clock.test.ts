@@ -41,6 +41,21 @@ test("the loop wraps and never leaves its ends", () => {
   assert.deepEqual([...seen].sort((a, b) => a - b), [10, 11, 12, 13, 14, 15]);
 });
 
+test("rounding does not show the frame after the loop", () => {
+  const clock = new Clock();
+  clock.load(100, 20);
+  clock.seek(12);
+  clock.setLoopIn();
+  clock.seek(15);
+  clock.setLoopOut();
+  clock.seek(12);
+  clock.play(true);
+  clock.tick(0);
+  // 4 frames less a rounding: 12 + 3.9999999999999996 is 16 in double precision.
+  clock.tick(199.99999999999997);
+  assert.equal(clock.now.frame, 15);
+});
+
 test("a loop end before its start opens the other side", () => {
   const clock = new Clock();
   clock.load(50, 20);
