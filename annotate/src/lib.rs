@@ -1,7 +1,7 @@
 //! Masks, descriptions and pair judgements by people: a server, its store, and its front end.
 //!
-//! [`http::Server`] serves the pages and the interface of `API.md` over a [`store::Store`], which keeps an
-//! append-only log and tables derived from it. [`transfer`] imports tasks from a dataset and exports
+//! [`http::Server`] serves the pages and the API of `API.md`. Its [`store::Store`] keeps an append-only log
+//! and tables derived from it. [`transfer`] imports tasks from a dataset and exports
 //! accepted answers to it. Computations on motion come from `kinematics` and `pipeline::compose`
 //! ([`motions`]); the browser only draws.
 //!

@@ -389,7 +389,7 @@ fn good_glb() -> Vec<u8> {
     write::gltf::encode(&motion, &Skeleton::smplx_neutral()).expect("encodes")
 }
 
-/// Start of the JSON of a binary glTF file: behind its header and the header of the chunk.
+/// Offset of the JSON in a binary glTF file: after the file header and the chunk header.
 const GLB_JSON: usize = 20;
 
 /// A copy of a binary glTF file with changes to its JSON and its binary chunk.

@@ -412,7 +412,7 @@ const FEET: [Joint; 4] = [
 /// Speed in m/s below which a foot is at rest, and the unit of the loss on feet that slide.
 const REST_SPEED: f64 = 0.1;
 
-/// What the denoiser is trained for.
+/// The training objective of the denoiser.
 #[derive(Clone, Copy, Debug)]
 pub struct Objective<'a> {
     /// Noise added to windows.
@@ -493,7 +493,7 @@ impl Objective<'_> {
         let free = |x: &Tensor<3>| x.clone().narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
         let mut loss = config.loss.mean(free(&predicted), free(&target));
         if let Some(begun) = begun {
-            // Every number counts the same: the mean over the first frames has as many fewer.
+            // Weight by the number of frames, so that every value counts the same.
             loss = loss + begun.mul_scalar(FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64);
         }
         if config.motion_weight > 0.0 {
@@ -538,16 +538,16 @@ impl Objective<'_> {
         put_fixed(x_t, shown)
     }
 
-    /// The loss on feet that slide: the mean over all steps from frame to frame that end in a generated
-    /// frame, of ankles and feet whose speed in `wanted` is below [`REST_SPEED`], of their speed in
-    /// `clean` in that unit. Feet that move count as zeros, so that a window weighs by its contacts.
+    /// The contact loss: the speed in `clean`, in units of [`REST_SPEED`], of ankles and feet whose speed in
+    /// `wanted` is below it. The mean is over all feet and all steps that end in a generated frame; moving
+    /// feet count as zero, so a window weighs by its contacts.
     ///
     /// # Shapes
     /// Both `[B, W, D]`, clean windows; the result is one number.
     fn sliding(&self, clean: Tensor<3>, wanted: Tensor<3>) -> Tensor<1> {
         let [batch, window, _] = clean.dims();
         let Normalizer { min, max } = self.normalizer;
-        // What a step of one model unit is in units of the speed.
+        // Displacement of one model unit per frame, in units of REST_SPEED.
         let units: Vec<f32> = (0..3)
             .map(|axis| ((max[axis] - min[axis]) / 2.0 * self.fps.get() / REST_SPEED) as f32)
             .collect();

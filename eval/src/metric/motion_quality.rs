@@ -284,7 +284,7 @@ mod tests {
         assert!(seams(31, FPS, apart).is_empty());
         assert!(seams(0, FPS, apart).is_empty());
         assert_eq!(seams(44, FPS, windows(14, FPS)), [15..=16, 29..=30]);
-        // Windows at 0, 10 and 14, of which the second makes frames 12 to 15 anew: they are blended.
+        // Windows at 0, 10 and 14; the second overlaps the first in frames 12 to 15, which are blended.
         assert_eq!(seams(59, FPS, windows(10, Fps::MODEL)), [22..=32, 30..=40]);
         assert!(seams(59, FPS, windows(15, Fps::MODEL)).is_empty());
 

@@ -215,7 +215,7 @@ struct Travel {
     duration_secs: f64,
     gait: Gait,
     coupling: Coupling,
-    /// Exponent of the style's tempo: fast actions vary less in tempo.
+    /// Exponent of the style's tempo; below 1 the style changes the tempo less.
     haste: f64,
     /// Whether the clip starts and ends standing; otherwise it is a crop of a longer motion.
     halts: [bool; 2],

@@ -1,4 +1,4 @@
-//! What the fuzz targets do with the bytes they are given.
+//! Bodies of the fuzz targets.
 //!
 //! The functions are compiled and run on a few inputs with the workspace; the targets around them
 //! need an instrumented build. From `pipeline/`:

@@ -28,8 +28,8 @@ pub const AUTOMATIC: &str = "automatic";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskConfig {
-    /// Quantile over a clip's frames that is its activity: at 0.75 a part must move for a quarter of the clip, so
-    /// a wave at the end of a walk counts and a twitch does not.
+    /// Quantile over the frames of a clip that measures a part's activity. At 0.75 a part must move for a
+    /// quarter of the clip: a wave at the end of a walk counts, a twitch does not.
     pub frame_quantile: f64,
     /// Quantile over the training clips that is the reference of a part. It is below 1, so that one broken clip
     /// does not make all others inactive.

@@ -47,7 +47,7 @@ const OUTLIER_M: f64 = 0.15;
 /// Why no body was solved.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SolveError {
-    /// The labels are of no known set.
+    /// The labels match no known marker set.
     #[error("{found} of {labels} labels are of a known marker set; no set is whole")]
     UnknownSet {
         /// Labels with a known place.

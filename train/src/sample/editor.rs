@@ -31,7 +31,7 @@ use crate::{Error, Session};
 #[derive(Debug)]
 pub struct Editor {
     model: MotionRefit,
-    /// Those of the model's denoiser.
+    /// Packed weights of the model's denoiser.
     weights: PackedWeights,
     schedule: Schedule,
     record: RunRecord<EditorRecord>,
@@ -92,7 +92,7 @@ impl Editor {
         self.poses.is_some()
     }
 
-    /// Scores of an editor with helpers are not those of the editor alone.
+    /// Mixes the hash of a pose network or coordinator into the editor's, because it changes the edits.
     fn mix_hash(&mut self, other: &str) {
         let both = [self.hash.as_bytes(), other.as_bytes()].concat();
         self.hash = blake3::hash(&both).to_hex().to_string();
@@ -103,7 +103,7 @@ impl Editor {
         self.poses.as_ref()
     }
 
-    /// Where tensors live.
+    /// Device of the tensors.
     pub(crate) fn device(&self) -> &Device {
         &self.device
     }

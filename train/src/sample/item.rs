@@ -227,7 +227,7 @@ impl EditItem {
 
     /// Resamples keypoints from the model's rate to that of the edit, and to the length of the original.
     /// The published fit interpolates each coordinate linearly; the exact fit uses a Catmull-Rom spline,
-    /// because straight lines put all acceleration into the frames of the model.
+    /// because linear interpolation has a jump of velocity at every frame of the model.
     ///
     /// # Panics
     /// If the frames do not cover the original.

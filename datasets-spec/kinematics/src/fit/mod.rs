@@ -39,7 +39,7 @@ const MOST_DAMPING: f64 = 1e6;
 const DAMPING_FACTOR: f64 = 10.0;
 
 /// Length of a step below which the next one uses the second derivative: a tenth of the shorter
-/// bones. Further from the minimum it may be indefinite and lead uphill.
+/// bones. Farther from the minimum the Hessian may be indefinite and the step may increase the error.
 const NEAR_M: f64 = 0.01;
 
 /// Fits a pose to the keypoints of one frame, in metres.

@@ -111,7 +111,7 @@ impl<'a> Machine<'a> {
         &mut self.input
     }
 
-    /// Types of the storages that are kept outside the pickle, by name.
+    /// Element types of the storages outside the pickle, by storage name.
     pub(crate) fn outside_storages(&self) -> BTreeMap<String, array::Dtype> {
         self.nodes
             .iter()
