@@ -86,6 +86,8 @@ fn motion_rows() -> Vec<MotionRow> {
                 rotation_source: "native".to_owned(),
                 fit_error_m: None,
                 captions: Vec::new(),
+                caption_origins: Vec::new(),
+                inputs_hash: String::new(),
                 part_captions: Vec::new(),
                 action: None,
                 style: None,

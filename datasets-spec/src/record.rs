@@ -27,6 +27,8 @@ table! {
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
         pub source_hash: String [""],
+        /// BLAKE3 of everything the clip was read from: its file, and the files of labels and metadata beside it, hexadecimal
+        pub inputs_hash: String ["", newer],
         /// Licence tag of the source, if one was declared
         pub license: Option<String> [""],
         /// Id of the clip this one mirrors
@@ -55,6 +57,8 @@ table! {
         pub fit_error_m: Option<f32> ["m"],
         /// What the clip is said to show, with the time it is said of
         pub captions: Vec<Caption> ["s"],
+        /// Who wrote each of the captions: source, or rule for one made from a file name
+        pub caption_origins: Vec<String> ["", newer],
         /// What single body parts are said to do
         pub part_captions: Vec<PartCaption> [""],
         /// Action label of the source
@@ -133,6 +137,8 @@ table! {
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
         pub source_hash: String [""],
+        /// Licence tag of the source, if one was declared
+        pub license: Option<String> ["", newer],
         /// Frame rate of the capture
         pub fps: f32 ["1/s"],
         /// Frames
@@ -469,6 +475,19 @@ table! {
     }
 }
 
+table! {
+    /// A source item without a motion.
+    #[derive(Serialize, Deserialize)]
+    pub struct SkippedRow = "skipped" {
+        /// Path of the source file relative to the ingested root
+        pub path: String [""],
+        /// BLAKE3 of the source file, hexadecimal; empty for what is not a file
+        pub source_hash: String [""],
+        /// Why it was skipped
+        pub reason: String [""],
+    }
+}
+
 impl MotionRow {
     /// The motion of the row.
     ///
@@ -758,5 +777,6 @@ pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
         (EditRow::TABLE, EditRow::columns()),
         (ScoreRow::TABLE, ScoreRow::columns()),
         (QuarantineRow::TABLE, QuarantineRow::columns()),
+        (SkippedRow::TABLE, SkippedRow::columns()),
     ]
 }

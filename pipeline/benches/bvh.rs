@@ -168,6 +168,8 @@ fn row(motion: &Motion) -> MotionRow {
         rotation_source: "retargeted".to_owned(),
         fit_error_m: None,
         captions: Vec::new(),
+        caption_origins: Vec::new(),
+        inputs_hash: String::new(),
         part_captions: Vec::new(),
         action: None,
         style: None,

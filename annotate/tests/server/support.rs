@@ -68,6 +68,8 @@ fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
             text: format!("a person waves, take {id}"),
             ..Caption::default()
         }],
+        caption_origins: Vec::new(),
+        inputs_hash: String::new(),
         part_captions: Vec::new(),
         action: Some("wave".to_owned()),
         style: None,

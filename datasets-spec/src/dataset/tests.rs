@@ -45,6 +45,8 @@ fn row(index: usize) -> MotionRow {
             };
             index % 3
         ],
+        caption_origins: Vec::new(),
+        inputs_hash: String::new(),
         part_captions: vec![PartCaption::default(); index % 2],
         action: None,
         style: Some("proud".to_owned()),

@@ -61,6 +61,8 @@ pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
         rotation_source: "native".to_owned(),
         fit_error_m: None,
         captions: Vec::new(),
+        caption_origins: Vec::new(),
+        inputs_hash: String::new(),
         part_captions: Vec::new(),
         action: None,
         style: None,
