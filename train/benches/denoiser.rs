@@ -11,8 +11,6 @@ use burn::tensor::{Device, Distribution, Tensor};
 use datasets_spec::{Fps, Seed};
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use kernels::on_workers;
-use kernels::product::{Matrix, Packed, Write, multiply};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use train::config::{NetworkConfig, Prediction, Preset, ScheduleName, TrainConfig};
@@ -186,32 +184,12 @@ const PRODUCTS: [[usize; 3]; 4] = [
     [2 * (1 + WINDOW_FRAMES), 2048, 512],
 ];
 
-/// The backend's matrix product, which is that of the crate `gemm`, in floating-point operations a
-/// second.
+/// The calibration: the backend's matrix product, in floating-point operations a second.
 #[divan::bench(args = PRODUCTS, sample_count = 20)]
-fn product_of_gemm(bencher: Bencher, [m, k, n]: [usize; 3]) {
+fn matrix_product(bencher: Bencher, [m, k, n]: [usize; 3]) {
     let device = Device::flex();
     let (a, b) = (normal([m, k], &device), normal([k, n], &device));
     bencher
         .counter(ItemsCount::new(2 * m * k * n))
         .bench_local(|| black_box(a.clone().matmul(b.clone())));
-}
-
-/// Our product with a factor packed before, as a weight is.
-#[divan::bench(args = PRODUCTS, sample_count = 20)]
-fn product_of_kernels(bencher: Bencher, [m, k, n]: [usize; 3]) {
-    let numbers = |count: usize| -> Vec<f32> {
-        (0..count)
-            .map(|index| (index as f32 * 0.37).sin())
-            .collect()
-    };
-    let (a, b) = (numbers(m * k), numbers(k * n));
-    let packed = Packed::new(Matrix::new(&b, n));
-    let mut out = vec![0.0; m * n];
-    bencher
-        .counter(ItemsCount::new(2 * m * k * n))
-        .bench_local(|| {
-            on_workers(|| multiply(Matrix::new(&a, k), &packed, &mut out, Write::Replace));
-            black_box(out[0])
-        });
 }

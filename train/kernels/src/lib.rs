@@ -5,12 +5,10 @@
 //! [`rows`] fuse these operations, forward and backward, so that every array is read and written once.
 //! [`adamw`] is the optimiser in one pass.
 //!
-//! [`product`] multiplies matrices in single precision. Weights that do not change, as while sampling,
-//! are packed once ([`product::Packed`]).
+//! [`product`] multiplies matrices that are slices too.
 
 pub mod adamw;
 pub mod attention;
-mod memory;
 pub mod product;
 pub mod rows;
 

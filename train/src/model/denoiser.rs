@@ -194,8 +194,8 @@ impl Denoiser {
     }
 
     /// Lays out the weights as they are multiplied while sampling.
-    pub fn pack(&self) -> PackedWeights {
-        PackedWeights(self.transformer.prepare())
+    pub fn prepared_weights(&self) -> PreparedWeights {
+        PreparedWeights(self.transformer.prepare())
     }
 
     /// Computes once what does not change from step to step of sampling: the embeddings of all
@@ -206,7 +206,7 @@ impl Denoiser {
     /// As [`Denoiser::forward`].
     pub fn prepare<'a>(
         &'a self,
-        weights: &'a PackedWeights,
+        weights: &'a PreparedWeights,
         num_steps: usize,
         text: Tensor<2>,
         progress: &[f32],
@@ -229,10 +229,10 @@ impl Denoiser {
     }
 }
 
-/// The weights of a denoiser in the layout in which they are multiplied, where they lie on a processor.
-/// They are those it had when they were packed.
+/// The weights of a denoiser, prepared for many passes where they lie on a processor. They are those it
+/// had when they were prepared.
 #[derive(Debug)]
-pub struct PackedWeights(Option<PreparedEncoder>);
+pub struct PreparedWeights(Option<PreparedEncoder>);
 
 /// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
 /// through it on a processor.
@@ -314,7 +314,7 @@ mod tests {
             let (x, original) = (normal([3, 16, FRAME_WIDTH]), normal([3, 16, FRAME_WIDTH]));
             let text = normal([3, 1, text_width]).squeeze_dim::<2>(1);
             let progress = [0.0, 0.4, 1.0];
-            let weights = denoiser.pack();
+            let weights = denoiser.prepared_weights();
             let prepared =
                 denoiser.prepare(&weights, 10, text.clone(), &progress, original.clone());
             for timestep in [0, 7] {

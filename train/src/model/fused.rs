@@ -17,7 +17,7 @@ use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use kernels::attention::{self, Heads};
 use kernels::on_workers;
-use kernels::product::{Matrix, Packed, Write, multiply};
+use kernels::product::{Matrix, Write, multiply};
 use kernels::rows::{
     Mask, Norm, add_bias, column_sums, factors, gelu_dropout, residual_norm,
     residual_norm_backward, times_derivatives,
@@ -59,24 +59,20 @@ const OUT_PROJ: usize = 1;
 const LINEAR1: usize = 2;
 const LINEAR2: usize = 3;
 
-/// A layer ready to be applied: its weights are packed.
+/// A layer ready to be applied.
 #[derive(Debug)]
 pub(crate) struct PreparedLayer {
     weights: [Buffer; 4],
     vectors: [Buffer; 8],
-    packed: [Packed; 4],
     num_heads: usize,
 }
 
 impl PreparedLayer {
     /// Prepares a layer whose tensors lie on the processor.
     fn new(weights: [Buffer; 4], vectors: [Buffer; 8], num_heads: usize) -> Self {
-        let weights = weights.map(|weight| weight.to_contiguous());
-        let packed = weights.each_ref().map(|weight| Packed::new(matrix(weight)));
         Self {
-            weights,
+            weights: weights.map(|weight| weight.to_contiguous()),
             vectors: vectors.map(|vector| vector.to_contiguous()),
-            packed,
             num_heads,
         }
     }
@@ -92,7 +88,12 @@ impl PreparedLayer {
     }
 
     fn width(&self) -> usize {
-        self.packed[OUT_PROJ].columns()
+        self.weight(OUT_PROJ).columns()
+    }
+
+    fn weight(&self, index: usize) -> Matrix<'_> {
+        let tensor = &self.weights[index];
+        Matrix::new(numbers(tensor), tensor.layout().shape()[1])
     }
 }
 
@@ -158,10 +159,10 @@ impl PreparedLayer {
     }
 
     fn product(&self, x: &[f32], weight: usize, out: &mut Vec<f32>) {
-        let x = Matrix::new(x, self.weights[weight].layout().shape()[0]);
-        let packed = &self.packed[weight];
-        resize(out, x.rows() * packed.columns());
-        multiply(x, packed, out, Write::Replace);
+        let weight = self.weight(weight);
+        let x = Matrix::new(x, weight.rows());
+        resize(out, x.rows() * weight.columns());
+        multiply(x, weight, out, Write::Replace);
     }
 
     fn norm(&self, index: usize) -> Norm<'_> {
@@ -322,13 +323,13 @@ impl LayerState {
         } = self;
         let heads = layer.heads(self.length, self.padding.as_deref());
         let (width, shape) = (heads.width, self.x.layout().shape().clone());
-        let hidden_width = layer.packed[LINEAR1].columns();
+        let hidden_width = layer.weight(LINEAR1).columns();
         let gamma = |norm: usize| layer.norm(norm).gamma;
         let of_weight = |weight: usize, x: &[f32], grad: &[f32]| {
             has_grad[1 + weight].then(|| {
                 let [inputs, outputs] = [x, grad].map(|values| values.len() / self.rows());
-                let grad = Packed::new(Matrix::new(grad, outputs));
-                let values = product(Matrix::new(x, inputs).transposed(), &grad);
+                let grad = Matrix::new(grad, outputs);
+                let values = product(Matrix::new(x, inputs).transposed(), grad);
                 buffer(values, [inputs, outputs])
             })
         };
@@ -351,11 +352,11 @@ impl LayerState {
         };
         let of_linear2 = of_weight(LINEAR2, &saved.hidden, of_output);
         let (left, right) = self.back(of_output, LINEAR2);
-        let mut of_hidden = product(left, &right);
+        let mut of_hidden = product(left, right);
         let of_bias1 = times_derivatives(&mut of_hidden, &saved.derivatives, hidden_width);
         let of_linear1 = of_weight(LINEAR1, &saved.middle, &of_hidden);
         let (left, right) = self.back(&of_hidden, LINEAR1);
-        multiply(left, &right, &mut residual, Write::Add);
+        multiply(left, right, &mut residual, Write::Add);
 
         // First norm and attention.
         let first = residual_norm_backward(
@@ -373,7 +374,7 @@ impl LayerState {
         };
         let of_out_proj = of_weight(OUT_PROJ, &saved.attended, of_output);
         let (left, right) = self.back(of_output, OUT_PROJ);
-        let of_attended = product(left, &right);
+        let of_attended = product(left, right);
         let of_joint = attention::backward(
             heads,
             &saved.joint,
@@ -386,7 +387,7 @@ impl LayerState {
         let of_joint_bias = column_sums(&of_joint, 3 * width);
         let of_x = has_grad[0].then(|| {
             let (left, right) = self.back(&of_joint, IN_PROJ);
-            multiply(left, &right, &mut residual, Write::Add);
+            multiply(left, right, &mut residual, Write::Add);
             buffer(residual, [shape[0], shape[1], shape[2]])
         });
         let vector = |values: Vec<f32>| {
@@ -411,11 +412,10 @@ impl LayerState {
     }
 
     /// The factors of the gradient of what was multiplied with a weight.
-    fn back<'a>(&self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Packed) {
-        let weight = matrix(&self.layer.weights[weight]);
+    fn back<'a>(&'a self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Matrix<'a>) {
         (
             Matrix::new(grad, grad.len() / self.rows()),
-            Packed::new(weight.transposed()),
+            self.layer.weight(weight).transposed(),
         )
     }
 
@@ -506,7 +506,7 @@ pub(crate) fn encoder_layer(
     Some(Tensor::from_primitive::<Autodiff<Flex>>(out))
 }
 
-fn product(a: Matrix<'_>, b: &Packed) -> Vec<f32> {
+fn product(a: Matrix<'_>, b: Matrix<'_>) -> Vec<f32> {
     let mut out = vec![0.0; a.rows() * b.columns()];
     multiply(a, b, &mut out, Write::Replace);
     out
@@ -542,11 +542,6 @@ fn numbers(tensor: &Buffer) -> &[f32] {
     tensor
         .as_slice()
         .expect("contiguous tensors of f32 are kept")
-}
-
-/// A contiguous matrix.
-fn matrix(tensor: &Buffer) -> Matrix<'_> {
-    Matrix::new(numbers(tensor), tensor.layout().shape()[1])
 }
 
 fn buffer<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Buffer {

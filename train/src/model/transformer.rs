@@ -202,7 +202,7 @@ impl Encoder {
         }
     }
 
-    /// The layers with their weights packed for many passes, where they lie on a processor and are
+    /// The layers prepared for many passes, where they lie on a processor and are
     /// not trained.
     pub(crate) fn prepare(&self) -> Option<PreparedEncoder> {
         PreparedEncoder::new(

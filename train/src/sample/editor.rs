@@ -23,7 +23,7 @@ use crate::data::TextVectors;
 use crate::diffusion::Schedule;
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
-use crate::model::denoiser::PackedWeights;
+use crate::model::denoiser::PreparedWeights;
 use crate::model::motionrefit::MotionRefit;
 use crate::{Error, Session};
 
@@ -32,7 +32,7 @@ use crate::{Error, Session};
 pub struct Editor {
     model: MotionRefit,
     /// Packed weights of the model's denoiser.
-    weights: PackedWeights,
+    weights: PreparedWeights,
     schedule: Schedule,
     record: RunRecord<EditorRecord>,
     hash: String,
@@ -66,7 +66,7 @@ impl Editor {
         );
         load_weights(&mut model, &mut files, run_dir)?;
         Ok(Self {
-            weights: model.denoiser.pack(),
+            weights: model.denoiser.prepared_weights(),
             model,
             schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,
             hash,

@@ -7,7 +7,7 @@ use burn::tensor::Tensor;
 use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
 use crate::diffusion::{Basis, Extrapolation, Schedule, guide, put_fixed};
 use crate::model::coordinator::Coordinator;
-use crate::model::denoiser::{Denoiser, PackedWeights};
+use crate::model::denoiser::{Denoiser, PreparedWeights};
 
 /// What a batch of windows is generated from.
 #[derive(Clone, Debug)]
@@ -66,7 +66,7 @@ pub struct Sampler<'a> {
     /// The network.
     pub denoiser: &'a Denoiser,
     /// Its weights.
-    pub weights: &'a PackedWeights,
+    pub weights: &'a PreparedWeights,
     /// The schedule it was trained with.
     pub schedule: &'a Schedule,
     /// What it predicts.
