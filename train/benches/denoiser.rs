@@ -153,7 +153,7 @@ fn generate(bencher: Bencher, batch: usize) {
         text: normal([batch, 512], &device),
         progress: vec![0.5; batch],
     };
-    let weights = network.pack();
+    let weights = network.prepared_weights();
     let sampler = Sampler {
         denoiser: &network,
         weights: &weights,
