@@ -6,9 +6,13 @@ use crate::cmd;
 use crate::exit::Exit;
 use crate::global::Global;
 
+/// Note on failures, for scripts.
+const FAILURES: &str = "With --json, a failure is a JSON document on stdout too, with the fields code (such as \
+                        E-IO), item (a file, folder or clip, or null) and reason.";
+
 /// Human-motion data from raw files to a published result table, for text-guided motion editing.
 #[derive(Debug, Parser)]
-#[command(name = "stance", version, arg_required_else_help = true)]
+#[command(name = "stance", version, arg_required_else_help = true, after_help = FAILURES)]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
@@ -17,6 +21,11 @@ pub(crate) struct Cli {
 }
 
 impl Cli {
+    /// Whether results are printed as JSON.
+    pub(crate) fn json(&self) -> bool {
+        self.global.json
+    }
+
     /// Runs the verb.
     pub(crate) fn run(&self) -> anyhow::Result<Exit> {
         let global = &self.global;

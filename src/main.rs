@@ -5,6 +5,7 @@ mod cmd;
 mod device;
 mod evaluators;
 mod exit;
+mod failure;
 mod global;
 mod progress;
 mod report;
@@ -18,12 +19,32 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use exit::Exit;
+use failure::Failure;
+
+/// Exit code of usage errors.
+const USAGE: u8 = 2;
 
 fn main() -> ExitCode {
-    match cli::Cli::parse().run() {
+    let cli = match cli::Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // The command line did not parse, so --json is looked for among its words.
+            let json = std::env::args_os().any(|word| word == "--json");
+            if json && error.use_stderr() {
+                report::failure(&Failure::of_usage(&error));
+            }
+            // A closed pipe is not an error.
+            let _printed = error.print();
+            return ExitCode::from(if error.use_stderr() { USAGE } else { 0 });
+        }
+    };
+    match cli.run() {
         Ok(exit) => exit.into(),
         Err(error) => {
             report::error(&error);
+            if cli.json() {
+                report::failure(&Failure::of_error(&error));
+            }
             Exit::of_error(&error).into()
         }
     }

@@ -68,7 +68,7 @@ impl Progress for Bars {
     }
 
     fn message(&self, text: &str) {
-        self.with_bar(|bar| bar.set_message(text.to_owned()));
+        self.with_bar(|bar| bar.set_message(report::printable(text).into_owned()));
     }
 
     fn finish(&self, summary: &str) {

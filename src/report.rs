@@ -4,15 +4,18 @@
     reason = "printing is this module's job; every other module hands it values"
 )]
 
+use std::borrow::Cow;
 use std::io::Write;
 
 use serde::Serialize;
+
+use crate::failure::Failure;
 
 /// Prints a result for people.
 pub(crate) fn text(text: &str) {
     let mut stdout = std::io::stdout().lock();
     // A closed pipe, as behind `| head`, is not an error.
-    let _written = writeln!(stdout, "{}", text.trim_end());
+    let _written = writeln!(stdout, "{}", printable(text.trim_end()));
 }
 
 /// Prints a result for programs: one JSON document.
@@ -21,12 +24,53 @@ pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Prints a failure for programs.
+pub(crate) fn failure(failure: &Failure) {
+    let document = serde_json::to_string_pretty(failure).expect("texts serialise");
+    text(&document);
+}
+
 /// Prints a note to stderr.
 pub(crate) fn note(text: &str) {
-    eprintln!("{text}");
+    eprintln!("{}", printable(text));
 }
 
 /// Prints an error with all its causes in one line.
 pub(crate) fn error(error: &anyhow::Error) {
-    eprintln!("error: {error:#}");
+    note(&format!("error: {error:#}"));
+}
+
+/// Text without control characters other than line feeds and tabs. Names of files and of joints may
+/// hold escape codes, which a terminal would obey. The escapes are those of JSON, so that a document
+/// keeps its meaning.
+pub(crate) fn printable(text: &str) -> Cow<'_, str> {
+    let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if !text.contains(obeyed) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        match obeyed(c) {
+            true => shown += &format!("\\u{:04x}", u32::from(c)),
+            false => shown.push(c),
+        }
+    }
+    Cow::Owned(shown)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::printable;
+
+    #[test]
+    fn escape_codes_are_shown_and_not_obeyed() {
+        for (text, shown) in [
+            ("walk\tto\nthe door", "walk\tto\nthe door"),
+            ("a\u{1b}[31mred", "a\\u001b[31mred"),
+            ("title\u{9d}0;x\u{7}\r", "title\\u009d0;x\\u0007\\u000d"),
+            ("\u{7f}", "\\u007f"),
+        ] {
+            assert_eq!(printable(text), shown);
+        }
+    }
 }

@@ -167,7 +167,7 @@ table! {
         pub recipe: String [""],
         /// Frame rate
         pub fps: f32 ["1/s"],
-        /// Frames, one fewer than the motion has
+        /// Frames: as many as the motion has where the source holds the features, else one fewer
         pub n_frames: i32 ["frame"],
         /// The 263 features in the published order and units
         pub features: Frames<HUMANML3D_WIDTH> [""],

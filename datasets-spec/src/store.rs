@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -38,6 +38,8 @@ pub trait Store: Debug + Send + Sync {
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// The bytes of a file.
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
+    /// Opens a file to be read from its beginning.
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
     /// BLAKE3 of a file, hexadecimal.
     fn hash(&self, path: &Path) -> io::Result<String>;
     /// The entries of a folder, sorted, and whether each is a folder.
@@ -82,6 +84,10 @@ impl Store for Disk {
 
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
         fs::read(path)
+    }
+
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+        Ok(Box::new(File::open(path)?))
     }
 
     fn hash(&self, path: &Path) -> io::Result<String> {

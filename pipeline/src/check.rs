@@ -36,8 +36,14 @@ pub const FLAG_FPS_DOUBTFUL: u32 = 1 << 10;
 /// for it.
 pub const FLAG_TELEPORT: u32 = 1 << 11;
 
+/// The first frame was a pose apart from the motion, such as a T-pose, and was dropped.
+pub const FLAG_REFERENCE_DROPPED: u32 = 1 << 12;
+/// The file holds another number of rows than its header states; it was read because the run asked for
+/// it.
+pub const FLAG_ROW_COUNT: u32 = 1 << 13;
+
 /// The names of all flags, in the order of their bits.
-pub const FLAG_NAMES: [(u32, &str); 12] = [
+pub const FLAG_NAMES: [(u32, &str); 14] = [
     (FLAG_FLOOR_PENETRATION, "floor-penetration"),
     (FLAG_FOOT_SKATE, "foot-skate"),
     (FLAG_CONSTANT_POSE, "constant-pose"),
@@ -50,7 +56,18 @@ pub const FLAG_NAMES: [(u32, &str); 12] = [
     (FLAG_GAPS_FILLED, "gaps-filled"),
     (FLAG_FPS_DOUBTFUL, "fps-doubtful"),
     (FLAG_TELEPORT, "teleport"),
+    (FLAG_REFERENCE_DROPPED, "reference-dropped"),
+    (FLAG_ROW_COUNT, "row-count"),
 ];
+
+/// The names of the flags that are set.
+pub fn flag_names(flags: u32) -> Vec<&'static str> {
+    FLAG_NAMES
+        .iter()
+        .filter(|(flag, _)| flags & flag != 0)
+        .map(|(_, name)| *name)
+        .collect()
+}
 
 /// Handling of a motion with a jump that no person can make.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -137,6 +154,25 @@ pub fn check_with(
     }
 }
 
+/// Whether the first frame is a pose apart from the motion: the step into the second frame is a
+/// teleport, and the next step is none. Captures may begin with a T-pose.
+pub fn starts_apart(motion: &Motion, skeleton: &Skeleton) -> bool {
+    /// The frame apart, and the two frames that a motion has at least.
+    const LOOKED_AT: usize = 1 + MIN_FRAMES;
+    if motion.len() < LOOKED_AT {
+        return false;
+    }
+    let joints: Vec<Joints> = skeleton.points_of_frames(motion, 0..LOOKED_AT);
+    let jumps = |frame: usize| is_teleport(&joints[frame - 1], &joints[frame], motion.fps().get());
+    jumps(1) && !jumps(2)
+}
+
+/// Whether a joint moves faster than [`TELEPORT_SPEED`] from one frame to the next.
+fn is_teleport(before: &Joints, joints: &Joints, fps: f64) -> bool {
+    (0..NUM_BODY_JOINTS)
+        .any(|joint| (joints[joint] - before[joint]).length() * fps > TELEPORT_SPEED)
+}
+
 /// The longest run of frames without a teleport; of several, the first.
 fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
     let fps = motion.fps().get();
@@ -150,10 +186,8 @@ fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
         *start = frame;
     };
     for_each_frame(motion, skeleton, |frame, joints| {
-        let jumps = before.replace(*joints).is_some_and(|before: Joints| {
-            (0..NUM_BODY_JOINTS)
-                .any(|joint| (joints[joint] - before[joint]).length() * fps > TELEPORT_SPEED)
-        });
+        let before = before.replace(*joints);
+        let jumps = before.is_some_and(|before| is_teleport(&before, joints, fps));
         if jumps {
             ends_at(frame, &mut start);
         }
@@ -357,6 +391,24 @@ mod tests {
         assert_eq!((trimmed.len(), range), (30, Some(20..50)));
         assert!(quality.flags & FLAG_TELEPORT != 0 && quality.max_speed < 0.2);
         assert_eq!(trimmed, motion.crop(20..50).expect("inside"));
+    }
+
+    #[test]
+    fn a_first_frame_apart_is_found() {
+        let skeleton = Skeleton::smplx_neutral();
+        let apart = |jumps: &[usize], frames: usize| {
+            let mut motion = sliding(Fps::STORE, 0.1, frames);
+            for &jump in jumps {
+                for frame in jump..frames {
+                    let [x, y, z] = motion.transl()[frame];
+                    motion.set_transl(frame, [x + 5.0, y, z]);
+                }
+            }
+            starts_apart(&motion, &skeleton)
+        };
+        assert!(apart(&[1], 3) && apart(&[1], 50));
+        assert!(!apart(&[1], 2) && !apart(&[], 50));
+        assert!(!apart(&[2], 50) && !apart(&[1, 2], 50));
     }
 
     #[test]

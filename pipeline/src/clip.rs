@@ -1,7 +1,9 @@
 //! The result of a reader: a motion, or the reason why there is none.
 
+use std::fmt;
 use std::ops::Range;
 
+use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::table::{Caption, PartCaption};
 use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
 
@@ -62,6 +64,8 @@ pub struct SourceClip {
     pub edit_of: Option<EditOf>,
     /// Body-part masks the source comes with.
     pub masks: Vec<SourceMask>,
+    /// The HumanML3D features the motion was made of, a row for each of its frames.
+    pub features: Option<Vec<[f32; HUMANML3D_WIDTH]>>,
     /// The body features are computed on, where it is not the store's.
     pub body: Option<Skeleton>,
 }
@@ -86,8 +90,63 @@ impl SourceClip {
             markers: None,
             edit_of: None,
             masks: Vec::new(),
+            features: None,
             body: None,
         }
+    }
+}
+
+impl SourceClip {
+    /// Source frames per frame of the motion.
+    fn stride(&self) -> f64 {
+        let (source, own) = (self.source_fps.get(), self.motion.fps().get());
+        if source != own {
+            return source / own;
+        }
+        // A crop may skip frames and state the rate it has then.
+        let (covered, frames) = (self.source_frames.len(), self.motion.len());
+        let steps = frames.saturating_sub(1).max(1);
+        (covered.saturating_sub(1) as f64 / steps as f64)
+            .round()
+            .max(1.0)
+    }
+
+    /// Narrows source frames, captions and features to a part of the motion, and leaves the motion as
+    /// it is. `kept` counts frames of `step` frames of [`SourceClip::motion`] each.
+    ///
+    /// Captions with a time move along; one that speaks only of frames that are cut off becomes a
+    /// note.
+    pub(crate) fn narrow(&mut self, kept: &Range<usize>, step: f64) {
+        let Some(last) = kept.clone().next_back() else {
+            return;
+        };
+        let secs = |frames: usize| (frames as f64 * step / self.motion.fps().get()) as f32;
+        let (from, length) = (secs(kept.start), secs(kept.len()));
+        let mut cut_off = Vec::new();
+        self.captions.retain_mut(|caption| {
+            let is_whole = caption.from_s == 0.0 && caption.to_s == 0.0;
+            if is_whole {
+                return true;
+            }
+            if caption.to_s <= from || caption.from_s >= from + length {
+                cut_off.push(format!(
+                    "a caption speaks of frames cut off: {}",
+                    caption.text
+                ));
+                return false;
+            }
+            caption.from_s = (caption.from_s - from).max(0.0);
+            caption.to_s = (caption.to_s - from).min(length);
+            true
+        });
+        self.notes.extend(cut_off);
+        let stride = step * self.stride();
+        let frames = self.source_frames.clone();
+        let end = frames.start + (last as f64 * stride).ceil() as usize + 1;
+        let start = frames.start + (kept.start as f64 * stride).floor() as usize;
+        self.source_frames = start.min(frames.end)..end.min(frames.end);
+        let carried = self.features.take().filter(|_| step == 1.0);
+        self.features = carried.and_then(|features| Some(features.get(kept.clone())?.to_vec()));
     }
 }
 
@@ -219,6 +278,17 @@ impl Rejected {
         Self {
             byte_offset: Some(byte_offset as u64),
             ..self
+        }
+    }
+}
+
+/// Code, reason and place.
+impl fmt::Display for Rejected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.code, self.reason)?;
+        match self.byte_offset {
+            Some(offset) => write!(f, " at byte {offset}"),
+            None => Ok(()),
         }
     }
 }

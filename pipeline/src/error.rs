@@ -45,6 +45,8 @@ pub enum Error {
     UnusableFile {
         /// The file.
         path: PathBuf,
+        /// Code that scripts may rely on: that of the rejection, or `E-NO-MOTION`.
+        code: &'static str,
         /// Why.
         reason: String,
     },
@@ -89,10 +91,12 @@ pub enum Error {
         path: PathBuf,
     },
     /// The sources hold no files at all.
-    #[error("no files under {paths}; is the archive unpacked there?")]
+    #[error("no files under {paths}; {hint}")]
     NoFiles {
         /// The paths given.
         paths: String,
+        /// What is there instead, or what to check.
+        hint: String,
     },
     /// The folder of an export exists.
     #[error("{} exists and is not empty; name a new folder", path.display())]

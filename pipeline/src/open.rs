@@ -9,6 +9,9 @@ use crate::Error;
 use crate::clip::Outcome;
 use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
+/// Code of a file that gives no motion and is not rejected either.
+const NO_MOTION: &str = "E-NO-MOTION";
+
 /// The row of a clip of a dataset.
 ///
 /// # Errors
@@ -50,25 +53,18 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
         ..ReadOptions::default()
     };
     let (_, outcomes) = read_file(path, &options)?;
-    let refused = |reason: String| Error::UnusableFile {
+    let refused = |code, reason: String| Error::UnusableFile {
         path: path.to_owned(),
+        code,
         reason,
     };
     match outcomes.into_iter().next().map(|(_, outcome)| outcome) {
-        None => Err(refused("it holds no motion".to_owned())),
+        None => Err(refused(NO_MOTION, "it holds no motion".to_owned())),
         Some(Outcome::Clip(clip)) => Ok(clip.motion),
         Some(Outcome::Markers { reason, .. } | Outcome::Skipped { reason }) => {
-            Err(refused(reason.to_string()))
+            Err(refused(NO_MOTION, reason))
         }
-        Some(Outcome::Rejected(rejected)) => {
-            let place = rejected
-                .byte_offset
-                .map_or(String::new(), |offset| format!(" at byte {offset}"));
-            Err(refused(format!(
-                "{} {}{place}",
-                rejected.code, rejected.reason
-            )))
-        }
+        Some(Outcome::Rejected(rejected)) => Err(refused(rejected.code, rejected.to_string())),
     }
 }
 
@@ -86,6 +82,7 @@ pub fn read_file(
         Recognised::NotMotion { reason } => {
             return Err(Error::UnusableFile {
                 path: path.to_owned(),
+                code: NO_MOTION,
                 reason: format!("it holds no motion this program reads: {reason}"),
             });
         }

@@ -219,6 +219,7 @@ impl Reference {
                 paths: [VECTORS, JOINTS]
                     .map(|name| folder.join(name).join("*.npy").display().to_string())
                     .join(" or "),
+                hint: "name the folder that holds them".to_owned(),
             });
         }
         Ok(reference)

@@ -137,6 +137,11 @@ impl Store for Doomed {
         Disk.read(path)
     }
 
+    fn open(&self, path: &Path) -> io::Result<Box<dyn io::Read>> {
+        self.step()?;
+        Disk.open(path)
+    }
+
     fn hash(&self, path: &Path) -> io::Result<String> {
         self.step()?;
         Disk.hash(path)

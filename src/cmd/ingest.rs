@@ -6,6 +6,8 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
 use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
@@ -16,6 +18,7 @@ use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
 use serde::Serialize;
 
 use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::global::Global;
 use crate::report;
 
@@ -64,6 +67,10 @@ pub(crate) struct Args {
     /// How to treat motions with a jump faster than 20 m/s
     #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
     teleports: TeleportsArg,
+    /// Accept BVH files whose header states another number of frames than rows follow. Such clips are
+    /// flagged
+    #[arg(long)]
+    lenient: bool,
     /// Replace what the folder holds, as a new version of the dataset
     #[arg(long)]
     new_version: bool,
@@ -169,12 +176,37 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         &global.bars(),
     )
     .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
+    let empty = without_motions(&done);
     if global.json {
-        report::json(&Document::of(&done))?;
+        report::json(&Document::of(&done, empty.as_ref()))?;
     } else {
         report::text(&summary(&done));
     }
-    Ok(exit(&done, args.allow_quarantine))
+    Ok(match empty {
+        Some(failure) => {
+            report::note(&failure.reason);
+            Exit::Failed
+        }
+        None => exit(&done, args.allow_quarantine),
+    })
+}
+
+/// The failure of a run whose dataset has no motion.
+fn without_motions(done: &IngestReport) -> Option<Failure> {
+    if done.dataset.manifest().rows(MotionRow::TABLE, None) > 0 {
+        return None;
+    }
+    let accounting = &done.accounting;
+    let root = done.dataset.root().display().to_string();
+    Some(Failure {
+        code: "E-NO-MOTION",
+        reason: format!(
+            "the dataset has no motion: {} sources were rejected and {} skipped; see \
+             `stance inspect {root} --list quarantine` and `--list skipped`",
+            accounting.quarantined, accounting.skipped
+        ),
+        item: Some(root),
+    })
 }
 
 fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
@@ -205,6 +237,7 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
         skeleton,
         user_map,
         subjects,
+        lenient: args.lenient,
         ..ReadOptions::default()
     })
 }
@@ -227,6 +260,9 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
 /// The `--json` document.
 #[derive(Serialize)]
 struct Document<'a> {
+    /// Why the dataset has no motion.
+    #[serde(flatten)]
+    failure: Option<&'a Failure>,
     dataset: String,
     files: u64,
     sources: u64,
@@ -245,8 +281,9 @@ struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    fn of(done: &'a IngestReport) -> Self {
+    fn of(done: &'a IngestReport, failure: Option<&'a Failure>) -> Self {
         Self {
+            failure,
             dataset: done.dataset.root().display().to_string(),
             files: done.files,
             sources: done.accounting.sources,
@@ -305,7 +342,8 @@ pub(crate) fn summary(done: &IngestReport) -> String {
         }
         let more = rows.count().saturating_sub(SHOWN_PER_CODE);
         if more > 0 {
-            text += &format!("    and {more} more; see the quarantine table\n");
+            let root = done.dataset.root().display();
+            text += &format!("    and {more} more; stance inspect {root} --list quarantine\n");
         }
     }
     for (table, rows) in table_rows(done) {

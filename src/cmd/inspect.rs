@@ -1,5 +1,7 @@
 //! `stance inspect`
 
+mod list;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -9,21 +11,24 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
-use pipeline::check::FLAG_NAMES;
-use pipeline::clip::{Outcome, SourceClip};
+use pipeline::check::flag_names;
+use pipeline::clip::{Outcome, Rejected, SourceClip};
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
 use pipeline::source::ReadOptions;
 use serde::Serialize;
 
+use self::list::List;
 use crate::cmd::render::holds_items;
 use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::global::Global;
 use crate::report;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
-/// A dataset's files are checked against their hashes first.
+/// A dataset's files are checked against their hashes first, except for --list. A motion file that
+/// would be quarantined ends with exit code 3.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder, Parquet shard, manifest, or motion file
@@ -31,10 +36,16 @@ pub(crate) struct Args {
     /// Id of a clip of the dataset, or of an item
     #[arg(long)]
     clip: Option<String>,
+    /// List the clips of the dataset, the files that were rejected, or the files without a motion
+    #[arg(long, value_enum, value_name = "ROWS", conflicts_with = "clip")]
+    list: Option<List>,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let path = &args.path;
+    if let Some(list) = args.list {
+        return list.show(&Dataset::open_unverified(path)?, global);
+    }
     if let Some(id) = &args.clip {
         let dataset = Dataset::open(path)?;
         if holds_items(&dataset) {
@@ -57,7 +68,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 .with_context(|| format!("{} is no manifest", path.display()))?;
             show(&manifest, manifest_text, global)
         }
-        _ => show(&foreign(path)?, Foreign::text, global),
+        _ => {
+            let file = foreign(path)?;
+            show(&file, Foreign::text, global)?;
+            Ok(match file.failure {
+                Some(_) => Exit::Quarantined,
+                None => Exit::Done,
+            })
+        }
     }
 }
 
@@ -370,24 +388,21 @@ impl Clip {
     }
 }
 
-fn flag_names(flags: u32) -> Vec<&'static str> {
-    FLAG_NAMES
-        .iter()
-        .filter(|(flag, _)| flags & flag != 0)
-        .map(|(_, name)| *name)
-        .collect()
-}
-
 /// What reading a motion file gives, motion by motion.
 #[derive(Serialize)]
 struct Foreign {
     format: &'static str,
+    /// The first motion that would be quarantined.
+    #[serde(flatten)]
+    failure: Option<Failure>,
     motions: Vec<ForeignMotion>,
 }
 
 #[derive(Serialize)]
 struct ForeignMotion {
     name: String,
+    #[serde(skip)]
+    rejected: Option<Rejected>,
     facts: BTreeMap<String, String>,
     captions: Vec<String>,
     notes: Vec<String>,
@@ -403,8 +418,21 @@ fn foreign(path: &Path) -> anyhow::Result<Foreign> {
     if motions.is_empty() {
         bail!("{} holds no motion", path.display());
     }
+    let failure = motions.iter().find_map(|motion| {
+        let rejected = motion.rejected.as_ref()?;
+        let file = path.display();
+        Some(Failure {
+            code: rejected.code,
+            item: Some(match motion.name.as_str() {
+                "" => file.to_string(),
+                name => format!("{file}#{name}"),
+            }),
+            reason: rejected.reason.clone(),
+        })
+    });
     Ok(Foreign {
         format: format.as_str(),
+        failure,
         motions,
     })
 }
@@ -413,6 +441,7 @@ impl ForeignMotion {
     fn of(name: String, outcome: Outcome, skeleton: &Skeleton) -> Self {
         let mut motion = Self {
             name,
+            rejected: None,
             facts: BTreeMap::new(),
             captions: Vec::new(),
             notes: Vec::new(),
@@ -449,7 +478,8 @@ impl ForeignMotion {
                         fact("flags", flags.join(", "));
                     }
                     Err(rejected) => {
-                        fact("rejected", format!("{} {}", rejected.code, rejected.reason))
+                        fact("rejected", rejected.to_string());
+                        motion.rejected = Some(rejected);
                     }
                 }
                 motion.captions = clip.captions.iter().map(|said| said.text.clone()).collect();
@@ -461,13 +491,8 @@ impl ForeignMotion {
             }
             Outcome::Skipped { reason } => fact("skipped", reason),
             Outcome::Rejected(rejected) => {
-                let place = rejected
-                    .byte_offset
-                    .map_or(String::new(), |offset| format!(" at byte {offset}"));
-                fact(
-                    "rejected",
-                    format!("{} {}{place}", rejected.code, rejected.reason),
-                );
+                fact("rejected", rejected.to_string());
+                motion.rejected = Some(rejected);
             }
         }
         motion

@@ -1,6 +1,7 @@
 //! Integration tests of the `stance` command and parity with the reference implementations: one
 //! binary, a module per topic.
 
+mod accounting;
 mod annotate;
 mod answers;
 mod chain;

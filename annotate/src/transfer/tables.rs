@@ -31,7 +31,14 @@ macro_rules! sheet {
             }
 
             fn encode(rows: &[Self]) -> Result<arrow_array::RecordBatch, datasets_spec::Error> {
-                let columns = vec![$( <$ty as Cell>::encode(&mut rows.iter().map(|row| &row.$field)), )*];
+                let columns = vec![$(
+                    <$ty as Cell>::encode(&mut rows.iter().map(|row| &row.$field))
+                        .map_err(|problem| datasets_spec::Error::Column {
+                            table: $table,
+                            column: stringify!($field).to_owned(),
+                            problem,
+                        })?,
+                )*];
                 arrow_array::RecordBatch::try_new(Self::schema(), columns)
                     .map_err(|source| datasets_spec::Error::Arrow { table: $table, source })
             }

@@ -30,7 +30,7 @@ pub mod skeleton;
 mod units;
 
 pub use error::Error;
-pub use motion::{Keypoints, Motion};
+pub use motion::{Keypoints, Motion, MotionBuilder};
 pub use pose::{KeypointFrame, Pose};
 pub use resample::Resample;
 pub use skeleton::{Joint, Skeleton};

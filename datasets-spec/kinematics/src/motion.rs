@@ -27,6 +27,49 @@ pub struct Motion {
     body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
 }
 
+/// A motion that grows by a few poses at a time. A pose takes 728 bytes, a stored frame 276.
+#[derive(Clone, Debug, Default)]
+pub struct MotionBuilder {
+    transl: Vec<DVec3>,
+    global_orient: Vec<[f32; 3]>,
+    body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
+}
+
+impl MotionBuilder {
+    /// Makes room for this many frames.
+    pub fn with_capacity(frames: usize) -> Self {
+        Self {
+            transl: Vec::with_capacity(frames),
+            global_orient: Vec::with_capacity(frames),
+            body_pose: Vec::with_capacity(frames),
+        }
+    }
+
+    /// Appends poses.
+    pub fn extend(&mut self, poses: &[Pose]) {
+        let (global_orient, body_pose) = blocks::rotation_vectors(poses);
+        self.transl.extend(poses.iter().map(|pose| pose.transl));
+        self.global_orient.extend(global_orient);
+        self.body_pose.extend(body_pose);
+    }
+
+    /// Raises every frame by a height in metres.
+    pub fn raise(&mut self, height_m: f64) {
+        for transl in &mut self.transl {
+            transl.y += height_m;
+        }
+    }
+
+    /// Rounds the motion to the stored precision.
+    ///
+    /// # Errors
+    /// As [`Motion::new`].
+    pub fn build(self, fps: Fps) -> Result<Motion, Error> {
+        let transl = self.transl.iter().map(|transl| transl.as_vec3().to_array());
+        Motion::new(fps, transl.collect(), self.global_orient, self.body_pose)
+    }
+}
+
 impl Motion {
     /// Checks and takes the columns of a motion.
     ///
@@ -64,12 +107,9 @@ impl Motion {
     /// # Errors
     /// As [`Motion::new`].
     pub fn from_poses(fps: Fps, poses: &[Pose]) -> Result<Self, Error> {
-        let transl = poses
-            .iter()
-            .map(|pose| pose.transl.as_vec3().to_array())
-            .collect();
-        let (global_orient, body_pose) = blocks::rotation_vectors(poses);
-        Self::new(fps, transl, global_orient, body_pose)
+        let mut builder = MotionBuilder::default();
+        builder.extend(poses);
+        builder.build(fps)
     }
 
     /// The frame rate.
@@ -161,6 +201,14 @@ impl Motion {
     /// All frames in working precision.
     pub fn poses(&self) -> Vec<Pose> {
         blocks::poses_of(self.columns(0..self.len()))
+    }
+
+    /// The frames of a range in working precision.
+    ///
+    /// # Panics
+    /// If the range leaves the motion.
+    pub fn poses_in(&self, frames: Range<usize>) -> Vec<Pose> {
+        blocks::poses_of(self.columns(frames))
     }
 
     pub(crate) fn columns(&self, frames: Range<usize>) -> Columns<'_> {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::motion::Motion;
+use crate::motion::{Motion, MotionBuilder};
 use crate::pose::Pose;
 use crate::rotation::slerp;
 use crate::simd::blocks;
@@ -42,8 +42,21 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     if motion.fps() == target {
         return Ok(motion.clone());
     }
-    let poses = blocks::interpolate(&motion.poses(), &grid(motion.len(), motion.fps(), target));
-    Motion::from_poses(target, &poses)
+    /// Frames interpolated at a time: few are held in working precision.
+    const AT_ONCE: usize = 1024;
+    let grid = grid(motion.len(), motion.fps(), target);
+    let mut builder = MotionBuilder::with_capacity(grid.len());
+    for places in grid.chunks(AT_ONCE) {
+        // The places ascend, and the last one may lie between two frames.
+        let (first, last) = (places[0].0, places[places.len() - 1].0);
+        let poses = motion.poses_in(first..motion.len().min(last + 2));
+        let places: Vec<(usize, f64)> = places
+            .iter()
+            .map(|&(frame, share)| (frame - first, share))
+            .collect();
+        builder.extend(&blocks::interpolate(&poses, &places));
+    }
+    builder.build(target)
 }
 
 /// Where the frames of a clip of `num_frames` lie when it is brought to another rate with

@@ -14,7 +14,8 @@ use arrow_schema::{DataType, Field, Fields};
 use super::{Caption, PartCaption, Quality};
 use crate::{MotionId, Split};
 
-/// A type that can be a column. Encoding cannot fail; decoding reports the row and what is wrong.
+/// A type that can be a column. Encoding fails if a list column is too long for its offsets; decoding
+/// reports the row and what is wrong.
 pub trait Cell: Sized {
     /// Whether values may be missing.
     const NULLABLE: bool = false;
@@ -23,7 +24,10 @@ pub trait Cell: Sized {
     fn data_type() -> DataType;
 
     /// Builds a column.
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef
+    ///
+    /// # Errors
+    /// What is wrong, if the lists of the rows together are too long for a column.
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String>
     where
         Self: 'static;
 
@@ -41,8 +45,10 @@ macro_rules! primitive_cell {
                 <$arrow as arrow_array::types::ArrowPrimitiveType>::DATA_TYPE
             }
 
-            fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-                Arc::new(PrimitiveArray::<$arrow>::from_iter_values(values.copied()))
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+                Ok(Arc::new(PrimitiveArray::<$arrow>::from_iter_values(
+                    values.copied(),
+                )))
             }
 
             fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -57,8 +63,10 @@ macro_rules! primitive_cell {
                 <$ty as Cell>::data_type()
             }
 
-            fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-                Arc::new(PrimitiveArray::<$arrow>::from_iter(values.copied()))
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+                Ok(Arc::new(PrimitiveArray::<$arrow>::from_iter(
+                    values.copied(),
+                )))
             }
 
             fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -79,8 +87,8 @@ impl Cell for String {
         DataType::Utf8
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-        Arc::new(StringArray::from_iter_values(values))
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+        Ok(Arc::new(StringArray::from_iter_values(values)))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -98,8 +106,10 @@ impl Cell for Option<String> {
         DataType::Utf8
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-        Arc::new(StringArray::from_iter(values.map(Option::as_deref)))
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+        Ok(Arc::new(StringArray::from_iter(
+            values.map(Option::as_deref),
+        )))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -113,8 +123,10 @@ impl Cell for MotionId {
         DataType::Utf8
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-        Arc::new(StringArray::from_iter_values(values.map(MotionId::as_str)))
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+        Ok(Arc::new(StringArray::from_iter_values(
+            values.map(MotionId::as_str),
+        )))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -127,10 +139,10 @@ impl Cell for Split {
         DataType::Utf8
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
-        Arc::new(StringArray::from_iter_values(
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+        Ok(Arc::new(StringArray::from_iter_values(
             values.map(|split| split.as_str()),
-        ))
+        )))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -152,10 +164,20 @@ fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new("item", data_type, false))
 }
 
-/// Offsets of a list column from the lengths of its rows. Arrow's 32-bit offsets hold any shard:
-/// they count frames, and a shard has at most a few million.
-fn offsets(lengths: &[usize]) -> OffsetBuffer<i32> {
-    OffsetBuffer::from_lengths(lengths.iter().copied())
+/// Offsets of a list column from the lengths of its rows. Arrow's are 32 bits wide: frames of motions
+/// always fit, the markers of a few very long captures may not.
+fn offsets(lengths: &[usize]) -> Result<OffsetBuffer<i32>, String> {
+    let total = lengths
+        .iter()
+        .try_fold(0, |sum: usize, length| sum.checked_add(*length));
+    match total.map(i32::try_from) {
+        Some(Ok(_)) => Ok(OffsetBuffer::from_lengths(lengths.iter().copied())),
+        _ => Err(format!(
+            "has {} rows whose lists are longer than {} items together; split the longest source",
+            lengths.len(),
+            i32::MAX
+        )),
+    }
 }
 
 /// Calls `decode_row(row, start, end)` with the range each list covers in the values array.
@@ -183,9 +205,10 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
         )))
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let rows: Vec<&Self> = values.collect();
         let lengths: Vec<usize> = rows.iter().map(|frames| frames.len()).collect();
+        let offsets = offsets(&lengths)?;
         let mut numbers: Vec<f32> = Vec::with_capacity(D * lengths.iter().sum::<usize>());
         for frames in rows {
             numbers.extend_from_slice(frames.as_flattened());
@@ -198,12 +221,12 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
             None,
         );
         let frame_field = item(frames.data_type().clone());
-        Arc::new(ListArray::new(
+        Ok(Arc::new(ListArray::new(
             frame_field,
-            offsets(&lengths),
+            offsets,
             Arc::new(frames),
             None,
-        ))
+        )))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -227,19 +250,19 @@ impl Cell for Vec<String> {
         DataType::List(item(DataType::Utf8))
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let mut lengths = Vec::new();
         let mut texts: Vec<&str> = Vec::new();
         for row in values {
             lengths.push(row.len());
             texts.extend(row.iter().map(String::as_str));
         }
-        Arc::new(ListArray::new(
+        Ok(Arc::new(ListArray::new(
             item(DataType::Utf8),
-            offsets(&lengths),
+            offsets(&lengths)?,
             Arc::new(StringArray::from_iter_values(texts)),
             None,
-        ))
+        )))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -252,14 +275,18 @@ impl Cell for Vec<String> {
 }
 
 /// Builds a list-of-struct column from the lengths of its rows and its fields.
-fn struct_lists(lengths: &[usize], fields: Fields, columns: Vec<ArrayRef>) -> ArrayRef {
+fn struct_lists(
+    lengths: &[usize],
+    fields: Fields,
+    columns: Vec<ArrayRef>,
+) -> Result<ArrayRef, String> {
     let items = StructArray::new(fields, columns, None);
-    Arc::new(ListArray::new(
+    Ok(Arc::new(ListArray::new(
         item(items.data_type().clone()),
-        offsets(lengths),
+        offsets(lengths)?,
         Arc::new(items),
         None,
-    ))
+    )))
 }
 
 fn caption_fields() -> Fields {
@@ -276,7 +303,7 @@ impl Cell for Vec<Caption> {
         DataType::List(item(DataType::Struct(caption_fields())))
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let rows: Vec<&Self> = values.collect();
         let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
         let all: Vec<&Caption> = rows.into_iter().flatten().collect();
@@ -321,7 +348,7 @@ impl Cell for Vec<PartCaption> {
         DataType::List(item(DataType::Struct(part_caption_fields())))
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let rows: Vec<&Self> = values.collect();
         let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
         let all: Vec<&PartCaption> = rows.into_iter().flatten().collect();
@@ -361,7 +388,7 @@ impl Cell for Quality {
         DataType::Struct(quality_fields())
     }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> ArrayRef {
+    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let all: Vec<&Self> = values.collect();
         let columns: Vec<ArrayRef> = vec![
             Arc::new(PrimitiveArray::<UInt32Type>::from_iter_values(
@@ -374,7 +401,7 @@ impl Cell for Quality {
                 all.iter().map(|q| q.foot_skate),
             )),
         ];
-        Arc::new(StructArray::new(quality_fields(), columns, None))
+        Ok(Arc::new(StructArray::new(quality_fields(), columns, None)))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -389,5 +416,20 @@ impl Cell for Quality {
                 foot_skate: foot_skate.value(i),
             })
             .collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_beyond_the_offsets_are_an_error() {
+        // Frames without numbers take no memory.
+        let longest = i32::MAX as usize;
+        let rows = [vec![[0.0f32; 0]; longest], vec![[0.0; 0]]];
+        assert!(offsets(&[longest]).is_ok());
+        let problem = Vec::<[f32; 0]>::encode(&mut rows.iter()).expect_err("one frame too many");
+        assert!(problem.contains("2147483647 items"), "{problem}");
     }
 }

@@ -117,7 +117,8 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Turns rows into a batch.
     ///
     /// # Errors
-    /// Arrow refuses the columns, which means a bug in a cell type.
+    /// The lists of a column are too long together. Or Arrow refuses the columns, which means a bug in a
+    /// cell type.
     fn encode(rows: &[Self]) -> Result<RecordBatch, Error>;
 
     /// Turns a batch into rows. Columns the table does not know are ignored.
@@ -195,7 +196,11 @@ macro_rules! table {
             fn encode(rows: &[Self]) -> Result<arrow_array::RecordBatch, $crate::Error> {
                 let columns = vec![$( <$ty as $crate::table::Cell>::encode(
                     &mut rows.iter().map(|row| &row.$field),
-                ), )*];
+                ).map_err(|problem| $crate::Error::Column {
+                    table: $table,
+                    column: stringify!($field).to_owned(),
+                    problem,
+                })?, )*];
                 arrow_array::RecordBatch::try_new(Self::schema(), columns)
                     .map_err(|source| $crate::Error::Arrow { table: $table, source })
             }

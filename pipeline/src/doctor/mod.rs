@@ -43,8 +43,15 @@ pub use findings::{
 /// A source does not exist, holds no files or cannot be listed, or the index cannot be read.
 pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, Error> {
     let mut findings = Vec::new();
+    let mut unlisted = Vec::new();
     for source in sources {
         let listing = list_files(std::slice::from_ref(source))?;
+        unlisted.extend(listing.unlisted.iter().map(|(folder, reason)| {
+            format!(
+                "folder {folder} of {} cannot be listed: {reason}",
+                source.display()
+            )
+        }));
         let looked = look(&listing.files);
         let files = Files::new(listing.files);
         findings.push(find(source, &files, &looked));
@@ -68,6 +75,7 @@ pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, E
         estimate.add(source.estimate);
     }
     let advice = advise(&findings, index.as_ref(), asked);
+    let advice = unlisted.into_iter().chain(advice).collect();
     Ok(Diagnosis {
         sources: findings,
         index,

@@ -5,21 +5,24 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::{HUMANML3D_WIDTH, MotionRow};
+use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::feature::humanml3d::{Features, features_of_joints, joints_of_motion, recover_joints};
+use crate::feature::humanml3d::{
+    Features, RECIPE, features_of_joints, joints_of_motion, recover_joints,
+};
 use crate::feature::{Statistics, smpl_body};
 use crate::source::humanml3d::is_id;
 use pickle::npy;
 
 /// Writes a HumanML3D folder, and returns how many clips are in it.
 ///
-/// A clip of `L` frames has `L - 1` frames of features and joints, as published. Clips whose id is not of
+/// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has
+/// `L - 1` frames of features and joints, as published. Clips whose id is not of
 /// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, and why a clip was left
 /// out. Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
 /// layout need tokens.
@@ -35,6 +38,7 @@ pub(super) fn write(
     progress: &dyn Progress,
 ) -> Result<u64, Error> {
     let skeleton = smpl_body(&dataset.skeleton()?);
+    let stored = Stored::of(dataset)?;
     let mut writer = Writer::new(folder, names(dataset)?)?;
     let shards = dataset.files(MotionRow::TABLE, None);
     let total = shards.iter().map(|(_, file)| file.rows).sum();
@@ -44,11 +48,14 @@ pub(super) fn write(
         let clips: Vec<Result<Vec<Features>, String>> = rows
             .par_iter()
             .map(|row| {
-                let features = features_of(row, &skeleton);
+                let features = match stored.get(row.id.as_str())? {
+                    Some(features) => Ok(features),
+                    None => features_of(row, &skeleton),
+                };
                 progress.advance(1);
-                features
+                Ok(features)
             })
-            .collect();
+            .collect::<Result<_, Error>>()?;
         for (row, clip) in rows.iter().zip(clips) {
             writer.take(row, clip)?;
         }
@@ -66,6 +73,43 @@ fn features_of(row: &MotionRow, skeleton: &Skeleton) -> Result<Vec<Features>, St
         .apply(&motion, Fps::STORE)
         .map_err(|error| text(&error))?;
     features_of_joints(&joints_of_motion(&motion, skeleton)).map_err(|error| text(&error))
+}
+
+/// The features that the dataset holds beside its motions.
+struct Stored {
+    shards: Vec<ShardReader>,
+    /// Shard and row, by the id of the motion.
+    places: BTreeMap<String, (usize, usize)>,
+}
+
+impl Stored {
+    fn of(dataset: &Dataset) -> Result<Self, Error> {
+        let mut stored = Self {
+            shards: Vec::new(),
+            places: BTreeMap::new(),
+        };
+        for (number, (path, _)) in dataset.files(HumanMl3dRow::TABLE, None).iter().enumerate() {
+            let shard = ShardReader::open(path)?;
+            let ids = shard.column::<HumanMl3dRow, String>("id")?;
+            let recipes = shard.column::<HumanMl3dRow, String>("recipe")?;
+            let rates = shard.column::<HumanMl3dRow, f32>("fps")?;
+            for (row, ((id, recipe), fps)) in ids.into_iter().zip(recipes).zip(rates).enumerate() {
+                if recipe == RECIPE && f64::from(fps) == Fps::STORE.get() {
+                    stored.places.insert(id, (number, row));
+                }
+            }
+            stored.shards.push(shard);
+        }
+        Ok(stored)
+    }
+
+    fn get(&self, id: &str) -> Result<Option<Vec<Features>>, Error> {
+        let Some(&(shard, row)) = self.places.get(id) else {
+            return Ok(None);
+        };
+        let rows: Vec<HumanMl3dRow> = self.shards[shard].rows_at(&[row])?;
+        Ok(rows.into_iter().next().map(|row| row.features))
+    }
 }
 
 /// The name each motion gets, by its id.

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::clip::Rejected;
-use crate::source::Files;
+use crate::source::{Files, text_of_name};
 
 /// Bytes looked at to recognise a file.
 pub(super) const HEAD_BYTES: usize = 512;
@@ -29,7 +29,13 @@ pub(crate) struct Listing {
     pub(crate) files: BTreeMap<String, PathBuf>,
     /// Reasons why other entries are skipped.
     pub(crate) special: Vec<String>,
+    /// Folders that cannot be listed, and why.
+    pub(crate) unlisted: Vec<(String, String)>,
 }
+
+/// Why a link to a folder is skipped.
+const FOLDER_LINK: &str =
+    "link to a folder, not followed; name the folder it leads to as a source of its own";
 
 /// All files under the sources by their relative path. With several sources, the path starts with the
 /// name of the source's folder, made unique by a number, so that equal paths stay apart.
@@ -37,16 +43,16 @@ pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
     let mut listing = Listing {
         files: BTreeMap::new(),
         special: Vec::new(),
+        unlisted: Vec::new(),
     };
     let mut names = BTreeSet::new();
     for (number, source) in sources.iter().enumerate() {
         let metadata = fs::metadata(source).map_err(|_| Error::MissingSource {
             path: source.clone(),
         })?;
-        let mut name = source.file_name().map_or_else(
-            || format!("source{number}"),
-            |name| name.to_string_lossy().into_owned(),
-        );
+        let mut name = source
+            .file_name()
+            .map_or_else(|| format!("source{number}"), text_of_name);
         if !names.insert(name.clone()) {
             name = format!("{number}-{name}");
         }
@@ -59,7 +65,7 @@ pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
         } else {
             String::new()
         };
-        listing.walk(source, prefix)?;
+        listing.walk(source, prefix);
     }
     if listing.files.is_empty() {
         let paths: Vec<String> = sources
@@ -68,44 +74,70 @@ pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
             .collect();
         return Err(Error::NoFiles {
             paths: paths.join(", "),
+            hint: listing.why_empty(),
         });
     }
     Ok(listing)
 }
 
 impl Listing {
-    fn walk(&mut self, source: &Path, prefix: String) -> Result<(), Error> {
+    fn walk(&mut self, source: &Path, prefix: String) {
         let mut folders = vec![(source.to_owned(), prefix)];
         while let Some((folder, relative)) = folders.pop() {
-            for entry in fs::read_dir(&folder).map_err(Error::io("list", &folder))? {
-                let entry = entry.map_err(Error::io("list", &folder))?;
-                let name = entry.file_name().to_string_lossy().into_owned();
-                let relative = match relative.as_str() {
-                    "" => name,
-                    parent => format!("{parent}/{name}"),
-                };
-                let kind = entry.file_type().map_err(Error::io("list", &folder))?;
-                if kind.is_dir() {
-                    folders.push((entry.path(), relative));
-                    continue;
-                }
-                // A link to a folder could lead back here, and opening a pipe waits for ever. A
-                // dangling link is kept, so that reading it reports what is missing.
-                let special = match (kind.is_file(), fs::metadata(entry.path())) {
-                    (true, _) | (_, Err(_)) => None,
-                    (false, Ok(target)) if target.is_file() => None,
-                    (false, Ok(target)) if target.is_dir() => Some("link to a folder"),
-                    (false, Ok(_)) => Some("pipe, socket or device"),
-                };
-                match special {
-                    Some(reason) => self.special.push(reason.to_owned()),
-                    None => {
-                        self.files.insert(relative, entry.path());
+            let listed = fs::read_dir(&folder).and_then(|entries| {
+                for entry in entries {
+                    let entry = entry?;
+                    let name = text_of_name(&entry.file_name());
+                    let relative = match relative.as_str() {
+                        "" => name,
+                        parent => format!("{parent}/{name}"),
+                    };
+                    let kind = entry.file_type()?;
+                    if kind.is_dir() {
+                        folders.push((entry.path(), relative));
+                    } else {
+                        self.take(&entry.path(), relative, kind.is_file());
                     }
                 }
+                Ok(())
+            });
+            if let Err(error) = listed {
+                let name = match relative.as_str() {
+                    "" => ".".to_owned(),
+                    relative => relative.to_owned(),
+                };
+                self.unlisted.push((name, error.to_string()));
             }
         }
-        Ok(())
+    }
+
+    /// Takes an entry that is no folder.
+    fn take(&mut self, path: &Path, relative: String, is_file: bool) {
+        // A link to a folder could lead back here, and opening a pipe waits for ever. A dangling link
+        // is kept, so that reading it reports what is missing.
+        let special = match (is_file, fs::metadata(path)) {
+            (true, _) | (_, Err(_)) => None,
+            (false, Ok(target)) if target.is_file() => None,
+            (false, Ok(target)) if target.is_dir() => Some(FOLDER_LINK),
+            (false, Ok(_)) => Some("pipe, socket or device"),
+        };
+        match special {
+            Some(reason) => self.special.push(reason.to_owned()),
+            None => {
+                self.files.insert(relative, path.to_owned());
+            }
+        }
+    }
+
+    /// What is there in place of files.
+    fn why_empty(&self) -> String {
+        if let Some((folder, reason)) = self.unlisted.first() {
+            return format!("folder {folder} cannot be listed: {reason}");
+        }
+        match self.special.first() {
+            Some(reason) => format!("all {} entries are skipped: {reason}", self.special.len()),
+            None => "is the archive unpacked there?".to_owned(),
+        }
     }
 }
 

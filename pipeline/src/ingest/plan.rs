@@ -21,7 +21,7 @@ use crate::annotation::pairs::{PairList, names_of, originals, style_group};
 use crate::clip::Rejected;
 use crate::feature::humanml3d;
 use crate::source::{
-    Entry, Files, Format, FoundRelease, Recognised, find_releases, labels, recognise,
+    Entry, Files, Format, FoundRelease, Recognised, find_releases, labels, name_of_text, recognise,
     refuse_pointer,
 };
 
@@ -40,8 +40,10 @@ pub(super) struct Plan {
     pub(super) items: Vec<Planned>,
     /// Files without a motion, by reason.
     pub(super) skipped: BTreeMap<String, u64>,
-    /// Files found broken while planning.
+    /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
+    /// Folders that cannot be listed.
+    num_unlisted: usize,
     /// What a reader of the dataset should know about its splits.
     pub(super) remarks: Vec<String>,
 }
@@ -104,6 +106,11 @@ impl Plan {
         for reason in listing.special {
             *skipped.entry(reason).or_default() += 1;
         }
+        let unlisted = listing.unlisted.iter().map(|(folder, reason)| {
+            let reason = format!("cannot list the folder: {reason}");
+            quarantine_row(folder, "", String::new(), Rejected::read("E-IO", reason))
+        });
+        let rejected: Vec<QuarantineRow> = unlisted.collect();
         let files = Files::on(store, listing.files);
         let sources = hash_sources(&files, progress);
         let mut plan = Self {
@@ -112,7 +119,8 @@ impl Plan {
             sources,
             items: Vec::new(),
             skipped,
-            rejected: Vec::new(),
+            num_unlisted: rejected.len(),
+            rejected,
             remarks: Vec::new(),
         };
         let claimed = plan.take_releases(options);
@@ -256,13 +264,14 @@ impl Plan {
                 let folder = files.path(file).and_then(Path::parent);
                 let folder = folder.unwrap_or(Path::new("."));
                 let failed = Cell::new(None);
-                let companions = |name: &str| match files.read_beside(&folder.join(name)) {
-                    Ok(bytes) => bytes,
-                    Err(rejected) => {
-                        failed.set(Some(rejected));
-                        None
-                    }
-                };
+                let companions =
+                    |name: &str| match files.read_beside(&folder.join(name_of_text(name))) {
+                        Ok(bytes) => bytes,
+                        Err(rejected) => {
+                            failed.set(Some(rejected));
+                            None
+                        }
+                    };
                 let found = labels::action_and_style(Path::new(file), &companions);
                 item.group = found.map(|(action, style)| style_group(file, &action, &style));
                 failed.into_inner()
@@ -372,7 +381,7 @@ impl Plan {
         };
         let failed = base.accounting.codes.get("E-IO").copied().unwrap_or(0);
         let unreadable = self.sources.values().filter(|source| source.hash.is_err());
-        failed > unreadable.count() as u64
+        failed > (unreadable.count() + self.num_unlisted) as u64
     }
 
     /// Deals the motions into shards by split.

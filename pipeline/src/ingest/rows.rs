@@ -1,13 +1,19 @@
 //! Rows of a clip, and of a file that was rejected.
 
 use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::{BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Skeleton, Split};
+use datasets_spec::{
+    BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
+};
 
 use super::options::IngestOptions;
 use super::plan::Item;
-use crate::check::{FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, check_with};
+use crate::check::{
+    FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
+    check_with, starts_apart,
+};
 use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask};
-use crate::feature::{humanml3d, smpl_body};
+use crate::feature::humanml3d::{self, Features};
+use crate::feature::smpl_body;
 
 /// Mean distance in metres between source and stored joints that is worth a flag: retargeted
 /// captures of people measure 0.01 to 0.04.
@@ -54,13 +60,16 @@ pub(super) fn marker_row(
 
 /// Resamples a clip to the stored rate, checks it, and makes its rows.
 pub(super) fn clip_rows(
-    clip: SourceClip,
+    mut clip: SourceClip,
     id: MotionId,
     item: &Item,
     source_hash: String,
     options: &IngestOptions,
 ) -> Result<ClipRows, Rejected> {
     let fps_source = clip.source_fps;
+    if options.teleports != Teleports::Keep {
+        drop_reference(&mut clip, &options.read.skeleton);
+    }
     let target = options.fps.unwrap_or(clip.motion.fps());
     let motion = options
         .resample
@@ -68,21 +77,36 @@ pub(super) fn clip_rows(
         .map_err(|error| Rejected::check("E-RESAMPLE", error.to_string()))?;
     let (motion, mut quality, kept) =
         check_with(motion, &options.read.skeleton, options.teleports)?;
-    let mut notes = clip.notes.clone();
+    let mut duration_secs = clip.motion.duration_secs();
     if let Some(kept) = kept {
-        notes.push(format!(
-            "stored frames {} to {} were kept, the longest stretch without a jump",
-            kept.start, kept.end
+        let rates = clip.motion.fps().get() / target.get();
+        let step = match options.resample {
+            Resample::Exact => rates,
+            Resample::HumanMl3d => rates.floor(),
+        };
+        clip.narrow(&kept, step);
+        duration_secs *= motion.len() as f64 * step / clip.motion.len() as f64;
+        clip.notes.push(format!(
+            "source frames {} to {} were kept, the longest stretch without a jump",
+            clip.source_frames.start, clip.source_frames.end
         ));
     }
-    quality.flags |= clip.flags | said_flags(&clip);
+    quality.flags |= clip.flags | said_flags(&clip, duration_secs as f32);
     let entry = item.entry;
     let features = match options.humanml3d_features {
         true => {
+            let carried = clip
+                .features
+                .take()
+                .filter(|rows| rows.len() == motion.len());
             // HumanML3D uses the joints of SMPL, whose positions differ from SMPL-X's.
             let body = clip.body.clone();
             let body = body.unwrap_or_else(|| smpl_body(&options.read.skeleton));
-            Some(feature_row(&motion, &id, item.split, &body)?)
+            let features = match carried.filter(|_| target == clip.motion.fps()) {
+                Some(features) => features,
+                None => features_of(&motion, &body)?,
+            };
+            Some(feature_row(features, &motion, &id, item.split))
         }
         false => None,
     };
@@ -117,7 +141,7 @@ pub(super) fn clip_rows(
         part_captions: clip.part_captions,
         action: clip.action,
         style: clip.style,
-        notes,
+        notes: clip.notes,
         content_hash: motion.content_hash(),
         quality,
     };
@@ -130,35 +154,54 @@ pub(super) fn clip_rows(
     })
 }
 
+/// Drops a first frame that is a pose apart from the motion.
+fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
+    if !starts_apart(&clip.motion, skeleton) {
+        return;
+    }
+    let kept = 1..clip.motion.len();
+    let Ok(motion) = clip.motion.crop(kept.clone()) else {
+        return;
+    };
+    clip.notes.push(format!(
+        "source frame {} is a pose apart from the motion and was dropped",
+        clip.source_frames.start
+    ));
+    clip.narrow(&kept, 1.0);
+    clip.motion = motion;
+    clip.flags |= FLAG_REFERENCE_DROPPED;
+}
+
 /// The features of a motion by the HumanML3D recipe.
-pub(super) fn feature_row(
+fn features_of(motion: &Motion, body: &Skeleton) -> Result<Vec<Features>, Rejected> {
+    let joints = humanml3d::joints_of_motion(motion, body);
+    humanml3d::features_of_joints(&joints)
+        .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))
+}
+
+fn feature_row(
+    features: Vec<Features>,
     motion: &Motion,
     id: &MotionId,
     split: Split,
-    body: &Skeleton,
-) -> Result<HumanMl3dRow, Rejected> {
-    let joints = humanml3d::joints_of_motion(motion, body);
-    let features = humanml3d::features_of_joints(&joints)
-        .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))?;
-    Ok(HumanMl3dRow {
+) -> HumanMl3dRow {
+    HumanMl3dRow {
         id: id.clone(),
         split,
         recipe: humanml3d::RECIPE.to_owned(),
         fps: motion.fps().get() as f32,
         n_frames: frames(features.len()),
         features,
-    })
+    }
 }
 
 /// Flags for the captions of a clip and for its fit.
-pub(super) fn said_flags(clip: &SourceClip) -> u32 {
-    let duration = clip.motion.duration_secs() as f32;
+pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     // Times are written with one decimal at most, and a clip of n frames ends a frame early.
     const TOLERANCE_SECS: f32 = 0.15;
-    let outside = clip
-        .captions
-        .iter()
-        .any(|caption| caption.from_s > duration || caption.to_s > duration + TOLERANCE_SECS);
+    let outside = clip.captions.iter().any(|caption| {
+        caption.from_s > duration_secs || caption.to_s > duration_secs + TOLERANCE_SECS
+    });
     let silent = clip.captions.is_empty() && clip.part_captions.is_empty();
     let poor = clip
         .fit_error_m

@@ -19,7 +19,7 @@ use super::plan::{Item, Plan, source_hash};
 use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row};
 use crate::Error;
 use crate::clip::{Outcome, Rejected};
-use crate::source::read_clip;
+use crate::source::{Entry, ReadOptions, label, name_of_text, read_clip};
 
 /// Limit on files that are read whole, in bytes. Releases with many motions in a file have their own
 /// limits.
@@ -166,10 +166,6 @@ impl Plan {
 
     fn read_file(&self, item: &Item, options: &IngestOptions) -> Outcome {
         let entry = item.entry;
-        let bytes = match self.read_bounded(&entry.file) {
-            Ok(bytes) => bytes,
-            Err(rejected) => return Outcome::Rejected(rejected),
-        };
         let folder = self
             .files
             .path(&entry.file)
@@ -177,25 +173,44 @@ impl Plan {
             .unwrap_or(Path::new("."));
         // An unreadable companion must not be treated as a missing one.
         let failure = RefCell::new(None);
-        let companions = |name: &str| match self.files.read_beside(&folder.join(name)) {
+        let companions = |name: &str| match self.files.read_beside(&folder.join(name_of_text(name)))
+        {
             Ok(bytes) => bytes,
             Err(rejected) => {
                 failure.replace(Some(rejected));
                 None
             }
         };
-        let outcome = read_clip(
-            item.format,
-            Path::new(&entry.file),
-            &entry.key,
-            &bytes,
-            &companions,
-            &options.read,
-        );
+        let outcome = self.read_content(item, &companions, &options.read);
+        let outcome = outcome.unwrap_or_else(Outcome::Rejected);
         failure.into_inner().map_or(outcome, Outcome::Rejected)
     }
 
-    fn read_bounded(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
+    fn read_content(
+        &self,
+        item: &Item,
+        companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+        options: &ReadOptions,
+    ) -> Result<Outcome, Rejected> {
+        let Entry { file, key, .. } = item.entry;
+        let path = Path::new(file);
+        let length = self.bounded_length(file)?;
+        let mut opened = self.files.open(file)?;
+        if let Some(outcome) = item.format.read_in_pieces(&mut *opened, length, options) {
+            return Ok(label(outcome, path, companions));
+        }
+        let bytes = self.files.read(file)?;
+        Ok(read_clip(
+            item.format,
+            path,
+            key,
+            &bytes,
+            companions,
+            options,
+        ))
+    }
+
+    fn bounded_length(&self, relative: &str) -> Result<usize, Rejected> {
         let length = self
             .files
             .path(relative)
@@ -207,7 +222,7 @@ impl Plan {
                 format!("found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"),
             ));
         }
-        self.files.read(relative)
+        Ok(usize::try_from(length).unwrap_or(usize::MAX))
     }
 }
 

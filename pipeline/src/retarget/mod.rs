@@ -18,6 +18,7 @@ pub use user_map::{UserMap, UserMapError};
 
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
+use kinematics::MotionBuilder;
 use kinematics::rotation::slerp;
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
@@ -102,7 +103,7 @@ pub fn clip(
         scale: body_leg / track.leg_length(),
         skeleton,
     };
-    let carried = carrier.carry(rig)?;
+    let carried = carrier.carry(rig, &bones)?;
     let mut clip = SourceClip::new(carried.motion, RotationSource::Retargeted);
     clip.fit_error_m = Some(carried.error_m as f32);
     clip.source_frames = rig.frames();
@@ -258,32 +259,39 @@ struct Compared {
 }
 
 impl Carrier<'_> {
-    fn carry(&self, rig: &impl Rig) -> Result<Carried, Rejected> {
-        let num_frames = self.track.num_frames();
+    fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<Carried, Rejected> {
+        /// Poses held in working precision.
+        const AT_ONCE: usize = 1024;
+        let num_frames = rig.frames().len();
         let offsets: [DVec3; NUM_BODY_JOINTS] =
             std::array::from_fn(|joint| self.skeleton.offset(joint));
         let compared = self.compared();
-        let mut poses = Vec::with_capacity(num_frames);
+        let mut builder = MotionBuilder::with_capacity(num_frames);
+        let mut poses = Vec::with_capacity(AT_ONCE);
         let mut feet = Vec::with_capacity(num_frames);
         let mut error = 0.0;
-        for frame in 0..num_frames {
-            let global = self.global_rotations(frame);
-            let body = self.joints(frame, &global, &offsets);
-            error += self.direction_error(frame, &body, &compared);
-            feet.push(floor::FOOT_JOINTS.map(|joint| body[joint]));
-            poses.push(Pose {
-                transl: body[0] - self.skeleton.rest(0),
-                rotations: std::array::from_fn(|joint| match joint {
-                    0 => global[0],
-                    _ => global[parent_of(joint)].conjugate() * global[joint],
-                }),
+        self.track
+            .every_frame(rig, bones, &mut |rotations, points| {
+                let global = self.global_rotations(rotations);
+                let body = self.joints(points, &global, &offsets);
+                error += self.direction_error(points, &body, &compared);
+                feet.push(floor::FOOT_JOINTS.map(|joint| body[joint]));
+                poses.push(Pose {
+                    transl: body[0] - self.skeleton.rest(0),
+                    rotations: std::array::from_fn(|joint| match joint {
+                        0 => global[0],
+                        _ => global[parent_of(joint)].conjugate() * global[joint],
+                    }),
+                });
+                if poses.len() == AT_ONCE {
+                    builder.extend(&poses);
+                    poses.clear();
+                }
             });
-        }
-        let shift = floor::shift(&feet, rig.fps());
-        for pose in &mut poses {
-            pose.transl.y += shift;
-        }
-        let motion = Motion::from_poses(rig.fps(), &poses)
+        builder.extend(&poses);
+        builder.raise(floor::shift(&feet, rig.fps()));
+        let motion = builder
+            .build(rig.fps())
             .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
         let count = (num_frames * compared.len()).max(1);
         Ok(Carried {
@@ -293,8 +301,7 @@ impl Carrier<'_> {
     }
 
     /// Global rotations of the body in a frame.
-    fn global_rotations(&self, frame: usize) -> [DQuat; NUM_BODY_JOINTS] {
-        let source = self.track.rotations(frame);
+    fn global_rotations(&self, source: &[DQuat; NUM_BODY_JOINTS]) -> [DQuat; NUM_BODY_JOINTS] {
         let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         for joint in 0..NUM_BODY_JOINTS {
             global[joint] = if self.track.is_mapped(joint) {
@@ -338,11 +345,10 @@ impl Carrier<'_> {
     /// whenever the pelvis tilts.
     fn joints(
         &self,
-        frame: usize,
+        points: &[DVec3; NUM_BODY_JOINTS],
         global: &[DQuat; NUM_BODY_JOINTS],
         offsets: &[DVec3; NUM_BODY_JOINTS],
     ) -> [DVec3; NUM_BODY_JOINTS] {
-        let points = self.track.points(frame);
         let hips_middle = points[1].midpoint(points[2]) * self.scale;
         let pelvis = hips_middle - global[0] * offsets[1].midpoint(offsets[2]);
         let mut body = [pelvis; NUM_BODY_JOINTS];
@@ -376,11 +382,10 @@ impl Carrier<'_> {
     /// equal to the body's.
     fn direction_error(
         &self,
-        frame: usize,
+        points: &[DVec3; NUM_BODY_JOINTS],
         body: &[DVec3; NUM_BODY_JOINTS],
         compared: &[Compared],
     ) -> f64 {
-        let points = self.track.points(frame);
         let mut placed = *body;
         let mut sum = 0.0;
         for bone in compared {
@@ -561,6 +566,20 @@ pub(crate) mod tests {
         assert_same_motion(&clip, &poses);
         assert!(clip.fit_error_m.expect("retargeted") < 1e-6);
         assert_eq!(clip.rotation_source, RotationSource::Retargeted);
+    }
+
+    #[test]
+    fn long_motions_are_carried_frame_by_frame() {
+        let skeleton = Skeleton::smplx_neutral();
+        // More frames than a track holds, in an upright unlike the body's.
+        let poses = walk(9_000);
+        let dialect = Dialect {
+            source_from_y_up: DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+            ..Dialect::default()
+        };
+        let clip = retarget(&dialect.write(&poses, &skeleton));
+        assert_same_motion(&clip, &poses);
+        assert!(clip.fit_error_m.expect("retargeted") < 1e-6);
     }
 
     #[test]

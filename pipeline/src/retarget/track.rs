@@ -7,10 +7,16 @@ use super::joint_map::Mapping;
 use super::rig::{Bone, Placed, Rest, Rig};
 use crate::clip::Rejected;
 
-/// Global rotations and positions of the mapped joints of a source, in its own unit.
+/// Global rotations and positions of the mapped joints of a source, in its own unit. Of long motions
+/// it holds evenly spaced frames, from which everything is estimated that is constant.
 pub(super) struct Track {
     source_of: [Option<usize>; NUM_BODY_JOINTS],
+    anchors: [Anchor; NUM_BODY_JOINTS],
     located: [bool; NUM_BODY_JOINTS],
+    /// Frames of the source to each that is held.
+    stride: usize,
+    /// Rotation of the source's axes so far.
+    turn: DQuat,
     rotations: Vec<[DQuat; NUM_BODY_JOINTS]>,
     points: Vec<[DVec3; NUM_BODY_JOINTS]>,
     rests: Vec<TrackRest>,
@@ -26,6 +32,9 @@ pub(super) struct TrackRest {
     /// Positions, `[22]`; zero for joints that are not located.
     pub(super) points: [DVec3; NUM_BODY_JOINTS],
 }
+
+/// Limit on the frames that a track holds, 1.2 kB each.
+const MAX_FRAMES: usize = 4096;
 
 /// Limit on coordinates in the file's unit: larger values are not motion and would overflow.
 const MAX_COORDINATE: f64 = 1e9;
@@ -50,9 +59,12 @@ impl Track {
     ) -> Result<Self, Rejected> {
         let anchors = anchors(bones, mapping);
         let num_frames = rig.frames().len();
-        let mut rotations = Vec::with_capacity(num_frames);
-        let mut points = Vec::with_capacity(num_frames);
-        let mut lost = None;
+        let stride = num_frames.div_ceil(MAX_FRAMES).max(1);
+        let mut rotations = Vec::with_capacity(num_frames.div_ceil(stride));
+        let mut points = Vec::with_capacity(num_frames.div_ceil(stride));
+        let (mut lost, mut lost_rotation) = (None, None);
+        let mut legs = 0.0;
+        let mut visited = 0;
         rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
             let frame_points = points_of(&anchors, placed);
             // The sum is not finite if any number is not, or if it overflows.
@@ -62,13 +74,18 @@ impl Track {
             if lost.is_none() && (reach.is_nan() || reach >= MAX_COORDINATE) {
                 lost = Some(frame);
             }
-            rotations.push(rotations_of(mapping, placed));
-            points.push(frame_points);
+            let frame_rotations = rotations_of(&mapping.source_of, placed);
+            if lost_rotation.is_none() && !frame_rotations.iter().all(|q| q.is_finite()) {
+                lost_rotation = Some(visited);
+            }
+            legs += leg_length(|joint| frame_points[joint]);
+            if visited % stride == 0 {
+                rotations.push(frame_rotations);
+                points.push(frame_points);
+            }
+            visited += 1;
         });
-        let lost = lost.or_else(|| {
-            let finite = |frame: &[DQuat; NUM_BODY_JOINTS]| frame.iter().all(|q| q.is_finite());
-            rotations.iter().position(|frame| !finite(frame))
-        });
+        let lost = lost.or(lost_rotation);
         if let Some(frame) = lost {
             return Err(Rejected::retarget(
                 "E-NOT-FINITE",
@@ -81,17 +98,16 @@ impl Track {
             .iter()
             .map(|rest| TrackRest {
                 name: rest.name,
-                rotations: rotations_of(mapping, &rest.bones),
+                rotations: rotations_of(&mapping.source_of, &rest.bones),
                 points: points_of(&anchors, &rest.bones),
             })
             .collect();
-        let legs: f64 = points
-            .iter()
-            .map(|points: &[DVec3; NUM_BODY_JOINTS]| leg_length(|joint| points[joint]))
-            .sum();
         let track = Self {
             source_of: mapping.source_of,
             located: anchors.map(|anchor| anchor.is_some()),
+            anchors,
+            stride,
+            turn: DQuat::IDENTITY,
             leg_length: legs / num_frames.max(1) as f64,
             rotations,
             points,
@@ -110,6 +126,7 @@ impl Track {
 
     /// Rotates the whole track.
     pub(super) fn turn(&mut self, turn: DQuat) {
+        self.turn = turn * self.turn;
         for rotations in &mut self.rotations {
             for rotation in rotations {
                 *rotation = turn * *rotation;
@@ -122,7 +139,27 @@ impl Track {
         }
     }
 
-    /// Number of frames, at least one.
+    /// Calls `visit` with rotations and positions of every frame of the source, in order.
+    pub(super) fn every_frame(
+        &self,
+        rig: &impl Rig,
+        bones: &[Bone<'_>],
+        visit: &mut dyn FnMut(&[DQuat; NUM_BODY_JOINTS], &[DVec3; NUM_BODY_JOINTS]),
+    ) {
+        if self.stride == 1 {
+            for (rotations, points) in self.rotations.iter().zip(&self.points) {
+                visit(rotations, points);
+            }
+            return;
+        }
+        rig.follow(&needed(bones, &self.anchors), &mut |_, placed| {
+            let rotations = rotations_of(&self.source_of, placed).map(|q| self.turn * q);
+            let points = points_of(&self.anchors, placed).map(|point| self.turn * point);
+            visit(&rotations, &points);
+        });
+    }
+
+    /// Number of frames held, at least one.
     pub(super) fn num_frames(&self) -> usize {
         self.points.len()
     }
@@ -193,10 +230,11 @@ fn needed(bones: &[Bone<'_>], anchors: &[Anchor; NUM_BODY_JOINTS]) -> Vec<bool> 
     needed
 }
 
-fn rotations_of(mapping: &Mapping, placed: &[Placed]) -> [DQuat; NUM_BODY_JOINTS] {
-    mapping
-        .source_of
-        .map(|source| source.map_or(DQuat::IDENTITY, |source| placed[source].rotation))
+fn rotations_of(
+    source_of: &[Option<usize>; NUM_BODY_JOINTS],
+    placed: &[Placed],
+) -> [DQuat; NUM_BODY_JOINTS] {
+    source_of.map(|source| source.map_or(DQuat::IDENTITY, |source| placed[source].rotation))
 }
 
 fn points_of(anchors: &[Anchor; NUM_BODY_JOINTS], placed: &[Placed]) -> [DVec3; NUM_BODY_JOINTS] {

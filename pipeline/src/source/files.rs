@@ -1,6 +1,7 @@
 //! The files that are ingested.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -56,11 +57,20 @@ impl Files {
     /// # Errors
     /// `E-IO` if there is no such file or it cannot be read.
     pub fn read(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
-        let path = self.paths.get(relative).ok_or_else(|| {
-            Rejected::read("E-IO", format!("there is no file {relative} in the source"))
-        })?;
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
         self.store
             .read(path)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Opens a file to be read from its beginning.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub(crate) fn open(&self, relative: &str) -> Result<Box<dyn Read>, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        self.store
+            .open(path)
             .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
     }
 
@@ -92,6 +102,10 @@ impl Files {
             .map(|(relative, _)| relative.as_str())
             .take_while(move |relative| relative.starts_with(folder))
     }
+}
+
+fn missing(relative: &str) -> Rejected {
+    Rejected::read("E-IO", format!("there is no file {relative} in the source"))
 }
 
 /// First words of a Git LFS pointer, which replaces a large file that was not downloaded.

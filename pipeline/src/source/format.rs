@@ -1,6 +1,7 @@
 //! The interface of a source format, and of a release.
 
 use std::fmt;
+use std::io::Read;
 use std::path::Path;
 
 use datasets_spec::Split;
@@ -51,6 +52,18 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
             "E-INTERNAL",
             format!("{} is a format of releases, not of files", self.name()),
         ))
+    }
+
+    /// Reads the one motion of a file of about `length` bytes piece by piece, for formats whose files
+    /// are much larger than their motions. None, before anything is read, if the file is read whole.
+    fn read_in_pieces(
+        &self,
+        file: &mut dyn Read,
+        length: usize,
+        options: &ReadOptions,
+    ) -> Option<Outcome> {
+        let _ = (file, length, options);
+        None
     }
 
     /// The releases among the files, each found by its layout. `index` is the HumanML3D index that

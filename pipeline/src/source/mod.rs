@@ -6,6 +6,7 @@
 
 mod files;
 mod format;
+mod names;
 mod options;
 
 pub mod amass;
@@ -25,6 +26,7 @@ use std::path::Path;
 pub use self::files::Files;
 pub(crate) use self::files::{is_pointer, refuse_pointer};
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
+pub(crate) use self::names::{name_of_text, text_of_name};
 pub use self::options::ReadOptions;
 use crate::clip::Outcome;
 
@@ -86,10 +88,16 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         "json" | "txt" | "csv" | "md" | "yaml" | "yml" | "toml" | "tsv" => {
             return not_motion(format!("{extension} text, no motion"));
         }
-        "pth" | "pt" | "tar" => {
+        "pth" | "pt" => {
             return not_motion(format!("{extension} archive of no known release"));
         }
+        "tar" if name.ends_with(".pth.tar") => {
+            return not_motion("pth archive of no known release".to_owned());
+        }
         _ => {}
+    }
+    if let Some(kind) = archive_kind(&name, &extension, head) {
+        return not_motion(format!("{kind} archive; unpack it"));
     }
     let mut formats = FORMATS.iter().copied();
     match formats.find(|format| format.by_content(head)) {
@@ -97,6 +105,30 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         None if extension.is_empty() => not_motion("no known motion format".to_owned()),
         None => not_motion(format!("{extension} is no known motion format")),
     }
+}
+
+/// Kind of an archive, by its name or its first bytes.
+fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str> {
+    /// Place of the magic of a tar header.
+    const TAR_MAGIC_AT: usize = 257;
+    if name.ends_with(".tar.gz") || extension == "tgz" {
+        return Some("tar.gz");
+    }
+    let named = ["zip", "tar", "gz", "7z", "rar", "bz2", "xz", "zst"]
+        .into_iter()
+        .find(|kind| *kind == extension);
+    let magics: [(usize, &[u8], &str); 6] = [
+        (0, b"PK\x03\x04", "zip"),
+        (0, b"\x1f\x8b", "gz"),
+        (0, b"7z\xbc\xaf\x27\x1c", "7z"),
+        (0, b"Rar!\x1a\x07", "rar"),
+        (0, b"\xfd7zXZ\0", "xz"),
+        (TAR_MAGIC_AT, b"ustar", "tar"),
+    ];
+    let found = magics
+        .iter()
+        .find(|(at, magic, _)| head.get(*at..).is_some_and(|rest| rest.starts_with(magic)));
+    named.or(found.map(|(.., kind)| *kind))
 }
 
 /// Turns the bytes of one file into a clip on the given body.
@@ -114,11 +146,20 @@ pub fn read_clip(
     if let Err(rejected) = refuse_pointer(bytes) {
         return Outcome::Rejected(rejected);
     }
-    let clip = match format.read(path, key, bytes, options) {
-        Outcome::Clip(clip) => *clip,
-        other => return other,
-    };
-    labels::attach(clip, path, companions).into()
+    label(format.read(path, key, bytes, options), path, companions)
+}
+
+/// Adds the labels beside a file to the clip that was read from it. `companions` is that of
+/// [`read_clip`].
+pub(crate) fn label(
+    outcome: Outcome,
+    path: &Path,
+    companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+) -> Outcome {
+    match outcome {
+        Outcome::Clip(clip) => labels::attach(*clip, path, companions).into(),
+        other => other,
+    }
 }
 
 #[cfg(test)]
@@ -164,9 +205,32 @@ mod tests {
             ("a/robot.glb", b"glTF", Some(gltf::FORMAT)),
             ("a/noextension", b"glTF\x02", Some(gltf::FORMAT)),
             ("a/weights.pth", b"\x80\x04", None),
+            ("a/walks.zip", b"PK\x03\x04", None),
+            ("a/walks.tar", b"", None),
             ("", b"", None),
         ] {
             assert_eq!(motion_format(path, head), format, "{path}");
+        }
+    }
+
+    #[test]
+    fn archives_are_named_by_their_kind() {
+        let mut tar = [0; 512];
+        tar[257..262].copy_from_slice(b"ustar");
+        for (path, head, kind) in [
+            ("a/walks.zip", &b""[..], "zip"),
+            ("a/WALKS.TAR.GZ", b"", "tar.gz"),
+            ("a/walks.tgz", b"", "tar.gz"),
+            ("a/walk.bvh.gz", b"", "gz"),
+            ("a/walks.tar", b"", "tar"),
+            ("a/walks.7z", b"", "7z"),
+            ("a/walks", b"PK\x03\x04rest", "zip"),
+            ("a/walks", &tar, "tar"),
+        ] {
+            let Recognised::NotMotion { reason } = recognise(Path::new(path), head) else {
+                panic!("{path} is no motion");
+            };
+            assert_eq!(reason, format!("{kind} archive; unpack it"), "{path}");
         }
     }
 

@@ -17,6 +17,8 @@ pub struct ReadOptions {
     /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
     /// file's own rate.
     pub rate: Option<Fps>,
+    /// Accept a BVH file whose number of rows differs from what its header says.
+    pub lenient: bool,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,
 }
@@ -27,6 +29,7 @@ impl Default for ReadOptions {
             skeleton: Skeleton::smplx_neutral(),
             user_map: None,
             rate: None,
+            lenient: false,
             subjects: None,
         }
     }

@@ -14,6 +14,7 @@ mod rig;
 #[cfg(test)]
 mod tests;
 
+use std::io::Read;
 use std::path::Path;
 
 pub use file::BvhFile;
@@ -22,7 +23,8 @@ pub use joint::{Axis, BvhJoint, Channel};
 use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
-use crate::clip::Outcome;
+use crate::check::FLAG_ROW_COUNT;
+use crate::clip::{Outcome, Rejected, SourceClip};
 use crate::retarget;
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
@@ -52,8 +54,28 @@ impl SourceFormat for Bvh {
     }
 
     fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        BvhFile::parse(bytes)
-            .and_then(|bvh| retarget::clip(&bvh, &options.skeleton, options.user_map.as_ref()))
-            .into()
+        read(&mut &bytes[..], bytes.len(), options).into()
     }
+
+    fn read_in_pieces(
+        &self,
+        file: &mut dyn Read,
+        length: usize,
+        options: &ReadOptions,
+    ) -> Option<Outcome> {
+        Some(read(file, length, options).into())
+    }
+}
+
+fn read(file: &mut dyn Read, length: usize, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+    let bvh = BvhFile::read(file, length, options.lenient)?;
+    let mut clip = retarget::clip(&bvh, &options.skeleton, options.user_map.as_ref())?;
+    if bvh.num_rows != bvh.stated_frames {
+        clip.flags |= FLAG_ROW_COUNT;
+        clip.notes.push(format!(
+            "the header says {} frames and {} rows follow; {} were read",
+            bvh.stated_frames, bvh.num_rows, bvh.num_frames
+        ));
+    }
+    Ok(clip)
 }

@@ -32,6 +32,62 @@ fn local(bvh: &BvhFile, joint: usize, frame: usize) -> (DVec3, DQuat) {
     (block.positions[0], block.rotations[0])
 }
 
+/// Files are read in pieces of a megabyte; this one has several, whose borders cut rows.
+#[test]
+fn long_files_are_read_piece_by_piece_as_if_whole() {
+    const FRAMES: usize = 60_000;
+    let (head, _) = SMALL.split_once("Frames: 2").expect("a number of frames");
+    let row = |frame: usize| format!("{frame}.25 1 2 {} 0 0 0 0 0.0625\n", frame % 360);
+    let rows = |frames: usize| (0..frames).map(row).collect::<String>();
+    let header = format!("{head}Frames: {FRAMES}\nFrame Time: 0.0333333\n");
+    let text = header.clone() + &rows(FRAMES);
+    assert!(text.len() > 1_500_000, "{}", text.len());
+    let bvh = parse(&text).expect("valid");
+    assert_eq!(bvh.num_frames(), FRAMES);
+    for frame in 0..FRAMES {
+        let turn = (frame % 360) as f64;
+        let expected = [
+            frame as f64 + 0.25,
+            1.0,
+            2.0,
+            turn,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0625,
+        ];
+        assert_eq!(bvh.frame(frame), expected);
+    }
+    // Without any line break between them, rows are told apart by their number of values.
+    let flat = header.clone() + &rows(FRAMES).replace('\n', " ");
+    assert_eq!(parse(&flat).expect("valid"), bvh);
+    let broken = text.clone() + "1 2 here\n";
+    assert_eq!(rejection(&broken), ("E-BVH-NUMBER", "here\n".to_owned()));
+    let extra = text.clone() + &row(7);
+    assert_eq!(rejection(&extra), ("E-BVH-FRAMES", "7.25 1 2".to_owned()));
+    let missing = header + &rows(FRAMES - 1);
+    let rejected = parse(&missing).expect_err("a row is missing");
+    assert_eq!(rejected.byte_offset, Some(missing.len() as u64));
+}
+
+#[test]
+fn rows_that_differ_from_the_header_are_read_leniently() {
+    let read = |text: &str| BvhFile::read(&mut text.as_bytes(), text.len(), true);
+    for (frames, kept) in [(1, 1), (2, 2), (3, 2)] {
+        let text = SMALL.replace("Frames: 2", &format!("Frames: {frames}"));
+        let bvh = read(&text).expect("whole rows");
+        assert_eq!(
+            (bvh.num_frames(), bvh.stated_frames, bvh.num_rows),
+            (kept, frames, 2)
+        );
+    }
+    let odd = SMALL.replace("Frames: 2", "Frames: 3") + "0 1\n";
+    assert_eq!(read(&odd).expect_err("a broken row").code, "E-BVH-FRAMES");
+    let none = SMALL.replace("Frames: 2", "Frames: 0");
+    assert_eq!(read(&none).expect_err("no frames").code, "E-BVH-FRAMES");
+}
+
 #[test]
 fn dialects_read_the_same() {
     let plain = parse(SMALL).expect("plain");

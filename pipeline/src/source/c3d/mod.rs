@@ -304,6 +304,13 @@ impl Layout {
             )
             .at(self.start));
         }
+        if seen > 0 && positions.iter().all(|position| *position == [0.0; 3]) {
+            return Err(Rejected::read(
+                "E-C3D-ZERO",
+                format!("all coordinates of {seen} seen positions are zero, expected a capture"),
+            )
+            .at(self.start));
+        }
         if implausible > 0 {
             self.notes.push(format!(
                 "{implausible} positions farther than {MAX_DISTANCE_M} m count as not seen"
@@ -674,6 +681,43 @@ mod tests {
         assert_eq!(
             C3dFile::parse(&frames).expect_err("nonsense").code,
             "E-C3D-ENDIAN"
+        );
+    }
+
+    /// A file as some programs on MIPS machines wrote it: the link of LABELS to the next parameter
+    /// leads out of the section, into the frames or beyond the file.
+    #[test]
+    fn a_link_out_of_the_section_does_not_end_the_file() {
+        let labels = b"\x06\x01LABELS";
+        for processor in [84, 85, 86] {
+            for link in [BLOCK as u16 + 16, 0x7000, 0xfff0] {
+                let mut bytes = file(processor, false);
+                let found = bytes.windows(labels.len()).position(|name| name == labels);
+                let at = found.expect("labels") + labels.len();
+                let link = match processor {
+                    86 => link.to_be_bytes(),
+                    _ => link.to_le_bytes(),
+                };
+                bytes[at..at + 2].copy_from_slice(&link);
+                let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
+                let reference = C3dFile::parse(&file(processor, false))
+                    .expect("good")
+                    .expect("with a point");
+                assert_eq!(capture.markers, reference.markers, "{processor}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_capture_of_zeros_is_refused() {
+        let mut bytes = file(84, false);
+        for frame in bytes[2 * BLOCK..].chunks_exact_mut(24) {
+            frame[..12].fill(0);
+        }
+        let rejected = C3dFile::parse(&bytes).expect_err("all zero");
+        assert_eq!(
+            (rejected.code, rejected.byte_offset),
+            ("E-C3D-ZERO", Some(1024))
         );
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Processor;
+use super::{BLOCK, Processor};
 use crate::clip::Rejected;
 
 /// Groups whose labels name points that are not markers.
@@ -67,6 +67,9 @@ impl<'a> Cursor<'a> {
 impl Parameters {
     /// Parses the section that begins at `start`.
     ///
+    /// Some programs write a link to the next parameter that leads out of the section. Then the
+    /// parameter that follows in the file is the next one; without one, the section ends.
+    ///
     /// # Errors
     /// `E-C3D-PARAM` if it breaks off in the middle of a value.
     pub(super) fn parse(
@@ -76,6 +79,7 @@ impl Parameters {
     ) -> Result<Self, Rejected> {
         // Some files state too few blocks, so the section is read to its own end.
         let end = bytes.len();
+        let stated_end = start + usize::from(bytes[start + 2]) * BLOCK;
         let mut groups: BTreeMap<u8, String> = BTreeMap::new();
         let mut by_group: Vec<(u8, String, Value)> = Vec::new();
         let mut cursor = Cursor {
@@ -103,11 +107,19 @@ impl Parameters {
                 let value = value(&mut cursor, processor)?;
                 by_group.push((group.unsigned_abs(), name, value));
             }
-            // An offset of zero ends the section; an offset backwards would loop forever.
-            if offset == 0 || next <= offset_at || next > end {
+            // An offset of zero ends the section.
+            if offset == 0 {
                 break;
             }
-            cursor.at = next;
+            if next <= stated_end {
+                cursor.at = next;
+                continue;
+            }
+            let follows = end_of_record(bytes, cursor.at);
+            match [next, follows].into_iter().find(|at| is_record(bytes, *at)) {
+                Some(at) => cursor.at = at,
+                None => break,
+            }
         }
         let values = by_group
             .into_iter()
@@ -180,6 +192,24 @@ impl Parameters {
         outputs.dedup();
         outputs
     }
+}
+
+/// Where a record ends whose value ends at `at`: after its description, whose length is one byte.
+fn end_of_record(bytes: &[u8], at: usize) -> usize {
+    at + 1 + bytes.get(at).map_or(0, |length| usize::from(*length))
+}
+
+/// Whether the bytes look like the head of a group or parameter: a name in capitals, digits and
+/// underscores, which no number of the frames resembles.
+fn is_record(bytes: &[u8], at: usize) -> bool {
+    const SHORTEST_NAME: usize = 3;
+    let Some(&[length, group]) = bytes.get(at..at + 2) else {
+        return false;
+    };
+    let length = usize::from((length as i8).unsigned_abs());
+    let name = bytes.get(at + 2..at + 2 + length).unwrap_or_default();
+    let is_named = |byte: &u8| byte.is_ascii_alphanumeric() || *byte == b'_';
+    group != 0 && name.len() >= SHORTEST_NAME && name.iter().all(is_named)
 }
 
 fn value(cursor: &mut Cursor, processor: Processor) -> Result<Value, Rejected> {

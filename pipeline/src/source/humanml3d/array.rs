@@ -32,11 +32,13 @@ pub(crate) fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip
     let unfit = |error: &dyn std::fmt::Display| {
         Rejected::retarget("E-HML-FIT", format!("no body has these joints: {error}"))
     };
+    let mut carried = None;
     let (motion, fit_error_m, source, note) = if array.shape.last() == Some(&HUMANML3D_WIDTH) {
         let features = features(&array)?;
         let (motion, error) =
             motion_of_features(&features, FPS, skeleton).map_err(|error| unfit(&error))?;
         let note = "rotations from the HumanML3D vector, 20 fps";
+        carried = Some(features);
         (motion, error, RotationSource::Retargeted, note)
     } else {
         let joints = joints(&array)?;
@@ -47,6 +49,7 @@ pub(crate) fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip
     };
     let mut clip = SourceClip::new(motion, source);
     clip.fit_error_m = Some(fit_error_m);
+    clip.features = carried;
     clip.notes.push(note.to_owned());
     Ok(clip)
 }
