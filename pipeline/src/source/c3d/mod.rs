@@ -304,10 +304,13 @@ impl Layout {
             )
             .at(self.start));
         }
-        if seen > 0 && positions.iter().all(|position| *position == [0.0; 3]) {
+        if !positions.is_empty() && positions.iter().all(|position| *position == [0.0; 3]) {
             return Err(Rejected::read(
                 "E-C3D-ZERO",
-                format!("all coordinates of {seen} seen positions are zero, expected a capture"),
+                format!(
+                    "all coordinates are zero in {} positions, {seen} of them seen; expected a capture",
+                    positions.len()
+                ),
             )
             .at(self.start));
         }
