@@ -563,7 +563,7 @@ fn check_sampling(case: &str) {
     let network = denoiser();
     Sampler {
         denoiser: &network,
-        weights: &network.pack(),
+        weights: &network.prepared_weights(),
         schedule: &schedule,
         prediction: Prediction::Noise,
         extrapolation: None,
@@ -672,7 +672,7 @@ fn golden_autoregressive() {
     };
     let expected_fixed = golden.f32s("out.fixed");
     let expected = golden.f32s("out.windows");
-    let weights = network.pack();
+    let weights = network.prepared_weights();
     for index in 0..num_windows {
         let original = &original[index * numbers..(index + 1) * numbers];
         let fixed: Vec<f32> = match stitcher.next_fixed() {
