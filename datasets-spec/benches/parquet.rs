@@ -89,6 +89,7 @@ fn motion_rows() -> Vec<MotionRow> {
                 caption_origins: Vec::new(),
                 inputs_hash: String::new(),
                 part_captions: Vec::new(),
+                subject: None,
                 action: None,
                 style: None,
                 notes: Vec::new(),

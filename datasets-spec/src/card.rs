@@ -1,8 +1,9 @@
 //! The card of a dataset, for people and for the Hugging Face `datasets` library, which reads its YAML header.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::Split;
+use crate::license::{is_non_commercial, licenses, warning};
 use crate::manifest::Manifest;
 
 /// Name of the file.
@@ -11,9 +12,13 @@ pub(crate) const FILE: &str = "README.md";
 /// The library's split name for tables without splits. It reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
+/// Families of SPDX identifiers that the hub knows.
+const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
+
 /// The card of a dataset. It follows from the manifest alone.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut text = String::from("---\npretty_name: Motion dataset\ntags:\n- motion\n- smpl-x\n");
+    text += &license_header(manifest);
     text += "configs:\n";
     for (table, files) in &manifest.tables {
         let mut splits: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
@@ -43,6 +48,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     );
     text += &tables(manifest);
     text += &sources(manifest);
+    text += &license_table(manifest);
     text += "\n## Loading\n\n```python\nfrom datasets import load_dataset\n\n\
              motions = load_dataset(\"PATH\", \"motions\", split=\"train\").with_format(\"numpy\")\n\
              motions[0][\"body_pose\"]  # (frames, 63), axis-angle in radians\n```\n";
@@ -57,6 +63,48 @@ fn tables(manifest: &Manifest) -> String {
         let [train, val, test] = Split::ALL.map(|split| manifest.rows(table, Some(split)));
         let rows = manifest.rows(table, None);
         text += &format!("| {table} | {train} | {val} | {test} | {rows} |\n");
+    }
+    text
+}
+
+/// Licences by the names of the Hugging Face hub, which are SPDX identifiers in lower case.
+fn license_header(manifest: &Manifest) -> String {
+    let names: BTreeSet<String> = licenses(manifest)
+        .keys()
+        .flat_map(|tag| tag.split(" AND "))
+        .map(|tag| match tag {
+            "" => "unknown".to_owned(),
+            tag if KNOWN_TO_HUB.iter().any(|family| tag.starts_with(family)) => tag.to_lowercase(),
+            _ => "other".to_owned(),
+        })
+        .collect();
+    match names.len() {
+        0 => String::new(),
+        _ => {
+            let lines = names.iter().map(|name| format!("- {name}\n"));
+            format!("license:\n{}", lines.collect::<String>())
+        }
+    }
+}
+
+/// Clips by licence, and what follows from a mixture of them.
+fn license_table(manifest: &Manifest) -> String {
+    let licenses = licenses(manifest);
+    if licenses.is_empty() {
+        return String::new();
+    }
+    let mut text =
+        String::from("\n## Licences\n\n| licence | clips | commercial use |\n|---|---:|---|\n");
+    for (tag, clips) in &licenses {
+        let (name, use_of) = match (tag.as_str(), is_non_commercial(tag)) {
+            ("", _) => ("not stated", "ask the source"),
+            (tag, true) => (tag, "no"),
+            (tag, false) => (tag, "see the licence"),
+        };
+        text += &format!("| {name} | {clips} | {use_of} |\n");
+    }
+    if let Some(warning) = warning(&licenses) {
+        text += &format!("\nNote: {warning}.\n");
     }
     text
 }

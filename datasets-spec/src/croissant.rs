@@ -5,6 +5,7 @@
 
 use serde_json::{Value, json};
 
+use crate::license::licenses;
 use crate::manifest::Manifest;
 use crate::record::all_tables;
 use crate::table::Column;
@@ -59,7 +60,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
             record_sets.push(record_set(id, table, &columns, &source));
         }
     }
-    let document = json!({
+    let mut document = json!({
         "@context": context(),
         "@type": "sc:Dataset",
         "name": "motion-dataset",
@@ -72,9 +73,25 @@ pub(crate) fn text(manifest: &Manifest) -> String {
         "distribution": distribution,
         "recordSet": record_sets,
     });
+    let licenses: Vec<String> = licenses(manifest)
+        .into_keys()
+        .filter(|tag| !tag.is_empty())
+        .map(|tag| license_url(&tag))
+        .collect();
+    if !licenses.is_empty() {
+        document["license"] = json!(licenses);
+    }
     let mut text = serde_json::to_string_pretty(&document).unwrap_or_default();
     text.push('\n');
     text
+}
+
+/// Address of an SPDX licence; other licences by their tag.
+fn license_url(tag: &str) -> String {
+    match tag.starts_with("LicenseRef-") || tag.contains(' ') {
+        true => tag.to_owned(),
+        false => format!("https://spdx.org/licenses/{tag}.html"),
+    }
 }
 
 fn record_set(id: &str, table: &str, columns: &[Column], source: &Value) -> Value {

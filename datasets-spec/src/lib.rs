@@ -33,6 +33,7 @@ pub mod dataset;
 mod error;
 mod ids;
 mod joint_set;
+pub mod license;
 pub mod manifest;
 mod progress;
 pub mod quantile;

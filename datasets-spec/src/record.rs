@@ -61,6 +61,8 @@ table! {
         pub caption_origins: Vec<String> ["", newer],
         /// What single body parts are said to do
         pub part_captions: Vec<PartCaption> [""],
+        /// Who performs it, if the source says
+        pub subject: Option<String> ["", newer],
         /// Action label of the source
         pub action: Option<String> [""],
         /// Style label of the source
@@ -488,6 +490,11 @@ table! {
     }
 }
 
+/// Origin of captions that the source states.
+pub const CAPTION_BY_SOURCE: &str = "source";
+/// Origin of captions that were made by rule from a file name.
+pub const CAPTION_BY_RULE: &str = "rule";
+
 impl MotionRow {
     /// The motion of the row.
     ///
@@ -495,6 +502,20 @@ impl MotionRow {
     /// The row's columns do not make a motion.
     pub fn motion(&self) -> Result<Motion, Error> {
         motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+    }
+
+    /// The captions and who wrote each. Tables older than 1.5.0 do not say, and name the source.
+    pub fn captions_by_origin(&self) -> impl Iterator<Item = (&Caption, &str)> {
+        self.captions.iter().enumerate().map(|(index, caption)| {
+            let origin = self.caption_origins.get(index);
+            (caption, origin.map_or(CAPTION_BY_SOURCE, String::as_str))
+        })
+    }
+
+    /// The captions that the source states, for layouts without room for their origin.
+    pub fn stated_captions(&self) -> impl Iterator<Item = &Caption> {
+        let captions = self.captions_by_origin();
+        captions.filter_map(|(caption, origin)| (origin != CAPTION_BY_RULE).then_some(caption))
     }
 }
 

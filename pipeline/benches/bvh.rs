@@ -171,6 +171,7 @@ fn row(motion: &Motion) -> MotionRow {
         caption_origins: Vec::new(),
         inputs_hash: String::new(),
         part_captions: Vec::new(),
+        subject: None,
         action: None,
         style: None,
         notes: Vec::new(),

@@ -84,6 +84,18 @@ pub enum Error {
         /// The split.
         split: datasets_spec::Split,
     },
+    /// The rate to store motions at is implausible.
+    #[error(
+        "cannot store motions at {got} frames per second; choose {lowest} to {highest}, or native"
+    )]
+    StoredRate {
+        /// The rate asked for.
+        got: f64,
+        /// The lowest accepted rate.
+        lowest: f64,
+        /// The highest accepted rate.
+        highest: f64,
+    },
     /// A source folder or file does not exist.
     #[error("no such file or folder: {}; check the path", path.display())]
     MissingSource {

@@ -27,6 +27,7 @@ pub mod catalogue;
 pub mod check;
 pub mod clip;
 pub mod compose;
+mod csv_lines;
 pub mod doctor;
 mod error;
 pub mod export;

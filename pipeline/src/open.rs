@@ -7,6 +7,7 @@ use datasets_spec::{Dataset, Motion, Skeleton};
 
 use crate::Error;
 use crate::clip::Outcome;
+use crate::source::labels::ClipLabels;
 use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
 /// Code of a file that gives no motion and is not rejected either.
@@ -89,6 +90,7 @@ pub fn read_file(
     };
     let folder = path.parent().unwrap_or(Path::new("."));
     let companions = |name: &str| std::fs::read(folder.join(name)).ok();
+    let around = ClipLabels::default();
     let mut keys = format.keys(&bytes);
     if keys.is_empty() {
         keys.push(String::new());
@@ -96,7 +98,7 @@ pub fn read_file(
     let outcomes = keys
         .into_iter()
         .map(|key| {
-            let outcome = read_clip(format, path, &key, &bytes, &companions, options);
+            let outcome = read_clip(format, path, &key, &bytes, &companions, &around, options);
             (key, outcome)
         })
         .collect();

@@ -1,7 +1,10 @@
 //! Descriptions that lie beside a motion file.
 
+use datasets_spec::Split;
+use datasets_spec::record::{CAPTION_BY_RULE, CAPTION_BY_SOURCE};
 use datasets_spec::table::{Caption, PartCaption};
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// The content of `<stem>.stance.json`, which may lie beside any motion file and adds what its format
 /// cannot hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
@@ -9,15 +12,23 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {
     /// What the clip shows.
-    pub captions: Vec<Caption>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub captions: Vec<LabelCaption>,
     /// What single body parts do.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartCaption>,
+    /// Who performs it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
     /// Action label.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action: Option<String>,
     /// Style label.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub style: Option<String>,
+    /// Split, in place of a published or drawn one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split: Option<Split>,
     /// Licence tag.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub license: Option<String>,
@@ -26,4 +37,97 @@ pub struct Sidecar {
 impl Sidecar {
     /// The ending that replaces the motion file's extension.
     pub const SUFFIX: &'static str = ".stance.json";
+}
+
+/// A caption of a label file: a text alone, or a text with any of the other fields.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LabelCaption {
+    /// The caption; its times are 0 where it speaks of the whole clip.
+    #[serde(flatten)]
+    pub caption: Caption,
+    /// Who wrote it: `source`, or `rule` if it was made from a file name.
+    #[serde(skip_serializing_if = "is_by_source")]
+    pub origin: String,
+}
+
+fn is_by_source(origin: &String) -> bool {
+    origin == CAPTION_BY_SOURCE
+}
+
+impl LabelCaption {
+    /// Whether it was made by rule.
+    pub fn is_made(&self) -> bool {
+        self.origin == CAPTION_BY_RULE
+    }
+}
+
+impl From<Caption> for LabelCaption {
+    fn from(caption: Caption) -> Self {
+        Self {
+            caption,
+            origin: CAPTION_BY_SOURCE.to_owned(),
+        }
+    }
+}
+
+impl From<String> for LabelCaption {
+    fn from(text: String) -> Self {
+        Self::from(Caption {
+            text,
+            ..Caption::default()
+        })
+    }
+}
+
+/// The fields of a caption in a label file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    text: String,
+    #[serde(default)]
+    tokens: String,
+    #[serde(default)]
+    from_s: f32,
+    #[serde(default)]
+    to_s: f32,
+    #[serde(default)]
+    origin: Option<String>,
+}
+
+impl<'de> Deserialize<'de> for LabelCaption {
+    /// A text or a table. An untagged enum would not say which field is wrong.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = LabelCaption;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a text, or a table with the field text")
+            }
+
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Self::Value, E> {
+                Ok(text.to_owned().into())
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(
+                self,
+                map: A,
+            ) -> Result<Self::Value, A::Error> {
+                let fields = Fields::deserialize(MapAccessDeserializer::new(map))?;
+                let said = LabelCaption::from(Caption {
+                    text: fields.text,
+                    tokens: fields.tokens,
+                    from_s: fields.from_s,
+                    to_s: fields.to_s,
+                });
+                Ok(LabelCaption {
+                    origin: fields.origin.unwrap_or(said.origin),
+                    ..said
+                })
+            }
+        }
+
+        deserializer.deserialize_any(Visitor)
+    }
 }

@@ -69,8 +69,10 @@ pub struct IngestConfig {
     pub fps: Fps,
     /// Rule of resampling.
     pub resample: Resample,
-    /// Licence recorded with every motion.
+    /// Licence recorded with motions whose source states none.
     pub license: Option<String>,
+    /// Keep captions that are made by rule from file names.
+    pub made_captions: bool,
 }
 
 impl Default for IngestConfig {
@@ -79,6 +81,7 @@ impl Default for IngestConfig {
             fps: Fps::STORE,
             resample: Resample::Exact,
             license: None,
+            made_captions: true,
         }
     }
 }
@@ -90,6 +93,7 @@ impl IngestConfig {
             fps: Some(self.fps),
             resample: self.resample,
             license: self.license.clone(),
+            made_captions: self.made_captions,
             seed,
             ..IngestOptions::default()
         }

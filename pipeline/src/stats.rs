@@ -5,7 +5,7 @@ use std::fmt;
 
 use datasets_spec::Dataset;
 use datasets_spec::quantile::quantile;
-use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
 use serde::Serialize;
 
@@ -76,6 +76,8 @@ pub struct Statistics {
     pub mirrored: u64,
     /// Captions, their words, and clips without any.
     pub captions: u64,
+    /// Of these, captions made from file names.
+    pub made_captions: u64,
     /// Words of all captions.
     pub words: u64,
     /// Clips without captions.
@@ -194,6 +196,8 @@ impl Statistics {
         }
         self.mirrored += u64::from(row.mirrored_of.is_some());
         self.captions += row.captions.len() as u64;
+        let origins = row.caption_origins.iter();
+        self.made_captions += origins.filter(|origin| *origin == CAPTION_BY_RULE).count() as u64;
         let words = row
             .captions
             .iter()
@@ -230,8 +234,8 @@ impl fmt::Display for Statistics {
         }
         writeln!(
             f,
-            "{} captions of {} words; {} clips without any; {} mirrored",
-            self.captions, self.words, self.silent, self.mirrored
+            "{} captions of {} words, {} of them made from file names; {} clips without any; {} mirrored",
+            self.captions, self.words, self.made_captions, self.silent, self.mirrored
         )?;
         for (title, shares) in [
             ("split", &self.splits),

@@ -11,7 +11,7 @@ use crate::report;
 /// Report what folders hold, before any work: formats, releases, their missing files and where to get
 /// them, and the cost of ingestion.
 ///
-/// Files are listed and their first bytes read; nothing is written.
+/// Files are listed; their first bytes, labels and licences are read; nothing is written.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to look at

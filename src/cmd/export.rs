@@ -6,7 +6,7 @@ use anyhow::bail;
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
-use pipeline::export::{Layout, Sides, export, export_edits};
+use pipeline::export::{Exported, Layout, Sides, export, export_edits};
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let has = |table: &str| dataset.manifest().tables.contains_key(table);
     let bars = global.bars();
-    let clips = if has(MotionRow::TABLE) {
+    let done = if has(MotionRow::TABLE) {
         if sides != Sides::default() {
             bail!(
                 "{} holds motions; --sources and --targets are of items",
@@ -84,7 +84,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         export(&dataset, layout, &args.out, &bars)?
     } else if has(EditRow::TABLE) || (has(ItemRow::TABLE) && sides != Sides::default()) {
-        export_edits(&dataset, layout, sides, &args.out, &bars)?
+        Exported {
+            clips: export_edits(&dataset, layout, sides, &args.out, &bars)?,
+            ..Exported::default()
+        }
     } else if has(ItemRow::TABLE) {
         bail!(
             "{} holds items; say which of their motions: --sources, --targets, or both",
@@ -97,14 +100,23 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::json(&serde_json::json!({
             "out": args.out,
             "layout": layout.as_str(),
-            "clips": clips,
+            "clips": done.clips,
+            "made_captions_left_out": done.made_captions_left_out,
         }))?;
     } else {
-        report::text(&format!(
-            "{clips} clips written as {} to {}",
+        let mut text = format!(
+            "{} clips written as {} to {}",
+            done.clips,
             layout.as_str(),
             args.out.display()
-        ));
+        );
+        if done.made_captions_left_out > 0 {
+            text += &format!(
+                "\n{} captions made from file names were left out, because the layout cannot mark them",
+                done.made_captions_left_out
+            );
+        }
+        report::text(&text);
     }
     Ok(Exit::Done)
 }

@@ -11,7 +11,8 @@ use datasets_spec::table::Row;
 use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
-use pipeline::ingest::{IngestOptions, IngestReport, ingest};
+use pipeline::clip::LabelProblem;
+use pipeline::ingest::{IngestOptions, IngestReport, SplitList, ingest};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
@@ -78,9 +79,15 @@ pub(crate) struct Args {
     /// split of its original, unless a published list says otherwise
     #[arg(long, value_name = "CSV")]
     pairs: Option<PathBuf>,
+    /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones
+    #[arg(long, value_name = "CSV")]
+    splits: Option<PathBuf>,
     /// Licence tag for clips whose source states none
     #[arg(long)]
     license: Option<String>,
+    /// Leave out captions that are made by rule from file names
+    #[arg(long)]
+    no_made_captions: bool,
     /// Exit with 0 although up to N files, or P%, were quarantined
     #[arg(long, value_name = "N|P%", value_parser = parse_allowance)]
     allow_quarantine: Option<Allowance>,
@@ -125,9 +132,9 @@ fn parse_fps(text: &str) -> Result<FpsArg, String> {
     let number: f64 = text
         .parse()
         .map_err(|_| "expected a number of frames per second, or native".to_owned())?;
-    Fps::new(number)
-        .map(|fps| FpsArg(Some(fps)))
-        .map_err(|error| error.to_string())
+    let fps = Fps::new(number).map_err(|error| error.to_string())?;
+    IngestOptions::check_fps(fps).map_err(|error| error.to_string())?;
+    Ok(FpsArg(Some(fps)))
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -166,7 +173,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         humanml3d_features: args.features.is_some(),
         seed: global.seed(),
         pairs: args.pairs.as_deref().map(PairList::read).transpose()?,
+        splits: args.splits.as_deref().map(SplitList::read).transpose()?,
         license: args.license.clone(),
+        made_captions: !args.no_made_captions,
     };
     let done = ingest(
         &args.sources,
@@ -250,7 +259,7 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
         Some(Allowance::Files(files)) => quarantined <= files,
         Some(Allowance::Percent(percent)) => quarantined as f64 <= percent / 100.0 * sources as f64,
     };
-    if allowed && done.refused_pairs.is_empty() {
+    if allowed && done.refused_pairs.is_empty() && done.refused_splits.is_empty() {
         Exit::Done
     } else {
         Exit::Quarantined
@@ -276,6 +285,9 @@ struct Document<'a> {
     tables: BTreeMap<&'a str, u64>,
     dropped_pairs: u64,
     refused_pairs: &'a [RefusedLine],
+    refused_splits: &'a [RefusedLine],
+    label_problems: &'a [LabelProblem],
+    licenses: &'a BTreeMap<String, u64>,
     remarks: &'a [String],
     root_hash: &'a str,
 }
@@ -297,6 +309,9 @@ impl<'a> Document<'a> {
             tables: table_rows(done),
             dropped_pairs: done.dropped_pairs,
             refused_pairs: &done.refused_pairs,
+            refused_splits: &done.refused_splits,
+            label_problems: &done.label_problems,
+            licenses: &done.licenses,
             remarks: &done.remarks,
             root_hash: &done.dataset.manifest().root_hash,
         }
@@ -363,6 +378,33 @@ pub(crate) fn summary(done: &IngestReport) -> String {
         for line in &done.refused_pairs {
             text += &format!("  {line}\n");
         }
+    }
+    if !done.refused_splits.is_empty() {
+        text += &format!(
+            "{} lines of the splits name no clip\n",
+            done.refused_splits.len()
+        );
+        for line in &done.refused_splits {
+            text += &format!("  {line}\n");
+        }
+    }
+    if !done.label_problems.is_empty() {
+        const SHOWN: usize = 10;
+        text += &format!(
+            "{} labels could not be used; their motions were ingested without them\n",
+            done.label_problems.len()
+        );
+        for problem in done.label_problems.iter().take(SHOWN) {
+            text += &format!("  {problem}\n");
+        }
+        let more = done.label_problems.len().saturating_sub(SHOWN);
+        if more > 0 {
+            text += &format!("  and {more} more; --json lists all\n");
+        }
+    }
+    for (tag, clips) in &done.licenses {
+        let tag = if tag.is_empty() { "not stated" } else { tag };
+        text += &format!("licence {tag:<20} {clips:>8} clips\n");
     }
     for remark in &done.remarks {
         text += &format!("note: {remark}\n");

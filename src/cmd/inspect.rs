@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::manifest::{Accounting, Manifest};
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{CAPTION_BY_RULE, EditRow, ItemRow, MotionRow};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
@@ -352,6 +352,7 @@ impl Clip {
         for (key, value) in [
             ("action", &row.action),
             ("style", &row.style),
+            ("subject", &row.subject),
             ("licence", &row.license),
             ("mirrors", &row.mirrored_of),
         ] {
@@ -361,7 +362,10 @@ impl Clip {
         }
         Self {
             facts,
-            captions: row.captions.iter().map(|said| said.text.clone()).collect(),
+            captions: row
+                .captions_by_origin()
+                .map(|(said, origin)| marked(&said.text, origin == CAPTION_BY_RULE))
+                .collect(),
             parts: row
                 .part_captions
                 .iter()
@@ -385,6 +389,14 @@ impl Clip {
             }
         }
         text
+    }
+}
+
+/// A caption, marked if it was made by rule.
+fn marked(text: &str, is_made: bool) -> String {
+    match is_made {
+        true => format!("{text} (made from the file name)"),
+        false => text.to_owned(),
     }
 }
 
@@ -482,7 +494,12 @@ impl ForeignMotion {
                         motion.rejected = Some(rejected);
                     }
                 }
-                motion.captions = clip.captions.iter().map(|said| said.text.clone()).collect();
+                let stated = clip.captions.iter().map(|said| marked(&said.text, false));
+                let made = clip
+                    .made_captions
+                    .iter()
+                    .map(|said| marked(&said.text, true));
+                motion.captions = stated.chain(made).collect();
                 motion.notes = clip.notes;
             }
             Outcome::Markers { markers, reason } => {

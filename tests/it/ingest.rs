@@ -31,6 +31,9 @@ struct Ingested {
     tables: BTreeMap<String, u64>,
     dropped_pairs: u64,
     refused_pairs: Vec<serde_json::Value>,
+    refused_splits: Vec<serde_json::Value>,
+    label_problems: Vec<serde_json::Value>,
+    licenses: BTreeMap<String, u64>,
     remarks: Vec<String>,
     root_hash: String,
 }
@@ -62,6 +65,8 @@ fn the_corpus_is_ingested_whole_and_the_same_on_any_number_of_threads() {
         assert_eq!((done.ingested, done.quarantined), (24, 0));
         assert!(done.balances() && !done.already_complete, "{done:?}");
         assert!(done.refused_pairs.is_empty() && done.remarks.is_empty());
+        assert!(done.refused_splits.is_empty() && done.label_problems.is_empty());
+        assert_eq!(done.licenses["CC0-1.0"], 24);
         hashes.push(done.root_hash);
     }
     assert_eq!(hashes[0], hashes[1]);

@@ -11,6 +11,7 @@ mod export;
 mod golden;
 mod help;
 mod ingest;
+mod labels;
 mod pairs;
 mod results;
 mod seams;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Caption, Row, read_column, read_rows};
 use datasets_spec::{BodyPart, Dataset, MASK_DEF_VERSION, MotionId, Split};
 use serde::Serialize;
@@ -67,6 +67,16 @@ struct Clip {
     mirrored: bool,
 }
 
+/// The captions that the source states. People must not take a text made from a file name for one.
+fn stated(captions: &[Caption], origins: Option<&Vec<String>>) -> Vec<String> {
+    let origin = |index: usize| origins.and_then(|origins| origins.get(index));
+    let captions = captions.iter().enumerate();
+    captions
+        .filter(|(index, _)| origin(*index).is_none_or(|origin| origin != CAPTION_BY_RULE))
+        .map(|(_, caption)| caption.text.clone())
+        .collect()
+}
+
 /// Columns of the motions, without their frames.
 fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
     let mut clips = Vec::new();
@@ -77,6 +87,9 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
         let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
         let fps: Vec<f32> = read_column::<MotionRow, _>(&path, "fps")?;
         let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
+        // Tables older than 1.5.0 have no origins.
+        let origins: Vec<Vec<String>> =
+            read_column::<MotionRow, _>(&path, "caption_origins").unwrap_or_default();
         let styles: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "style")?;
         let actions: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "action")?;
         let mirrored: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "mirrored_of")?;
@@ -91,10 +104,7 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
                     split: splits[index].to_string(),
                     frames: frames[index].into(),
                     fps: fps[index].into(),
-                    captions: captions[index]
-                        .iter()
-                        .map(|caption| caption.text.clone())
-                        .collect(),
+                    captions: stated(&captions[index], origins.get(index)),
                     style: styles[index].clone(),
                     action: actions[index].clone(),
                 },

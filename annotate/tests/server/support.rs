@@ -71,6 +71,7 @@ fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
         caption_origins: Vec::new(),
         inputs_hash: String::new(),
         part_captions: Vec::new(),
+        subject: None,
         action: Some("wave".to_owned()),
         style: None,
         notes: Vec::new(),

@@ -242,10 +242,12 @@ impl Motion {
         })
     }
 
-    /// BLAKE3 of the rate and the columns in canonical little-endian bytes, in hexadecimal.
+    /// BLAKE3 of the rate and the columns in canonical little-endian bytes, in hexadecimal. The rate counts as
+    /// tables store it, in single precision, so that 29.97 fps have one hash before and after.
     pub fn content_hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(&self.fps.get().to_le_bytes());
+        let stored_fps = f64::from(self.fps.get() as f32);
+        hasher.update(&stored_fps.to_le_bytes());
         for column in [
             self.transl.as_flattened(),
             self.global_orient.as_flattened(),

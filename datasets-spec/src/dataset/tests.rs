@@ -48,6 +48,7 @@ fn row(index: usize) -> MotionRow {
         caption_origins: Vec::new(),
         inputs_hash: String::new(),
         part_captions: vec![PartCaption::default(); index % 2],
+        subject: (index % 2 == 1).then(|| "anna".to_owned()),
         action: None,
         style: Some("proud".to_owned()),
         notes: vec!["frame 0 was dropped".to_owned()],

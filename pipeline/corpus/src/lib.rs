@@ -146,11 +146,12 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
         style: style.name.to_owned(),
         motion,
         sidecar: Sidecar {
-            captions,
+            captions: captions.into_iter().map(Into::into).collect(),
             parts,
             action: Some(action.name().to_owned()),
             style: Some(style.name.to_owned()),
             license: Some(LICENSE.to_owned()),
+            ..Sidecar::default()
         },
     }
 }

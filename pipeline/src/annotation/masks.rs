@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::table::Caption;
 use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation;
@@ -231,7 +232,8 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
                 .or_insert_with(|| (instruction(action, part), IMPORTED));
         }
     }
-    if let Some(action) = action_phrase(&row.captions, row.action.as_deref()) {
+    let stated: Vec<Caption> = row.stated_captions().cloned().collect();
+    if let Some(action) = action_phrase(&stated, row.action.as_deref()) {
         for part in parts_of(active) {
             texts
                 .entry(part)

@@ -64,6 +64,7 @@ pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
         caption_origins: Vec::new(),
         inputs_hash: String::new(),
         part_captions: Vec::new(),
+        subject: None,
         action: None,
         style: None,
         notes: Vec::new(),

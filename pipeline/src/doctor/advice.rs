@@ -36,6 +36,7 @@ pub(super) fn advise(
                 ));
             }
         }
+        advise_labels(&path.to_string(), source, &mut advice);
         if source.lfs_pointers > 0 {
             advice.push(format!(
                 "{} files of {path} are Git LFS pointers: run `git lfs pull` there",
@@ -61,6 +62,13 @@ pub(super) fn advise(
             }
         }
     }
+    let licenses = || findings.iter().flat_map(|source| &source.licenses);
+    if licenses().any(|found| found.non_commercial) && licenses().any(|found| !found.non_commercial)
+    {
+        let message = "licences differ, and some forbid commercial use: ingest those folders into a dataset of \
+                       their own, unless all of it may stay non-commercial";
+        advice.push(message.to_owned());
+    }
     match index {
         Some(index) if asked || index.found > 0 => advise_index(findings, index, &mut advice),
         Some(index) => {
@@ -78,6 +86,20 @@ pub(super) fn advise(
         None => {}
     }
     advice
+}
+
+fn advise_labels(path: &str, source: &Findings, advice: &mut Vec<String>) {
+    for problem in &source.label_problems {
+        advice.push(format!("{path}/{problem}"));
+    }
+    for found in &source.licenses {
+        for file in found.unknown.iter().filter(|_| found.license.is_none()) {
+            advice.push(format!(
+                "{path}/{file} states no licence this program knows: read it, and write license = \"TAG\" into \
+                 a stance.toml beside it"
+            ));
+        }
+    }
 }
 
 fn advise_humanml3d(path: &str, folder: &HumanMl3dFindings, advice: &mut Vec<String>) {

@@ -109,6 +109,18 @@ impl fmt::Display for Findings {
             })
             .collect();
         columns(f, &kinds)?;
+        for found in &self.licenses {
+            let license = found.license.as_deref().unwrap_or("not recognised");
+            let non_commercial = match found.non_commercial {
+                true => ", non-commercial",
+                false => "",
+            };
+            writeln!(
+                f,
+                " licence at {}: {license}{non_commercial}",
+                place(&found.folder)
+            )?;
+        }
         for folder in &self.humanml3d {
             write!(f, "{folder}")?;
         }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use kinematics::motion::BODY_POSE_WIDTH;
 use serde::Serialize;
 
+use crate::clip::LabelProblem;
+
 /// Number of examples named of what is missing.
 pub(super) const EXAMPLES: usize = 3;
 
@@ -51,10 +53,29 @@ pub struct Findings {
     pub stance: Vec<ReleaseFindings>,
     /// Folders of the MotionFix release.
     pub motionfix: Vec<ReleaseFindings>,
+    /// Licences that its folders state.
+    pub licenses: Vec<LicenseFindings>,
+    /// Files of labels, and lines of them, that cannot be used.
+    pub label_problems: Vec<LabelProblem>,
     /// Description of the source if it is a dataset of this program.
     pub dataset: Option<String>,
     /// Estimate of the ingest.
     pub estimate: Estimate,
+}
+
+/// The licence that a folder states for the motions in it and below.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LicenseFindings {
+    /// The folder, relative to its source; empty for the source itself.
+    pub folder: String,
+    /// Its tag: an SPDX identifier where there is one; none if no file could be recognised.
+    pub license: Option<String>,
+    /// Whether it forbids commercial use.
+    pub non_commercial: bool,
+    /// Licence files and readmes that state it.
+    pub files: Vec<String>,
+    /// Licence files that were not recognised.
+    pub unknown: Vec<String>,
 }
 
 /// Files of one kind.

@@ -1,5 +1,5 @@
-//! Diagnosis of sources before ingesting: what is there and what is missing. Only names and first
-//! bytes are read.
+//! Diagnosis of sources before ingesting: what is there and what is missing. Of motions only names and
+//! first bytes are read.
 
 mod advice;
 mod amass;
@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::license::is_non_commercial;
 use datasets_spec::{Dataset, Fps};
 
 use advice::advise;
@@ -29,11 +30,12 @@ use crate::Error;
 use crate::catalogue::other_than_motions;
 use crate::ingest::list_files;
 use crate::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
+use crate::source::labels::FolderLabels;
 use crate::source::{Files, Recognised, motionfix, stance};
 
 pub use findings::{
     Diagnosis, Estimate, Findings, HumanMl3dFindings, IndexFindings, IndexSubset, Kind,
-    ListFindings, Part, ReleaseFindings, SubsetFindings,
+    LicenseFindings, ListFindings, Part, ReleaseFindings, SubsetFindings,
 };
 
 /// Examines the sources. `index` is HumanML3D's crop list; without it, the first one among the
@@ -97,7 +99,10 @@ fn find(source: &Path, files: &Files, looked: &[Looked]) -> Findings {
     let mut estimate = amass_estimate;
     estimate.add(estimate_layouts(&layouts, looked));
     estimate.add(estimate_others(&rest));
+    let labels = FolderLabels::read(files);
     Findings {
+        licenses: licenses(source, &labels),
+        label_problems: labels.unread().to_vec(),
         path: source.to_owned(),
         files: looked.len() as u64,
         bytes: looked.iter().map(|file| file.bytes).sum(),
@@ -117,6 +122,20 @@ fn find(source: &Path, files: &Files, looked: &[Looked]) -> Findings {
         }),
         estimate,
     }
+}
+
+fn licenses(source: &Path, labels: &FolderLabels) -> Vec<LicenseFindings> {
+    let found = labels.licenses().map(|(path, license, found)| {
+        let folder = path.strip_prefix(source).unwrap_or(Path::new(""));
+        LicenseFindings {
+            folder: folder.to_string_lossy().into_owned(),
+            non_commercial: license.as_deref().is_some_and(is_non_commercial),
+            license,
+            files: found.files.clone(),
+            unknown: found.unknown.clone(),
+        }
+    });
+    found.collect()
 }
 
 fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {

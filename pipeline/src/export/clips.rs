@@ -9,6 +9,7 @@ use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 
 use super::paths::{safe_path, unique};
+use crate::sidecar::{LabelCaption, Sidecar};
 use crate::{Error, write};
 
 /// Writes a BVH file for each clip.
@@ -50,12 +51,20 @@ fn each(
             }
             let bytes = encode(&row.motion()?, &skeleton).map_err(Error::io("encode", &path))?;
             fs::write(&path, bytes).map_err(Error::io("write", &path))?;
-            let sidecar = folder.join(format!("{stem}{}", crate::sidecar::Sidecar::SUFFIX));
-            let said = crate::sidecar::Sidecar {
-                captions: row.captions,
+            let sidecar = folder.join(format!("{stem}{}", Sidecar::SUFFIX));
+            let captions = row.captions_by_origin();
+            let said = Sidecar {
+                captions: captions
+                    .map(|(caption, origin)| LabelCaption {
+                        caption: caption.clone(),
+                        origin: origin.to_owned(),
+                    })
+                    .collect(),
                 parts: row.part_captions,
+                subject: row.subject,
                 action: row.action,
                 style: row.style,
+                split: Some(row.split),
                 license: row.license,
             };
             let text = serde_json::to_vec_pretty(&said).unwrap_or_default();

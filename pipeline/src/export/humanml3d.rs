@@ -24,7 +24,8 @@ use pickle::npy;
 /// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has
 /// `L - 1` frames of features and joints, as published. Clips whose id is not of
 /// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, and why a clip was left
-/// out. Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
+/// out. Captions made from file names are left out, because the layout has no room for their origin.
+/// Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
 /// layout need tokens.
 ///
 /// Joints are those of a SMPL body, as in the published set: with SMPL's bone directions at rest, and the
@@ -216,8 +217,8 @@ impl Writer {
             vectors,
         )?;
         self.array(&format!("new_joints/{name}.npy"), &shape, &joints)?;
-        if !row.captions.is_empty() {
-            let lines: String = row.captions.iter().map(caption_line).collect();
+        let lines: String = row.stated_captions().map(caption_line).collect();
+        if !lines.is_empty() {
             self.file(&format!("texts/{name}.txt"), lines.as_bytes())?;
         }
         self.statistics.take(&features);

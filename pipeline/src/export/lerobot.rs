@@ -1,6 +1,6 @@
 //! LeRobot v3: one row per frame, with separate tables of episodes and tasks.
 //!
-//! A clip is an episode, its first caption its task, and `observation.state` a frame's 69 numbers:
+//! A clip is an episode, its first caption (made ones are left out) its task, and `observation.state` a frame's 69 numbers:
 //! translation, root orientation and body pose, as in the `motions` table.
 
 use std::collections::BTreeMap;
@@ -114,8 +114,9 @@ impl<'a> Writer<'a> {
                 motion: row.id.clone(),
             });
         }
-        let said = row.captions.first().map(|caption| caption.text.as_str());
-        let text = said.unwrap_or(NO_TASK).to_owned();
+        let said = row.stated_captions().next();
+        let text = said.map(|caption| caption.text.as_str());
+        let text = text.unwrap_or(NO_TASK).to_owned();
         let next = self.tasks.len();
         let task = *self.task_places.entry(text.clone()).or_insert(next);
         if task == next {

@@ -17,8 +17,8 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::MotionRow;
-use datasets_spec::table::Row;
+use datasets_spec::record::{CAPTION_BY_RULE, MotionRow};
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, Progress};
 use serde::Serialize;
 
@@ -73,7 +73,16 @@ impl Layout {
     }
 }
 
-/// Writes a dataset to a new folder in another layout, and returns how many clips are in it.
+/// Result of an export.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Exported {
+    /// Clips in it.
+    pub clips: u64,
+    /// Captions made from file names that were left out, because the layout cannot mark them.
+    pub made_captions_left_out: u64,
+}
+
+/// Writes a dataset to a new folder in another layout.
 ///
 /// # Errors
 /// The dataset holds no motions, the folder exists and is not empty, the dataset cannot be read, or
@@ -83,7 +92,7 @@ pub fn export(
     layout: Layout,
     out: &Path,
     progress: &dyn Progress,
-) -> Result<u64, Error> {
+) -> Result<Exported, Error> {
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
         return Err(Error::NoMotions {
             path: dataset.root().to_owned(),
@@ -100,7 +109,30 @@ pub fn export(
         Layout::Stance => stance::write(dataset, &folder.path, progress)?,
     };
     folder.publish(out)?;
-    Ok(clips)
+    let marks_captions = match layout {
+        Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
+        Layout::Amass | Layout::HumanMl3d | Layout::LeRobot => false,
+    };
+    let made_captions_left_out = match marks_captions {
+        true => 0,
+        false => made_captions(dataset)?,
+    };
+    Ok(Exported {
+        clips,
+        made_captions_left_out,
+    })
+}
+
+/// Captions made from file names. Only the column of their origins is read.
+fn made_captions(dataset: &Dataset) -> Result<u64, Error> {
+    let mut count = 0;
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        // Tables older than 1.5.0 have no such column.
+        let origins = read_column::<MotionRow, Vec<String>>(&path, "caption_origins");
+        let origins = origins.unwrap_or_default().into_iter().flatten();
+        count += origins.filter(|origin| origin == CAPTION_BY_RULE).count() as u64;
+    }
+    Ok(count)
 }
 
 /// A temporary folder that is removed unless it is published.

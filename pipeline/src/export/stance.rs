@@ -376,7 +376,11 @@ fn motion_value(motion: &Motion) -> Value {
 }
 
 fn origin_of(row: MotionRow) -> Origin {
+    let origins = row.captions_by_origin();
+    let caption_origins = origins.map(|(_, origin)| origin.to_owned()).collect();
     Origin {
+        caption_origins,
+        subject: row.subject,
         id: row.id.into(),
         split: row.split,
         mirrored_of: row.mirrored_of,

@@ -153,9 +153,15 @@ fn key(id: &str) -> String {
 
 fn facts(row: &MotionRow) -> serde_json::Value {
     let captions: Vec<_> = row
-        .captions
-        .iter()
-        .map(|said| json!({ "text": said.text, "from_s": said.from_s, "to_s": said.to_s }))
+        .captions_by_origin()
+        .map(|(said, origin)| {
+            json!({
+                "text": said.text,
+                "from_s": said.from_s,
+                "to_s": said.to_s,
+                "origin": origin,
+            })
+        })
         .collect();
     let parts: Vec<_> = row
         .part_captions
@@ -171,6 +177,7 @@ fn facts(row: &MotionRow) -> serde_json::Value {
         "skeleton": row.skeleton,
         "captions": captions,
         "parts": parts,
+        "subject": row.subject,
         "action": row.action,
         "style": row.style,
         "license": row.license,

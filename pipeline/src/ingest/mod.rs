@@ -10,17 +10,21 @@ mod plan;
 mod report;
 mod rows;
 mod shard;
+mod split_list;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::Commit;
+use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Progress, Resample, Seed, Split, Transaction};
 
-use self::options::{REFUSED_PAIRS_FACT, rate_name};
+use serde::Serialize;
+
+use self::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT, rate_name};
 use self::plan::Plan;
 use self::report::{Tally, already_complete, describe};
 use self::shard::ShardNotes;
@@ -30,6 +34,7 @@ use crate::source::ReadOptions;
 pub(crate) use self::list::{list_files, read_head};
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub use self::report::IngestReport;
+pub use self::split_list::SplitList;
 
 /// Fact of a manifest: the seed its splits were drawn with.
 const SEED_FACT: &str = "seed";
@@ -65,6 +70,7 @@ pub fn ingest_in(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
+    options.fps.map_or(Ok(()), IngestOptions::check_fps)?;
     let (seed, kept_seed) = split_seed(&transaction, options.seed);
     let options = &IngestOptions {
         seed,
@@ -134,6 +140,9 @@ pub fn ingest_in(
     pairs.sort_by(|a, b| a.id.cmp(&b.id));
     let masks = tally.masks();
     let quarantine = transaction.write_shards(None, &tally.quarantine, &facts)?;
+    let motions = tally.tables.get(MotionRow::TABLE).into_iter().flatten();
+    let licenses = license::count(transaction.root(), motions)?;
+    let label_problems = tally.label_problems(&plan);
     let mut tables = tally.tables;
     tables.insert(QuarantineRow::TABLE.to_owned(), quarantine);
     if !pairs.is_empty() {
@@ -145,6 +154,8 @@ pub fn ingest_in(
         tables.insert(MaskRow::TABLE.to_owned(), files);
     }
     let mut recorded = BTreeMap::from([
+        (LICENSES_FACT.to_owned(), json(&licenses)),
+        (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
         (SEED_FACT.to_owned(), options.seed.0.to_string()),
         ("fps".to_owned(), rate_name(options)),
         ("files".to_owned(), plan.files.len().to_string()),
@@ -155,8 +166,7 @@ pub fn ingest_in(
         recorded.insert(REMARKS_FACT.to_owned(), plan.remarks.join("; "));
     }
     if !listed.refused.is_empty() {
-        let lines = serde_json::to_string(&listed.refused).expect("numbers and texts serialise");
-        recorded.insert(REFUSED_PAIRS_FACT.to_owned(), lines);
+        recorded.insert(REFUSED_PAIRS_FACT.to_owned(), json(&listed.refused));
     }
     let dataset = transaction.commit(Commit {
         tables,
@@ -172,7 +182,15 @@ pub fn ingest_in(
         files: plan.files.len() as u64,
         dropped_pairs,
         refused_pairs: listed.refused,
-        remarks: plan.remarks.into_iter().chain(kept_seed).collect(),
+        remarks: plan
+            .remarks
+            .into_iter()
+            .chain(kept_seed)
+            .chain(license::warning(&licenses))
+            .collect(),
+        refused_splits: plan.refused_splits,
+        label_problems,
+        licenses,
         quarantine: tally.quarantine,
         skipped: tally.skipped,
         resumed_shards: tally.resumed_shards,
@@ -199,6 +217,11 @@ fn split_seed(transaction: &Transaction, asked: Seed) -> (Seed, Option<String>) 
         Some(seed) => (seed, None),
         None => (asked, None),
     }
+}
+
+/// A fact of a manifest as JSON.
+fn json(fact: &impl Serialize) -> String {
+    serde_json::to_string(fact).expect("numbers and texts serialise")
 }
 
 fn shard_facts(options: &IngestOptions, plan_hash: &str) -> [(&'static str, String); 6] {

@@ -16,12 +16,14 @@ use rayon::prelude::*;
 
 use super::list::{Source, hash_sources, list_files, quarantine_row};
 use super::options::IngestOptions;
+use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
-use crate::annotation::pairs::{PairList, names_of, originals, style_group};
+use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
 use crate::clip::Rejected;
 use crate::feature::humanml3d;
+use crate::source::labels::{self, FolderLabels};
 use crate::source::{
-    Entry, Files, Format, FoundRelease, Recognised, find_releases, labels, name_of_text, recognise,
+    Entry, Files, Format, FoundRelease, Recognised, find_releases, name_of_text, recognise,
     refuse_pointer,
 };
 
@@ -46,6 +48,10 @@ pub(super) struct Plan {
     num_unlisted: usize,
     /// What a reader of the dataset should know about its splits.
     pub(super) remarks: Vec<String>,
+    /// What folders say of the motions in them.
+    pub(super) folder_labels: FolderLabels,
+    /// Lines of the list of splits that gave no clip a split.
+    pub(super) refused_splits: Vec<RefusedLine>,
 }
 
 /// A motion to be read.
@@ -58,6 +64,10 @@ pub(super) struct Planned {
     pub(super) prefix: String,
     /// Group of clips that share a split; none for a clip outside any group.
     pub(super) group: Option<String>,
+    /// Split that its labels state.
+    pub(super) labelled_split: Option<Split>,
+    /// Subject that its labels state.
+    pub(super) subject: Option<String>,
 }
 
 impl Planned {
@@ -71,6 +81,16 @@ impl Planned {
         MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())
     }
 
+    /// Names by which a list of splits means it: its id, that of its source clip, its file, its subject.
+    fn names(&self) -> BTreeSet<String> {
+        let (entry, subject) = (&self.entry, self.subject.as_deref());
+        let file = [entry.file.as_str(), without_extension(&entry.file)];
+        let mut names = BTreeSet::from([self.full_id(), self.clip(), entry.id.clone()]);
+        names.extend(file.map(str::to_owned));
+        names.extend(subject.map(name_of_subject));
+        names
+    }
+
     /// Key of the drawn split, for clips without a published one.
     fn split_key(&self) -> String {
         // Two releases of one clip share a split: the id prefix is left out.
@@ -78,7 +98,8 @@ impl Planned {
             let own_id = MotionId::parse(&self.entry.id);
             own_id.map_or(self.entry.id.clone(), |id| id.source_clip().to_owned())
         };
-        self.group.clone().unwrap_or_else(clip)
+        let group = self.group.as_ref().or(self.entry.group.as_ref());
+        group.cloned().unwrap_or_else(clip)
     }
 }
 
@@ -114,6 +135,8 @@ impl Plan {
         let files = Files::on(store, listing.files);
         let sources = hash_sources(&files, progress);
         let mut plan = Self {
+            folder_labels: FolderLabels::read(&files),
+            refused_splits: Vec::new(),
             releases: find_releases(&files, options.humanml3d_index.as_deref())?,
             files,
             sources,
@@ -125,7 +148,8 @@ impl Plan {
         };
         let claimed = plan.take_releases(options);
         plan.take_single_files(&claimed, options);
-        plan.group_styles();
+        plan.take_labels();
+        plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
         }
@@ -155,6 +179,8 @@ impl Plan {
                     release: Some(index),
                     prefix: prefix.clone(),
                     group: None,
+                    labelled_split: None,
+                    subject: None,
                 }));
                 self.remarks.extend(release.remarks.iter().cloned());
             }
@@ -214,12 +240,15 @@ impl Plan {
                         id: String::new(),
                         key,
                         split: None,
+                        group: None,
                         mirrored_of: None,
                     },
                     format,
                     release: None,
                     prefix: String::new(),
                     group: None,
+                    labelled_split: None,
+                    subject: None,
                 });
             }
         }
@@ -250,17 +279,26 @@ impl Plan {
         }
     }
 
-    /// Gives single files with labels of action and style the group of their original. A file whose
-    /// labels cannot be read is rejected: without them it might land in another split.
-    fn group_styles(&mut self) {
-        let Self { files, items, .. } = self;
+    /// Takes the labels that decide on splits, and gives single files with labels of action and style the
+    /// group of their original. A motion is rejected if labels beside it or in its folders cannot be read now:
+    /// they may be next time, and the clip might change its split.
+    fn take_labels(&mut self) {
+        let Self {
+            files,
+            items,
+            folder_labels,
+            ..
+        } = self;
         let unreadable: Vec<Option<Rejected>> = items
             .par_iter_mut()
             .map(|item| {
-                if item.release.is_some() {
-                    return None;
-                }
+                let around = folder_labels.of(files, &item.entry);
                 let file = &item.entry.file;
+                if item.release.is_some() {
+                    let stated = labels::stated(Path::new(file), None, &around);
+                    (item.labelled_split, item.subject) = (stated.split, stated.subject);
+                    return around.failed;
+                }
                 let folder = files.path(file).and_then(Path::parent);
                 let folder = folder.unwrap_or(Path::new("."));
                 let failed = Cell::new(None);
@@ -272,9 +310,11 @@ impl Plan {
                             None
                         }
                     };
-                let found = labels::action_and_style(Path::new(file), &companions);
-                item.group = found.map(|(action, style)| style_group(file, &action, &style));
-                failed.into_inner()
+                let stated = labels::stated(Path::new(file), Some(&companions), &around);
+                let styled = stated.action.zip(stated.style);
+                item.group = styled.map(|(action, style)| style_group(file, &action, &style));
+                (item.labelled_split, item.subject) = (stated.split, stated.subject);
+                failed.into_inner().or(around.failed)
             })
             .collect();
         let mut unreadable = unreadable.into_iter();
@@ -288,6 +328,40 @@ impl Plan {
                 false
             }
         });
+    }
+
+    /// Gives clips the splits that the user states: those of the list, else those of their labels. All
+    /// motions of a source clip get one split, by the first line that names any of them.
+    fn take_own_splits(&mut self, list: Option<&SplitList>) {
+        let mut lines: BTreeMap<String, usize> = BTreeMap::new();
+        let mut stated: BTreeMap<String, Split> = BTreeMap::new();
+        let mut known: BTreeSet<String> = BTreeSet::new();
+        for item in &self.items {
+            let clip = item.clip();
+            let names = item.names();
+            if let Some(line) = list.and_then(|list| list.line_of(&names)) {
+                let first = lines.entry(clip.clone()).or_insert(line);
+                *first = line.min(*first);
+            }
+            if let Some(split) = item.labelled_split {
+                stated.entry(clip).or_insert(split);
+            }
+            if list.is_some() {
+                known.extend(names);
+            }
+        }
+        if let Some(list) = list {
+            self.refused_splits = list.refused(&known);
+            stated.extend(
+                lines
+                    .into_iter()
+                    .map(|(clip, line)| (clip, list.split(line))),
+            );
+        }
+        for item in &mut self.items {
+            let own = stated.get(&item.clip()).copied();
+            item.entry.split = own.or(item.entry.split);
+        }
     }
 
     /// Puts each styled clip of a pair list, with its copies and crops, into the split of its original.
@@ -331,7 +405,8 @@ impl Plan {
     pub(super) fn hash(&self, options: &IngestOptions) -> String {
         let mut hasher = blake3::Hasher::new();
         let settings = format!(
-            "{INGEST_VERSION} {SCHEMA_VERSION} {:?} {:?} {:?} {} {:?} {:?} {:?} {}",
+            "{INGEST_VERSION} {SCHEMA_VERSION} {} {:?} {:?} {:?} {} {:?} {:?} {:?} {}",
+            options.made_captions,
             options.fps.map(Fps::get),
             options.resample,
             options.format,

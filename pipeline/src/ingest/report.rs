@@ -3,16 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::license;
 use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 
-use super::options::REFUSED_PAIRS_FACT;
+use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
 use super::plan::{Plan, Shards};
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
+use crate::clip::LabelProblem;
 
 /// The report of a run.
 #[derive(Clone, Debug)]
@@ -27,7 +29,13 @@ pub struct IngestReport {
     pub dropped_pairs: u64,
     /// Lines of the list of pairs that gave no pair.
     pub refused_pairs: Vec<RefusedLine>,
-    /// Remarks on the splits. Remarks that concern the dataset, not only this run, are recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
+    /// Lines of the list of splits that gave no clip a split.
+    pub refused_splits: Vec<RefusedLine>,
+    /// Labels that could not be used; their motions are ingested without them.
+    pub label_problems: Vec<LabelProblem>,
+    /// Clips by licence tag; the tag of clips without one is empty.
+    pub licenses: BTreeMap<String, u64>,
+    /// Remarks on the splits and licences. Remarks that concern the dataset, not only this run, are recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
     /// The rejected sources.
     pub quarantine: Vec<QuarantineRow>,
@@ -46,13 +54,26 @@ pub(super) fn already_complete(
 ) -> Result<IngestReport, Error> {
     let dataset = Dataset::open(out)?;
     let facts = &dataset.manifest().facts;
+    let licenses = license::licenses(dataset.manifest());
     let dropped = facts.get("dropped_pairs");
     let refused = facts.get(REFUSED_PAIRS_FACT);
     Ok(IngestReport {
         refused_pairs: refused
             .and_then(|lines| serde_json::from_str(lines).ok())
             .unwrap_or_default(),
-        remarks: plan.remarks.iter().cloned().chain(kept_seed).collect(),
+        remarks: plan
+            .remarks
+            .iter()
+            .cloned()
+            .chain(kept_seed)
+            .chain(license::warning(&licenses))
+            .collect(),
+        refused_splits: plan.refused_splits.clone(),
+        label_problems: facts
+            .get(LABEL_PROBLEMS_FACT)
+            .and_then(|problems| serde_json::from_str(problems).ok())
+            .unwrap_or_default(),
+        licenses,
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,
         dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
@@ -75,6 +96,7 @@ pub(super) struct Tally {
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,
     pub(super) masks: Vec<MaskRow>,
+    pub(super) label_problems: BTreeSet<LabelProblem>,
     pub(super) resumed_shards: usize,
 }
 
@@ -94,6 +116,15 @@ impl Tally {
         self.pairs.extend(notes.pairs);
         self.dropped_pairs += notes.dropped_pairs;
         self.masks.extend(notes.masks);
+        self.label_problems.extend(notes.label_problems);
+    }
+
+    /// Labels that could not be used, of clips and of folders.
+    pub(super) fn label_problems(&self, plan: &Plan) -> Vec<LabelProblem> {
+        let mut problems = self.label_problems.clone();
+        let entries = plan.items.iter().map(|item| &item.entry);
+        problems.extend(plan.folder_labels.problems(&plan.files, entries));
+        problems.into_iter().collect()
     }
 
     pub(super) fn accounting(&self, num_items: u64) -> Accounting {

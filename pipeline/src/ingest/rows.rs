@@ -1,6 +1,8 @@
 //! Rows of a clip, and of a file that was rejected.
 
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{
+    CAPTION_BY_RULE, CAPTION_BY_SOURCE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
+};
 use datasets_spec::{
     BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
 };
@@ -11,7 +13,7 @@ use crate::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
 };
-use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask};
+use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use crate::feature::humanml3d::{self, Features};
 use crate::feature::smpl_body;
 
@@ -41,13 +43,14 @@ pub(super) fn marker_row(
     id: MotionId,
     item: &Item,
     source_hash: String,
+    license: Option<String>,
 ) -> MarkerRow {
     MarkerRow {
         id,
         split: item.split,
         source_path: item.entry.file.clone(),
         source_hash,
-        license: None,
+        license,
         fps: markers.fps.get() as f32,
         n_frames: frames(markers.positions.len() / markers.labels.len().max(1)),
         labels: markers.labels,
@@ -66,11 +69,15 @@ pub(super) fn clip_rows(
     source_hash: String,
     options: &IngestOptions,
 ) -> Result<ClipRows, Rejected> {
+    if !options.made_captions {
+        clip.made_captions.clear();
+    }
     let fps_source = clip.source_fps;
     if options.teleports != Teleports::Keep {
         drop_reference(&mut clip, &options.read.skeleton);
     }
     let target = options.fps.unwrap_or(clip.motion.fps());
+    check_resampled(clip.motion.len(), clip.motion.fps(), target)?;
     let motion = options
         .resample
         .apply(&clip.motion, target)
@@ -110,16 +117,21 @@ pub(super) fn clip_rows(
         }
         false => None,
     };
-    let markers = clip
-        .markers
-        .map(|markers| marker_row(markers, id.clone(), item, source_hash.clone()));
+    let license = clip.license.or_else(|| options.license.clone());
+    let markers = clip.markers.map(|markers| {
+        let (id, hash) = (id.clone(), source_hash.clone());
+        marker_row(markers, id, item, hash, license.clone())
+    });
+    let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
+    let counts = [clip.captions.len(), clip.made_captions.len()];
+    let caption_origins = origins.into_iter().zip(counts);
     let motion = MotionRow {
         id,
         split: item.split,
         source: item.format.as_str().to_owned(),
         source_path: entry.file.clone(),
         source_hash,
-        license: clip.license.or_else(|| options.license.clone()),
+        license,
         mirrored_of: entry
             .mirrored_of
             .as_ref()
@@ -135,8 +147,11 @@ pub(super) fn clip_rows(
         body_pose: motion.body_pose().to_vec(),
         rotation_source: clip.rotation_source.as_str().to_owned(),
         fit_error_m: clip.fit_error_m,
-        caption_origins: clip.captions.iter().map(|_| "source".to_owned()).collect(),
-        captions: clip.captions,
+        caption_origins: caption_origins
+            .flat_map(|(origin, count)| std::iter::repeat_n(origin.to_owned(), count))
+            .collect(),
+        captions: [clip.captions, clip.made_captions].concat(),
+        subject: clip.subject,
         inputs_hash: String::new(),
         part_captions: clip.part_captions,
         action: clip.action,
@@ -202,7 +217,8 @@ pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     let outside = clip.captions.iter().any(|caption| {
         caption.from_s > duration_secs || caption.to_s > duration_secs + TOLERANCE_SECS
     });
-    let silent = clip.captions.is_empty() && clip.part_captions.is_empty();
+    let silent =
+        clip.captions.is_empty() && clip.made_captions.is_empty() && clip.part_captions.is_empty();
     let poor = clip
         .fit_error_m
         .is_some_and(|error| error > FIT_ERROR_LIMIT_M);

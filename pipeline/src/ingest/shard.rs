@@ -18,7 +18,8 @@ use super::options::IngestOptions;
 use super::plan::{Item, Plan, source_hash};
 use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row};
 use crate::Error;
-use crate::clip::{Outcome, Rejected};
+use crate::clip::{LabelProblem, Outcome, Rejected};
+use crate::source::labels::{self, ClipLabels};
 use crate::source::{Entry, ReadOptions, label, name_of_text, read_clip};
 
 /// Limit on files that are read whole, in bytes. Releases with many motions in a file have their own
@@ -39,11 +40,12 @@ pub(super) struct ShardNotes {
     /// Pairs whose other motion has no usable id.
     pub(super) dropped_pairs: u64,
     pub(super) masks: Vec<MaskRow>,
+    pub(super) label_problems: Vec<LabelProblem>,
 }
 
 /// Outcome of one item.
 enum Done {
-    Clip(Box<ClipRows>),
+    Clip(Box<ClipRows>, Vec<LabelProblem>),
     Markers(Box<MarkerRow>),
     Skipped(String),
     Rejected(QuarantineRow),
@@ -73,7 +75,8 @@ impl Plan {
         let mut notes = ShardNotes::default();
         for (item, done) in items.iter().zip(done) {
             match done {
-                Done::Clip(clip) => {
+                Done::Clip(clip, problems) => {
+                    notes.label_problems.extend(problems);
                     let ClipRows {
                         motion,
                         features,
@@ -145,26 +148,31 @@ impl Plan {
                 .map_err(|reason| Rejected::read("E-IO", reason))?,
             None => String::new(),
         };
+        let around = self.folder_labels.of(&self.files, entry);
         let outcome = match item.release {
             Some(release) => self.releases[release]
                 .1
                 .read(&self.files, entry, &options.read)
+                .map(|clip| labels::attach_around(clip, &around))
                 .into(),
-            None => self.read_file(item, options),
+            None => self.read_file(item, &around, options),
         };
-        let clip = match outcome {
+        let mut clip = match outcome {
             Outcome::Clip(clip) => *clip,
             Outcome::Markers { markers, .. } => {
-                let row = marker_row(*markers, id, item, source_hash);
+                let license = around.license().or(options.license.as_ref()).cloned();
+                let row = marker_row(*markers, id, item, source_hash, license);
                 return Ok(Done::Markers(Box::new(row)));
             }
             Outcome::Skipped { reason } => return Ok(Done::Skipped(reason)),
             Outcome::Rejected(rejected) => return Err(rejected),
         };
-        clip_rows(clip, id, item, source_hash, options).map(|rows| Done::Clip(Box::new(rows)))
+        let problems = std::mem::take(&mut clip.label_problems);
+        let rows = clip_rows(clip, id, item, source_hash, options)?;
+        Ok(Done::Clip(Box::new(rows), problems))
     }
 
-    fn read_file(&self, item: &Item, options: &IngestOptions) -> Outcome {
+    fn read_file(&self, item: &Item, around: &ClipLabels, options: &IngestOptions) -> Outcome {
         let entry = item.entry;
         let folder = self
             .files
@@ -181,7 +189,7 @@ impl Plan {
                 None
             }
         };
-        let outcome = self.read_content(item, &companions, &options.read);
+        let outcome = self.read_content(item, &companions, around, &options.read);
         let outcome = outcome.unwrap_or_else(Outcome::Rejected);
         failure.into_inner().map_or(outcome, Outcome::Rejected)
     }
@@ -190,6 +198,7 @@ impl Plan {
         &self,
         item: &Item,
         companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+        around: &ClipLabels,
         options: &ReadOptions,
     ) -> Result<Outcome, Rejected> {
         let Entry { file, key, .. } = item.entry;
@@ -197,7 +206,7 @@ impl Plan {
         let length = self.bounded_length(file)?;
         let mut opened = self.files.open(file)?;
         if let Some(outcome) = item.format.read_in_pieces(&mut *opened, length, options) {
-            return Ok(label(outcome, path, companions));
+            return Ok(label(outcome, path, companions, around));
         }
         let bytes = self.files.read(file)?;
         Ok(read_clip(
@@ -206,6 +215,7 @@ impl Plan {
             key,
             &bytes,
             companions,
+            around,
             options,
         ))
     }

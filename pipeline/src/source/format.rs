@@ -141,6 +141,8 @@ pub struct Entry {
     pub id: String,
     /// The published split; without one, a split is drawn.
     pub split: Option<Split>,
+    /// Motions that share a drawn split; none for a motion that shares it with its source clip alone.
+    pub group: Option<String>,
     /// Id of the motion it mirrors.
     pub mirrored_of: Option<String>,
 }

@@ -26,6 +26,7 @@ use std::path::Path;
 pub use self::files::Files;
 pub(crate) use self::files::{is_pointer, refuse_pointer};
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
+use self::labels::ClipLabels;
 pub(crate) use self::names::{name_of_text, text_of_name};
 pub use self::options::ReadOptions;
 use crate::clip::Outcome;
@@ -82,6 +83,9 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         }
     }
     match extension.as_str() {
+        _ if labels::is_label_file(&name) => {
+            return not_motion("labels, read with the motions they describe".to_owned());
+        }
         "json" if name.ends_with(crate::sidecar::Sidecar::SUFFIX) => {
             return not_motion("sidecar, read with the motion it describes".to_owned());
         }
@@ -134,30 +138,35 @@ fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str
 /// Turns the bytes of one file into a clip on the given body.
 ///
 /// `companions` reads a file beside it by its name (`/` separates folders), or returns none if it does not
-/// exist.
-pub fn read_clip(
+/// exist. `around` is what its folders say of it.
+pub(crate) fn read_clip(
     format: Format,
     path: &Path,
     key: &str,
     bytes: &[u8],
     companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+    around: &ClipLabels,
     options: &ReadOptions,
 ) -> Outcome {
     if let Err(rejected) = refuse_pointer(bytes) {
         return Outcome::Rejected(rejected);
     }
-    label(format.read(path, key, bytes, options), path, companions)
+    let outcome = format.read(path, key, bytes, options);
+    label(outcome, path, companions, around)
 }
 
 /// Adds the labels beside a file to the clip that was read from it. `companions` is that of
-/// [`read_clip`].
+/// [`read_clip`], as is `around`.
 pub(crate) fn label(
     outcome: Outcome,
     path: &Path,
     companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+    around: &ClipLabels,
 ) -> Outcome {
     match outcome {
-        Outcome::Clip(clip) => labels::attach(*clip, path, companions).into(),
+        Outcome::Clip(clip) => {
+            Outcome::Clip(Box::new(labels::attach(*clip, path, companions, around)))
+        }
         other => other,
     }
 }
@@ -243,6 +252,7 @@ mod tests {
             "",
             pointer,
             &|_| None,
+            &ClipLabels::default(),
             &ReadOptions::default(),
         );
         assert!(matches!(
@@ -267,18 +277,18 @@ mod tests {
                 (name == "dataset-1_walk_proud_001.txt")
                     .then(|| b"a man walks#a/DET#0.0#0.0".to_vec())
             },
+            &ClipLabels::default(),
             &ReadOptions::default(),
         );
         let Outcome::Clip(clip) = outcome else {
             panic!("{outcome:?}");
         };
         assert_eq!(clip.style.as_deref(), Some("proud"));
-        let captions: Vec<&str> = clip
-            .captions
-            .iter()
-            .map(|caption| caption.text.as_str())
-            .collect();
-        assert_eq!(captions, ["a person walks in a proud style", "a man walks"]);
+        assert_eq!(clip.captions[0].text, "a man walks");
+        assert_eq!(clip.captions.len(), 1);
+        let made = &clip.made_captions;
+        assert_eq!(made[0].text, "a person walks in a proud style");
+        assert_eq!(made.len(), 1);
         check(&clip.motion, &skeleton).expect("a plain walk");
         let lowest = skeleton
             .motion_keypoints(&clip.motion)
@@ -328,6 +338,7 @@ mod tests {
             "",
             &bytes,
             &beside,
+            &ClipLabels::default(),
             &ReadOptions::default(),
         ))
     }

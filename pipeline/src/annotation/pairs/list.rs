@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::LISTED;
 use crate::Error;
 use crate::compose::{EditKind, style_instruction};
+use crate::csv_lines::LineNumbers;
 
 /// The pairs of a file, by its names of clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -28,35 +29,6 @@ struct Line {
     original: String,
     style: String,
     instruction: String,
-}
-
-/// Line numbers by byte offset. The CSV reader's own count is wrong for CR LF and empty lines.
-struct LineNumbers<'a> {
-    text: &'a [u8],
-    place: usize,
-    line: u64,
-}
-
-impl<'a> LineNumbers<'a> {
-    fn of(text: &'a [u8]) -> Self {
-        Self {
-            text,
-            place: 0,
-            line: 1,
-        }
-    }
-
-    /// The line number of a record's start; offsets must ascend between calls.
-    fn at(&mut self, position: Option<&csv::Position>) -> u64 {
-        let byte = position.map_or(0, csv::Position::byte) as usize;
-        while self.place < self.text.len()
-            && (self.place < byte || matches!(self.text[self.place], b'\r' | b'\n'))
-        {
-            self.line += u64::from(self.text[self.place] == b'\n');
-            self.place += 1;
-        }
-        self.line
-    }
 }
 
 /// A line that gave no pair.

@@ -71,7 +71,7 @@ fn exported_again(dataset: &Dataset, folder: &Path) -> Dataset {
     let out = folder.join("exported");
     let clips = export(dataset, Layout::Stance, &out, &NoProgress).expect("exported");
     let rows = dataset.read::<MotionRow>(None).expect("readable").len();
-    assert_eq!(clips, rows as u64);
+    assert_eq!(clips.clips, rows as u64);
     ingested(&out, &folder.join("again"))
 }
 

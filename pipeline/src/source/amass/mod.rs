@@ -17,7 +17,7 @@ use rate::Rate;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::y_up_from_z_up;
-use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
+use crate::clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
 pub(crate) use archive::{Parsed, parse, parse_at, peek, read_fps};
 pub(crate) use parameters::Parameters;
@@ -48,6 +48,7 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
     let stated = Rate::of(path, parameters.stated_fps)?;
     let num_frames = parameters.num_frames();
     let target = rate.unwrap_or(stated.fps);
+    check_resampled(num_frames, stated.fps, target)?;
     let grid = if target == stated.fps {
         (0..num_frames).map(|frame| (frame, 0.0)).collect()
     } else {

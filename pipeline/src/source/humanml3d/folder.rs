@@ -84,6 +84,7 @@ impl Folder {
                 key: String::new(),
                 id: id.clone(),
                 split,
+                group: None,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
             });
             folder.clips.insert(id.clone(), clip);

@@ -88,7 +88,7 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
         ("deep/hml/new_joints/000002.npy", &joint_file(&walking())),
         (
             "deep/hml/texts/000001.txt",
-            b"a man walks#a/DET#0.0#0.0\nbroken\n",
+            b"a man walks#a/DET#0.0#0.0\n12#34#5#broken\n",
         ),
         ("deep/hml/texts/000009.txt", b"nobody#a/DET#0.0#0.0\n"),
         ("deep/hml/train.txt", b"\xEF\xBB\xBF000001\r\nM000001\r\n\r\n"),

@@ -144,6 +144,7 @@ impl Cuts {
                 key: id.clone(),
                 id,
                 split,
+                group: None,
                 mirrored_of,
             });
         }

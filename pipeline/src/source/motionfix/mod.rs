@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::Path;
 
-use datasets_spec::{BodyPart, Fps, Seed, Split};
+use datasets_spec::{BodyPart, Fps, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
@@ -72,7 +72,7 @@ struct MotionFixRelease {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Unlisted {
     /// By the name of its dump.
-    FileName,
+    FileName(Split),
     /// Drawn by its id: there is no list.
     Draw,
     /// There is a list: pairs outside it are for training.
@@ -81,12 +81,12 @@ enum Unlisted {
 
 impl Unlisted {
     /// The note of a clip.
-    fn note(self, split: Split) -> String {
+    fn note(self) -> String {
         match self {
-            Self::FileName => {
+            Self::FileName(split) => {
                 format!("no splits.json names it: {split} by the name of its dump alone")
             }
-            Self::Draw => format!("no splits.json: {split} was drawn, not published"),
+            Self::Draw => "no splits.json: the split was drawn, not published".to_owned(),
             Self::Train => "splits.json does not name it: taken for train".to_owned(),
         }
     }
@@ -232,16 +232,14 @@ impl MotionFixRelease {
             // Both motions of a pair share a split, even if no list states it.
             let listed = splits.get(&id).copied();
             let (split, unlisted) = match (listed, split_of_dump(file)) {
-                (Some(split), _) => (split, None),
-                (None, Some(split)) => (split, Some(Unlisted::FileName)),
-                (None, None) if splits.is_empty() => {
-                    (Split::assign(&id, Seed(0)), Some(Unlisted::Draw))
-                }
-                (None, None) => (Split::Train, Some(Unlisted::Train)),
+                (Some(split), _) => (Some(split), None),
+                (None, Some(split)) => (Some(split), Some(Unlisted::FileName(split))),
+                (None, None) if splits.is_empty() => (None, Some(Unlisted::Draw)),
+                (None, None) => (Some(Split::Train), Some(Unlisted::Train)),
             };
             if let (Some(unlisted), Some(pair)) = (unlisted, self.pairs.get_mut(&id)) {
                 *self.unlisted.entry(unlisted).or_default() += 1;
-                pair.note = Some(unlisted.note(split));
+                pair.note = Some(unlisted.note());
             }
             self.contents
                 .entries
@@ -249,7 +247,8 @@ impl MotionFixRelease {
                     file: file.to_owned(),
                     key: format!("{id}/{side}"),
                     id: motion_id(&id, side),
-                    split: Some(split),
+                    split,
+                    group: Some(id.clone()),
                     mirrored_of: None,
                 }));
         }
@@ -259,9 +258,9 @@ impl MotionFixRelease {
     fn remark(&mut self) {
         for (unlisted, count) in &self.unlisted {
             self.contents.remarks.push(match unlisted {
-                Unlisted::FileName => format!(
+                Unlisted::FileName(split) => format!(
                     "MotionFix: {count} pairs are in no splits.json and have the split of their dump's \
-                     name, which repackagings are known to get wrong: test pairs may be in train"
+                     name, {split}, which repackagings are known to get wrong: test pairs may be in train"
                 ),
                 Unlisted::Draw => format!(
                     "MotionFix: {count} pairs have no splits.json and were given drawn splits, which \

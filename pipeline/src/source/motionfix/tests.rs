@@ -212,14 +212,15 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
         let moved = motion.transl()[1][0] - motion.transl()[0][0];
         assert!((moved - 0.01).abs() < 1e-6, "x stays x, {moved}");
     }
-    let splits: Vec<Option<Split>> = release
+    let groups: Vec<(Option<Split>, Option<&str>)> = release
         .contents()
         .entries
         .iter()
-        .map(|entry| entry.split)
+        .map(|entry| (entry.split, entry.group.as_deref()))
         .collect();
-    assert!(
-        splits[0].is_some() && splits[0] == splits[1],
+    assert_eq!(
+        groups,
+        [(None, Some("000001")); 2],
         "a pair is not torn apart"
     );
 }
@@ -318,4 +319,50 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
 )]
 fn skipped() {
     eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has motionfix_labels");
+}
+
+#[test]
+fn drawn_splits_follow_the_seed_and_keep_pairs_together() {
+    use crate::ingest::{IngestOptions, ingest};
+    use datasets_spec::record::MotionRow;
+    use datasets_spec::{MotionId, NoProgress, Seed};
+
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let ids: Vec<String> = (0..12).map(|number| format!("{number:06}")).collect();
+    let pairs: Vec<(&str, Value)> = ids
+        .iter()
+        .map(|id| (id.as_str(), pair(25, "faster")))
+        .collect();
+    put_dump(dir.path(), "in/motionfix.pth.tar", &pairs, true);
+    let splits = |seed: u64| -> BTreeMap<MotionId, Split> {
+        let options = IngestOptions {
+            seed: Seed(seed),
+            ..IngestOptions::default()
+        };
+        let out = dir.path().join(format!("out{seed}"));
+        let done = ingest(
+            &[dir.path().join("in")],
+            &out,
+            &options,
+            "test",
+            &NoProgress,
+        );
+        let dataset = done.expect("ingested").dataset;
+        let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
+        rows.into_iter().map(|row| (row.id, row.split)).collect()
+    };
+    let first = splits(0);
+    assert_ne!(first, splits(1));
+    for id in &ids {
+        let [source, target] = [SOURCE, TARGET].map(|side| {
+            let id = MotionId::parse(&motion_id(id, side)).expect("valid");
+            first[&id]
+        });
+        assert_eq!(source, target);
+        assert_eq!(
+            source,
+            Split::assign(id, Seed(0)),
+            "as before there was a choice"
+        );
+    }
 }

@@ -26,6 +26,12 @@ pub(crate) struct Origin {
     /// What it shows.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) captions: Vec<Caption>,
+    /// Who wrote each of the captions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) caption_origins: Vec<String>,
+    /// Who performs it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) subject: Option<String>,
     /// Action label.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) action: Option<String>,

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::record::CAPTION_BY_RULE;
 use serde_json::Value as Json;
 
 use super::annotation::{Annotations, parse_parts};
@@ -184,7 +185,14 @@ impl Release for StanceRelease {
             clip.notes.push(format!("file {stem} of the release"));
         }
         if let Some(origin) = &detail.origin {
-            clip.captions.clone_from(&origin.captions);
+            for (index, caption) in origin.captions.iter().enumerate() {
+                let by = origin.caption_origins.get(index).map(String::as_str);
+                match by {
+                    Some(CAPTION_BY_RULE) => clip.made_captions.push(caption.clone()),
+                    _ => clip.captions.push(caption.clone()),
+                }
+            }
+            clip.subject.clone_from(&origin.subject);
             clip.action.clone_from(&origin.action);
             clip.style.clone_from(&origin.style);
             clip.license.clone_from(&origin.license);
@@ -390,6 +398,7 @@ impl<'a> Planner<'a> {
             file: file.to_owned(),
             key: String::new(),
             split: clips.of(&id),
+            group: None,
             mirrored_of: original_of(&id).map(str::to_owned),
             id,
         };
@@ -416,6 +425,7 @@ impl<'a> Planner<'a> {
             // A crop, a copy and a styled version share their clip's split.
             id: format!("{source_id}#{style}"),
             split: clips.of(&source_id),
+            group: None,
             mirrored_of: None,
         };
         let role = Role::Styled {
@@ -440,6 +450,7 @@ impl<'a> Planner<'a> {
             key: key.to_owned(),
             id: id_of(key),
             split,
+            group: None,
             mirrored_of: None,
         };
         let (source, target) = (entry_of(SOURCE_KEY), entry_of(TARGET_KEY));

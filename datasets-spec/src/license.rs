@@ -1,0 +1,100 @@
+//! Licences of motions, by their tags.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::Error;
+use crate::manifest::{FileEntry, Manifest};
+use crate::record::MotionRow;
+use crate::table::read_column;
+
+/// Fact of a manifest: clips by licence tag, as JSON; the tag of clips without one is empty.
+pub const LICENSES_FACT: &str = "licenses";
+
+/// Whether a licence forbids commercial use, by its tag: an SPDX identifier, or an expression of several.
+pub fn is_non_commercial(tag: &str) -> bool {
+    let tag = tag.to_lowercase();
+    let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
+    parts.any(|part| matches!(part, "nc" | "noncommercial")) || tag.contains("non-commercial")
+}
+
+/// Clips by licence tag. Nothing, if the dataset was made before licences were counted.
+pub fn licenses(manifest: &Manifest) -> BTreeMap<String, u64> {
+    let stated = manifest.facts.get(LICENSES_FACT);
+    stated
+        .and_then(|text| serde_json::from_str(text).ok())
+        .unwrap_or_default()
+}
+
+/// Counts clips by licence tag in files of table `motions`. Only that column is read.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn count<'a>(
+    root: &Path,
+    files: impl IntoIterator<Item = &'a FileEntry>,
+) -> Result<BTreeMap<String, u64>, Error> {
+    let mut licenses: BTreeMap<String, u64> = BTreeMap::new();
+    for file in files {
+        let tags = read_column::<MotionRow, Option<String>>(&root.join(&file.path), "license")?;
+        for tag in tags {
+            *licenses.entry(tag.unwrap_or_default()).or_default() += 1;
+        }
+    }
+    Ok(licenses)
+}
+
+/// What a user of clips under several licences must know: that some may not be used commercially, and
+/// with them the whole.
+pub fn warning(licenses: &BTreeMap<String, u64>) -> Option<String> {
+    let (restricted, others): (Vec<_>, Vec<_>) =
+        licenses.iter().partition(|(tag, _)| is_non_commercial(tag));
+    if restricted.is_empty() || others.is_empty() {
+        return None;
+    }
+    let list = |licenses: &[(&String, &u64)]| {
+        let parts = licenses.iter().map(|(tag, clips)| match tag.as_str() {
+            "" => format!("{clips} clips without a stated licence"),
+            tag => format!("{clips} clips under {tag}"),
+        });
+        parts.collect::<Vec<_>>().join(", ")
+    };
+    Some(format!(
+        "non-commercial sources are mixed with others: {} beside {}; what is made of all of them may not be \
+         used commercially",
+        list(&restricted),
+        list(&others)
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mixture_with_non_commercial_sources_is_said() {
+        for tag in [
+            "CC-BY-NC-4.0",
+            "MIT AND CC-BY-NC-SA-4.0",
+            "cc-by-nc-4.0",
+            "LicenseRef-AMASS-NonCommercial",
+            "non-commercial research only",
+        ] {
+            assert!(is_non_commercial(tag), "{tag}");
+        }
+        for tag in ["", "CC-BY-4.0", "MIT", "NCSA"] {
+            assert!(!is_non_commercial(tag), "{tag}");
+        }
+        let counts = |tags: &[&str]| tags.iter().map(|tag| ((*tag).to_owned(), 2)).collect();
+        assert_eq!(warning(&counts(&["CC-BY-NC-4.0"])), None);
+        assert_eq!(warning(&counts(&["MIT", ""])), None);
+        let text = warning(&counts(&["CC-BY-NC-4.0", "MIT", ""])).expect("mixed");
+        for part in [
+            "2 clips under CC-BY-NC-4.0",
+            "2 clips under MIT",
+            "2 clips without",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+}

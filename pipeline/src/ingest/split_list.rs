@@ -1,0 +1,173 @@
+//! Splits by the user: a CSV file of names or patterns and splits (`ingest --splits`).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::Split;
+
+use crate::Error;
+use crate::annotation::pairs::RefusedLine;
+use crate::csv_lines::LineNumbers;
+use crate::source::labels::{is_pattern, matches};
+
+/// Prefix of a name that means all clips of a subject.
+const SUBJECT: &str = "subject:";
+
+/// The lines of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SplitList {
+    lines: Vec<Line>,
+    /// Places in `lines` by exact name; the first line of a name counts.
+    exact: BTreeMap<String, usize>,
+    refused: Vec<RefusedLine>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Line {
+    number: u64,
+    name: String,
+    split: Split,
+}
+
+impl SplitList {
+    /// Reads a list. Lines without a split are kept as refused.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        Ok(Self::parse(&bytes))
+    }
+
+    /// Parses a list in UTF-8: a name and a split on each line, with or without the header line
+    /// `clip,split`. A name is an id, a source file, or a pattern of them (`*` any characters, `?` one); after
+    /// `subject:` it is a subject or a pattern of subjects.
+    pub fn parse(bytes: &[u8]) -> Self {
+        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let mut list = Self::default();
+        let mut lines = LineNumbers::of(text);
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .from_reader(text);
+        for (place, record) in reader.records().enumerate() {
+            let (number, line) = match record {
+                Err(error) => {
+                    let reason = "it is not UTF-8 text; save the file as UTF-8".to_owned();
+                    (lines.at(error.position()), Err(reason))
+                }
+                Ok(record) => {
+                    let number = lines.at(record.position());
+                    let fields: Vec<&str> = record.iter().collect();
+                    if place == 0
+                        && matches!(fields.as_slice(), [_, last] if last.eq_ignore_ascii_case("split"))
+                    {
+                        continue;
+                    }
+                    (number, parse_line(number, &fields))
+                }
+            };
+            match line {
+                Ok(line) => list.lines.push(line),
+                Err(reason) => list.refused.push(RefusedLine {
+                    line: number,
+                    reason,
+                }),
+            }
+        }
+        for (place, line) in list.lines.iter().enumerate() {
+            list.exact.entry(line.name.clone()).or_insert(place);
+        }
+        list
+    }
+
+    /// The first line that names a clip by one of its names.
+    pub(super) fn line_of(&self, names: &BTreeSet<String>) -> Option<usize> {
+        let exact = names.iter().filter_map(|name| self.exact.get(name)).min();
+        let mut patterns = self
+            .lines
+            .iter()
+            .take(exact.copied().unwrap_or(self.lines.len()));
+        let pattern = patterns.position(|line| {
+            is_pattern(&line.name) && names.iter().any(|name| is_match(&line.name, name))
+        });
+        pattern.or(exact.copied())
+    }
+
+    /// The split of a line.
+    pub(super) fn split(&self, line: usize) -> Split {
+        self.lines[line].split
+    }
+
+    /// The lines that say nothing of the clips with these names, by number.
+    pub(super) fn refused(&self, names: &BTreeSet<String>) -> Vec<RefusedLine> {
+        let mut refused = self.refused.clone();
+        let unknown = self.lines.iter().filter(|line| {
+            let is_named = || names.iter().any(|name| is_match(&line.name, name));
+            !names.contains(&line.name) && !(is_pattern(&line.name) && is_named())
+        });
+        refused.extend(unknown.map(|line| RefusedLine {
+            line: line.number,
+            reason: format!("no clip is called {:?}", line.name),
+        }));
+        refused.sort();
+        refused
+    }
+}
+
+/// The name of all clips of a subject.
+pub(super) fn name_of_subject(subject: &str) -> String {
+    format!("{SUBJECT}{subject}")
+}
+
+/// Whether a pattern matches a name. Patterns of ids do not match subjects.
+fn is_match(pattern: &str, name: &str) -> bool {
+    pattern.starts_with(SUBJECT) == name.starts_with(SUBJECT) && matches(pattern, name)
+}
+
+fn parse_line(number: u64, fields: &[&str]) -> Result<Line, String> {
+    let [name, split] = fields else {
+        let count = fields.len();
+        return Err(format!(
+            "it has {count} fields, expected a name and a split"
+        ));
+    };
+    if name.is_empty() {
+        return Err("it names no clip".to_owned());
+    }
+    let split = split.to_lowercase().parse();
+    Ok(Line {
+        number,
+        name: (*name).to_owned(),
+        split: split.map_err(|error: datasets_spec::Error| error.to_string())?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_line_that_names_a_clip_decides() {
+        let list = SplitList::parse(
+            b"clip,split\nwalk/anna_1,val\nwalk/*,test\nrun,Train\nsubject:b*,val\nwalk/anna_2,train\n\
+              jump,all\na,b,c\n,test\n",
+        );
+        let split = |names: &[&str]| {
+            let names = names.iter().map(|name| (*name).to_owned()).collect();
+            list.line_of(&names).map(|line| list.split(line))
+        };
+        let bert = name_of_subject("bert");
+        assert_eq!(split(&["walk/anna_1"]), Some(Split::Val));
+        assert_eq!(split(&["walk/anna_2"]), Some(Split::Test));
+        assert_eq!(split(&["run", &bert]), Some(Split::Train));
+        assert_eq!(split(&["sit", &bert]), Some(Split::Val));
+        assert_eq!(split(&["sit", &name_of_subject("anna")]), None);
+        let names = ["walk/anna_1", "walk/anna_2", "subject:bert"].map(str::to_owned);
+        let refused = list.refused(&names.into());
+        let lines: Vec<u64> = refused.iter().map(|refused| refused.line).collect();
+        assert_eq!(lines, [4, 7, 8, 9], "{refused:?}");
+        assert!(refused[0].reason.contains("\"run\""));
+    }
+}

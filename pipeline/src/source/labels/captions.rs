@@ -1,0 +1,72 @@
+//! Captions in text files.
+
+use datasets_spec::table::Caption;
+
+/// Longest line in bytes that is taken for a caption.
+const MAX_LINE_BYTES: usize = 1000;
+/// Most captions of one file; a longer file is no list of captions.
+const MAX_CAPTIONS: usize = 1000;
+
+/// Parses captions, one a line, and counts the lines that are none. A line is a text about the whole
+/// clip, or HumanML3D's `caption#lemma/POS lemma/POS#start#end` with times in seconds. A time that is not
+/// a number is read as 0, which is how the published loader reads the `nan` that some of the files contain.
+///
+/// # Source
+/// HumanML3D's text format.
+pub fn parse_captions(text: &str) -> (Vec<Caption>, usize) {
+    let mut captions = Vec::new();
+    let mut num_other = 0;
+    for line in text.lines().map(str::trim).filter(|line| !line.is_empty()) {
+        match parse_line(line) {
+            Some(caption) if captions.len() < MAX_CAPTIONS => captions.push(caption),
+            _ => num_other += 1,
+        }
+    }
+    (captions, num_other)
+}
+
+fn parse_line(line: &str) -> Option<Caption> {
+    // The caption itself may contain a hash sign; the last three fields may not.
+    let mut fields = line.rsplitn(4, '#');
+    let (Some(to), Some(from), Some(tokens), Some(caption)) =
+        (fields.next(), fields.next(), fields.next(), fields.next())
+    else {
+        let is_foreign = |c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER;
+        let is_text = line.len() <= MAX_LINE_BYTES
+            && line.chars().any(char::is_alphabetic)
+            && !line.chars().any(is_foreign);
+        return is_text.then(|| Caption {
+            text: line.to_owned(),
+            ..Caption::default()
+        });
+    };
+    let (from_s, to_s) = (from.trim().parse::<f32>(), to.trim().parse::<f32>());
+    let finite = |seconds: f32| if seconds.is_finite() { seconds } else { 0.0 };
+    Some(Caption {
+        text: caption.trim().to_owned(),
+        tokens: tokens.trim().to_owned(),
+        from_s: finite(from_s.ok()?),
+        to_s: finite(to_s.ok()?),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn captions_keep_their_tokens_and_times_and_plain_lines_count() {
+        let (captions, num_other) = parse_captions(
+            "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\r\n\
+             take step #2#take/VERB#1.5#nan\n\na man kicks twice, as in take #1\nbad#times#a#b\n\
+             12 34.5\n\u{fffd}PNG\n",
+        );
+        assert_eq!(num_other, 3);
+        assert_eq!(captions.len(), 3);
+        assert_eq!(captions[0].tokens, "a/DET man/NOUN kick/VERB");
+        assert_eq!(captions[1].text, "take step #2");
+        assert_eq!((captions[1].from_s, captions[1].to_s), (1.5, 0.0));
+        assert_eq!(captions[2].text, "a man kicks twice, as in take #1");
+        assert_eq!((captions[2].from_s, captions[2].to_s), (0.0, 0.0));
+    }
+}
