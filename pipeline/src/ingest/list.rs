@@ -186,12 +186,29 @@ pub(super) fn quarantine_row(
     QuarantineRow {
         path: match key {
             "" => file.to_owned(),
-            key => format!("{file}#{key}"),
+            // Names of motions come from files and may hold anything.
+            key => format!("{file}#{}", text_of_name(key.as_ref())),
         },
         source_hash,
         code: rejected.code.to_owned(),
         reason: rejected.reason,
         byte_offset: rejected.byte_offset,
         stage: rejected.stage.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_motions_are_listed_without_control_characters() {
+        let row = |key| {
+            let rejected = Rejected::read("E-PATH", "unusable");
+            quarantine_row("a.glb", key, String::new(), rejected).path
+        };
+        assert_eq!(row(""), "a.glb");
+        assert_eq!(row("Walk A"), "a.glb#Walk A");
+        assert_eq!(row("Walk\u{1b}[2J\n"), r"a.glb#Walk\x1b[2J\x0a");
     }
 }

@@ -26,6 +26,7 @@ use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
 use self::track::{Track, TrackRest, leg_length};
 use self::user_map::{RestPose, Up};
+use crate::check::FLAG_REFERENCE_DROPPED;
 use crate::clip::{Rejected, RotationSource, SourceClip};
 use crate::floor;
 
@@ -107,6 +108,9 @@ pub fn clip(
     let mut clip = SourceClip::new(carried.motion, RotationSource::Retargeted);
     clip.fit_error_m = Some(carried.error_m as f32);
     clip.source_frames = rig.frames();
+    if clip.source_frames.start > 0 {
+        clip.flags |= FLAG_REFERENCE_DROPPED;
+    }
     clip.notes = notes;
     Ok(clip)
 }
@@ -856,6 +860,7 @@ pub(crate) mod tests {
             ),
             (1, 19, 20)
         );
+        assert_eq!(clip.flags, FLAG_REFERENCE_DROPPED);
     }
 
     #[test]

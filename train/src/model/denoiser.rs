@@ -200,7 +200,7 @@ impl Denoiser {
 
     /// Computes once what does not change from step to step of sampling: the embeddings of all
     /// diffusion steps, of the original windows, of progress and positions. The weights are this
-    /// denoiser's, as [`Denoiser::pack`] gives them.
+    /// denoiser's, as [`Denoiser::prepared_weights`] gives them.
     ///
     /// # Shapes
     /// As [`Denoiser::forward`].

@@ -114,7 +114,7 @@ impl Rows {
         let counts =
             format!("found {num_rows} rows of motion, expected {num_frames} as `Frames:` says");
         let hint = match odd_row {
-            None if !lenient => "; --lenient reads the rows that both agree on",
+            None if !lenient => "; `stance ingest --lenient` reads the rows that both agree on",
             _ => "",
         };
         let (reason, at) = match (odd_row, first_extra_row) {
