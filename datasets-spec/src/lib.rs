@@ -31,6 +31,7 @@ mod card;
 mod croissant;
 pub mod dataset;
 mod error;
+pub mod facts;
 mod ids;
 mod joint_set;
 pub mod license;

@@ -40,6 +40,22 @@ pub enum Error {
         /// The prefix asked for.
         id: String,
     },
+    /// A filter of clips cannot be understood.
+    #[error("filter {text:?}, at character {at}: {problem}")]
+    Filter {
+        /// The filter.
+        text: String,
+        /// Place of the mistake, counted from 1.
+        at: usize,
+        /// What is wrong, and what there is.
+        problem: String,
+    },
+    /// A filter chooses no clip.
+    #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
+    NoneChosen {
+        /// The dataset.
+        path: PathBuf,
+    },
     /// A file gives no motion.
     #[error("{}: {reason}", path.display())]
     UnusableFile {

@@ -32,6 +32,7 @@ pub mod doctor;
 mod error;
 pub mod export;
 pub mod feature;
+pub mod filter;
 #[cfg(test)]
 mod fixture;
 pub mod floor;

@@ -1,30 +1,41 @@
 //! Single motions as a user names them: a file of any format, or the id of a clip or an item.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{ItemRow, MotionRow};
+use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, Motion, Skeleton};
 
 use crate::Error;
 use crate::clip::Outcome;
+use crate::filter::check_content;
 use crate::source::labels::ClipLabels;
 use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
 /// Code of a file that gives no motion and is not rejected either.
 const NO_MOTION: &str = "E-NO-MOTION";
 
-/// The row of a clip of a dataset.
+/// The row of a clip of a dataset. Only ids are read, and the pages of the clip, which is checked against
+/// its hash.
 ///
 /// # Errors
-/// There is no such clip, or the dataset cannot be read.
+/// There is no such clip, it is damaged, or the dataset cannot be read.
 pub fn stored_clip(dataset: &Dataset, id: &str) -> Result<MotionRow, Error> {
-    let rows: Vec<MotionRow> = dataset.read(None)?;
-    rows.into_iter()
-        .find(|row| row.id.as_str() == id)
-        .ok_or_else(|| Error::NoClip {
-            path: dataset.root().to_owned(),
-            id: id.to_owned(),
-        })
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let ids = shard.column::<MotionRow, String>("id")?;
+        let Some(place) = ids.iter().position(|found| found == id) else {
+            continue;
+        };
+        if let Some(row) = shard.rows_at::<MotionRow>(&[place])?.pop() {
+            check_content(&row, &path)?;
+            return Ok(row);
+        }
+    }
+    Err(Error::NoClip {
+        path: dataset.root().to_owned(),
+        id: id.to_owned(),
+    })
 }
 
 /// The item with an id, or with a prefix of one.
@@ -44,21 +55,32 @@ pub fn stored_item(dataset: &Dataset, id: &str) -> Result<ItemRow, Error> {
     }
 }
 
-/// The first motion of a source file, posed on the given skeleton.
+/// A motion of a source file, posed on the given skeleton: the first, or the one named after `#`, as in
+/// `file.glb#Walking_A`.
 ///
 /// # Errors
-/// The file cannot be read or holds no usable motion.
+/// The file cannot be read, has no motion of that name, or no usable one.
 pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
     let options = ReadOptions {
         skeleton: skeleton.clone(),
         ..ReadOptions::default()
     };
-    let (_, outcomes) = read_file(path, &options)?;
+    let (file, key) = file_and_key(path);
+    let (_, mut outcomes) = read_file(&file, &options)?;
     let refused = |code, reason: String| Error::UnusableFile {
         path: path.to_owned(),
         code,
         reason,
     };
+    if let Some(key) = key {
+        let names: Vec<String> = outcomes.iter().map(|(name, _)| name.clone()).collect();
+        outcomes.retain(|(name, _)| *name == key);
+        if outcomes.is_empty() {
+            let names = names.join(", ");
+            let reason = format!("it holds no motion {key:?}; its motions are {names}");
+            return Err(refused(NO_MOTION, reason));
+        }
+    }
     match outcomes.into_iter().next().map(|(_, outcome)| outcome) {
         None => Err(refused(NO_MOTION, "it holds no motion".to_owned())),
         Some(Outcome::Clip(clip)) => Ok(clip.motion),
@@ -67,6 +89,19 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
         }
         Some(Outcome::Rejected(rejected)) => Err(refused(rejected.code, rejected.to_string())),
     }
+}
+
+/// The file of `file#name`, and the name; a file whose own name has a `#` is taken whole.
+fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
+    let named = || {
+        let (file, key) = path.to_str()?.rsplit_once('#')?;
+        Some((PathBuf::from(file), Some(key.to_owned())))
+    };
+    let whole = || (path.to_owned(), None);
+    if path.exists() {
+        return whole();
+    }
+    named().unwrap_or_else(whole)
 }
 
 /// Outcome of reading each motion of a source file, by its name within the file.

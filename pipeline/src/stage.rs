@@ -105,11 +105,22 @@ impl IngestConfig {
 /// # Errors
 /// The folder is not a dataset, or holds no motions.
 pub fn open_motions(root: &Path) -> Result<Dataset, Error> {
-    let dataset = Dataset::open(root)?;
+    with_motions(Dataset::open(root)?)
+}
+
+/// [`open_motions`] for metadata: no file is checked against its hash, as that would read every motion.
+///
+/// # Errors
+/// The folder is not a dataset, or holds no motions.
+pub fn open_metadata(root: &Path) -> Result<Dataset, Error> {
+    with_motions(Dataset::open_unverified(root)?)
+}
+
+fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
     match other_than_motions(&dataset) {
         None => Ok(dataset),
         Some(other) => Err(Error::OtherThanMotions {
-            path: root.to_owned(),
+            path: dataset.root().to_owned(),
             other,
         }),
     }

@@ -1,12 +1,13 @@
 //! Statistics of a dataset.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use datasets_spec::Dataset;
+use datasets_spec::facts::ClipFacts;
 use datasets_spec::quantile::quantile;
-use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_rows};
+use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, PairRow};
+use datasets_spec::table::{Row, ShardReader, read_rows};
 use serde::Serialize;
 
 use crate::Error;
@@ -94,15 +95,21 @@ pub struct Statistics {
     pub fit_error_m: BTreeMap<String, Spread>,
     /// Masks by parts.
     pub masks: BTreeMap<String, u64>,
+    /// Clips with masks.
+    pub masked_clips: u64,
+    /// Masks of a clip with masks, on average; the paper has 2.1 (Sec. 4.1).
+    pub masks_per_clip: Option<f64>,
     /// Pairs by kind.
     pub pairs: BTreeMap<String, u64>,
+    /// Pairs by style, where one is stated.
+    pub pair_styles: BTreeMap<String, u64>,
     /// Pairs by split.
     pub pair_splits: BTreeMap<String, u64>,
     /// Remarks of the ingestion on the splits.
     pub remarks: Option<String>,
 }
 
-/// Counts a dataset, shard by shard.
+/// Counts a dataset, shard by shard. The frames of the motions are not read.
 ///
 /// # Errors
 /// A table cannot be read.
@@ -114,9 +121,9 @@ pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
     let (mut speeds, mut skates) = (Vec::new(), Vec::new());
     let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     let mut durations = [0u64; DURATIONS.len() + 1];
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        for row in read_rows::<MotionRow>(&path)? {
-            let seconds = f64::from(row.n_frames) / f64::from(row.fps);
+    for (path, _) in dataset.files(ClipFacts::TABLE, None) {
+        for row in ShardReader::open(&path)?.rows::<ClipFacts>()? {
+            let seconds = row.secs();
             let class = DURATIONS.partition_point(|end| *end <= seconds);
             durations[class] += 1;
             speeds.push(row.quality.max_speed.into());
@@ -141,13 +148,22 @@ pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
         .into_iter()
         .filter_map(|(source, errors)| Some((source, Spread::of(errors)?)))
         .collect();
+    let mut masked = BTreeSet::new();
     for (path, _) in dataset.files(MaskRow::TABLE, None) {
         for row in read_rows::<MaskRow>(&path)? {
+            masked.insert(row.motion_id);
             *statistics.masks.entry(row.parts.join("+")).or_default() += 1;
         }
     }
+    let num_masks: u64 = statistics.masks.values().sum();
+    statistics.masked_clips = masked.len() as u64;
+    statistics.masks_per_clip =
+        (!masked.is_empty()).then(|| num_masks as f64 / masked.len() as f64);
     for (path, _) in dataset.files(PairRow::TABLE, None) {
         for row in read_rows::<PairRow>(&path)? {
+            if let Some(style) = row.style {
+                *statistics.pair_styles.entry(style).or_default() += 1;
+            }
             *statistics.pairs.entry(row.kind).or_default() += 1;
             let split = row.split.to_string();
             *statistics.pair_splits.entry(split).or_default() += 1;
@@ -169,7 +185,7 @@ fn class_name(class: usize) -> String {
 }
 
 impl Statistics {
-    fn take(&mut self, row: &MotionRow, seconds: f64) {
+    fn take(&mut self, row: &ClipFacts, seconds: f64) {
         let add = |share: &mut Share| {
             share.clips += 1;
             share.frames += u64::try_from(row.n_frames).unwrap_or(0);
@@ -266,27 +282,33 @@ impl fmt::Display for Statistics {
                 )?;
             }
         }
-        let counts = |title: &str, counts: &[(String, u64)], f: &mut fmt::Formatter<'_>| {
-            if counts.is_empty() {
-                return Ok(());
-            }
-            let largest = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
-            writeln!(f, "\n{title:<24} {:>8}", "clips")?;
-            for (label, count) in counts {
-                writeln!(f, "{label:<24} {count:>8}  {}", bar(*count, largest))?;
-            }
-            Ok(())
-        };
+        let counts =
+            |title: &str, unit: &str, counts: &[(String, u64)], f: &mut fmt::Formatter<'_>| {
+                if counts.is_empty() {
+                    return Ok(());
+                }
+                let largest = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
+                writeln!(f, "\n{title:<24} {unit:>8}")?;
+                for (label, count) in counts {
+                    writeln!(f, "{label:<24} {count:>8}  {}", bar(*count, largest))?;
+                }
+                Ok(())
+            };
         let listed = |map: &BTreeMap<String, u64>| -> Vec<(String, u64)> {
             map.iter()
                 .map(|(label, count)| (label.clone(), *count))
                 .collect()
         };
-        counts("duration", &self.durations, f)?;
-        counts("finding", &listed(&self.flags), f)?;
-        counts("mask", &listed(&self.masks), f)?;
-        counts("pair", &listed(&self.pairs), f)?;
-        counts("pairs of split", &listed(&self.pair_splits), f)?;
+        counts("duration", "clips", &self.durations, f)?;
+        counts("finding", "clips", &listed(&self.flags), f)?;
+        counts("mask", "masks", &listed(&self.masks), f)?;
+        if let Some(masks) = self.masks_per_clip {
+            let clips = self.masked_clips;
+            writeln!(f, "{clips} clips have masks, {masks:.1} on average")?;
+        }
+        counts("kind of edit", "pairs", &listed(&self.pairs), f)?;
+        counts("style of edit", "pairs", &listed(&self.pair_styles), f)?;
+        counts("pairs of split", "pairs", &listed(&self.pair_splits), f)?;
         writeln!(
             f,
             "\n{:<24} {:>8} {:>8} {:>8} {:>8}",

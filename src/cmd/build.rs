@@ -9,6 +9,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
+use pipeline::filter::Clips;
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
@@ -118,7 +119,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let out = config.out.join(name);
         // An export appears whole and depends on the dataset alone, so an existing one is current.
         if !out.exists() {
-            export(&dataset, layout, &out, &bars)
+            export(&Clips::all(&dataset), layout, &out, &bars)
                 .with_context(|| format!("stage export {name}"))?;
         }
         exports.push(out);

@@ -7,6 +7,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row;
 use pipeline::export::{Exported, Layout, Sides, export, export_edits};
+use pipeline::filter::{Clips, Filter};
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -16,6 +17,10 @@ use crate::report;
 ///
 /// Edits become one file each, SYSTEM/ITEM with -SEED behind where there are several takes, and
 /// edits.json with the instructions. The folder appears when it is complete; a failed export leaves nothing behind.
+///
+/// --where chooses clips by their metadata, as in SQL: =, !=, <, <=, >, >=, like, in, is null, and, or, not and
+/// parentheses. Columns are those of the table of motions (stance inspect SHARD), seconds, max_speed, foot_skate, and
+/// flags.NAME for the findings of the checks. Only the chosen clips are read.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder, or folder of edits
@@ -23,6 +28,9 @@ pub(crate) struct Args {
     /// Layout to write; edits go to amass, bvh or gltf
     #[arg(long, value_enum)]
     to: LayoutArg,
+    /// Export only clips that fulfil a condition, such as "split = 'train' and not flags.poor_fit"
+    #[arg(long = "where", value_name = "CONDITION")]
+    filter: Option<Filter>,
     /// Also write the source motions, to sources/ITEM
     #[arg(long)]
     sources: bool,
@@ -67,8 +75,13 @@ impl From<LayoutArg> for Layout {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let dataset = Dataset::open(&args.dataset)?;
     let layout = Layout::from(args.to);
+    let dataset = match &args.filter {
+        // Hashing every file would read every clip; those that are chosen are checked one by one. Stored
+        // features of HumanML3D have no hashes of their own.
+        Some(_) if layout != Layout::HumanMl3d => Dataset::open_unverified(&args.dataset)?,
+        _ => Dataset::open(&args.dataset)?,
+    };
     let sides = Sides {
         sources: args.sources,
         targets: args.targets,
@@ -82,7 +95,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 args.dataset.display()
             );
         }
-        export(&dataset, layout, &args.out, &bars)?
+        let clips = match &args.filter {
+            Some(filter) => Clips::chosen(&dataset, filter)?,
+            None => Clips::all(&dataset),
+        };
+        export(&clips, layout, &args.out, &bars)?
+    } else if args.filter.is_some() {
+        bail!(
+            "{} holds no motions; --where is of motions",
+            args.dataset.display()
+        );
     } else if has(EditRow::TABLE) || (has(ItemRow::TABLE) && sides != Sides::default()) {
         Exported {
             clips: export_edits(&dataset, layout, sides, &args.out, &bars)?,
@@ -94,7 +116,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             args.dataset.display()
         );
     } else {
-        export(&dataset, layout, &args.out, &bars)?
+        export(&Clips::all(&dataset), layout, &args.out, &bars)?
     };
     if global.json {
         report::json(&serde_json::json!({

@@ -21,7 +21,7 @@ use crate::report;
 /// gif for figures that move side by side.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Motion files, or ids of clips or items of --dataset
+    /// Motion files, FILE#NAME for one motion of a file with several, or ids of clips or items of --dataset
     #[arg(required = true)]
     clips: Vec<String>,
     /// Dataset the ids belong to
@@ -73,8 +73,59 @@ pub(crate) fn holds_items(dataset: &Dataset) -> bool {
     tables.contains_key(ItemRow::TABLE) && !tables.contains_key(MotionRow::TABLE)
 }
 
+/// Opens a dataset to read single clips, which are checked one by one. Files of items are checked here.
+pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::open_unverified(path)?;
+    Ok(match holds_items(&dataset) {
+        true => Dataset::open(path)?,
+        false => dataset,
+    })
+}
+
+/// Longest label that stands on one line.
+const LABEL_CHARS: usize = 15;
+
+/// Labels of clips by their names. Where a name is too long for a line, what all have in common at their
+/// beginning is left out, up to the last separator; of a single name, its folder.
+fn labels(names: &[String]) -> Vec<String> {
+    let [first, others @ ..] = names else {
+        return Vec::new();
+    };
+    let long = names.iter().any(|name| name.chars().count() > LABEL_CHARS);
+    let mut shared = match (long, others) {
+        (false, _) => 0,
+        (true, []) => first.rfind('/').map_or(0, |slash| slash + 1),
+        (true, _) => first.len(),
+    };
+    for name in others {
+        let same = first.bytes().zip(name.bytes()).take_while(|(a, b)| a == b);
+        shared = shared.min(same.count());
+    }
+    let separator = |byte: &u8| b"/_-# .@".contains(byte);
+    let cut = first.as_bytes()[..shared].iter().rposition(separator);
+    let cut = cut.map_or(0, |at| at + 1);
+    names
+        .iter()
+        .map(|name| match name.get(cut..) {
+            Some(rest) if !rest.is_empty() => rest.to_owned(),
+            _ => name.clone(),
+        })
+        .collect()
+}
+
+/// Name of a motion file without extension, and with the motion's name within it.
+fn name_of_file(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    let (file, key) = text.rsplit_once('#').unwrap_or((&text, ""));
+    let stem = Path::new(file).with_extension("");
+    match key {
+        "" => stem.to_string_lossy().into_owned(),
+        key => format!("{}#{key}", stem.display()),
+    }
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let dataset = args.dataset.as_deref().map(Dataset::open).transpose()?;
+    let dataset = args.dataset.as_deref().map(open_for_clips).transpose()?;
     let skeleton = match &dataset {
         Some(dataset) => dataset.skeleton()?,
         None => Skeleton::smplx_neutral(),
@@ -87,7 +138,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut rows: Vec<Row> = Vec::new();
     // Instruction of each item, and the index of its first row.
     let mut instructions: Vec<(String, usize)> = Vec::new();
-    for clip in &args.clips {
+    let names: Vec<String> = match dataset {
+        Some(_) => args.clips.clone(),
+        None => {
+            let files = args.clips.iter();
+            files.map(|file| name_of_file(Path::new(file))).collect()
+        }
+    };
+    for (clip, label) in args.clips.iter().zip(labels(&names)) {
         match &dataset {
             Some(dataset) if holds_items(dataset) => {
                 let item = stored_item(dataset, clip)?;
@@ -107,13 +165,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             }
             Some(dataset) => {
                 let motion = stored_clip(dataset, clip)?.motion()?;
-                rows.push(row(clip.clone(), &motion, JointSet::EMPTY));
+                rows.push(row(label, &motion, JointSet::EMPTY));
             }
             None => {
-                let path = Path::new(clip);
-                let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                let motion = clip_of_file(path, &skeleton)?;
-                rows.push(row(name.into_owned(), &motion, JointSet::EMPTY));
+                let motion = clip_of_file(Path::new(clip), &skeleton)?;
+                rows.push(row(label, &motion, JointSet::EMPTY));
             }
         }
     }
@@ -159,4 +215,44 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ));
     }
     Ok(Exit::Done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_differ_where_the_clips_do() {
+        let of = |names: &[&str]| {
+            labels(
+                &names
+                    .iter()
+                    .map(|&name| name.to_owned())
+                    .collect::<Vec<_>>(),
+            )
+        };
+        assert_eq!(
+            of(&["captures/monday/walk_old", "captures/monday/walk_neutral"]),
+            ["old", "neutral"]
+        );
+        assert_eq!(
+            of(&["robot#Walking_A", "robot#Walking_B"]),
+            ["robot#Walking_A", "robot#Walking_B"]
+        );
+        assert_eq!(
+            of(&["a/session/walk", "a/session/walk_2"]),
+            ["walk", "walk_2"]
+        );
+        assert_eq!(of(&["walk_a", "walk_b"]), ["walk_a", "walk_b"]);
+        assert_eq!(of(&["a/very/long/name/of/one_clip"]), ["one_clip"]);
+        assert_eq!(
+            of(&["a/very/long/name", "a/very/long/name"]),
+            ["name", "name"]
+        );
+        assert_eq!(
+            name_of_file(Path::new("a/robot.glb#Walking_A")),
+            "a/robot#Walking_A"
+        );
+        assert_eq!(name_of_file(Path::new("a/walk.bvh")), "a/walk");
+    }
 }

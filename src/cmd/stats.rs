@@ -2,14 +2,16 @@
 
 use std::path::PathBuf;
 
-use pipeline::stage::open_motions;
+use pipeline::stage::open_metadata;
 use pipeline::stats::statistics;
 
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Count a dataset: clips, hours, captions, findings of the quality checks, speeds and fit errors.
+/// Count a dataset: clips, hours, captions, masks, pairs, findings of the quality checks, speeds and fit errors.
+///
+/// Only metadata is read; `stance verify` checks the motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
@@ -17,7 +19,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let statistics = statistics(&open_motions(&args.dataset)?)?;
+    let statistics = statistics(&open_metadata(&args.dataset)?)?;
     if global.json {
         report::json(&statistics)?;
     } else {

@@ -275,7 +275,7 @@ fn inspect_counts_what_ingest_wrote() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     fs::write(shard, bytes).expect("writes");
-    let ran = stance(&["inspect", arg(&out)]).expect_code(1);
+    let ran = stance(&["masks", arg(&out)]).expect_code(1);
     assert!(
         ran.stderr.contains("does not match its manifest"),
         "{}",

@@ -8,6 +8,7 @@ mod chain;
 mod compose;
 mod evaluate;
 mod export;
+mod exports;
 mod golden;
 mod help;
 mod ingest;

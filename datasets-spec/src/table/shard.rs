@@ -207,7 +207,7 @@ pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
     let metadata =
         ArrowReaderMetadata::load(&bytes, options()).map_err(Error::parquet("read", path))?;
     check_version(path, &metadata)?;
-    read_selected(path, bytes, metadata, None)
+    read_selected(path, bytes, metadata, None, ProjectionMask::all())
 }
 
 /// An open file, for reading rows at any place.
@@ -242,6 +242,17 @@ impl ShardReader {
         usize::try_from(self.metadata.metadata().file_metadata().num_rows()).unwrap_or(0)
     }
 
+    /// Reads all rows of a table's columns. No other column is read from the disk.
+    ///
+    /// # Errors
+    /// The file cannot be read or holds something else.
+    pub fn rows<R: Row>(&self) -> Result<Vec<R>, Error> {
+        let names: Vec<&str> = R::columns().iter().map(|column| column.name).collect();
+        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names);
+        let (file, metadata) = (self.file.clone(), self.metadata.clone());
+        read_selected(&self.path, file, metadata, None, mask)
+    }
+
     /// Reads the rows at the given places, in file order; places after the end are ignored. Only their
     /// pages are read and decoded.
     ///
@@ -255,7 +266,8 @@ impl ShardReader {
         let ranges = wanted.into_iter().map(|row| row..row + 1);
         let selection = RowSelection::from_consecutive_ranges(ranges, total);
         let file = self.file.clone();
-        read_selected(&self.path, file, self.metadata.clone(), Some(selection))
+        let (metadata, all) = (self.metadata.clone(), ProjectionMask::all());
+        read_selected(&self.path, file, metadata, Some(selection), all)
     }
 
     /// Reads one column of all rows. No other column is read from the disk.
@@ -294,8 +306,10 @@ fn read_selected<R: Row>(
     bytes: impl ChunkReader + 'static,
     metadata: ArrowReaderMetadata,
     selection: Option<RowSelection>,
+    columns: ProjectionMask,
 ) -> Result<Vec<R>, Error> {
     let mut builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
+        .with_projection(columns)
         .with_batch_size(READ_BATCH_ROWS);
     if let Some(selection) = selection {
         builder = builder.with_row_selection(selection);

@@ -4,64 +4,64 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use datasets_spec::Progress;
 use datasets_spec::record::MotionRow;
-use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, Progress};
 use rayon::prelude::*;
 
-use super::paths::{safe_path, unique};
+use super::clips::write_sidecar;
+use super::paths::{safe_stem, unique};
 use crate::Error;
+use crate::filter::Clips;
 use crate::write::amass;
 
-/// Suffix of the release's file names.
-const NAME_END: &str = "_stageii.npz";
+/// Suffix of the release's file names, before the extension.
+const STEM_END: &str = "_stageii";
 
-/// Writes a file for each motion, in folders as its id has them, and returns their number.
+/// Writes a file for each motion, in folders as its id has them, with its metadata in a sidecar, and
+/// returns their number.
 ///
 /// # Errors
 /// The dataset cannot be read or a file cannot be written.
-pub(super) fn write(
-    dataset: &Dataset,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let skeleton = dataset.skeleton()?;
-    let shards = dataset.files(MotionRow::TABLE, None);
-    let total = shards.iter().map(|(_, file)| file.rows).sum();
-    progress.begin("export amass", Some(total));
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+    let skeleton = clips.dataset().skeleton()?;
+    progress.begin("export amass", Some(clips.len()));
     let mut taken = BTreeSet::new();
-    for (path, _) in shards {
-        let rows = read_rows::<MotionRow>(&path)?;
-        let named: Vec<(&MotionRow, String)> = rows
-            .iter()
-            .map(|row| (row, file_name(row.id.as_str(), &mut taken)))
+    for shard in clips.shards(None) {
+        let rows = shard.read()?;
+        let named: Vec<(MotionRow, String)> = rows
+            .into_iter()
+            .map(|row| {
+                let stem = file_stem(row.id.as_str(), &mut taken);
+                (row, stem)
+            })
             .collect();
-        named.into_par_iter().try_for_each(|(row, name)| {
-            let path = folder.join(name);
+        named.into_par_iter().try_for_each(|(row, stem)| {
+            let path = folder.join(format!("{stem}.npz"));
             if let Some(parent) = path.parent() {
                 fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
             }
             let bytes = amass::encode_smplx(&row.motion()?, &skeleton)
                 .map_err(Error::io("encode", &path))?;
             fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+            write_sidecar(folder, &stem, row)?;
             progress.advance(1);
             Ok::<(), Error>(())
         })?;
     }
-    progress.finish(&format!("{total} archives"));
-    Ok(total)
+    progress.finish(&format!("{} archives", clips.len()));
+    Ok(clips.len())
 }
 
-/// A relative path for an id, named as files of the release are.
-pub(super) fn file_name(id: &str, taken: &mut BTreeSet<String>) -> String {
-    format!("{}{NAME_END}", unique(safe_path(id), taken))
+/// A relative path for an id without extension, named as files of the release are.
+pub(super) fn file_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
+    format!("{}{STEM_END}", unique(safe_stem(id, STEM_END), taken))
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
 
-    use datasets_spec::{Motion, NoProgress, Skeleton};
+    use datasets_spec::{Dataset, Motion, NoProgress, Skeleton};
     use glam::{DQuat, DVec3};
     use kinematics::rotation::{angle_between, from_axis_angle};
 
@@ -97,7 +97,10 @@ mod tests {
         fs::write(at("in/a/walk_poses.npz"), bytes).expect("written");
         let first = ingested(&at("in"), &at("first"));
         fs::create_dir_all(at("out")).expect("made");
-        assert_eq!(write(&first, &at("out"), &NoProgress).expect("written"), 1);
+        assert_eq!(
+            write(&Clips::all(&first), &at("out"), &NoProgress).expect("written"),
+            1
+        );
         assert!(at("out/a/walk_poses_stageii.npz").is_file());
         let again = ingested(&at("out"), &at("again"));
 

@@ -86,7 +86,9 @@ pub fn export_edits(
         .map(|clip| {
             // Files of AMASS end as those of its release do.
             let name = match layout {
-                Layout::Amass => amass::file_name(&clip.stem, &mut taken),
+                Layout::Amass => {
+                    format!("{}.{extension}", amass::file_stem(&clip.stem, &mut taken))
+                }
                 _ => format!("{}.{extension}", unique(clip.stem.clone(), &mut taken)),
             };
             (name, clip)

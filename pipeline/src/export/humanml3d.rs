@@ -6,7 +6,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
-use datasets_spec::table::{Caption, Row, ShardReader, read_rows};
+use datasets_spec::table::{Caption, Row, ShardReader};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
@@ -16,6 +16,7 @@ use crate::feature::humanml3d::{
     Features, RECIPE, features_of_joints, joints_of_motion, recover_joints,
 };
 use crate::feature::{Statistics, smpl_body};
+use crate::filter::Clips;
 use crate::source::humanml3d::is_id;
 use pickle::npy;
 
@@ -23,9 +24,9 @@ use pickle::npy;
 ///
 /// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has
 /// `L - 1` frames of features and joints, as published. Clips whose id is not of
-/// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, and why a clip was left
-/// out. Captions made from file names are left out, because the layout has no room for their origin.
-/// Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
+/// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, why a clip was left
+/// out, and its licence. Captions made from file names are left out, because the layout has no room for
+/// their origin. Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
 /// layout need tokens.
 ///
 /// Joints are those of a SMPL body, as in the published set: with SMPL's bone directions at rest, and the
@@ -33,20 +34,14 @@ use pickle::npy;
 ///
 /// # Errors
 /// The dataset cannot be read or a file cannot be written.
-pub(super) fn write(
-    dataset: &Dataset,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let skeleton = smpl_body(&dataset.skeleton()?);
-    let stored = Stored::of(dataset)?;
-    let mut writer = Writer::new(folder, names(dataset)?)?;
-    let shards = dataset.files(MotionRow::TABLE, None);
-    let total = shards.iter().map(|(_, file)| file.rows).sum();
-    progress.begin("export humanml3d", Some(total));
-    for (path, _) in shards {
-        let rows = read_rows::<MotionRow>(&path)?;
-        let clips: Vec<Result<Vec<Features>, String>> = rows
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+    let skeleton = smpl_body(&clips.dataset().skeleton()?);
+    let stored = Stored::of(clips.dataset())?;
+    let mut writer = Writer::new(folder, names(clips)?)?;
+    progress.begin("export humanml3d", Some(clips.len()));
+    for shard in clips.shards(None) {
+        let rows = shard.read()?;
+        let features: Vec<Result<Vec<Features>, String>> = rows
             .par_iter()
             .map(|row| {
                 let features = match stored.get(row.id.as_str())? {
@@ -57,13 +52,13 @@ pub(super) fn write(
                 Ok(features)
             })
             .collect::<Result<_, Error>>()?;
-        for (row, clip) in rows.iter().zip(clips) {
-            writer.take(row, clip)?;
+        for (row, features) in rows.iter().zip(features) {
+            writer.take(row, features)?;
         }
     }
-    let clips = writer.finish()?;
-    progress.finish(&format!("{clips} clips"));
-    Ok(clips)
+    let written = writer.finish()?;
+    progress.finish(&format!("{written} clips"));
+    Ok(written)
 }
 
 /// The features of a clip, or why it has none.
@@ -114,8 +109,8 @@ impl Stored {
 }
 
 /// The name each motion gets, by its id.
-fn names(dataset: &Dataset) -> Result<BTreeMap<String, String>, Error> {
-    let ids = ids(dataset)?;
+fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
+    let ids = ids(clips)?;
     let mut names: BTreeMap<String, String> = ids
         .iter()
         .filter(|(id, _)| is_id(id))
@@ -154,12 +149,11 @@ fn names(dataset: &Dataset) -> Result<BTreeMap<String, String>, Error> {
 }
 
 /// Every motion's id and that of the motion it mirrors; no other column is read.
-fn ids(dataset: &Dataset) -> Result<Vec<(String, Option<String>)>, Error> {
+fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error> {
     let mut ids = Vec::new();
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let id = shard.column::<MotionRow, String>("id")?;
-        let original = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
+    for shard in clips.shards(None) {
+        let id = shard.column::<String>("id")?;
+        let original = shard.column::<Option<String>>("mirrored_of")?;
         ids.extend(id.into_iter().zip(original));
     }
     Ok(ids)
@@ -183,7 +177,7 @@ impl Writer {
         }
         let path = root.join("ids.csv");
         let mut ids = BufWriter::new(File::create(&path).map_err(Error::io("create", &path))?);
-        writeln!(ids, "name,id,left_out").map_err(Error::io("write", &path))?;
+        writeln!(ids, "name,id,left_out,license").map_err(Error::io("write", &path))?;
         Ok(Self {
             root: root.to_owned(),
             names,
@@ -199,7 +193,12 @@ impl Writer {
         let id = row.id.as_str();
         let name = self.names.get(id).cloned().unwrap_or_default();
         let reason = clip.as_ref().err().map_or("", String::as_str);
-        self.note([&name, id, reason])?;
+        self.note([
+            &name,
+            id,
+            reason,
+            row.license.as_deref().unwrap_or_default(),
+        ])?;
         let Ok(features) = clip else {
             return Ok(());
         };
@@ -251,7 +250,7 @@ impl Writer {
         Ok(self.clips)
     }
 
-    fn note(&mut self, fields: [&str; 3]) -> Result<(), Error> {
+    fn note(&mut self, fields: [&str; 4]) -> Result<(), Error> {
         let mut line = csv::Writer::from_writer(&mut self.ids);
         line.write_record(fields)
             .map_err(std::io::Error::from)
@@ -298,7 +297,7 @@ mod tests {
     use crate::feature::humanml3d::{UNIFORM_BONES, process_joints};
     use crate::ingest::{IngestOptions, ingest};
     use crate::retarget::tests::walk;
-    use datasets_spec::{Motion, NoProgress};
+    use datasets_spec::{Dataset, Motion, NoProgress};
     use pickle::npy::read_numbers;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
@@ -344,7 +343,10 @@ mod tests {
         .expect("written");
         let first = ingested(&at("in"), &at("first"));
         fs::create_dir_all(at("out")).expect("made");
-        assert_eq!(write(&first, &at("out"), &NoProgress).expect("written"), 1);
+        assert_eq!(
+            write(&Clips::all(&first), &at("out"), &NoProgress).expect("written"),
+            1
+        );
 
         let rows = |dataset: &Dataset| dataset.read::<MotionRow>(None).expect("read");
         let before = rows(&first)[0].clone();
@@ -359,7 +361,7 @@ mod tests {
         }
         assert_eq!(
             read(at("out/ids.csv")),
-            "name,id,left_out\n000000,KIT/walk_poses,\n"
+            "name,id,left_out,license\n000000,KIT/walk_poses,,\n"
         );
         assert_eq!(
             read(at("out/texts/000000.txt")),
@@ -401,7 +403,7 @@ mod tests {
             fs::write(at("in/new_joint_vecs").join(format!("{id}.npy")), &vector).expect("written");
         }
         let dataset = ingested(&at("in"), &at("first"));
-        let names = names(&dataset).expect("read");
+        let names = names(&Clips::all(&dataset)).expect("read");
         assert_eq!(names["M000001"], "M000001");
         assert_eq!(
             names["walk"], "000002",
@@ -409,7 +411,7 @@ mod tests {
         );
         fs::create_dir_all(at("out")).expect("made");
         assert_eq!(
-            write(&dataset, &at("out"), &NoProgress).expect("written"),
+            write(&Clips::all(&dataset), &at("out"), &NoProgress).expect("written"),
             4
         );
         let array = |name: &str| {

@@ -1,33 +1,44 @@
 //! LeRobot v3: one row per frame, with separate tables of episodes and tasks.
 //!
-//! A clip is an episode, its first caption (made ones are left out) its task, and `observation.state` a frame's 69 numbers:
-//! translation, root orientation and body pose, as in the `motions` table.
+//! A clip is an episode, its first caption its task, and `observation.state` a frame's 69 numbers:
+//! translation, root orientation and body pose, as in the `motions` table. The table of episodes has the
+//! clip's id, split, labels, captions and licence in columns of their own, which LeRobot ignores. Captions
+//! made from file names are left out.
+//!
+//! # Source
+//! `lerobot` 0.4.4, whose tools `tests/python` runs on an export.
 
-use std::collections::BTreeMap;
+mod statistics;
+
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::builder::{ListBuilder, StringBuilder};
+use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{
-    ArrayRef, FixedSizeListArray, Float32Array, Int64Array, RecordBatch, StringArray,
+    ArrayRef, FixedSizeListArray, Float32Array, Int64Array, ListArray, RecordBatch, StringArray,
 };
 use arrow_schema::{DataType, Field};
 use datasets_spec::record::MotionRow;
-use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, Progress, Split};
+use datasets_spec::{Progress, Split};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use serde_json::json;
 
+use self::statistics::Statistics;
 use crate::Error;
+use crate::filter::Clips;
 
 /// Numbers of a frame.
 const STATE_WIDTH: usize = 69;
 /// Rows of a data file: about 30 MB.
 const FILE_FRAMES: usize = 100_000;
+/// Episodes of a file of the table of episodes: about 50 MB, most of it statistics.
+const FILE_EPISODES: usize = 10_000;
 /// Files per chunk, by the format.
 const CHUNK_FILES: usize = 1000;
 /// Task of a clip without a caption.
@@ -37,75 +48,76 @@ const NO_TASK: &str = "move";
 ///
 /// # Errors
 /// The dataset cannot be read, its clips differ in frame rate, or a file cannot be written.
-pub(super) fn write(
-    dataset: &Dataset,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let total = dataset.manifest().rows(MotionRow::TABLE, None);
-    progress.begin("export lerobot", Some(total));
-    let mut writer = Writer::new(dataset, folder);
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+    progress.begin("export lerobot", Some(clips.len()));
+    let robot_type = &clips.dataset().manifest().skeleton;
+    let mut writer = Writer::new(robot_type, folder);
     let mut splits = BTreeMap::new();
     for split in Split::ALL {
-        let first = writer.episodes.len();
-        for (path, _) in dataset.files(MotionRow::TABLE, Some(split)) {
-            for row in read_rows::<MotionRow>(&path)? {
-                writer.episode(&row)?;
+        let first = writer.num_episodes;
+        for shard in clips.shards(Some(split)) {
+            for row in shard.read()? {
+                writer.episode(row)?;
                 progress.advance(1);
             }
         }
-        if writer.episodes.len() > first {
-            let range = format!("{first}:{}", writer.episodes.len());
-            splits.insert(split.as_str(), range);
+        if writer.num_episodes > first {
+            splits.insert(split.as_str(), format!("{first}:{}", writer.num_episodes));
         }
     }
-    let count = writer.episodes.len() as u64;
     writer.finish(&splits)?;
-    progress.finish(&format!("{count} episodes"));
-    Ok(count)
+    progress.finish(&format!("{} episodes", clips.len()));
+    Ok(clips.len())
 }
 
-/// Location of an episode's frames.
+/// A clip, and the location of its frames.
 struct Episode {
+    index: usize,
     task: usize,
     length: usize,
     first_row: usize,
     file: usize,
+    statistics: Statistics,
+    /// The clip without its frames.
+    clip: MotionRow,
 }
 
 struct Writer<'a> {
-    dataset: &'a Dataset,
+    robot_type: &'a str,
     folder: &'a Path,
     fps: Option<f32>,
     tasks: Vec<String>,
     task_places: BTreeMap<String, usize>,
+    num_episodes: usize,
+    /// Episodes waiting for their file.
     episodes: Vec<Episode>,
-    /// Frames waiting for their file.
+    /// Frames waiting for their file, with episode, frame and task.
     states: Vec<[f32; STATE_WIDTH]>,
-    pending_first: usize,
+    places: Vec<[usize; 3]>,
     files: usize,
     rows: usize,
-    statistics: Statistics,
+    statistics: Option<Statistics>,
 }
 
 impl<'a> Writer<'a> {
-    fn new(dataset: &'a Dataset, folder: &'a Path) -> Self {
+    fn new(robot_type: &'a str, folder: &'a Path) -> Self {
         Self {
-            dataset,
+            robot_type,
             folder,
             fps: None,
             tasks: Vec::new(),
             task_places: BTreeMap::new(),
+            num_episodes: 0,
             episodes: Vec::new(),
             states: Vec::new(),
-            pending_first: 0,
+            places: Vec::new(),
             files: 0,
             rows: 0,
-            statistics: Statistics::default(),
+            statistics: None,
         }
     }
 
-    fn episode(&mut self, row: &MotionRow) -> Result<(), Error> {
+    fn episode(&mut self, mut row: MotionRow) -> Result<(), Error> {
         let fps = *self.fps.get_or_insert(row.fps);
         if fps != row.fps {
             return Err(Error::MixedRates {
@@ -122,124 +134,121 @@ impl<'a> Writer<'a> {
         if task == next {
             self.tasks.push(text);
         }
+        let transl = std::mem::take(&mut row.transl);
+        let orient = std::mem::take(&mut row.global_orient);
+        let pose = std::mem::take(&mut row.body_pose);
+        let frames = transl.iter().zip(&orient).zip(&pose);
+        let states: Vec<[f32; STATE_WIDTH]> = frames
+            .map(|((transl, orient), pose)| {
+                let mut state = [0.0; STATE_WIDTH];
+                state[..3].copy_from_slice(transl);
+                state[3..6].copy_from_slice(orient);
+                state[6..].copy_from_slice(pose);
+                state
+            })
+            .collect();
+        let statistics = Statistics::of(&states);
+        match &mut self.statistics {
+            Some(all) => all.add(&statistics),
+            None => self.statistics = Some(statistics.clone()),
+        }
+        let index = self.num_episodes;
         self.episodes.push(Episode {
+            index,
             task,
-            length: row.transl.len(),
+            length: states.len(),
             first_row: self.rows,
             file: self.files,
+            statistics,
+            clip: row,
         });
-        for ((transl, orient), pose) in row
-            .transl
-            .iter()
-            .zip(&row.global_orient)
-            .zip(&row.body_pose)
-        {
-            let mut state = [0.0; STATE_WIDTH];
-            state[..3].copy_from_slice(transl);
-            state[3..6].copy_from_slice(orient);
-            state[6..].copy_from_slice(pose);
-            self.statistics.take(&state);
-            self.states.push(state);
-        }
-        self.rows += row.transl.len();
+        self.num_episodes += 1;
+        self.rows += states.len();
+        let places = (0..states.len()).map(|frame| [index, frame, task]);
+        self.places.extend(places);
+        self.states.extend(states);
         // An episode lies in one file.
         if self.states.len() >= FILE_FRAMES {
-            self.flush()?;
+            self.write_frames()?;
+        }
+        if self.episodes.len() == FILE_EPISODES {
+            self.write_episodes()?;
         }
         Ok(())
     }
 
     /// Writes the pending frames as a file.
-    fn flush(&mut self) -> Result<(), Error> {
+    fn write_frames(&mut self) -> Result<(), Error> {
         if self.states.is_empty() {
             return Ok(());
         }
-        let fps = f64::from(self.fps.unwrap_or(1.0));
-        let (mut times, mut frames, mut episodes, mut tasks) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (index, episode) in self.episodes.iter().enumerate().skip(self.pending_first) {
-            for frame in 0..episode.length {
-                times.push((frame as f64 / fps) as f32);
-                frames.push(frame as i64);
-                episodes.push(index as i64);
-                tasks.push(episode.task as i64);
-            }
-        }
+        let fps = rate(self.fps);
+        let place = |which: usize| whole_numbers(self.places.iter().map(|place| place[which]));
+        let times = self
+            .places
+            .iter()
+            .map(|place| (place[1] as f64 / fps) as f32);
         let first = self.rows - self.states.len();
         let columns: [(&str, ArrayRef); 6] = [
             ("observation.state", states_column(&self.states)),
-            ("timestamp", Arc::new(Float32Array::from(times))),
-            ("frame_index", Arc::new(Int64Array::from(frames))),
-            ("episode_index", Arc::new(Int64Array::from(episodes))),
+            ("timestamp", Arc::new(Float32Array::from_iter_values(times))),
+            ("frame_index", place(1)),
+            ("episode_index", place(0)),
             ("index", whole_numbers(first..self.rows)),
-            ("task_index", Arc::new(Int64Array::from(tasks))),
+            ("task_index", place(2)),
         ];
-        write_parquet(&self.data_path(self.files), columns)?;
+        write_parquet(&self.path("data", self.files), columns, HashMap::new())?;
         self.files += 1;
-        self.pending_first = self.episodes.len();
+        self.places.clear();
         self.states.clear();
         Ok(())
     }
 
-    fn data_path(&self, file: usize) -> PathBuf {
+    /// Writes the pending episodes as a file.
+    fn write_episodes(&mut self) -> Result<(), Error> {
+        let Some(first) = self.episodes.first() else {
+            return Ok(());
+        };
+        let file = first.index / FILE_EPISODES;
+        let columns = episode_columns(&self.episodes, &self.tasks, file);
+        write_parquet(&self.path("meta/episodes", file), columns, HashMap::new())?;
+        self.episodes.clear();
+        Ok(())
+    }
+
+    fn path(&self, table: &str, file: usize) -> PathBuf {
         let (chunk, file) = (file / CHUNK_FILES, file % CHUNK_FILES);
         self.folder
-            .join(format!("data/chunk-{chunk:03}/file-{file:03}.parquet"))
+            .join(format!("{table}/chunk-{chunk:03}/file-{file:03}.parquet"))
     }
 
     fn finish(mut self, splits: &BTreeMap<&str, String>) -> Result<(), Error> {
-        self.flush()?;
-        let meta = self.folder.join("meta");
+        self.write_frames()?;
+        self.write_episodes()?;
         let tasks: [(&str, ArrayRef); 2] = [
             ("task_index", whole_numbers(0..self.tasks.len())),
             ("task", Arc::new(StringArray::from_iter_values(&self.tasks))),
         ];
-        write_parquet(&meta.join("tasks.parquet"), tasks)?;
-        let episodes = meta.join("episodes/chunk-000/file-000.parquet");
-        write_parquet(&episodes, self.episode_columns())?;
+        let path = self.folder.join("meta/tasks.parquet");
+        write_parquet(&path, tasks, tasks_index())?;
         self.write_json("meta/info.json", &self.info(splits))?;
-        self.write_json("meta/stats.json", &self.statistics.json())
-    }
-
-    fn episode_columns(&self) -> [(&'static str, ArrayRef); 7] {
-        let column = |value: fn(&Episode) -> usize| whole_numbers(self.episodes.iter().map(value));
-        let element = Field::new("element", DataType::Utf8, true);
-        let mut tasks = ListBuilder::new(StringBuilder::new()).with_field(element);
-        for episode in &self.episodes {
-            tasks.append_value([Some(&self.tasks[episode.task])]);
-        }
-        [
-            ("episode_index", whole_numbers(0..self.episodes.len())),
-            ("tasks", Arc::new(tasks.finish())),
-            ("length", column(|episode| episode.length)),
-            (
-                "data/chunk_index",
-                column(|episode| episode.file / CHUNK_FILES),
-            ),
-            (
-                "data/file_index",
-                column(|episode| episode.file % CHUNK_FILES),
-            ),
-            ("dataset_from_index", column(|episode| episode.first_row)),
-            (
-                "dataset_to_index",
-                column(|episode| episode.first_row + episode.length),
-            ),
-        ]
+        let statistics = self.statistics.as_ref().map(Statistics::json);
+        self.write_json("meta/stats.json", &statistics.unwrap_or_default())
     }
 
     fn info(&self, splits: &BTreeMap<&str, String>) -> serde_json::Value {
         let scalar = |dtype: &str| json!({ "dtype": dtype, "shape": [1], "names": null });
+        let fps = rate(self.fps);
         json!({
             "codebase_version": "v3.0",
-            "robot_type": self.dataset.manifest().skeleton,
-            "total_episodes": self.episodes.len(),
+            "robot_type": self.robot_type,
+            "total_episodes": self.num_episodes,
             "total_frames": self.rows,
             "total_tasks": self.tasks.len(),
             "chunks_size": CHUNK_FILES,
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 500,
-            "fps": self.fps.map_or(0, |fps| fps.round() as i64),
+            "fps": if fps.fract() == 0.0 { json!(fps as i64) } else { json!(fps) },
             "splits": splits,
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
             "video_path": null,
@@ -263,6 +272,110 @@ impl<'a> Writer<'a> {
         let text = format!("{value:#}\n");
         fs::write(&path, text).map_err(Error::io("write", &path))
     }
+}
+
+/// The rate as it was written: 29.97 is stored in single precision, and is not 29.969999313354492.
+fn rate(fps: Option<f32>) -> f64 {
+    let fps = fps.unwrap_or(1.0);
+    fps.to_string().parse().unwrap_or(f64::from(fps))
+}
+
+/// Columns of a file of the table of episodes. Missing labels are empty texts, because pandas loses the
+/// type of a column without any.
+fn episode_columns(episodes: &[Episode], tasks: &[String], file: usize) -> Vec<(String, ArrayRef)> {
+    let number = |value: &dyn Fn(&Episode) -> usize| whole_numbers(episodes.iter().map(value));
+    let text = |value: &dyn Fn(&MotionRow) -> String| -> ArrayRef {
+        let texts = episodes.iter().map(|episode| value(&episode.clip));
+        Arc::new(StringArray::from_iter_values(texts))
+    };
+    let label = |label: &Option<String>| label.clone().unwrap_or_default();
+    let mut columns: Vec<(&str, ArrayRef)> = vec![
+        ("episode_index", number(&|episode| episode.index)),
+        (
+            "tasks",
+            texts_column(episodes.iter().map(|episode| vec![&*tasks[episode.task]])),
+        ),
+        ("length", number(&|episode| episode.length)),
+        (
+            "data/chunk_index",
+            number(&|episode| episode.file / CHUNK_FILES),
+        ),
+        (
+            "data/file_index",
+            number(&|episode| episode.file % CHUNK_FILES),
+        ),
+        ("dataset_from_index", number(&|episode| episode.first_row)),
+        (
+            "dataset_to_index",
+            number(&|episode| episode.first_row + episode.length),
+        ),
+        ("meta/episodes/chunk_index", number(&|_| file / CHUNK_FILES)),
+        ("meta/episodes/file_index", number(&|_| file % CHUNK_FILES)),
+        ("id", text(&|clip| clip.id.to_string())),
+        ("split", text(&|clip| clip.split.to_string())),
+        ("source", text(&|clip| clip.source.clone())),
+        ("license", text(&|clip| label(&clip.license))),
+        ("action", text(&|clip| label(&clip.action))),
+        ("style", text(&|clip| label(&clip.style))),
+        (
+            "captions",
+            texts_column(episodes.iter().map(|episode| {
+                let said = episode.clip.stated_captions();
+                said.map(|caption| caption.text.as_str()).collect()
+            })),
+        ),
+    ];
+    let counts = episodes
+        .iter()
+        .map(|episode| episode.statistics.frames as i64);
+    let counts = counts.map(|count| Some([Some(count)]));
+    let counts = ListArray::from_iter_primitive::<Int64Type, _, _>(counts);
+    columns.push(("stats/observation.state/count", Arc::new(counts)));
+    let mut columns: Vec<(String, ArrayRef)> = columns
+        .into_iter()
+        .map(|(name, values)| (name.to_owned(), values))
+        .collect();
+    let named: Vec<_> = episodes
+        .iter()
+        .map(|episode| episode.statistics.named())
+        .collect();
+    let names = named.first().into_iter().flatten().map(|(name, _)| *name);
+    for (place, name) in names.enumerate() {
+        let values = named.iter().map(|named| Some(named[place].1.map(Some)));
+        let values = ListArray::from_iter_primitive::<Float64Type, _, _>(values);
+        let name = format!("stats/observation.state/{name}");
+        columns.push((name, Arc::new(values)));
+    }
+    columns
+}
+
+fn texts_column<'a>(lists: impl Iterator<Item = Vec<&'a str>>) -> ArrayRef {
+    let element = Field::new("element", DataType::Utf8, true);
+    let mut column = ListBuilder::new(StringBuilder::new()).with_field(element);
+    for list in lists {
+        column.append_value(list.into_iter().map(Some));
+    }
+    Arc::new(column.finish())
+}
+
+/// The text is the index of the tasks for pandas, by which LeRobot looks tasks up.
+fn tasks_index() -> HashMap<String, String> {
+    let column = |name: &str, kind: &str, numpy: &str| {
+        json!({
+            "name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": null
+        })
+    };
+    let description = json!({
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            column("task_index", "int64", "int64"),
+            column("task", "unicode", "object"),
+        ],
+        "creator": { "library": "stance", "version": env!("CARGO_PKG_VERSION") },
+        "pandas_version": "2.2.0",
+    });
+    HashMap::from([("pandas".to_owned(), description.to_string())])
 }
 
 fn state_names() -> Vec<String> {
@@ -295,14 +408,22 @@ fn states_column(states: &[[f32; STATE_WIDTH]]) -> ArrayRef {
     ))
 }
 
-fn write_parquet<const N: usize>(path: &Path, columns: [(&str, ArrayRef); N]) -> Result<(), Error> {
+fn write_parquet<N: AsRef<str>>(
+    path: &Path,
+    columns: impl IntoIterator<Item = (N, ArrayRef)>,
+    facts: HashMap<String, String>,
+) -> Result<(), Error> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
     }
     let file = File::create(path).map_err(Error::io("create", path))?;
+    let columns = columns
+        .into_iter()
+        .map(|(name, values)| (name, values, true));
     let write = || -> Result<File, ParquetError> {
-        let columns = columns.map(|(name, values)| (name, values, true));
         let table = RecordBatch::try_from_iter_with_nullable(columns)?;
+        let schema = table.schema().as_ref().clone().with_metadata(facts);
+        let table = table.with_schema(Arc::new(schema))?;
         let properties = WriterProperties::builder()
             .set_compression(Compression::ZSTD(ZstdLevel::default()))
             .build();
@@ -312,57 +433,6 @@ fn write_parquet<const N: usize>(path: &Path, columns: [(&str, ArrayRef); N]) ->
     };
     let file = write().map_err(datasets_spec::Error::parquet("write", path))?;
     file.sync_all().map_err(Error::io("sync", path))
-}
-
-/// Mean, deviation and range of each number of the state, by Welford's update.
-struct Statistics {
-    frames: u64,
-    mean: [f64; STATE_WIDTH],
-    scatter: [f64; STATE_WIDTH],
-    least: [f32; STATE_WIDTH],
-    most: [f32; STATE_WIDTH],
-}
-
-impl Default for Statistics {
-    fn default() -> Self {
-        Self {
-            frames: 0,
-            mean: [0.0; STATE_WIDTH],
-            scatter: [0.0; STATE_WIDTH],
-            least: [f32::INFINITY; STATE_WIDTH],
-            most: [f32::NEG_INFINITY; STATE_WIDTH],
-        }
-    }
-}
-
-impl Statistics {
-    fn take(&mut self, state: &[f32; STATE_WIDTH]) {
-        self.frames += 1;
-        for (column, value) in state.iter().enumerate() {
-            let before = f64::from(*value) - self.mean[column];
-            self.mean[column] += before / self.frames as f64;
-            self.scatter[column] += before * (f64::from(*value) - self.mean[column]);
-            self.least[column] = self.least[column].min(*value);
-            self.most[column] = self.most[column].max(*value);
-        }
-    }
-
-    fn json(&self) -> serde_json::Value {
-        let deviation: Vec<f64> = self
-            .scatter
-            .iter()
-            .map(|scatter| (scatter / self.frames.max(1) as f64).sqrt())
-            .collect();
-        json!({
-            "observation.state": {
-                "mean": self.mean.to_vec(),
-                "std": deviation,
-                "min": self.least.to_vec(),
-                "max": self.most.to_vec(),
-                "count": [self.frames],
-            },
-        })
-    }
 }
 
 #[cfg(test)]
@@ -386,6 +456,12 @@ mod tests {
     }
 
     #[test]
+    fn a_rate_is_written_as_it_was_stated() {
+        assert_eq!(rate(Some(29.97)), 29.97);
+        assert_eq!(rate(Some(20.0)), 20.0);
+    }
+
+    #[test]
     fn frames_are_rows_and_episodes_say_which() {
         let row = |id: &str, split, frames| motion_row(id, split, &wandering(id, frames));
         let mut said = row("b", Split::Val, 30);
@@ -405,7 +481,10 @@ mod tests {
         )
         .expect("committed");
         let out = dir.path().join("out");
-        assert_eq!(write(&dataset, &out, &NoProgress).expect("written"), 2);
+        assert_eq!(
+            write(&Clips::all(&dataset), &out, &NoProgress).expect("written"),
+            2
+        );
 
         let data = table(&out.join("data/chunk-000/file-000.parquet"));
         assert_eq!(data.num_rows(), 50);
@@ -424,6 +503,10 @@ mod tests {
         assert_eq!(last[6..], rows[1].body_pose[29]);
 
         let tasks = table(&out.join("meta/tasks.parquet"));
+        let file = File::open(out.join("meta/tasks.parquet")).expect("written");
+        let reader = ParquetRecordBatchReaderBuilder::try_new(file).expect("Parquet");
+        let index = &reader.schema().metadata()["pandas"];
+        assert!(index.contains(r#""index_columns":["task"]"#), "{index}");
         let texts: Vec<_> = tasks["task"].as_string::<i32>().iter().flatten().collect();
         assert_eq!(texts, [NO_TASK, "wave"]);
         let episodes = table(&out.join("meta/episodes/chunk-000/file-000.parquet"));
@@ -432,5 +515,8 @@ mod tests {
         assert_eq!(whole(&episodes, "dataset_to_index"), [20, 50]);
         let said = episodes["tasks"].as_list::<i32>().value(1);
         assert_eq!(said.as_string::<i32>().value(0), "wave");
+        assert_eq!(whole(&episodes, "meta/episodes/file_index"), [0, 0]);
+        let ids: Vec<_> = episodes["id"].as_string::<i32>().iter().flatten().collect();
+        assert_eq!(ids, ["a", "b"]);
     }
 }

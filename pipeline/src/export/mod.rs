@@ -17,12 +17,13 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Progress;
 use datasets_spec::record::{CAPTION_BY_RULE, MotionRow};
-use datasets_spec::table::{Row, read_column};
-use datasets_spec::{Dataset, Progress};
+use datasets_spec::table::Row;
 use serde::Serialize;
 
 use crate::Error;
+use crate::filter::Clips;
 
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
@@ -82,53 +83,54 @@ pub struct Exported {
     pub made_captions_left_out: u64,
 }
 
-/// Writes a dataset to a new folder in another layout.
+/// Writes clips to a new folder in another layout.
 ///
 /// # Errors
 /// The dataset holds no motions, the folder exists and is not empty, the dataset cannot be read, or
 /// writing fails; nothing is left behind then.
 pub fn export(
-    dataset: &Dataset,
+    clips: &Clips,
     layout: Layout,
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<Exported, Error> {
+    let dataset = clips.dataset();
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
         return Err(Error::NoMotions {
             path: dataset.root().to_owned(),
         });
     }
     let folder = Staging::beside(out)?;
-    let clips = match layout {
-        Layout::Amass => amass::write(dataset, &folder.path, progress)?,
-        Layout::HumanMl3d => humanml3d::write(dataset, &folder.path, progress)?,
-        Layout::Bvh => clips::bvh(dataset, &folder.path, progress)?,
-        Layout::Gltf => clips::gltf(dataset, &folder.path, progress)?,
-        Layout::WebDataset => webdataset::write(dataset, &folder.path, progress)?,
-        Layout::LeRobot => lerobot::write(dataset, &folder.path, progress)?,
-        Layout::Stance => stance::write(dataset, &folder.path, progress)?,
+    let num_clips = match layout {
+        Layout::Amass => amass::write(clips, &folder.path, progress)?,
+        Layout::HumanMl3d => humanml3d::write(clips, &folder.path, progress)?,
+        Layout::Bvh => clips::bvh(clips, &folder.path, progress)?,
+        Layout::Gltf => clips::gltf(clips, &folder.path, progress)?,
+        Layout::WebDataset => webdataset::write(clips, &folder.path, progress)?,
+        Layout::LeRobot => lerobot::write(clips, &folder.path, progress)?,
+        Layout::Stance => stance::write(clips, &folder.path, progress)?,
     };
     folder.publish(out)?;
     let marks_captions = match layout {
-        Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
-        Layout::Amass | Layout::HumanMl3d | Layout::LeRobot => false,
+        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
+        Layout::HumanMl3d | Layout::LeRobot => false,
     };
     let made_captions_left_out = match marks_captions {
         true => 0,
-        false => made_captions(dataset)?,
+        false => made_captions(clips)?,
     };
     Ok(Exported {
-        clips,
+        clips: num_clips,
         made_captions_left_out,
     })
 }
 
 /// Captions made from file names. Only the column of their origins is read.
-fn made_captions(dataset: &Dataset) -> Result<u64, Error> {
+fn made_captions(clips: &Clips) -> Result<u64, Error> {
     let mut count = 0;
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+    for shard in clips.shards(None) {
         // Tables older than 1.5.0 have no such column.
-        let origins = read_column::<MotionRow, Vec<String>>(&path, "caption_origins");
+        let origins = shard.column::<Vec<String>>("caption_origins");
         let origins = origins.unwrap_or_default().into_iter().flatten();
         count += origins.filter(|origin| origin == CAPTION_BY_RULE).count() as u64;
     }

@@ -24,6 +24,22 @@ pub(super) fn safe_path(id: &str) -> String {
     parts.join("/")
 }
 
+/// [`safe_path`] of an id, without the ending that the file's name gets: `walk.bvh` becomes `walk.bvh`,
+/// not `walk.bvh.bvh`.
+pub(super) fn safe_stem(id: &str, ending: &str) -> String {
+    let split = id
+        .len()
+        .checked_sub(ending.len())
+        .filter(|&at| id.is_char_boundary(at));
+    let (stem, last) = split.map_or((id, ""), |at| id.split_at(at));
+    let named = !stem.is_empty() && !stem.ends_with('/');
+    safe_path(if named && last.eq_ignore_ascii_case(ending) {
+        stem
+    } else {
+        id
+    })
+}
+
 /// The path, with a number if a path that differs only in case is taken.
 pub(super) fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
     let mut candidate = path.clone();
@@ -50,6 +66,15 @@ mod tests {
             ("c:\\x", "c__x"),
         ] {
             assert_eq!(safe_path(id), path);
+        }
+        for (id, ending, stem) in [
+            ("a/walk.BVH", ".bvh", "a/walk"),
+            ("a/walk.glb", ".bvh", "a/walk.glb"),
+            ("a/.bvh", ".bvh", "a/.bvh"),
+            ("walk_stageii", "_stageii", "walk"),
+            ("é", ".b", "é"),
+        ] {
+            assert_eq!(safe_stem(id, ending), stem);
         }
         let mut taken = BTreeSet::new();
         assert_eq!(unique("Walk".to_owned(), &mut taken), "Walk");

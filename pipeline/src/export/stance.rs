@@ -10,12 +10,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{PartCaption, Row, read_rows};
-use datasets_spec::{BodyPart, Dataset, Fps, Motion, Progress, Resample, Split};
+use datasets_spec::table::PartCaption;
+use datasets_spec::{BodyPart, Fps, Motion, Progress, Resample, Split};
 use serde::Serialize;
 use serde_json::json;
 
 use crate::Error;
+use crate::filter::Clips;
 use crate::source::stance::origin::{self, Origin, Origins};
 use crate::source::stance::{
     ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
@@ -30,17 +31,13 @@ use pickle::{self, Array, Value};
 ///
 /// # Errors
 /// The dataset cannot be read or the folder cannot be written.
-pub(super) fn write(
-    dataset: &Dataset,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
     let mut annotations = Annotations::default();
-    for mask in dataset.read::<MaskRow>(None)? {
+    for mask in clips.dataset().read::<MaskRow>(None)? {
         annotations.take_mask(&mask);
     }
     let annotated = annotations.by_id.keys().cloned().collect();
-    let plan = Plan::make(dataset, &annotated)?;
+    let plan = Plan::make(clips, &annotated)?;
     let mut writer = Writer {
         folder,
         plan: &plan,
@@ -54,18 +51,18 @@ pub(super) fn write(
     }
     create(&folder.join(REGEN))?;
     progress.begin("export", Some(plan.places.len() as u64));
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        for row in read_rows::<MotionRow>(&path)? {
+    for shard in clips.shards(None) {
+        for row in shard.read()? {
             writer.take(row)?;
             progress.advance(1);
         }
     }
     writer.finish()?;
-    let clips = plan.places.len() as u64;
+    let written = plan.places.len() as u64;
     progress.finish(&format!(
-        "{clips} motions in the layout of the STANCE release"
+        "{written} motions in the layout of the STANCE release"
     ));
-    Ok(clips)
+    Ok(written)
 }
 
 /// An adjustment to be written: its file, motions and texts.
@@ -86,13 +83,12 @@ struct Plan {
 
 impl Plan {
     /// `annotated` motions need their own file, so that annotations can name it.
-    fn make(dataset: &Dataset, annotated: &BTreeSet<String>) -> Result<Self, Error> {
-        let mut ids = BTreeSet::new();
-        for (path, _) in dataset.files(MotionRow::TABLE, None) {
-            let rows = read_rows::<MotionRow>(&path)?;
-            ids.extend(rows.into_iter().map(|row| row.id.as_str().to_owned()));
+    fn make(clips: &Clips, annotated: &BTreeSet<String>) -> Result<Self, Error> {
+        let mut ids: BTreeSet<String> = BTreeSet::new();
+        for shard in clips.shards(None) {
+            ids.extend(shard.column::<String>("id")?);
         }
-        let pairs = dataset.read::<PairRow>(None)?;
+        let pairs = clips.dataset().read::<PairRow>(None)?;
         let (mut styled, mut adjusted) = (BTreeMap::new(), Vec::new());
         for pair in pairs {
             let both = [&pair.source_id, &pair.target_id];

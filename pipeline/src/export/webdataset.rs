@@ -9,11 +9,11 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, Progress, Split};
+use datasets_spec::{Progress, Split};
 use serde_json::json;
 
 use crate::Error;
+use crate::filter::Clips;
 use pickle::npy;
 
 /// Limits on the clips and bytes of a shard.
@@ -26,14 +26,8 @@ const MODE: u32 = 0o644;
 ///
 /// # Errors
 /// The dataset cannot be read or a shard cannot be written.
-pub(super) fn write(
-    dataset: &Dataset,
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let total = dataset.manifest().rows(MotionRow::TABLE, None);
-    progress.begin("export webdataset", Some(total));
-    let mut count = 0;
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+    progress.begin("export webdataset", Some(clips.len()));
     for split in Split::ALL {
         let mut shards = Shards {
             folder,
@@ -41,17 +35,16 @@ pub(super) fn write(
             index: 0,
             open: None,
         };
-        for (path, _) in dataset.files(MotionRow::TABLE, Some(split)) {
-            for row in read_rows::<MotionRow>(&path)? {
+        for shard in clips.shards(Some(split)) {
+            for row in shard.read()? {
                 shards.append(&row)?;
-                count += 1;
                 progress.advance(1);
             }
         }
         shards.close()?;
     }
-    progress.finish(&format!("{count} clips"));
-    Ok(count)
+    progress.finish(&format!("{} clips", clips.len()));
+    Ok(clips.len())
 }
 
 struct Shards<'a> {
@@ -157,6 +150,7 @@ fn facts(row: &MotionRow) -> serde_json::Value {
         .map(|(said, origin)| {
             json!({
                 "text": said.text,
+                "tokens": said.tokens,
                 "from_s": said.from_s,
                 "to_s": said.to_s,
                 "origin": origin,
@@ -175,6 +169,8 @@ fn facts(row: &MotionRow) -> serde_json::Value {
         "fps": row.fps,
         "frames": row.n_frames,
         "skeleton": row.skeleton,
+        "rotation_source": row.rotation_source,
+        "fit_error_m": row.fit_error_m,
         "captions": captions,
         "parts": parts,
         "subject": row.subject,

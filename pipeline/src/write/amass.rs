@@ -90,7 +90,8 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
 }
 
 /// Encodes a motion in the layout of the SMPL-X N release: `poses` `[L, 165]` (root, body, jaw, eyes,
-/// hands) and the same in parts, `trans` `[L, 3]`, `betas` zero, gender neutral. Hands, jaw and eyes
+/// hands) and the same in parts, `trans` `[L, 3]`, `betas` zero, gender neutral, the rate under both
+/// names in use. Hands, jaw and eyes
 /// are at rest.
 ///
 /// # Errors
@@ -124,6 +125,8 @@ fn smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Writer> {
     archive.text("gender", "neutral")?;
     archive.text("surface_model_type", "smplx")?;
     archive.numbers("mocap_frame_rate", &[], &[fps])?;
+    // Its name in the SMPL+H release, which add-ons for Blender look for too.
+    archive.numbers("mocap_framerate", &[], &[fps])?;
     archive.numbers("mocap_time_length", &[], &[num_frames as f64 / fps])?;
     archive.numbers("betas", &[NUM_BETAS], &[0.0; NUM_BETAS])?;
     archive.numbers("num_betas", &[], &[NUM_BETAS as i64])?;

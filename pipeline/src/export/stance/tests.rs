@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use datasets_spec::dataset::commit_rows;
-use datasets_spec::{MotionId, NoProgress};
+use datasets_spec::{Dataset, MotionId, NoProgress};
 
 use super::*;
 use crate::export::{Layout, export};
@@ -69,7 +69,7 @@ fn kept(dataset: &Dataset, words: bool) -> Kept {
 
 fn exported_again(dataset: &Dataset, folder: &Path) -> Dataset {
     let out = folder.join("exported");
-    let clips = export(dataset, Layout::Stance, &out, &NoProgress).expect("exported");
+    let clips = export(&Clips::all(dataset), Layout::Stance, &out, &NoProgress).expect("exported");
     let rows = dataset.read::<MotionRow>(None).expect("readable").len();
     assert_eq!(clips.clips, rows as u64);
     ingested(&out, &folder.join("again"))

@@ -1,0 +1,422 @@
+//! Exports of chosen clips, what travels with them, and commands that read metadata alone.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::Dataset;
+use datasets_spec::record::MotionRow;
+use pickle::npz::Archive;
+use serde_json::Value;
+
+use crate::util::{arg, corpus, files_with_extension, stance};
+
+const LAYOUTS: [&str; 7] = [
+    "amass",
+    "humanml3d",
+    "stance",
+    "bvh",
+    "gltf",
+    "webdataset",
+    "lerobot",
+];
+
+/// A corpus of 12 clips as a dataset, and its rows by id.
+fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) {
+    let (source, out) = (dir.join("corpus"), dir.join("dataset"));
+    let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
+    stance(&args).expect_code(0);
+    let rows: Vec<MotionRow> = Dataset::open(&out)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    let rows = rows.into_iter().map(|row| (row.id.to_string(), row));
+    (out, rows.collect())
+}
+
+#[test]
+fn a_condition_chooses_the_clips_of_every_layout() {
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let mut frames: Vec<i32> = rows.values().map(|row| row.n_frames).collect();
+    frames.sort_unstable();
+    let middle = frames[6];
+    let condition = format!("split = 'train' and not (n_frames < {middle} or flags.poor_fit)");
+    let chosen = rows
+        .values()
+        .filter(|row| row.split == datasets_spec::Split::Train && row.n_frames >= middle);
+    let expected = chosen.count();
+    assert!(0 < expected && expected < rows.len(), "{expected}");
+    for layout in LAYOUTS {
+        let out = dir.path().join(layout);
+        let export = |condition: &str, out: &Path| {
+            let to = ["--json", "export", arg(&dataset), "--to", layout];
+            stance(&[&to[..], &["--where", condition, "--out", arg(out)]].concat())
+        };
+        let said: Value = export(&condition, &out).expect_code(0).json();
+        assert_eq!(said["clips"], expected, "{layout}");
+        let none = export("style = 'nobody walks so'", &dir.path().join("none")).expect_code(1);
+        assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+    }
+    let files = files_with_extension(&dir.path().join("bvh"), "bvh");
+    assert_eq!(files.len(), expected);
+    let archives = files_with_extension(&dir.path().join("amass"), "npz");
+    assert_eq!(archives.len(), expected);
+}
+
+#[test]
+fn a_mistaken_condition_is_a_mistake_of_usage() {
+    let dir = corpus(4);
+    let (dataset, _) = dataset(dir.path(), &[]);
+    let out = dir.path().join("out");
+    for (condition, said) in [
+        (
+            "splitt = 'train'",
+            "at character 1: there is no column \"splitt\"; the columns are id, split",
+        ),
+        ("split = 'train' or", "at character 19: expected a column"),
+    ] {
+        let ran = stance(&[
+            "export",
+            arg(&dataset),
+            "--to",
+            "bvh",
+            "--where",
+            condition,
+            "--out",
+            arg(&out),
+        ])
+        .expect_code(2);
+        assert!(ran.stderr.contains(said), "{}", ran.stderr);
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn licences_and_captions_travel() {
+    let dir = corpus(6);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let license = |row: &MotionRow| row.license.clone().expect("the corpus states its licence");
+    let license = license(rows.values().next().expect("a clip"));
+    let captions: Vec<&str> = rows
+        .values()
+        .flat_map(|row| &row.captions)
+        .map(|caption| caption.text.as_str())
+        .collect();
+    assert!(captions.len() >= rows.len());
+    // The table of episodes of LeRobot is compressed; tests/python reads it.
+    for (layout, extension) in [
+        ("amass", "json"),
+        ("bvh", "json"),
+        ("gltf", "json"),
+        ("stance", "json"),
+        ("webdataset", "tar"),
+    ] {
+        let out = dir.path().join(layout);
+        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
+        let files = files_with_extension(&out, extension);
+        let text: String = files
+            .iter()
+            .map(|file| {
+                String::from_utf8_lossy(&std::fs::read(file).expect("written")).into_owned()
+            })
+            .collect();
+        let tags = text.matches(&license).count();
+        assert!(tags >= rows.len(), "{layout}: {tags} of {license}");
+        for caption in &captions {
+            assert!(text.contains(caption), "{layout}: {caption}");
+        }
+    }
+    let out = dir.path().join("humanml3d");
+    stance(&[
+        "export",
+        arg(&dataset),
+        "--to",
+        "humanml3d",
+        "--out",
+        arg(&out),
+    ])
+    .expect_code(0);
+    let ids = std::fs::read_to_string(out.join("ids.csv")).expect("written");
+    assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
+    assert_eq!(
+        files_with_extension(&out.join("texts"), "txt").len(),
+        rows.len()
+    );
+}
+
+#[test]
+fn names_do_not_repeat_their_extension() {
+    let dir = corpus(12);
+    let (corpus, twins) = (dir.path().join("corpus"), dir.path().join("twins"));
+    std::fs::create_dir(&twins).expect("made");
+    for extension in ["bvh", "npz"] {
+        let file = files_with_extension(&corpus, extension).remove(0);
+        std::fs::copy(file, twins.join(format!("walk.{extension}"))).expect("copied");
+    }
+    let dataset = dir.path().join("dataset");
+    stance(&["ingest", arg(&twins), "--out", arg(&dataset)]).expect_code(0);
+    let out = dir.path().join("bvh");
+    stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
+    let files = files_with_extension(&out, "bvh");
+    assert_eq!(files.len(), 2);
+    for file in files {
+        let name = file
+            .file_name()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned();
+        assert_eq!(name.matches(".bvh").count(), 1, "{name}");
+    }
+}
+
+#[test]
+fn archives_have_the_keys_of_smplx_tools() {
+    let dir = corpus(4);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let out = dir.path().join("amass");
+    stance(&["export", arg(&dataset), "--to", "amass", "--out", arg(&out)]).expect_code(0);
+    for file in files_with_extension(&out, "npz") {
+        let bytes = std::fs::read(&file).expect("written");
+        let mut archive = Archive::open(Cursor::new(&bytes)).expect("an archive");
+        let mut shape = |name: &str| archive.numbers(name).expect("numbers").shape;
+        // What GMR's loader reads: betas of one axis, a rate that is one number.
+        let frames = shape("pose_body")[0];
+        assert_eq!(shape("pose_body"), [frames, 63]);
+        assert_eq!(shape("root_orient"), [frames, 3]);
+        assert_eq!(shape("trans"), [frames, 3]);
+        assert_eq!(shape("betas"), [16]);
+        let mut number = |name: &str| archive.numbers(name).expect("numbers").values;
+        // Add-ons for Blender look for the rate under either name.
+        assert_eq!(number("mocap_frame_rate"), [20.0]);
+        assert_eq!(number("mocap_framerate"), [20.0]);
+        assert!(rows.values().any(|row| row.n_frames as usize == frames));
+    }
+}
+
+#[test]
+fn damaged_motions_do_not_matter_to_metadata() {
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let stats = |code| stance(&["stats", arg(&dataset)]).expect_code(code).stdout;
+    let before = stats(0);
+    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
+    let size = |path: &PathBuf| std::fs::metadata(path).expect("a shard").len();
+    let shard = shards.iter().max_by_key(|path| size(path)).expect("shards");
+    let mut bytes = std::fs::read(shard).expect("a shard");
+    // Nearly all of a shard is poses.
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(shard, bytes).expect("written");
+
+    stance(&["verify", arg(&dataset)]).expect_code(1);
+    assert_eq!(stats(0), before);
+    stance(&["inspect", arg(&dataset)]).expect_code(0);
+    let mut damaged = Vec::new();
+    for (number, id) in rows.keys().enumerate() {
+        let condition = format!("id = '{id}'");
+        let out = dir.path().join(number.to_string());
+        let export = ["export", arg(&dataset), "--to", "bvh"];
+        let exported =
+            stance(&[&export[..], &["--where", &condition, "--out", arg(&out)]].concat());
+        let shown = stance(&["inspect", arg(&dataset), "--clip", id]);
+        assert_eq!(exported.code, shown.code, "{id}");
+        if exported.code != 0 {
+            assert!(!out.exists());
+            damaged.push(id);
+        }
+    }
+    assert_eq!(damaged.len(), 1, "{damaged:?}");
+}
+
+#[test]
+fn a_motion_of_a_file_is_drawn_by_its_name() {
+    let dir = corpus(4);
+    let (dataset, _) = dataset(dir.path(), &[]);
+    let out = dir.path().join("gltf");
+    stance(&["export", arg(&dataset), "--to", "gltf", "--out", arg(&out)]).expect_code(0);
+    let file = files_with_extension(&out, "glb").remove(0);
+    let picture = dir.path().join("strip.svg");
+    let draw = |name: &str| {
+        let motion = format!("{}#{name}", arg(&file));
+        stance(&["render", &motion, "--out", arg(&picture)])
+    };
+    draw("motion").expect_code(0);
+    let svg = std::fs::read_to_string(&picture).expect("written");
+    assert!(svg.contains("#motion"), "{svg:.300}");
+    let refused = draw("dance").expect_code(1);
+    assert!(
+        refused
+            .stderr
+            .contains("no motion \"dance\"; its motions are motion"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let styled: Vec<(&String, &MotionRow)> = rows
+        .iter()
+        .filter(|(_, row)| row.split == datasets_spec::Split::Train)
+        .take(2)
+        .collect();
+    let list = dir.path().join("pairs.csv");
+    let line = format!(
+        "{},{},old,walk as an old person\n",
+        styled[0].0, styled[1].0
+    );
+    std::fs::write(&list, line).expect("written");
+    stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
+    let said: Value = stance(&["--json", "stats", arg(&dataset)])
+        .expect_code(0)
+        .json();
+    let masks: Vec<datasets_spec::record::MaskRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
+    assert!(clips.len() > 1 && masks.len() > clips.len());
+    let average = masks.len() as f64 / clips.len() as f64;
+    assert_eq!(said["masked_clips"], clips.len());
+    assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
+    assert_eq!(said["pairs"]["style"], 1);
+    assert_eq!(said["pair_styles"]["old"], 1);
+    let text = stance(&["stats", arg(&dataset)]).expect_code(0).stdout;
+    assert!(text.contains(&format!("{average:.1} on average")), "{text}");
+    assert!(text.contains("style of edit"), "{text}");
+}
+
+/// What people made of a dataset, in lines.
+fn labels(rows: &BTreeMap<String, MotionRow>) -> Vec<String> {
+    let label = |row: &MotionRow| {
+        let texts: Vec<&str> = row.captions.iter().map(|said| said.text.as_str()).collect();
+        format!(
+            "{} {} {} {:?} {:?} {:?} {:?} {}",
+            row.id,
+            row.split,
+            row.content_hash,
+            texts,
+            row.action,
+            row.style,
+            row.license,
+            row.rotation_source
+        )
+    };
+    rows.values().map(label).collect()
+}
+
+fn again(dir: &Path, sources: &[&Path], name: &str) -> (PathBuf, BTreeMap<String, MotionRow>) {
+    let out = dir.join(name);
+    let sources: Vec<&str> = sources.iter().map(|path| arg(path)).collect();
+    stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat()).expect_code(0);
+    let dataset = Dataset::open(&out).expect("a dataset");
+    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
+    (
+        out,
+        rows.into_iter()
+            .map(|row| (row.id.to_string(), row))
+            .collect(),
+    )
+}
+
+#[test]
+fn a_dataset_among_the_sources_keeps_what_people_made() {
+    use datasets_spec::record::{MaskRow, PairRow};
+
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let of_train = |row: &&MotionRow| row.split == datasets_spec::Split::Train;
+    let train: Vec<&MotionRow> = rows.values().filter(of_train).take(2).collect();
+    let list = dir.path().join("pairs.csv");
+    let line = format!(
+        "{},{},old,walk as an old person\n",
+        train[0].id, train[1].id
+    );
+    std::fs::write(&list, line).expect("written");
+    stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
+
+    // A second source beside it: the dataset is one of several folders.
+    let (_, second) = again(dir.path(), &[&dataset], "second");
+    assert_eq!(labels(&second), labels(&rows));
+    let read = |name: &str| Dataset::open(&dir.path().join(name)).expect("a dataset");
+    let masks = |name: &str| {
+        let rows: Vec<MaskRow> = read(name).read(None).expect("rows");
+        let made = rows.into_iter().map(|mask| {
+            let joints = (mask.hard_joints, mask.soft_joints);
+            (
+                mask.motion_id.to_string(),
+                mask.parts,
+                joints,
+                mask.text,
+                mask.text_origin,
+                mask.author,
+            )
+        });
+        made.collect::<std::collections::BTreeSet<_>>()
+    };
+    assert!(!masks("dataset").is_empty());
+    assert_eq!(masks("second"), masks("dataset"));
+    let pairs = |name: &str| {
+        let rows: Vec<PairRow> = read(name).read(None).expect("rows");
+        let pairs = rows.into_iter();
+        pairs
+            .map(|pair| (pair.source_id, pair.target_id, pair.style, pair.instruction))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(pairs("second").len(), 1);
+    assert_eq!(pairs("second"), pairs("dataset"));
+
+    // A file that differs from its manifest is not read.
+    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
+    let mut bytes = std::fs::read(&shards[0]).expect("a shard");
+    bytes.push(0);
+    std::fs::write(&shards[0], bytes).expect("written");
+    let damaged = dir.path().join("damaged");
+    let ran = stance(&["--json", "ingest", arg(&dataset), "--out", arg(&damaged)]).expect_code(3);
+    assert_eq!(
+        ran.json::<Value>()["codes"]["E-DATASET-HASH"],
+        1,
+        "{}",
+        ran.stdout
+    );
+}
+
+#[test]
+fn a_webdataset_export_is_read_again_packed_or_not() {
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let packed = dir.path().join("packed");
+    stance(&[
+        "export",
+        arg(&dataset),
+        "--to",
+        "webdataset",
+        "--out",
+        arg(&packed),
+    ])
+    .expect_code(0);
+    assert_eq!(
+        labels(&again(dir.path(), &[&packed], "second").1),
+        labels(&rows)
+    );
+
+    let unpacked = dir.path().join("unpacked");
+    for shard in files_with_extension(&packed, "tar") {
+        let into = unpacked.join(shard.file_stem().expect("a name"));
+        std::fs::create_dir_all(&into).expect("made");
+        let status = std::process::Command::new("tar")
+            .args(["-xf", arg(&shard), "-C", arg(&into)])
+            .status()
+            .expect("tar runs");
+        assert!(status.success());
+    }
+    assert_eq!(
+        labels(&again(dir.path(), &[&unpacked], "third").1),
+        labels(&rows)
+    );
+}
