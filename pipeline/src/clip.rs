@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::table::{Caption, PartCaption};
-use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
+use datasets_spec::{BlendMask, BodyPart, Fps, Motion, Skeleton};
 use serde::{Deserialize, Serialize};
 
 /// Where the rotations of a clip come from.
@@ -27,6 +27,13 @@ impl RotationSource {
             Self::Retargeted => "retargeted",
             Self::Fitted => "fitted",
         }
+    }
+
+    /// The source of a name; native if the name is unknown.
+    pub(crate) fn of_name(name: &str) -> Self {
+        let all = [Self::Retargeted, Self::Fitted];
+        let found = all.into_iter().find(|source| source.as_str() == name);
+        found.unwrap_or(Self::Native)
     }
 }
 
@@ -219,6 +226,19 @@ pub struct SourceMask {
     pub parts: Vec<BodyPart>,
     /// What the masked parts do; empty if the source does not say.
     pub text: String,
+    /// How it was made, for masks of a dataset of this program; others follow from their parts.
+    pub made: Option<MadeMask>,
+}
+
+/// How a mask of a dataset was made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MadeMask {
+    /// Its joints, which an annotator may have changed.
+    pub blend: BlendMask,
+    /// human, draft, imported or automatic.
+    pub text_origin: String,
+    /// Who or what made it.
+    pub author: String,
 }
 
 /// Outcome of a source item.

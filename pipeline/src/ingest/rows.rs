@@ -13,7 +13,9 @@ use crate::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
 };
-use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
+use crate::clip::{
+    EditOf, MadeMask, Markers, Rejected, SourceClip, SourceMask, check_resampled,
+};
 use crate::feature::humanml3d::{self, Features};
 use crate::feature::smpl_body;
 
@@ -251,18 +253,22 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
 
 /// A mask that comes with a clip. Its id gets a number once every shard is done.
 pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> MaskRow {
-    let blend = BlendMask::of_parts(&mask.parts);
+    let made = mask.made.unwrap_or_else(|| MadeMask {
+        blend: BlendMask::of_parts(&mask.parts),
+        text_origin: "imported".to_owned(),
+        author: item.format.as_str().to_owned(),
+    });
     let parts = part_names(&mask.parts);
     MaskRow {
         id: format!("{motion}/{}", parts.join("+")),
         motion_id: motion.clone(),
         split: item.split,
         parts,
-        hard_joints: blend.hard().names(),
-        soft_joints: blend.soft().names(),
+        hard_joints: made.blend.hard().names(),
+        soft_joints: made.blend.soft().names(),
         mask_def_version: MASK_DEF_VERSION,
         text: mask.text,
-        text_origin: "imported".to_owned(),
-        author: item.format.as_str().to_owned(),
+        text_origin: made.text_origin,
+        author: made.author,
     }
 }

@@ -13,6 +13,7 @@ pub mod amass;
 pub mod body_model;
 pub mod bvh;
 pub mod c3d;
+pub mod dataset;
 pub mod gltf;
 pub mod humanml3d;
 pub mod humanml3d_amass;
@@ -20,6 +21,7 @@ pub mod labels;
 pub mod motionfix;
 pub(crate) mod smpl;
 pub mod stance;
+pub mod webdataset;
 
 use std::path::Path;
 
@@ -43,6 +45,8 @@ pub const FORMATS: &[Format] = &[
     humanml3d::FORMAT,
     stance::FORMAT,
     motionfix::FORMAT,
+    dataset::FORMAT,
+    webdataset::FORMAT,
 ];
 
 /// The format of this name.

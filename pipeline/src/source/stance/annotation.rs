@@ -68,12 +68,14 @@ impl Annotation {
             if let Some(mask) = masks.iter().position(|mask| *mask == parts) {
                 said[mask] = true;
             }
-            annotation.masks.push(SourceMask { parts, text });
+            let made = None;
+            annotation.masks.push(SourceMask { parts, text, made });
         }
         let silent = masks.into_iter().zip(said).filter(|(_, said)| !said);
         annotation.masks.extend(silent.map(|(parts, _)| SourceMask {
             parts,
             text: String::new(),
+            made: None,
         }));
         annotation
     }

@@ -1,0 +1,42 @@
+//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks and
+//! pair.
+//!
+//! Motions are copied bit by bit where the rate stays the same. A clip keeps one pair, that of its first
+//! source; features and markers are not read. `E-DATASET-HASH` rejects a file that differs from its manifest.
+
+mod release;
+
+use std::path::Path;
+
+use datasets_spec::Fps;
+
+use self::release::StoredDataset;
+use super::{Files, Format, Release, SourceFormat};
+
+/// A dataset folder.
+pub const FORMAT: Format = Format::new(&DatasetFolder);
+
+#[derive(Debug)]
+struct DatasetFolder;
+
+impl SourceFormat for DatasetFolder {
+    fn name(&self) -> &'static str {
+        "dataset"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // The parameters of the store in f32, before compression.
+        (4 * 69) as f64 * Fps::STORE.get()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(StoredDataset::find(files)
+            .into_iter()
+            .map(|dataset| Box::new(dataset) as Box<dyn Release>)
+            .collect())
+    }
+}

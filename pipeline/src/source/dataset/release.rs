@@ -1,0 +1,272 @@
+//! A dataset folder among the sources.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use datasets_spec::manifest::{FORMAT, FileEntry, Manifest};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
+use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Split};
+
+use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_TELEPORT};
+use crate::clip::{EditOf, MadeMask, Rejected, RotationSource, SourceClip, SourceMask};
+use crate::source::{Contents, Entry, Files, ReadOptions, Release};
+
+/// Flags that the motion itself does not show.
+const KEPT_FLAGS: u32 = FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_TELEPORT;
+const CODE: &str = "E-DATASET-FILE";
+
+/// A planned dataset.
+#[derive(Debug, Default)]
+pub(super) struct StoredDataset {
+    contents: Contents,
+    /// By relative path.
+    shards: BTreeMap<String, ShardReader>,
+    /// By motion.
+    masks: BTreeMap<String, Vec<MaskRow>>,
+    /// By target.
+    pairs: BTreeMap<String, Vec<PairRow>>,
+}
+
+impl StoredDataset {
+    /// The datasets among the files, each in its newest version.
+    pub(super) fn find(files: &Files) -> Vec<Self> {
+        let mut newest: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
+        for file in files.all() {
+            let Some((root, version)) = root_and_version(file) else {
+                continue;
+            };
+            let found = newest.entry(root).or_insert((version, file));
+            if version > found.0 {
+                *found = (version, file);
+            }
+        }
+        newest
+            .into_iter()
+            .filter_map(|(root, (_, file))| {
+                let manifest: Manifest = serde_json::from_slice(&files.read(file).ok()?).ok()?;
+                (manifest.format == FORMAT).then(|| Self::plan(files, root, file, &manifest))
+            })
+            .collect()
+    }
+
+    fn plan(files: &Files, root: &str, manifest_file: &str, manifest: &Manifest) -> Self {
+        let mut release = Self::default();
+        let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+        if major(&manifest.schema_version) != major(SCHEMA_VERSION) {
+            let reason = format!(
+                "the dataset is of format {}, this program reads {SCHEMA_VERSION}",
+                manifest.schema_version
+            );
+            release.reject(manifest_file, Rejected::read("E-DATASET-VERSION", reason));
+        } else {
+            for (table, entries) in &manifest.tables {
+                for entry in entries {
+                    release.take_file(files, root, manifest_file, table, entry);
+                }
+            }
+        }
+        let listed: BTreeSet<String> = manifest
+            .tables
+            .values()
+            .flatten()
+            .map(|file| format!("{root}{}", file.path))
+            .collect();
+        let rejected = release.contents.rejected.iter();
+        let rejected: BTreeSet<String> = rejected.map(|(file, _)| file.clone()).collect();
+        for file in files.under(root) {
+            if rejected.contains(file) {
+                continue;
+            }
+            let name = &file[root.len()..];
+            let of_dataset = ["README.md", "croissant.json"].contains(&name)
+                || name.starts_with("meta/")
+                || name.starts_with("data/");
+            if of_dataset && !release.shards.contains_key(file) {
+                let reason = match name {
+                    _ if listed.contains(file) => "table of a dataset, read with its motions",
+                    _ if name.starts_with("data/") => "file of an older version of a dataset",
+                    _ => "description of a dataset, read with its motions",
+                };
+                let passed_over = (file.to_owned(), reason.to_owned());
+                release.contents.passed_over.push(passed_over);
+            }
+        }
+        release
+    }
+
+    fn reject(&mut self, file: &str, rejected: Rejected) {
+        self.contents.rejected.push((file.to_owned(), rejected));
+    }
+
+    /// Reads what is needed to plan: ids and splits of motions, and the small tables.
+    fn take_file(
+        &mut self,
+        files: &Files,
+        root: &str,
+        manifest_file: &str,
+        table: &str,
+        entry: &FileEntry,
+    ) {
+        if ![MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE].contains(&table) {
+            return;
+        }
+        let file = format!("{root}{}", entry.path);
+        let Some(path) = files.path(&file) else {
+            let reason = format!("{} is missing from the dataset", entry.path);
+            return self.reject(manifest_file, Rejected::read("E-DATASET-MISSING", reason));
+        };
+        match files.hash(path) {
+            Ok(found) if found == entry.blake3 => {}
+            Ok(found) => {
+                let reason = format!("BLAKE3 expected {}, found {found}", entry.blake3);
+                return self.reject(&file, Rejected::read("E-DATASET-HASH", reason));
+            }
+            Err(reason) => return self.reject(&file, Rejected::read("E-IO", reason)),
+        }
+        let read = || -> Result<(), datasets_spec::Error> {
+            match table {
+                MaskRow::TABLE => {
+                    for mask in read_rows::<MaskRow>(path)? {
+                        let of_motion = self.masks.entry(mask.motion_id.to_string());
+                        of_motion.or_default().push(mask);
+                    }
+                }
+                PairRow::TABLE => {
+                    for pair in read_rows::<PairRow>(path)? {
+                        let of_target = self.pairs.entry(pair.target_id.to_string());
+                        of_target.or_default().push(pair);
+                    }
+                }
+                _ => {
+                    let shard = ShardReader::open(path)?;
+                    let ids = shard.column::<MotionRow, String>("id")?;
+                    let splits = shard.column::<MotionRow, Split>("split")?;
+                    let mirrored = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
+                    let clips = ids.into_iter().zip(splits).zip(mirrored).enumerate();
+                    let entries = clips.map(|(row, ((id, split), mirrored_of))| Entry {
+                        file: file.clone(),
+                        key: row.to_string(),
+                        id,
+                        split: Some(split),
+                        mirrored_of,
+                    });
+                    self.contents.entries.extend(entries);
+                    self.shards.insert(file.clone(), shard);
+                }
+            }
+            Ok(())
+        };
+        // The library of Parquet panics on some damaged files.
+        let problem = match catch_unwind(AssertUnwindSafe(read)) {
+            Ok(Ok(())) => return,
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => "it is no Parquet file".to_owned(),
+        };
+        self.reject(&file, Rejected::read(CODE, problem));
+    }
+
+    fn edit_of(&self, id: &str, notes: &mut Vec<String>) -> Option<EditOf> {
+        let pairs = self.pairs.get(id)?;
+        if pairs.len() > 1 {
+            notes.push(format!(
+                "{} further pairs of this clip in its dataset were not taken over",
+                pairs.len() - 1
+            ));
+        }
+        let pair = pairs.first()?;
+        Some(EditOf {
+            source_id: pair.source_id.to_string(),
+            kind: ["style", "fine-grained", "semantic"]
+                .into_iter()
+                .find(|kind| *kind == pair.kind)?,
+            style: pair.style.clone(),
+            parts: parts_of(&pair.parts),
+            instruction: pair.instruction.clone(),
+        })
+    }
+}
+
+impl Release for StoredDataset {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        _files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let refused = |reason: String| Rejected::read(CODE, reason);
+        let shard = self.shards.get(&entry.file);
+        let row: MotionRow = shard
+            .zip(entry.key.parse().ok())
+            .and_then(|(shard, row)| shard.rows_at(&[row]).map(|mut rows| rows.pop()).transpose())
+            .ok_or_else(|| refused("the file has no such row".to_owned()))?
+            .map_err(|error| refused(error.to_string()))?;
+        if row.skeleton != options.skeleton.name() {
+            let (found, wanted) = (&row.skeleton, options.skeleton.name());
+            return Err(Rejected::read(
+                "E-DATASET-SKELETON",
+                format!(
+                    "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
+                ),
+            ));
+        }
+        let motion = row.motion().map_err(|error| refused(error.to_string()))?;
+        let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
+        let mut clip = SourceClip {
+            fit_error_m: row.fit_error_m,
+            source_fps: Fps::new(row.fps_source.into()).unwrap_or(motion.fps()),
+            source_frames: frame(row.start_frame)..frame(row.end_frame),
+            captions: row.captions,
+            part_captions: row.part_captions,
+            action: row.action,
+            style: row.style,
+            license: row.license,
+            notes: row.notes,
+            flags: row.quality.flags & KEPT_FLAGS,
+            masks: self
+                .masks
+                .get(&entry.id)
+                .into_iter()
+                .flatten()
+                .map(source_mask)
+                .collect(),
+            ..SourceClip::new(motion, RotationSource::of_name(&row.rotation_source))
+        };
+        clip.edit_of = self.edit_of(&entry.id, &mut clip.notes);
+        Ok(clip)
+    }
+}
+
+/// Folder of a dataset, with a slash, and number of its manifest.
+fn root_and_version(file: &str) -> Option<(&str, u64)> {
+    let at = file.rfind("meta/manifest-")?;
+    let root = &file[..at];
+    let number = file[at..].strip_prefix("meta/manifest-")?;
+    let version = number.strip_suffix(".json")?.parse().ok()?;
+    (root.is_empty() || root.ends_with('/')).then_some((root, version))
+}
+
+fn parts_of(names: &[String]) -> Vec<BodyPart> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}
+
+fn source_mask(row: &MaskRow) -> SourceMask {
+    let joints = |names: &[String]| JointSet::try_from(names.to_vec()).ok();
+    let parts = parts_of(&row.parts);
+    let blend = joints(&row.hard_joints)
+        .zip(joints(&row.soft_joints))
+        .and_then(|(hard, soft)| BlendMask::new(hard, soft).ok());
+    SourceMask {
+        made: Some(MadeMask {
+            blend: blend.unwrap_or_else(|| BlendMask::of_parts(&parts)),
+            text_origin: row.text_origin.clone(),
+            author: row.author.clone(),
+        }),
+        parts,
+        text: row.text.clone(),
+    }
+}
