@@ -138,6 +138,8 @@ fn field(set: &str, column: &Column, source: &Value) -> Value {
     if let Some(width) = width {
         field["isArray"] = json!(true);
         field["arrayShape"] = json!(format!("-1,{width}"));
+    } else if kind.starts_with("list<") {
+        field["repeated"] = json!(true);
     }
     field
 }

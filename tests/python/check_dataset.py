@@ -15,6 +15,7 @@ from pathlib import Path
 import datasets
 import mlcroissant
 import numpy
+import pyarrow.parquet
 
 FRAME_WIDTHS = {
     "motions": {"transl": 3, "global_orient": 3, "body_pose": 63},
@@ -48,12 +49,26 @@ def check_tables(root: Path, manifest: dict) -> int:
     return rows_seen
 
 
+def list_columns(root: Path, manifest: dict, table: str) -> set[str]:
+    """Columns with a list of plain values in each row."""
+    schema = pyarrow.parquet.read_schema(root / manifest["tables"][table][0]["path"])
+    is_list = lambda kind: pyarrow.types.is_list(kind) and not pyarrow.types.is_nested(kind.value_type)
+    return {field.name for field in schema if is_list(field.type)}
+
+
 def check_croissant(root: Path, manifest: dict) -> int:
     metadata = mlcroissant.Dataset(jsonld=str(root / "croissant.json"))
     sets = metadata.metadata.record_sets
     for record_set in sets:
         record = next(iter(metadata.records(record_set.uuid)))
         assert record, f"{record_set.uuid} yields nothing"
+        table = record_set.uuid.split("/")[0]
+        lists = list_columns(root, manifest, table)
+        declared = {field.name for field in record_set.fields if field.repeated}
+        assert declared == lists, f"{record_set.uuid}: {declared} are declared as lists, {lists} are"
+        for column in lists:
+            value = record[f"{record_set.uuid}/{column}"]
+            assert isinstance(value, (list, numpy.ndarray)), f"{table}.{column} is a {type(value)}"
     with_rows = sum(1 for files in manifest["tables"].values() for file in files if file["rows"])
     assert len(sets) == with_rows, f"{len(sets)} record sets, {with_rows} files with rows"
     return len(sets)

@@ -13,9 +13,7 @@ use crate::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
 };
-use crate::clip::{
-    EditOf, MadeMask, Markers, Rejected, SourceClip, SourceMask, check_resampled,
-};
+use crate::clip::{EditOf, MadeMask, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use crate::feature::humanml3d::{self, Features};
 use crate::feature::smpl_body;
 

@@ -4,16 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use datasets_spec::manifest::{FORMAT, FileEntry, Manifest};
-use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Split};
 
-use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_TELEPORT};
+use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
 use crate::clip::{EditOf, MadeMask, Rejected, RotationSource, SourceClip, SourceMask};
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 
 /// Flags that the motion itself does not show.
-const KEPT_FLAGS: u32 = FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_TELEPORT;
+const KEPT_FLAGS: u32 =
+    FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_REFERENCE_DROPPED | FLAG_TELEPORT;
 const CODE: &str = "E-DATASET-FILE";
 
 /// A planned dataset.
@@ -149,6 +150,7 @@ impl StoredDataset {
                         key: row.to_string(),
                         id,
                         split: Some(split),
+                        group: None,
                         mirrored_of,
                     });
                     self.contents.entries.extend(entries);
@@ -216,12 +218,18 @@ impl Release for StoredDataset {
         }
         let motion = row.motion().map_err(|error| refused(error.to_string()))?;
         let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
+        let captions = row.stated_captions().cloned().collect();
+        let by_origin = row.captions_by_origin();
+        let made = by_origin.filter(|(_, origin)| *origin == CAPTION_BY_RULE);
+        let made_captions = made.map(|(caption, _)| caption.clone()).collect();
         let mut clip = SourceClip {
             fit_error_m: row.fit_error_m,
             source_fps: Fps::new(row.fps_source.into()).unwrap_or(motion.fps()),
             source_frames: frame(row.start_frame)..frame(row.end_frame),
-            captions: row.captions,
+            captions,
+            made_captions,
             part_captions: row.part_captions,
+            subject: row.subject,
             action: row.action,
             style: row.style,
             license: row.license,

@@ -5,12 +5,13 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use datasets_spec::table::{Caption, PartCaption};
+use datasets_spec::table::PartCaption;
 use datasets_spec::{Fps, Motion};
 use pickle::npy::read_numbers;
 use serde::Deserialize;
 
 use crate::clip::{Rejected, RotationSource, SourceClip};
+use crate::sidecar::LabelCaption;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 
 /// Endings of the members of a clip.
@@ -32,23 +33,15 @@ struct Facts {
     split: Option<String>,
     fps: Option<f64>,
     skeleton: Option<String>,
-    captions: Vec<Said>,
+    captions: Vec<LabelCaption>,
     parts: Vec<PartCaption>,
+    subject: Option<String>,
     action: Option<String>,
     style: Option<String>,
     license: Option<String>,
     mirrored_of: Option<String>,
     rotation_source: Option<String>,
     fit_error_m: Option<f32>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Said {
-    text: String,
-    tokens: String,
-    from_s: f32,
-    to_s: f32,
 }
 
 /// Place of a member: a range of a tar file, or a whole file.
@@ -134,6 +127,7 @@ impl Shards {
                     id => id,
                 },
                 split: facts.split.and_then(|split| split.parse().ok()),
+                group: None,
                 mirrored_of: facts.mirrored_of,
             });
             shards.clips.insert((file, key), members);
@@ -193,16 +187,15 @@ impl Release for Shards {
         let motion = Fps::new(rate)
             .and_then(|fps| Motion::new(fps, rows(&transl), rows(&global_orient), rows(&body_pose)))
             .map_err(|error| refused(error.to_string()))?;
-        let captions = facts.captions.into_iter().map(|said| Caption {
-            text: said.text,
-            tokens: said.tokens,
-            from_s: said.from_s,
-            to_s: said.to_s,
-        });
+        let said = facts.captions.into_iter();
+        let (made, stated): (Vec<_>, Vec<_>) = said.partition(LabelCaption::is_made);
+        let texts = |said: Vec<LabelCaption>| said.into_iter().map(|said| said.caption).collect();
         let rotations = facts.rotation_source.as_deref().unwrap_or_default();
         Ok(SourceClip {
-            captions: captions.collect(),
+            captions: texts(stated),
+            made_captions: texts(made),
             part_captions: facts.parts,
+            subject: facts.subject,
             action: facts.action,
             style: facts.style,
             license: facts.license,
