@@ -549,7 +549,8 @@ fn resampling_that_would_not_fit_into_memory_is_refused() {
         "slow.bvh",
         &format!("{head}MOTION\nFrames: {frames}\nFrame Time: 1\n{rows}"),
     );
-    sources.run("out", &["--fps", "1000"]).expect_code(3);
+    // It is the only motion, so the dataset has none.
+    sources.run("out", &["--fps", "1000"]).expect_code(1);
     let dataset = Dataset::open(&sources.path("out")).expect("opens");
     let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
     assert_eq!(rows[0].code, "E-TOO-LARGE");
