@@ -53,7 +53,7 @@ impl<'a> Clips<'a> {
             shard.num_clips = rows.len() as u64;
             shard.rows = Some(rows);
         }
-        if clips.len() == 0 {
+        if clips.is_empty() {
             return Err(Error::NoneChosen {
                 path: dataset.root().to_owned(),
             });
