@@ -50,7 +50,7 @@ pub struct LabelCaption {
     pub origin: String,
 }
 
-fn is_by_source(origin: &String) -> bool {
+fn is_by_source(origin: &str) -> bool {
     origin == CAPTION_BY_SOURCE
 }
 

@@ -105,7 +105,7 @@ impl SplitList {
         let mut refused = self.refused.clone();
         let unknown = self.lines.iter().filter(|line| {
             let is_named = || names.iter().any(|name| is_match(&line.name, name));
-            !names.contains(&line.name) && !(is_pattern(&line.name) && is_named())
+            !(names.contains(&line.name) || is_pattern(&line.name) && is_named())
         });
         refused.extend(unknown.map(|line| RefusedLine {
             line: line.number,

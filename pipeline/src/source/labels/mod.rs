@@ -20,6 +20,9 @@ pub(crate) use self::pattern::{is_pattern, matches};
 use crate::clip::{LabelProblem, SourceClip};
 use crate::sidecar::{LabelCaption, Sidecar};
 
+/// Reads a file beside a motion by its name, or returns none if it does not exist.
+type Companions<'a> = dyn Fn(&str) -> Option<Vec<u8>> + 'a;
+
 /// Adds the labels beside a motion file to its clip.
 ///
 /// Of two labels the nearer wins: `<stem>.stance.json`, then what names the clip in a file of its folders,
@@ -29,7 +32,7 @@ use crate::sidecar::{LabelCaption, Sidecar};
 pub(crate) fn attach(
     mut clip: SourceClip,
     path: &Path,
-    companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+    companions: &Companions<'_>,
     around: &ClipLabels,
 ) -> SourceClip {
     let stem = stem_of(path);
@@ -130,7 +133,7 @@ fn take_captions(clip: &mut SourceClip, captions: impl Iterator<Item = LabelCapt
 /// style: `companions` is none for its motions.
 pub(crate) fn stated(
     path: &Path,
-    companions: Option<&dyn Fn(&str) -> Option<Vec<u8>>>,
+    companions: Option<&Companions<'_>>,
     around: &ClipLabels,
 ) -> Sidecar {
     let ClipLabels {
@@ -158,7 +161,7 @@ pub(crate) fn stated(
 /// The sidecar of a motion file, empty if there is none or if it cannot be used.
 fn sidecar(
     path: &Path,
-    companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+    companions: &Companions<'_>,
 ) -> (Sidecar, Vec<LabelProblem>) {
     let name = format!("{}{}", stem_of(path), Sidecar::SUFFIX);
     let Some(bytes) = companions(&name) else {
@@ -273,7 +276,7 @@ mod tests {
 
     fn labelled(
         path: &str,
-        companions: &dyn Fn(&str) -> Option<Vec<u8>>,
+        companions: &Companions<'_>,
         around: &ClipLabels,
     ) -> SourceClip {
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid");
