@@ -466,6 +466,8 @@ table! {
         pub path: String [""],
         /// BLAKE3 of the source file, hexadecimal; empty if it could not be read
         pub source_hash: String [""],
+        /// BLAKE3 of all files that decide about the item, hexadecimal: it is read again when they change
+        pub inputs_hash: String ["", newer],
         /// Code, such as E-BVH-FRAMES
         pub code: String [""],
         /// What is wrong, with the numbers found and expected
@@ -485,6 +487,8 @@ table! {
         pub path: String [""],
         /// BLAKE3 of the source file, hexadecimal; empty for what is not a file
         pub source_hash: String [""],
+        /// BLAKE3 of all files that decide about the item, hexadecimal: it is read again when they change
+        pub inputs_hash: String ["", newer],
         /// Why it was skipped
         pub reason: String [""],
     }

@@ -112,6 +112,49 @@ pub enum Error {
         /// The highest accepted rate.
         highest: f64,
     },
+    /// The dataset was made with other settings.
+    #[error(
+        "{} was made with other settings: {differing}; choose another folder, or pass --new-version to read \
+         everything again with the new ones",
+        path.display()
+    )]
+    OtherSettings {
+        /// The dataset.
+        path: PathBuf,
+        /// The settings that differ, with both values.
+        differing: String,
+    },
+    /// Two datasets are posed on different skeletons.
+    #[error(
+        "the datasets are posed on different bodies: {first} and {second}; ingest one of them again with the \
+         --body-model of the other"
+    )]
+    OtherSkeleton {
+        /// Skeleton of the first.
+        first: String,
+        /// Skeleton of the second.
+        second: String,
+    },
+    /// A new dataset is to be written where there is one.
+    #[error("{} is a dataset already; choose a folder that does not exist", path.display())]
+    DatasetExists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Labels would be lost.
+    #[error(
+        "{count} labels in {} belong to clips that changed or went: {shown}; nothing was changed. Pass \
+         --drop-labels to go on without them (the version before keeps them)",
+        path.display()
+    )]
+    LabelsLost {
+        /// The dataset.
+        path: PathBuf,
+        /// Number of labels.
+        count: usize,
+        /// The first of them.
+        shown: String,
+    },
     /// A source folder or file does not exist.
     #[error("no such file or folder: {}; check the path", path.display())]
     MissingSource {

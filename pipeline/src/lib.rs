@@ -40,6 +40,7 @@ pub mod floor;
 mod golden;
 pub mod ingest;
 pub mod markers;
+pub mod merge;
 pub mod open;
 pub mod reference;
 pub mod retarget;

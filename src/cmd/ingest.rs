@@ -12,7 +12,7 @@ use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::clip::LabelProblem;
-use pipeline::ingest::{IngestOptions, IngestReport, SplitList, ingest};
+use pipeline::ingest::{Growth, IngestOptions, IngestReport, SplitList, ingest};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
@@ -30,8 +30,11 @@ use crate::report;
 /// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
 /// continues; run again after success, it changes nothing.
 ///
+/// A dataset that exists grows: files that are new or changed are read, clips whose files are gone
+/// leave, and sources that are not given stay as they are. Clips keep their ids, splits, masks and pairs.
+///
 /// Splits are published lists where there are any, else drawn from the source clip with `--seed`
-/// when the dataset is made. A dataset that is there keeps the seed of its splits.
+/// when the dataset is made. A dataset that exists keeps the seed of its splits.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to read
@@ -72,9 +75,13 @@ pub(crate) struct Args {
     /// flagged
     #[arg(long)]
     lenient: bool,
-    /// Replace what the folder holds, as a new version of the dataset
+    /// Read everything again where settings differ from those the dataset was made with
     #[arg(long)]
     new_version: bool,
+    /// Go on although masks or pairs are lost, because their clips changed or went; the version before
+    /// keeps them
+    #[arg(long)]
+    drop_labels: bool,
     /// Style pairs to add: lines of styled clip, original clip, style and text. A styled clip gets the
     /// split of its original, unless a published list says otherwise
     #[arg(long, value_name = "CSV")]
@@ -164,6 +171,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         format: args.format,
         humanml3d_index: args.humanml3d_index.clone(),
         new_version: args.new_version,
+        drop_labels: args.drop_labels,
         teleports: match args.teleports {
             TeleportsArg::Quarantine => Teleports::Quarantine,
             TeleportsArg::Trim => Teleports::Trim,
@@ -289,6 +297,7 @@ struct Document<'a> {
     label_problems: &'a [LabelProblem],
     licenses: &'a BTreeMap<String, u64>,
     remarks: &'a [String],
+    growth: Option<&'a Growth>,
     root_hash: &'a str,
 }
 
@@ -313,6 +322,7 @@ impl<'a> Document<'a> {
             label_problems: &done.label_problems,
             licenses: &done.licenses,
             remarks: &done.remarks,
+            growth: done.growth.as_ref(),
             root_hash: &done.dataset.manifest().root_hash,
         }
     }
@@ -406,9 +416,51 @@ pub(crate) fn summary(done: &IngestReport) -> String {
         let tag = if tag.is_empty() { "not stated" } else { tag };
         text += &format!("licence {tag:<20} {clips:>8} clips\n");
     }
+    if let Some(growth) = &done.growth {
+        text += &grown(growth);
+    }
     for remark in &done.remarks {
         text += &format!("note: {remark}\n");
     }
     text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
+    text
+}
+
+/// What became of the clips and labels that the dataset had.
+fn grown(growth: &Growth) -> String {
+    const SHOWN: usize = 3;
+    let mut text = format!(
+        "{} clips are new, {} changed, {} were read again, {} moved, {} are gone, {} stay as they are\n",
+        growth.new,
+        growth.changed.len(),
+        growth.read_again.len(),
+        growth.moved.len(),
+        growth.gone.len(),
+        growth.kept
+    );
+    for (what, clips) in [
+        ("changed", &growth.changed),
+        ("moved", &growth.moved),
+        ("gone", &growth.gone),
+    ] {
+        for clip in clips.iter().take(SHOWN) {
+            text += &format!("  {what}: {clip}\n");
+        }
+        if clips.len() > SHOWN {
+            text += &format!("  and {} more\n", clips.len() - SHOWN);
+        }
+    }
+    for (table, count) in &growth.labels {
+        text += &format!("{count} {table} stay\n");
+    }
+    for lost in &growth.lost {
+        text += &format!("lost: {} of {} ({})\n", lost.id, lost.table, lost.reason);
+    }
+    if !growth.dropped_tables.is_empty() {
+        text += &format!(
+            "not carried over, because clips changed or went: {}; their commands make them again\n",
+            growth.dropped_tables.join(", ")
+        );
+    }
     text
 }

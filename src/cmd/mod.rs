@@ -4,6 +4,7 @@ pub(crate) mod annotate;
 pub(crate) mod build;
 pub(crate) mod completions;
 pub(crate) mod corpus;
+pub(crate) mod dataset;
 pub(crate) mod demo;
 pub(crate) mod doctor;
 pub(crate) mod edit;

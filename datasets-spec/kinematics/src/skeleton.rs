@@ -287,7 +287,17 @@ impl FromStr for Joint {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Skeleton {
     name: String,
+    #[serde(deserialize_with = "every_joint")]
     rest_joints: Vec<DVec3>,
+}
+
+fn every_joint<'de, D: serde::Deserializer<'de>>(source: D) -> Result<Vec<DVec3>, D::Error> {
+    let joints = Vec::deserialize(source)?;
+    if joints.len() == NUM_JOINTS {
+        return Ok(joints);
+    }
+    let found = joints.len();
+    Err(serde::de::Error::invalid_length(found, &"55 joints"))
 }
 
 impl Default for Skeleton {

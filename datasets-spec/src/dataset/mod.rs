@@ -17,4 +17,4 @@ pub use commit::{commit_rows, commit_table};
 pub use layout::ShardName;
 pub use open::{Dataset, hash_file};
 pub use shards::table_facts;
-pub use transaction::{Commit, Transaction};
+pub use transaction::{Commit, Pruned, Transaction};

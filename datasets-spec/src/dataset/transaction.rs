@@ -53,8 +53,22 @@ pub struct Commit {
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
-    /// Drop all tables of the version before, because the motions they derive from are replaced.
+    /// Drop the facts of the version before, and its tables but those in `carried`, because the motions they
+    /// derive from are replaced.
     pub fresh: bool,
+    /// Tables of the version before that a fresh commit keeps as they are, with their plans.
+    pub carried: BTreeSet<String>,
+}
+
+/// What [`Transaction::prune`] removed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Pruned {
+    /// Versions that are gone.
+    pub versions: Vec<u64>,
+    /// Data files that no version names any more.
+    pub files: u64,
+    /// Their size in bytes.
+    pub bytes: u64,
 }
 
 impl Transaction {
@@ -180,10 +194,15 @@ impl Transaction {
             root_hash: String::new(),
         });
         if commit.fresh {
-            manifest.tables.clear();
-            manifest.plans.clear();
+            manifest
+                .tables
+                .retain(|table, _| commit.carried.contains(table));
+            manifest
+                .plans
+                .retain(|table, _| commit.carried.contains(table));
             manifest.facts.clear();
         }
+        manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         manifest.skeleton = commit.skeleton.name().to_owned();
         if commit.skeleton != Skeleton::smplx_neutral() {
             let rest = serde_json::to_string(&commit.skeleton).map_err(|source| Error::Json {
@@ -229,6 +248,43 @@ impl Transaction {
             Some(manifest) => self.settle(manifest),
             None => Ok(()),
         }
+    }
+
+    /// Removes the versions before the newest `keep`, and the data files that only they name. With
+    /// `dry_run` nothing is removed.
+    ///
+    /// # Errors
+    /// A manifest cannot be read, or a file cannot be removed.
+    pub fn prune(self, keep: usize, dry_run: bool) -> Result<Pruned, Error> {
+        let store = self.store.as_ref();
+        let mut versions = manifest_versions(store, &self.root)?;
+        let kept = versions.split_off(versions.len().saturating_sub(keep.max(1)));
+        let files_of = |versions: &[u64]| -> Result<BTreeMap<String, u64>, Error> {
+            let mut files = BTreeMap::new();
+            for version in versions {
+                let manifest = read_manifest(store, &self.root, *version)?;
+                let entries = manifest.tables.into_values().flatten();
+                files.extend(entries.map(|file| (file.path, file.bytes)));
+            }
+            Ok(files)
+        };
+        let (mut old, named) = (files_of(&versions)?, files_of(&kept)?);
+        old.retain(|path, _| !named.contains_key(path));
+        if !dry_run {
+            // A version whose manifest is gone is no version, so manifests go first.
+            for version in &versions {
+                let path = manifest_path(&self.root, *version);
+                store
+                    .remove_file(&path)
+                    .map_err(Error::io("remove", &path))?;
+            }
+            self.collect_garbage()?;
+        }
+        Ok(Pruned {
+            versions,
+            files: old.len() as u64,
+            bytes: old.values().sum(),
+        })
     }
 
     fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
@@ -295,6 +351,19 @@ impl Transaction {
             }
         }
         Ok(())
+    }
+}
+
+/// The newer of a schema version and this program's.
+fn newer_version(version: &str) -> &str {
+    let numbers = |text: &str| -> Vec<u64> {
+        let parts = text.split('.');
+        parts.map(|part| part.parse().unwrap_or(0)).collect()
+    };
+    if numbers(version) > numbers(SCHEMA_VERSION) {
+        version
+    } else {
+        SCHEMA_VERSION
     }
 }
 

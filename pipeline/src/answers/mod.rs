@@ -531,6 +531,7 @@ fn quarantined(file: &str, source_hash: String, rejected: &Rejected) -> Quaranti
     QuarantineRow {
         path: file.to_owned(),
         source_hash,
+        inputs_hash: String::new(),
         code: rejected.code.to_owned(),
         reason: rejected.reason.clone(),
         byte_offset: rejected.byte_offset,

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::Progress;
 use datasets_spec::record::QuarantineRow;
+use datasets_spec::store::Store;
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::clip::Rejected;
-use crate::source::{Files, text_of_name};
+use crate::source::text_of_name;
 
 /// Bytes looked at to recognise a file.
 pub(super) const HEAD_BYTES: usize = 512;
@@ -18,17 +19,18 @@ pub(super) const HEAD_BYTES: usize = 512;
 /// A source file in the plan.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    pub(super) path: PathBuf,
     pub(super) hash: Result<String, String>,
     pub(super) head: Vec<u8>,
 }
 
-/// The regular files under the sources, and the reasons why other entries are skipped.
+/// The regular files under some sources, by their relative paths, and other entries with the reason why
+/// each is skipped.
+#[derive(Default)]
 pub(crate) struct Listing {
     /// The files by their relative paths.
     pub(crate) files: BTreeMap<String, PathBuf>,
-    /// Reasons why other entries are skipped.
-    pub(crate) special: Vec<String>,
+    /// Relative path and reason of other entries.
+    pub(crate) special: Vec<(String, String)>,
     /// Folders that cannot be listed, and why.
     pub(crate) unlisted: Vec<(String, String)>,
 }
@@ -37,47 +39,82 @@ pub(crate) struct Listing {
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
-/// All files under the sources by their relative path. With several sources, the path starts with the
-/// name of the source's folder, made unique by a number, so that equal paths stay apart.
-pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
-    let mut listing = Listing {
-        files: BTreeMap::new(),
-        special: Vec::new(),
-        unlisted: Vec::new(),
-    };
-    let mut names = BTreeSet::new();
-    for (number, source) in sources.iter().enumerate() {
+/// The files of one source.
+pub(super) struct Listed {
+    /// The folder or file, as an absolute path without links where that can be had.
+    pub(super) path: PathBuf,
+    pub(super) is_file: bool,
+    pub(super) listing: Listing,
+}
+
+/// The files of every source, by their paths relative to it. A source that is given twice is listed once.
+pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
+    let mut listed: Vec<Listed> = Vec::new();
+    for source in sources {
         let metadata = fs::metadata(source).map_err(|_| Error::MissingSource {
             path: source.clone(),
         })?;
-        let mut name = source
-            .file_name()
-            .map_or_else(|| format!("source{number}"), text_of_name);
-        if !names.insert(name.clone()) {
-            name = format!("{number}-{name}");
-        }
-        if metadata.is_file() {
-            listing.files.insert(name, source.clone());
+        let path = fs::canonicalize(source).unwrap_or_else(|_| source.clone());
+        if listed.iter().any(|earlier| earlier.path == path) {
             continue;
         }
-        let prefix = if sources.len() > 1 {
-            name
+        let mut listing = Listing::default();
+        if metadata.is_file() {
+            let name = text_of_name(path.file_name().unwrap_or_default());
+            listing.files.insert(name, source.clone());
         } else {
-            String::new()
-        };
-        listing.walk(source, prefix);
+            listing.walk(source, String::new());
+        }
+        listed.push(Listed {
+            path,
+            is_file: metadata.is_file(),
+            listing,
+        });
     }
-    if listing.files.is_empty() {
+    if listed.iter().all(|source| source.listing.files.is_empty()) {
         let paths: Vec<String> = sources
             .iter()
             .map(|path| path.display().to_string())
             .collect();
         return Err(Error::NoFiles {
             paths: paths.join(", "),
-            hint: listing.why_empty(),
+            hint: listed[0].listing.why_empty(),
         });
     }
-    Ok(listing)
+    Ok(listed)
+}
+
+/// The files of all sources, each path behind the label of its source.
+pub(super) fn merged(sources: Vec<Listed>, labels: &[String]) -> Listing {
+    let mut merged = Listing::default();
+    for (source, label) in sources.into_iter().zip(labels) {
+        let Listing {
+            files,
+            special,
+            unlisted,
+        } = source.listing;
+        let files = files.into_iter();
+        merged
+            .files
+            .extend(files.map(|(name, path)| (labelled(label, &name), path)));
+        let special = special.into_iter();
+        merged
+            .special
+            .extend(special.map(|(name, reason)| (labelled(label, &name), reason)));
+        let unlisted = unlisted.into_iter();
+        merged
+            .unlisted
+            .extend(unlisted.map(|(name, reason)| (labelled(label, &name), reason)));
+    }
+    merged
+}
+
+/// A path relative to a source, behind the label of the source.
+pub(crate) fn labelled(label: &str, name: &str) -> String {
+    match label {
+        "" => name.to_owned(),
+        label => format!("{label}/{name}"),
+    }
 }
 
 impl Listing {
@@ -122,7 +159,7 @@ impl Listing {
             (false, Ok(_)) => Some("pipe, socket or device"),
         };
         match special {
-            Some(reason) => self.special.push(reason.to_owned()),
+            Some(reason) => self.special.push((relative, reason.to_owned())),
             None => {
                 self.files.insert(relative, path.to_owned());
             }
@@ -135,28 +172,34 @@ impl Listing {
             return format!("folder {folder} cannot be listed: {reason}");
         }
         match self.special.first() {
-            Some(reason) => format!("all {} entries are skipped: {reason}", self.special.len()),
+            Some((_, reason)) => {
+                format!("all {} entries are skipped: {reason}", self.special.len())
+            }
             None => "is the archive unpacked there?".to_owned(),
         }
     }
 }
 
-pub(super) fn hash_sources(files: &Files, progress: &dyn Progress) -> BTreeMap<String, Source> {
-    progress.begin("plan", Some(files.len() as u64));
-    let listed: Vec<(&str, &Path)> = files
-        .all()
-        .filter_map(|relative| Some((relative, files.path(relative)?)))
-        .collect();
-    let sources: BTreeMap<String, Source> = listed
+/// Hashes and first bytes of all files, by their place on the disk.
+pub(super) fn hash_files(
+    store: &dyn Store,
+    listed: &[Listed],
+    progress: &dyn Progress,
+) -> BTreeMap<PathBuf, Source> {
+    let places = listed
+        .iter()
+        .flat_map(|source| source.listing.files.values());
+    let places: BTreeSet<&PathBuf> = places.collect();
+    progress.begin("plan", Some(places.len() as u64));
+    let sources: BTreeMap<PathBuf, Source> = places
         .into_par_iter()
-        .map(|(relative, path)| {
+        .map(|path| {
             let source = Source {
-                hash: files.hash(path),
+                hash: store.hash(path).map_err(|error| error.to_string()),
                 head: read_head(path),
-                path: path.to_owned(),
             };
             progress.advance(1);
-            (relative.to_owned(), source)
+            (path.clone(), source)
         })
         .collect();
     progress.finish(&format!("{} files", sources.len()));
@@ -184,16 +227,22 @@ pub(super) fn quarantine_row(
     rejected: Rejected,
 ) -> QuarantineRow {
     QuarantineRow {
-        path: match key {
-            "" => file.to_owned(),
-            // Names of motions come from files and may hold anything.
-            key => format!("{file}#{}", text_of_name(key.as_ref())),
-        },
+        path: path_of(file, key),
         source_hash,
+        inputs_hash: String::new(),
         code: rejected.code.to_owned(),
         reason: rejected.reason,
         byte_offset: rejected.byte_offset,
         stage: rejected.stage.to_owned(),
+    }
+}
+
+/// Path of a motion: that of its file, and its key if the file holds several.
+pub(super) fn path_of(file: &str, key: &str) -> String {
+    match key {
+        "" => file.to_owned(),
+        // Names of motions come from files and may hold anything.
+        key => format!("{file}#{}", text_of_name(key.as_ref())),
     }
 }
 

@@ -1,13 +1,20 @@
 //! How sources are ingested.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use datasets_spec::{Fps, Resample, Seed};
+use serde::{Deserialize, Serialize};
 
 use super::split_list::SplitList;
 use crate::annotation::pairs::PairList;
 use crate::check::Teleports;
+use crate::feature::humanml3d;
+use crate::retarget::UserMap;
 use crate::source::{Format, ReadOptions};
+
+/// Version of the rules by which files become rows. Clips read by older rules are read again.
+const INGEST_VERSION: u32 = 4;
 
 /// Fact of a manifest: what a reader should know about its splits.
 pub const REMARKS_FACT: &str = "remarks";
@@ -46,8 +53,10 @@ pub struct IngestOptions {
     pub humanml3d_features: bool,
     /// What becomes of motions with jumps.
     pub teleports: Teleports,
-    /// Replace what the folder holds by another plan's motions, as a new version of the dataset.
+    /// Read everything again where the settings differ from those the dataset was made with.
     pub new_version: bool,
+    /// Commit although labels are lost, because their clips changed or went.
+    pub drop_labels: bool,
 }
 
 impl Default for IngestOptions {
@@ -66,6 +75,7 @@ impl Default for IngestOptions {
             humanml3d_features: false,
             teleports: Teleports::default(),
             new_version: false,
+            drop_labels: false,
         }
     }
 }
@@ -88,6 +98,84 @@ impl IngestOptions {
                 highest,
             }),
         }
+    }
+}
+
+/// Fact of a manifest: the seed its splits were drawn with.
+pub(super) const SEED_FACT: &str = "seed";
+
+/// Fact of a manifest: hash of the list of pairs.
+pub(super) const PAIRS_FACT: &str = "pairs";
+
+/// Fact of a manifest: the settings its clips were read with, as JSON.
+pub(super) const SETTINGS_FACT: &str = "ingest_settings";
+
+/// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(super) struct Settings(BTreeMap<String, String>);
+
+impl Settings {
+    pub(super) fn of(options: &IngestOptions) -> Self {
+        let none = || "none".to_owned();
+        let skeleton = &options.read.skeleton;
+        let map = options.read.user_map.as_ref();
+        let subjects = options.read.subjects.as_ref();
+        let features = options.humanml3d_features.then_some(humanml3d::RECIPE);
+        let values = [
+            ("rules", INGEST_VERSION.to_string()),
+            ("fps", rate_name(options)),
+            ("resample", format!("{:?}", options.resample).to_lowercase()),
+            (
+                "format",
+                options
+                    .format
+                    .map_or_else(none, |format| format.as_str().to_owned()),
+            ),
+            ("seed", options.seed.0.to_string()),
+            ("license", options.license.clone().unwrap_or_else(none)),
+            (
+                "skeleton",
+                format!("{} {}", skeleton.name(), skeleton.hash()),
+            ),
+            ("joint-map", map.map_or_else(none, UserMap::hash)),
+            (
+                "subject-models",
+                subjects.map_or_else(none, |subjects| subjects.hash().to_owned()),
+            ),
+            ("features", features.map_or_else(none, str::to_owned)),
+            (
+                "teleports",
+                format!("{:?}", options.teleports).to_lowercase(),
+            ),
+        ];
+        Self(values.map(|(name, value)| (name.to_owned(), value)).into())
+    }
+
+    /// As JSON.
+    pub(super) fn text(&self) -> String {
+        serde_json::to_string(self).expect("texts serialise")
+    }
+
+    /// The settings that differ from recorded ones, in words; none where all are equal.
+    pub(super) fn differing(&self, recorded: Option<&String>) -> Option<String> {
+        let Some(recorded) = recorded.and_then(|text| serde_json::from_str::<Self>(text).ok())
+        else {
+            return Some(
+                "the settings were not recorded by an earlier version of the program".to_owned(),
+            );
+        };
+        let names: BTreeSet<&String> = self.0.keys().chain(recorded.0.keys()).collect();
+        let value = |settings: &Self, name: &str| {
+            settings.0.get(name).map_or("none".to_owned(), Clone::clone)
+        };
+        let differing: Vec<String> = names
+            .into_iter()
+            .map(|name| (name, value(&recorded, name), value(self, name)))
+            .filter(|(_, recorded, now)| recorded != now)
+            .map(|(name, recorded, now)| format!("{name} was {recorded} and is now {now}"))
+            .collect();
+        (!differing.is_empty()).then(|| differing.join("; "))
     }
 }
 

@@ -8,28 +8,26 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use datasets_spec::dataset::ShardName;
-use datasets_spec::record::{MotionRow, QuarantineRow};
+use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
-use datasets_spec::table::{Row, SCHEMA_VERSION};
-use datasets_spec::{Fps, MotionId, Progress, Split, Transaction};
+use datasets_spec::table::Row;
+use datasets_spec::{MotionId, Progress, Split};
 use rayon::prelude::*;
 
-use super::list::{Source, hash_sources, list_files, quarantine_row};
-use super::options::IngestOptions;
+use super::inputs;
+use super::list::{self, Source, hash_files, list_sources, quarantine_row};
+use super::options::{IngestOptions, Settings};
+use super::recorded::Recorded;
+use super::sources::{self, SourceLabel};
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
 use crate::clip::Rejected;
-use crate::feature::humanml3d;
 use crate::source::labels::{self, FolderLabels};
 use crate::source::{
     Entry, Files, Format, FoundRelease, Recognised, find_releases, name_of_text, recognise,
     refuse_pointer,
 };
-
-/// Version of the rules by which files become rows. It is part of every plan, so a dataset made by
-/// older rules is never continued by newer ones.
-pub(super) const INGEST_VERSION: u32 = 3;
 
 /// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(super) const SHARD_SOURCES: usize = 256;
@@ -40,12 +38,16 @@ pub(super) struct Plan {
     pub(super) sources: BTreeMap<String, Source>,
     pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
-    /// Files without a motion, by reason.
-    pub(super) skipped: BTreeMap<String, u64>,
+    /// The sources, and whether each is a single file.
+    pub(super) labels: Vec<(SourceLabel, bool)>,
+    /// Files without a motion.
+    pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
     /// Folders that cannot be listed.
-    num_unlisted: usize,
+    pub(super) unlisted: Vec<String>,
+    /// Files whose clips stay as they are, because their labels cannot be read now.
+    pub(super) staying: BTreeSet<String>,
     /// What a reader of the dataset should know about its splits.
     pub(super) remarks: Vec<String>,
     /// What folders say of the motions in them.
@@ -54,7 +56,8 @@ pub(super) struct Plan {
     pub(super) refused_splits: Vec<RefusedLine>,
 }
 
-/// A motion to be read.
+/// A motion of the sources.
+#[derive(Clone)]
 pub(super) struct Planned {
     pub(super) entry: Entry,
     pub(super) format: Format,
@@ -64,42 +67,57 @@ pub(super) struct Planned {
     pub(super) prefix: String,
     /// Group of clips that share a split; none for a clip outside any group.
     pub(super) group: Option<String>,
+    /// Split that the user's list or its labels state.
+    pub(super) own_split: Option<Split>,
     /// Split that its labels state.
     pub(super) labelled_split: Option<Split>,
     /// Subject that its labels state.
     pub(super) subject: Option<String>,
+    /// Id in the dataset.
+    pub(super) id: String,
+    /// Hash of all that the motion is read from.
+    pub(super) inputs: String,
+    /// The clip of the version before that this one is, by its place in
+    /// [`Recorded::clips`](super::recorded::Recorded).
+    pub(super) known: Option<usize>,
+    /// Whether that clip stays as it is.
+    pub(super) is_kept: bool,
+    pub(super) split: Split,
 }
 
 impl Planned {
-    fn full_id(&self) -> String {
-        format!("{}{}", self.prefix, self.entry.id)
+    pub(super) fn new(entry: Entry, format: Format, release: Option<usize>) -> Self {
+        Self {
+            entry,
+            format,
+            release,
+            prefix: String::new(),
+            group: None,
+            labelled_split: None,
+            own_split: None,
+            subject: None,
+            id: String::new(),
+            inputs: String::new(),
+            known: None,
+            is_kept: false,
+            split: Split::Train,
+        }
     }
 
     /// Id of the source clip in the dataset, without crop or mirror suffix.
     fn clip(&self) -> String {
-        let id = self.full_id();
-        MotionId::parse(&id).map_or(id, |id| id.source_clip().to_owned())
+        let id = MotionId::parse(&self.id);
+        id.map_or(self.id.clone(), |id| id.source_clip().to_owned())
     }
 
     /// Names by which a list of splits means it: its id, that of its source clip, its file, its subject.
     fn names(&self) -> BTreeSet<String> {
         let (entry, subject) = (&self.entry, self.subject.as_deref());
         let file = [entry.file.as_str(), without_extension(&entry.file)];
-        let mut names = BTreeSet::from([self.full_id(), self.clip(), entry.id.clone()]);
+        let mut names = BTreeSet::from([self.id.clone(), self.clip(), entry.id.clone()]);
         names.extend(file.map(str::to_owned));
         names.extend(subject.map(name_of_subject));
         names
-    }
-
-    /// Key of the drawn split, for clips without a published one.
-    fn split_key(&self) -> String {
-        // Two releases of one clip share a split: the id prefix is left out.
-        let clip = || {
-            let own_id = MotionId::parse(&self.entry.id);
-            own_id.map_or(self.entry.id.clone(), |id| id.source_clip().to_owned())
-        };
-        let group = self.group.as_ref().or(self.entry.group.as_ref());
-        group.cloned().unwrap_or_else(clip)
     }
 }
 
@@ -107,6 +125,7 @@ impl Planned {
 pub(super) struct Item<'a> {
     pub(super) entry: &'a Entry,
     pub(super) prefix: &'a str,
+    pub(super) inputs: &'a str,
     pub(super) format: Format,
     pub(super) release: Option<usize>,
     pub(super) split: Split,
@@ -116,72 +135,113 @@ pub(super) struct Item<'a> {
 pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
 
 impl Plan {
+    /// Lists and identifies everything under the sources. `recorded` is what the dataset holds; with
+    /// `same_settings` its clips are kept where their files are as they were.
     pub(super) fn make(
         store: Arc<dyn Store>,
         paths: &[PathBuf],
         options: &IngestOptions,
+        recorded: &Recorded,
+        same_settings: bool,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
-        let listing = list_files(paths)?;
-        let mut skipped: BTreeMap<String, u64> = BTreeMap::new();
-        for reason in listing.special {
-            *skipped.entry(reason).or_default() += 1;
-        }
+        let listed = list_sources(paths)?;
+        let by_place = hash_files(store.as_ref(), &listed, progress);
+        let names = listed.iter().map(sources::name);
+        let given = if recorded.clips.is_empty() {
+            sources::labels(&listed)
+        } else {
+            let hash_of = |place: &Path| by_place.get(place)?.hash.clone().ok();
+            sources::known_labels(&listed, &recorded.sources, &hash_of, &recorded.hashes())
+        };
+        let labels = std::iter::zip(&given, names)
+            .zip(&listed)
+            .map(|((label, name), source)| {
+                let label = label.clone();
+                (SourceLabel { label, name }, source.is_file)
+            })
+            .collect();
+        let listing = list::merged(listed, &given);
+        let skipped = listing
+            .special
+            .into_iter()
+            .map(|(path, reason)| SkippedRow {
+                path,
+                source_hash: String::new(),
+                inputs_hash: String::new(),
+                reason,
+            });
+        let skipped = skipped.collect();
         let unlisted = listing.unlisted.iter().map(|(folder, reason)| {
             let reason = format!("cannot list the folder: {reason}");
             quarantine_row(folder, "", String::new(), Rejected::read("E-IO", reason))
         });
         let rejected: Vec<QuarantineRow> = unlisted.collect();
+        let unlisted = listing.unlisted.into_iter().map(|(folder, _)| folder);
+        let unlisted = unlisted.collect();
+        let sources = listing
+            .files
+            .iter()
+            .filter_map(|(relative, place)| Some((relative.clone(), by_place.get(place)?.clone())));
+        let sources = sources.collect();
         let files = Files::on(store, listing.files);
-        let sources = hash_sources(&files, progress);
         let mut plan = Self {
             folder_labels: FolderLabels::read(&files),
             refused_splits: Vec::new(),
             releases: find_releases(&files, options.humanml3d_index.as_deref())?,
             files,
             sources,
+            labels,
             items: Vec::new(),
             skipped,
-            num_unlisted: rejected.len(),
             rejected,
+            unlisted,
+            staying: BTreeSet::new(),
             remarks: Vec::new(),
         };
         let claimed = plan.take_releases(options);
         plan.take_single_files(&claimed, options);
+        plan.note_inputs(&claimed);
+        plan.identify(recorded, same_settings);
         plan.take_labels();
         plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
         }
+        plan.assign_splits(recorded, options.seed);
         Ok(plan)
+    }
+
+    /// Notes a file without a motion.
+    fn skip(&mut self, path: &str, reason: String) {
+        self.skipped.push(SkippedRow {
+            path: path.to_owned(),
+            source_hash: source_hash(&self.sources, path),
+            inputs_hash: String::new(),
+            reason,
+        });
     }
 
     /// Plans the motions of the releases, and returns the files that are theirs.
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
-        let mut taken = BTreeSet::new();
+        let mut passed_over = Vec::new();
         for (index, (format, release)) in self.releases.iter().enumerate() {
             let (format, release) = (*format, release.contents());
-            let prefix = prefix_of(format, &release.entries, &taken);
-            let ids = release.entries.iter();
-            taken.extend(ids.map(|entry| format!("{prefix}{}", entry.id)));
             claimed.extend(release.entries.iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
                 let files: BTreeSet<&str> =
                     release.entries.iter().map(|e| e.file.as_str()).collect();
                 let reason = format!("{} file, not asked for", format.as_str());
-                *self.skipped.entry(reason).or_default() += files.len() as u64;
+                passed_over.extend(
+                    files
+                        .into_iter()
+                        .map(|file| (file.to_owned(), reason.clone())),
+                );
             } else {
                 let entries = release.entries.iter().cloned();
-                self.items.extend(entries.map(|entry| Planned {
-                    entry,
-                    format,
-                    release: Some(index),
-                    prefix: prefix.clone(),
-                    group: None,
-                    labelled_split: None,
-                    subject: None,
-                }));
+                self.items
+                    .extend(entries.map(|entry| Planned::new(entry, format, Some(index))));
                 self.remarks.extend(release.remarks.iter().cloned());
             }
             for (file, reason) in &release.passed_over {
@@ -190,7 +250,7 @@ impl Plan {
                 }
                 match unreadable(&self.sources, file) {
                     Some(row) => self.rejected.push(row),
-                    None => *self.skipped.entry(reason.clone()).or_default() += 1,
+                    None => passed_over.push((file.clone(), reason.clone())),
                 }
             }
             for (file, rejected) in &release.rejected {
@@ -201,11 +261,15 @@ impl Plan {
                 }
             }
         }
+        for (file, reason) in passed_over {
+            self.skip(&file, reason);
+        }
         claimed
     }
 
     /// Plans every file that no release claims.
     fn take_single_files(&mut self, claimed: &BTreeSet<String>, options: &IngestOptions) {
+        let mut skipped = Vec::new();
         for (relative, source) in &self.sources {
             if claimed.contains(relative) {
                 continue;
@@ -215,67 +279,70 @@ impl Plan {
                 self.rejected.push(row);
                 continue;
             }
+            let hash = || source.hash.clone().unwrap_or_default();
             if let Err(rejected) = refuse_pointer(&source.head) {
-                let hash = source.hash.clone().unwrap_or_default();
-                let row = quarantine_row(relative, "", hash, rejected);
-                self.rejected.push(row);
+                self.rejected
+                    .push(quarantine_row(relative, "", hash(), rejected));
                 continue;
             }
             let format = match recognise(Path::new(relative), &source.head) {
                 Recognised::Motion(format) => format,
                 Recognised::NotMotion { reason } => {
-                    *self.skipped.entry(reason).or_default() += 1;
+                    skipped.push((relative.clone(), reason));
                     continue;
                 }
             };
             if options.format.is_some_and(|only| only != format) {
                 let reason = format!("{} file, not asked for", format.as_str());
-                *self.skipped.entry(reason).or_default() += 1;
+                skipped.push((relative.clone(), reason));
                 continue;
             }
-            for key in keys_of(format, &source.path) {
-                self.items.push(Planned {
-                    entry: Entry {
-                        file: relative.clone(),
-                        id: String::new(),
-                        key,
-                        split: None,
-                        group: None,
-                        mirrored_of: None,
-                    },
-                    format,
-                    release: None,
-                    prefix: String::new(),
-                    group: None,
-                    labelled_split: None,
-                    subject: None,
-                });
-            }
-        }
-        // Files that differ only in their extension keep it in their id.
-        let mut seen = BTreeSet::new();
-        let mut twice = BTreeSet::new();
-        let single = |item: &&Planned| item.release.is_none();
-        for item in self.items.iter().filter(single) {
-            if seen.insert(item.entry.file.clone()) {
-                let stem = without_extension(&item.entry.file).to_owned();
-                if !seen.insert(stem.clone()) {
-                    twice.insert(stem);
+            let keys = match keys_of(format, &self.files, relative) {
+                Ok(keys) => keys,
+                Err(rejected) => {
+                    self.rejected
+                        .push(quarantine_row(relative, "", hash(), rejected));
+                    continue;
                 }
+            };
+            for key in keys {
+                let entry = Entry {
+                    file: relative.clone(),
+                    id: String::new(),
+                    key,
+                    split: None,
+                    group: None,
+                    mirrored_of: None,
+                };
+                self.items.push(Planned::new(entry, format, None));
             }
         }
-        for item in self.items.iter_mut().filter(|item| item.release.is_none()) {
-            let entry = &mut item.entry;
-            let stem = without_extension(&entry.file);
-            let name = if twice.contains(stem) {
-                &entry.file
-            } else {
-                stem
-            };
-            entry.id = match entry.key.as_str() {
-                "" => name.to_owned(),
-                key => format!("{name}#{key}"),
-            };
+        for (file, reason) in skipped {
+            self.skip(&file, reason);
+        }
+    }
+
+    /// Notes what every motion is read from.
+    fn note_inputs(&mut self, claimed: &BTreeSet<String>) {
+        let single = self.items.iter().filter(|item| item.release.is_none());
+        let motions: BTreeSet<&str> = single.map(|item| item.entry.file.as_str()).collect();
+        let others = self.sources.keys().map(String::as_str);
+        let others = others.filter(|file| !claimed.contains(*file) && !motions.contains(file));
+        let of_file = inputs::of_single_files(&motions, &others.collect(), &self.sources);
+        let of_release = self.releases.iter();
+        let mut of_release: Vec<_> = of_release
+            .map(|(_, release)| inputs::of_release(release.contents(), &self.sources).into_iter())
+            .collect();
+        let hashes: Vec<String> = self
+            .items
+            .iter()
+            .map(|item| match item.release {
+                Some(release) => of_release[release].next().unwrap_or_default(),
+                None => of_file[item.entry.file.as_str()].clone(),
+            })
+            .collect();
+        for (item, inputs) in self.items.iter_mut().zip(hashes) {
+            item.inputs = inputs;
         }
     }
 
@@ -287,6 +354,7 @@ impl Plan {
             files,
             items,
             folder_labels,
+            labels: sources,
             ..
         } = self;
         let unreadable: Vec<Option<Rejected>> = items
@@ -312,15 +380,22 @@ impl Plan {
                     };
                 let stated = labels::stated(Path::new(file), Some(&companions), &around);
                 let styled = stated.action.zip(stated.style);
-                item.group = styled.map(|(action, style)| style_group(file, &action, &style));
+                item.group = styled.map(|(action, style)| style_group(unlabelled(sources, file), &action, &style));
                 (item.labelled_split, item.subject) = (stated.split, stated.subject);
                 failed.into_inner().or(around.failed)
             })
             .collect();
         let mut unreadable = unreadable.into_iter();
         let (sources, rejected) = (&self.sources, &mut self.rejected);
+        let (remarks, staying) = (&mut self.remarks, &mut self.staying);
         self.items.retain(|item| match unreadable.next().flatten() {
             None => true,
+            // A clip that the dataset has stays as it is.
+            Some(reason) if item.known.is_some() => {
+                remarks.push(format!("{} stays as it was: {}", item.id, reason.reason));
+                staying.insert(item.entry.file.clone());
+                false
+            }
             Some(reason) => {
                 let Entry { file, key, .. } = &item.entry;
                 let row = quarantine_row(file, key, source_hash(sources, file), reason);
@@ -359,8 +434,7 @@ impl Plan {
             );
         }
         for item in &mut self.items {
-            let own = stated.get(&item.clip()).copied();
-            item.entry.split = own.or(item.entry.split);
+            item.own_split = stated.get(&item.clip()).copied();
         }
     }
 
@@ -370,7 +444,7 @@ impl Plan {
         let clips: BTreeMap<String, String> = self
             .items
             .iter()
-            .map(|item| (item.full_id(), item.clip()))
+            .map(|item| (item.id.clone(), item.clip()))
             .collect();
         let clip_of = |name| names_of(name).find_map(|name| clips.get(name).map(String::as_str));
         let pairs = list.clips().filter_map(|(styled, original)| {
@@ -382,49 +456,36 @@ impl Plan {
         let mut deciding: BTreeMap<&str, (Option<Split>, String)> = BTreeMap::new();
         for item in &self.items {
             if let Some(&clip) = wanted.get(item.clip().as_str()) {
-                let key = || (None, item.split_key());
+                let key = || (None, self.split_key(item));
                 let (split, _) = deciding.entry(clip).or_insert_with(key);
-                *split = split.or(item.entry.split);
+                *split = split.or(item.own_split).or(item.entry.split);
             }
         }
-        for item in &mut self.items {
+        let mut items = self.items.clone();
+        for item in &mut items {
             let original = originals.get(item.clip().as_str());
             if let Some((split, key)) = original.and_then(|original| deciding.get(original)) {
                 item.entry.split = item.entry.split.or(*split);
                 item.group = Some(key.clone());
             }
         }
+        self.items = items;
     }
 
     /// Source items: motions, and files without one.
     pub(super) fn num_items(&self) -> u64 {
-        let skipped: u64 = self.skipped.values().sum();
-        self.items.len() as u64 + self.rejected.len() as u64 + skipped
+        (self.items.len() + self.rejected.len() + self.skipped.len()) as u64
     }
 
-    pub(super) fn hash(&self, options: &IngestOptions) -> String {
+    /// Hash of everything that decides about the rows of this run.
+    pub(super) fn hash(&self, settings: &Settings, options: &IngestOptions, base: u64) -> String {
         let mut hasher = blake3::Hasher::new();
-        let settings = format!(
-            "{INGEST_VERSION} {SCHEMA_VERSION} {} {:?} {:?} {:?} {} {:?} {:?} {:?} {}",
-            options.made_captions,
-            options.fps.map(Fps::get),
-            options.resample,
-            options.format,
-            options.seed.0,
-            options.license,
-            options.read,
-            options.teleports,
-            if options.humanml3d_features {
-                humanml3d::RECIPE
-            } else {
-                ""
-            },
-        );
         let mut take = |part: &str| {
             hasher.update(&(part.len() as u64).to_le_bytes());
             hasher.update(part.as_bytes());
         };
-        take(&settings);
+        take(&settings.text());
+        take(&base.to_string());
         for (relative, source) in &self.sources {
             take(relative);
             take(source.hash.as_deref().unwrap_or(""));
@@ -436,11 +497,9 @@ impl Plan {
             take(&item.entry.key);
             take(&item.prefix);
             take(&item.entry.id);
-            take(item.entry.split.map_or("", Split::as_str));
-            // Datasets without styles keep the plans they had before there were groups.
-            if let Some(group) = &item.group {
-                take(group);
-            }
+            take(&item.id);
+            take(item.split.as_str());
+            take(if item.is_kept { "kept" } else { "" });
         }
         if let Some(list) = &options.pairs {
             take(list.hash());
@@ -448,46 +507,36 @@ impl Plan {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Whether the finished run of this plan failed to read a file that is readable now, so that the plan
-    /// must run again.
-    pub(super) fn may_read_more_now(&self, transaction: &Transaction) -> bool {
-        let Some(base) = transaction.base() else {
-            return false;
-        };
-        let failed = base.accounting.codes.get("E-IO").copied().unwrap_or(0);
-        let unreadable = self.sources.values().filter(|source| source.hash.is_err());
-        failed > (unreadable.count() + self.num_unlisted) as u64
-    }
-
-    /// Deals the motions into shards by split.
-    pub(super) fn shards(&self, options: &IngestOptions) -> Shards<'_> {
+    /// Deals the motions that are read into shards by split. `before` is the number of shards of a split that
+    /// are written before them.
+    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
         let mut by_split: BTreeMap<Split, Vec<Item>> = BTreeMap::new();
         let mut seen = BTreeSet::new();
         for planned in &self.items {
-            let entry = &planned.entry;
-            let full_id = planned.full_id();
-            let id = MotionId::parse(&full_id)
+            let id = MotionId::parse(&planned.id)
                 .map_err(|error| error.to_string())
-                .and_then(|id| match seen.insert(full_id) {
+                .and_then(|id| match seen.insert(&planned.id) {
                     true => Ok(id),
                     false => Err(format!("another motion has the id {id} already")),
                 });
-            let split = entry
-                .split
-                .unwrap_or_else(|| Split::assign(&planned.split_key(), options.seed));
-            by_split.entry(split).or_default().push(Item {
-                entry,
+            if planned.is_kept {
+                continue;
+            }
+            by_split.entry(planned.split).or_default().push(Item {
+                entry: &planned.entry,
                 prefix: &planned.prefix,
+                inputs: &planned.inputs,
                 format: planned.format,
                 release: planned.release,
-                split,
+                split: planned.split,
                 id,
             });
         }
         let mut shards = Vec::new();
         for (split, mut items) in by_split {
-            let of = items.len().div_ceil(SHARD_SOURCES);
-            for index in 0..of {
+            let first = before.get(&split).copied().unwrap_or(0);
+            let of = first + items.len().div_ceil(SHARD_SOURCES);
+            for index in first..of {
                 let rest = items.split_off(items.len().min(SHARD_SOURCES));
                 let name = ShardName {
                     table: MotionRow::TABLE,
@@ -502,17 +551,43 @@ impl Plan {
     }
 }
 
-/// Keys of the motions of a single file. The key is empty if the file holds one motion or cannot be
-/// read; the reader then reports the error.
-fn keys_of(format: Format, path: &Path) -> Vec<String> {
+/// The path of a file without the label of its source.
+pub(super) fn unlabelled<'a>(sources: &[(SourceLabel, bool)], file: &'a str) -> &'a str {
+    let below = sources.iter().filter_map(|(source, _)| sources::below(&source.label, file));
+    below.min_by_key(|name| name.len()).unwrap_or(file)
+}
+
+/// Keys of the motions of a single file. The key is empty if the file holds one motion or is damaged; the
+/// reader then reports the error.
+fn keys_of(format: Format, files: &Files, relative: &str) -> Result<Vec<String>, Rejected> {
     let whole = || vec![String::new()];
     if !format.may_hold_several() {
-        return whole();
+        return Ok(whole());
     }
-    let bytes = fs::read(path).unwrap_or_default();
+    bounded_length(files, relative)?;
+    let bytes = files.read(relative)?;
     let keys = std::panic::catch_unwind(AssertUnwindSafe(|| format.keys(&bytes)));
     let keys = keys.unwrap_or_default();
-    if keys.is_empty() { whole() } else { keys }
+    Ok(if keys.is_empty() { whole() } else { keys })
+}
+
+/// Limit on files that are read whole, in bytes. Releases with many motions in a file have their own
+/// limits.
+const MAX_FILE_LEN: u64 = 4 << 30;
+
+/// Length of a file that is read whole, in bytes.
+pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rejected> {
+    let length = files
+        .path(relative)
+        .and_then(|path| fs::metadata(path).ok())
+        .map_or(0, |metadata| metadata.len());
+    if length > MAX_FILE_LEN {
+        return Err(Rejected::read(
+            "E-TOO-LARGE",
+            format!("found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"),
+        ));
+    }
+    Ok(usize::try_from(length).unwrap_or(usize::MAX))
 }
 
 pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) -> String {
@@ -527,29 +602,10 @@ fn unreadable(sources: &BTreeMap<String, Source>, relative: &str) -> Option<Quar
     Some(quarantine_row(relative, "", String::new(), rejected))
 }
 
-fn without_extension(relative: &str) -> &str {
+pub(super) fn without_extension(relative: &str) -> &str {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     match relative[name_start..].rfind('.') {
         Some(dot) if dot > 0 => &relative[..name_start + dot],
         _ => relative,
     }
-}
-
-/// Id prefix that keeps a release's ids unique: empty, its format, or its format and a number.
-fn prefix_of(format: Format, entries: &[Entry], taken: &BTreeSet<String>) -> String {
-    let name = format.as_str();
-    let mut prefix = String::new();
-    let mut number = 1;
-    let is_taken = |prefix: &str| {
-        let mut ids = entries.iter();
-        ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
-    };
-    while is_taken(&prefix) {
-        prefix = match number {
-            1 => format!("{name}/"),
-            _ => format!("{name}-{number}/"),
-        };
-        number += 1;
-    }
-    prefix
 }

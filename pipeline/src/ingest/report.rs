@@ -5,10 +5,11 @@ use std::path::Path;
 
 use datasets_spec::license;
 use datasets_spec::manifest::{Accounting, FileEntry};
-use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 
+use super::growth::{Growth, Outside};
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
 use super::plan::{Plan, Shards};
 use super::shard::ShardNotes;
@@ -45,6 +46,8 @@ pub struct IngestReport {
     pub resumed_shards: usize,
     /// Whether the dataset was already complete and nothing was done.
     pub already_complete: bool,
+    /// What became of the clips and labels that were there; none for a new dataset.
+    pub growth: Option<Growth>,
 }
 
 pub(super) fn already_complete(
@@ -78,9 +81,10 @@ pub(super) fn already_complete(
         files: plan.files.len() as u64,
         dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
         quarantine: dataset.read(None)?,
-        skipped: BTreeMap::new(),
+        skipped: counted(&dataset.read::<SkippedRow>(None)?),
         resumed_shards: 0,
         already_complete: true,
+        growth: None,
         dataset,
     })
 }
@@ -90,7 +94,9 @@ pub(super) fn already_complete(
 pub(super) struct Tally {
     pub(super) tables: BTreeMap<String, Vec<FileEntry>>,
     pub(super) quarantine: Vec<QuarantineRow>,
-    pub(super) skipped: BTreeMap<String, u64>,
+    pub(super) skipped: Vec<SkippedRow>,
+    /// Clips of the version before that stay, with their splits.
+    pub(super) staying: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
     pub(super) markers_only: u64,
     pub(super) pairs: Vec<PairRow>,
@@ -107,9 +113,7 @@ impl Tally {
         for (table, file) in notes.beside {
             self.tables.entry(table).or_default().push(file);
         }
-        for (reason, count) in notes.skipped {
-            *self.skipped.entry(reason).or_default() += count;
-        }
+        self.skipped.extend(notes.skipped);
         self.quarantine.extend(notes.quarantine);
         self.ingested.extend(notes.ingested);
         self.markers_only += notes.markers_only;
@@ -127,28 +131,35 @@ impl Tally {
         problems.into_iter().collect()
     }
 
-    pub(super) fn accounting(&self, num_items: u64) -> Accounting {
+    /// Counts of the source items: those of this run, and those of sources that are not of it.
+    pub(super) fn accounting(
+        &self,
+        num_items: u64,
+        outside: &Outside,
+        num_elsewhere: u64,
+    ) -> Accounting {
         let mut codes = BTreeMap::new();
-        for row in &self.quarantine {
+        for row in self.quarantine.iter().chain(&outside.quarantine) {
             *codes.entry(row.code.clone()).or_default() += 1;
         }
+        let [quarantined, skipped] = [outside.quarantine.len(), outside.skipped.len()];
         Accounting {
-            sources: num_items,
-            ingested: self.ingested.len() as u64 + self.markers_only,
-            quarantined: self.quarantine.len() as u64,
-            skipped: self.skipped.values().sum(),
+            sources: num_items + num_elsewhere + (quarantined + skipped) as u64,
+            ingested: (self.staying.len() + self.ingested.len()) as u64 + self.markers_only,
+            quarantined: (self.quarantine.len() + quarantined) as u64,
+            skipped: (self.skipped.len() + skipped) as u64,
             codes,
         }
     }
 
     /// The pairs whose motions are both in the dataset and in one split, and the number of the others.
     pub(super) fn pairs(&self, shards: &Shards) -> (Vec<PairRow>, u64) {
-        let splits = splits_of(shards);
+        let splits = self.splits(shards);
         let mut rows: Vec<PairRow> = Vec::new();
         for pair in &self.pairs {
             let ids = [pair.source_id.as_str(), pair.target_id.as_str()];
             let [source, target] = ids.map(|id| splits.get(id));
-            if ids.iter().all(|id| self.ingested.contains(*id)) && source == target {
+            if source.is_some() && source == target {
                 rows.push(pair.clone());
             }
         }
@@ -167,37 +178,45 @@ impl Tally {
         let Some(list) = list else {
             return ListedPairs::default();
         };
-        let motions: BTreeMap<MotionId, Split> = splits_of(shards)
+        let motions: BTreeMap<MotionId, Split> = self
+            .splits(shards)
             .into_iter()
-            .filter(|(id, _)| self.ingested.contains(*id))
             .filter_map(|(id, split)| Some((MotionId::parse(id).ok()?, split)))
             .collect();
         list.pairs(&motions, known)
     }
 
-    pub(super) fn masks(&self) -> Vec<MaskRow> {
-        let numbered = self.masks.iter().enumerate();
-        numbered
-            .map(|(number, mask)| MaskRow {
-                id: format!("{}/{number}", mask.id),
+    /// The masks that stay and those that came with clips of this run.
+    pub(super) fn masks(&self, mut masks: Vec<MaskRow>) -> Vec<MaskRow> {
+        let mut taken: BTreeSet<String> = masks.iter().map(|mask| mask.id.clone()).collect();
+        for (number, mask) in self.masks.iter().enumerate() {
+            let mut numbered = (number..).map(|number| format!("{}/{number}", mask.id));
+            let id = numbered.find(|id| taken.insert(id.clone()));
+            masks.push(MaskRow {
+                id: id.expect("numbers do not end"),
                 ..mask.clone()
-            })
+            });
+        }
+        masks
+    }
+
+    /// The motions of the dataset and their splits.
+    pub(super) fn splits<'a>(&'a self, shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
+        let staying = self.staying.iter();
+        let made = shards.iter().flat_map(|(_, items)| items);
+        let made = made.filter_map(|item| Some((item.id.as_ref().ok()?.as_str(), item.split)));
+        staying
+            .map(|(id, split)| (id.as_str(), *split))
+            .chain(made.filter(|(id, _)| self.ingested.contains(*id)))
             .collect()
     }
 }
 
-pub(super) fn splits_of<'a>(shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
-    shards
-        .iter()
-        .flat_map(|(_, items)| items)
-        .filter_map(|item| Some((item.id.as_ref().ok()?.as_str(), item.split)))
-        .collect()
-}
-
-pub(super) fn describe(skipped: &BTreeMap<String, u64>) -> String {
-    let parts: Vec<String> = skipped
-        .iter()
-        .map(|(reason, count)| format!("{count} {reason}"))
-        .collect();
-    parts.join("; ")
+/// Number of skipped items by reason.
+pub(super) fn counted(skipped: &[SkippedRow]) -> BTreeMap<String, u64> {
+    let mut counts = BTreeMap::new();
+    for row in skipped {
+        *counts.entry(row.reason.clone()).or_default() += 1;
+    }
+    counts
 }

@@ -152,7 +152,7 @@ pub(super) fn clip_rows(
             .collect(),
         captions: [clip.captions, clip.made_captions].concat(),
         subject: clip.subject,
-        inputs_hash: String::new(),
+        inputs_hash: item.inputs.to_owned(),
         part_captions: clip.part_captions,
         action: clip.action,
         style: clip.style,

@@ -1,36 +1,30 @@
 //! Making a shard: reading its items and writing their rows.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use datasets_spec::dataset::ShardName;
 use datasets_spec::manifest::FileEntry;
-use datasets_spec::record::{MarkerRow, MaskRow, PairRow, QuarantineRow};
+use datasets_spec::record::{MarkerRow, MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Progress, Transaction};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::list::quarantine_row;
+use super::list::{path_of, quarantine_row};
 use super::options::IngestOptions;
-use super::plan::{Item, Plan, source_hash};
+use super::plan::{Item, Plan, bounded_length, source_hash};
 use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row};
 use crate::Error;
 use crate::clip::{LabelProblem, Outcome, Rejected};
 use crate::source::labels::{self, ClipLabels};
 use crate::source::{Entry, ReadOptions, label, name_of_text, read_clip};
 
-/// Limit on files that are read whole, in bytes. Releases with many motions in a file have their own
-/// limits.
-const MAX_FILE_LEN: u64 = 4 << 30;
-
 /// Data of a shard for the commit, beside its file.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct ShardNotes {
     pub(super) quarantine: Vec<QuarantineRow>,
-    pub(super) skipped: BTreeMap<String, u64>,
+    pub(super) skipped: Vec<SkippedRow>,
     /// Files of other tables that were written with the shard.
     pub(super) beside: Vec<(String, FileEntry)>,
     /// Items that have only a row of `markers`.
@@ -103,7 +97,7 @@ impl Plan {
                     notes.markers_only += 1;
                     marker_rows.push(*row);
                 }
-                Done::Skipped(reason) => *notes.skipped.entry(reason).or_default() += 1,
+                Done::Skipped(reason) => notes.skipped.push(self.skipped_row(item, reason)),
                 Done::Rejected(rejection) => notes.quarantine.push(rejection),
             }
         }
@@ -132,7 +126,19 @@ impl Plan {
         };
         let entry = item.entry;
         let hash = source_hash(&self.sources, &entry.file);
-        Done::Rejected(quarantine_row(&entry.file, &entry.key, hash, rejected))
+        Done::Rejected(QuarantineRow {
+            inputs_hash: item.inputs.to_owned(),
+            ..quarantine_row(&entry.file, &entry.key, hash, rejected)
+        })
+    }
+
+    fn skipped_row(&self, item: &Item, reason: String) -> SkippedRow {
+        SkippedRow {
+            path: path_of(&item.entry.file, &item.entry.key),
+            source_hash: source_hash(&self.sources, &item.entry.file),
+            inputs_hash: item.inputs.to_owned(),
+            reason,
+        }
     }
 
     fn read_checked(&self, item: &Item, options: &IngestOptions) -> Result<Done, Rejected> {
@@ -203,7 +209,7 @@ impl Plan {
     ) -> Result<Outcome, Rejected> {
         let Entry { file, key, .. } = item.entry;
         let path = Path::new(file);
-        let length = self.bounded_length(file)?;
+        let length = bounded_length(&self.files, file)?;
         let mut opened = self.files.open(file)?;
         if let Some(outcome) = item.format.read_in_pieces(&mut *opened, length, options) {
             return Ok(label(outcome, path, companions, around));
@@ -218,21 +224,6 @@ impl Plan {
             around,
             options,
         ))
-    }
-
-    fn bounded_length(&self, relative: &str) -> Result<usize, Rejected> {
-        let length = self
-            .files
-            .path(relative)
-            .and_then(|path| fs::metadata(path).ok())
-            .map_or(0, |metadata| metadata.len());
-        if length > MAX_FILE_LEN {
-            return Err(Rejected::read(
-                "E-TOO-LARGE",
-                format!("found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"),
-            ));
-        }
-        Ok(usize::try_from(length).unwrap_or(usize::MAX))
     }
 }
 

@@ -82,6 +82,15 @@ impl SplitList {
         list
     }
 
+    /// BLAKE3 of the lines, hexadecimal.
+    pub(super) fn hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        for line in &self.lines {
+            hasher.update(format!("{:?} {}\n", line.name, line.split).as_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
     /// The first line that names a clip by one of its names.
     pub(super) fn line_of(&self, names: &BTreeSet<String>) -> Option<usize> {
         let exact = names.iter().filter_map(|name| self.exact.get(name)).min();

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use datasets_spec::Joint;
 use glam::DVec3;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A joint map written by a user, as JSON:
 ///
@@ -27,7 +27,7 @@ pub struct UserMap {
 }
 
 /// The up axis of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Up {
     #[serde(rename = "x")]
     X,
@@ -58,7 +58,7 @@ impl Up {
 }
 
 /// The pose in which a source stands upright.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum RestPose {
     /// All rotations zero, or the bind pose.
@@ -105,6 +105,22 @@ struct File {
 }
 
 impl UserMap {
+    /// BLAKE3 of the map, hexadecimal.
+    pub(crate) fn hash(&self) -> String {
+        let Self {
+            name,
+            joints,
+            unit,
+            up,
+            rest,
+        } = self;
+        let joints = joints.iter().map(|(joint, name)| (joint.name(), name));
+        let joints: BTreeMap<&str, &String> = joints.collect();
+        let text = serde_json::to_string(&(name, joints, unit, up, rest));
+        let text = text.expect("names and numbers serialise");
+        blake3::hash(text.as_bytes()).to_hex().to_string()
+    }
+
     /// Parses the JSON text of a map.
     ///
     /// # Errors

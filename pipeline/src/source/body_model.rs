@@ -172,6 +172,11 @@ impl std::fmt::Debug for Subjects {
 }
 
 impl Subjects {
+    /// BLAKE3 of the models, hexadecimal.
+    pub(crate) fn hash(&self) -> &str {
+        &self.hash
+    }
+
     /// Reads the models for both genders below a folder: npz files that are called by the gender, or
     /// lie in a folder that is, as in `smplh/female/model.npz` and `SMPLX_MALE.npz`.
     ///

@@ -1,0 +1,362 @@
+//! Ids and splits of motions. Both are kept once they were given.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::{MotionId, Seed, Split};
+
+use super::list::path_of;
+use super::plan::{Plan, Planned, unlabelled, without_extension};
+use super::recorded::{Recorded, RecordedClip};
+use crate::source::{Entry, Format};
+
+impl Plan {
+    /// Finds the motions that the dataset has, and gives the others ids.
+    ///
+    /// A motion is the clip that was read from the same path, else one whose file had the same content
+    /// and is no longer where it was. Motions that the dataset quarantined or skipped are so again while
+    /// nothing they are read from has changed.
+    pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
+        // A clip whose file cannot be read now stays as it is.
+        let (sources, remarks) = (&self.sources, &mut self.remarks);
+        self.rejected.retain(|row| {
+            let unreadable = sources
+                .get(&row.path)
+                .is_some_and(|source| source.hash.is_err());
+            let stays = unreadable && recorded.clips.iter().any(|clip| clip.path == row.path);
+            if stays {
+                remarks.push(format!("{} stays as it was: {}", row.path, row.reason));
+            }
+            !stays
+        });
+        let mut items = std::mem::take(&mut self.items);
+        if same_settings {
+            items.retain(|item| !self.was_refused(item, recorded));
+        }
+        self.recognise(&mut items, recorded, same_settings);
+        let known = recorded.clips.iter();
+        let mut taken: BTreeSet<String> = known.map(|clip| clip.id.to_string()).collect();
+        self.name_releases(&mut items, &mut taken);
+        name_single_files(&mut items, &taken);
+        self.items = items;
+    }
+
+    /// Takes over the row of an item that was quarantined or skipped and has not changed.
+    fn was_refused(&mut self, item: &Planned, recorded: &Recorded) -> bool {
+        let path = path_of(&item.entry.file, &item.entry.key);
+        let quarantined = recorded.quarantine.iter().find(|row| {
+            // What could not be read may be readable now.
+            row.path == path && row.inputs_hash == item.inputs && row.code != "E-IO"
+        });
+        let skipped = recorded.skipped.iter();
+        let skipped = skipped
+            .clone()
+            .find(|row| row.path == path && row.inputs_hash == item.inputs);
+        self.rejected.extend(quarantined.cloned());
+        self.skipped.extend(skipped.cloned());
+        quarantined.is_some() || skipped.is_some()
+    }
+
+    fn recognise(&self, items: &mut [Planned], recorded: &Recorded, same_settings: bool) {
+        let mut by_path: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        let mut by_hash: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, clip) in recorded.clips.iter().enumerate() {
+            by_path.entry(&clip.path).or_default().push(index);
+            by_hash.entry(&clip.hash).or_default().push(index);
+        }
+        let mut claimed = BTreeSet::new();
+        let mut claim = |item: &mut Planned, candidates: Option<&Vec<usize>>, moved: bool| {
+            let found = candidates.into_iter().flatten().copied().find(|&index| {
+                let clip = &recorded.clips[index];
+                is_same_motion(item, clip)
+                    && !(moved && self.sources.contains_key(&clip.path))
+                    && claimed.insert(index)
+            });
+            let Some(index) = found else { return };
+            let clip = &recorded.clips[index];
+            item.known = Some(index);
+            item.is_kept = same_settings && !moved && self.is_unchanged(item, clip);
+            item.id = clip.id.to_string();
+            if item.release.is_some() {
+                let prefix = item.id.strip_suffix(&item.entry.id);
+                item.prefix = prefix.unwrap_or("").to_owned();
+            } else {
+                item.entry.id.clone_from(&item.id);
+            }
+        };
+        for item in items.iter_mut() {
+            let candidates = by_path.get(item.entry.file.as_str());
+            claim(item, candidates, false);
+        }
+        for item in items.iter_mut().filter(|item| item.known.is_none()) {
+            let hash = self.hash_of(item);
+            let candidates = by_hash.get(hash).filter(|_| !hash.is_empty());
+            claim(item, candidates, true);
+        }
+    }
+
+    fn is_unchanged(&self, item: &Planned, clip: &RecordedClip) -> bool {
+        if clip.has_motion() {
+            item.inputs == clip.inputs
+        } else {
+            self.hash_of(item) == clip.hash
+        }
+    }
+
+    pub(super) fn hash_of(&self, item: &Planned) -> &str {
+        let source = self.sources.get(&item.entry.file);
+        source
+            .and_then(|source| source.hash.as_deref().ok())
+            .unwrap_or("")
+    }
+
+    /// Gives the new motions of releases their ids.
+    fn name_releases(&self, items: &mut [Planned], taken: &mut BTreeSet<String>) {
+        for (index, (format, release)) in self.releases.iter().enumerate() {
+            let own = |item: &&mut Planned| item.release == Some(index);
+            let known = items
+                .iter()
+                .find(|item| item.release == Some(index) && item.known.is_some());
+            let prefix = match known {
+                Some(known) => known.prefix.clone(),
+                None => prefix_of(*format, &release.contents().entries, taken),
+            };
+            for item in items
+                .iter_mut()
+                .filter(own)
+                .filter(|item| item.known.is_none())
+            {
+                item.prefix.clone_from(&prefix);
+                item.id = format!("{prefix}{}", item.entry.id);
+            }
+            let ids = items.iter().filter(|item| item.release == Some(index));
+            taken.extend(ids.map(|item| item.id.clone()));
+        }
+    }
+
+    /// Draws or takes over the split of every motion.
+    ///
+    /// The user's own lists and labels decide first; then a clip keeps the split it has, then that of a
+    /// published list. Motions of one group, and those
+    /// whose files are equal, share a split: that of the first of them that has one, else the one drawn
+    /// from the smallest of their keys. A key depends on neither the label of the source nor the files
+    /// beside it, so that growth cannot change it.
+    pub(super) fn assign_splits(&mut self, recorded: &Recorded, seed: Seed) {
+        let mut groups = Groups::default();
+        let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
+        for clip in &recorded.clips {
+            let split = of_content
+                .entry((&clip.hash, key_of(&clip.id)))
+                .or_default();
+            split.get_or_insert(clip.split);
+        }
+        let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+        let keys: Vec<usize> = self
+            .items
+            .iter()
+            .map(|item| {
+                let key = groups.key(&self.split_key(item));
+                let hash = self.hash_of(item);
+                let motion = match item.release {
+                    Some(_) => item.entry.id.as_str(),
+                    None => item.entry.key.as_str(),
+                };
+                if !hash.is_empty() {
+                    let first = *first_key.entry((hash, motion)).or_insert(key);
+                    groups.unite(first, key);
+                }
+                key
+            })
+            .collect();
+        let mut given: BTreeMap<usize, Split> = BTreeMap::new();
+        let own = |item: &Planned| item.known.map(|index| recorded.clips[index].split);
+        let copied = |item: &Planned| {
+            let content = (self.hash_of(item), item.entry.key.as_str());
+            let single = item.release.is_none() && !content.0.is_empty();
+            single
+                .then(|| of_content.get(&content).copied().flatten())
+                .flatten()
+        };
+        let passes: [&dyn Fn(&Planned) -> Option<Split>; 4] =
+            [&|item| item.own_split, &own, &|item| item.entry.split, &copied];
+        for pass in passes {
+            for (item, key) in self.items.iter().zip(&keys) {
+                if let Some(split) = pass(item) {
+                    given.entry(groups.root(*key)).or_insert(split);
+                }
+            }
+        }
+        let splits: Vec<Split> = self
+            .items
+            .iter()
+            .zip(&keys)
+            .map(|(item, key)| {
+                let group = groups.root(*key);
+                item.own_split
+                    .or(own(item))
+                    .or(item.entry.split)
+                    .or(given.get(&group).copied())
+                    .unwrap_or_else(|| Split::assign(&groups.names[group], seed))
+            })
+            .collect();
+        for (item, split) in self.items.iter_mut().zip(splits) {
+            let before = item.known.map(|index| recorded.clips[index].split);
+            item.is_kept &= before.is_none_or(|before| before == split);
+            item.split = split;
+        }
+    }
+
+    /// Key of the drawn split, for clips without a published one.
+    pub(super) fn split_key(&self, item: &Planned) -> String {
+        if let Some(group) = item.group.as_ref().or(item.entry.group.as_ref()) {
+            return group.clone();
+        }
+        match item.release {
+            // Two releases of one clip share a split: the id prefix is left out.
+            Some(_) => {
+                let id = &item.entry.id;
+                MotionId::parse(id).map_or(id.clone(), |id| id.source_clip().to_owned())
+            }
+            None => escaped(without_extension(unlabelled(&self.labels, &item.entry.file))),
+        }
+    }
+}
+
+/// Whether a motion of a file is the one a clip was read from, if the file is.
+fn is_same_motion(item: &Planned, clip: &RecordedClip) -> bool {
+    let id = clip.id.as_str();
+    match item.release {
+        Some(_) => id
+            .strip_suffix(&item.entry.id)
+            .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
+        None => key_of(&clip.id) == item.entry.key,
+    }
+}
+
+/// The key of one of several motions of a file; empty if it holds one.
+fn key_of(id: &MotionId) -> &str {
+    id.as_str().split_once('#').map_or("", |(_, key)| key)
+}
+
+/// Gives the new motions of single files their ids: their path without its extension. Files that differ
+/// only in their extension keep it.
+fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
+    let mut files: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
+    for item in items.iter().filter(|item| item.release.is_none()) {
+        let file = item.entry.file.as_str();
+        files
+            .entry(escaped(without_extension(file)))
+            .or_default()
+            .insert(file);
+    }
+    let twice: BTreeSet<String> = files
+        .into_iter()
+        .filter(|(_, files)| files.len() > 1)
+        .map(|(stem, _)| stem)
+        .collect();
+    // A clip of another file may have the id.
+    let owners: BTreeSet<&str> = taken
+        .iter()
+        .map(|id| id.split_once('#').map_or(id.as_str(), |(name, _)| name))
+        .collect();
+    let mut own: BTreeMap<String, String> = BTreeMap::new();
+    for item in items
+        .iter()
+        .filter(|item| item.release.is_none() && item.known.is_some())
+    {
+        let name = item
+            .id
+            .split_once('#')
+            .map_or(item.id.as_str(), |(name, _)| name);
+        own.insert(item.entry.file.clone(), name.to_owned());
+    }
+    let new = items
+        .iter_mut()
+        .filter(|item| item.release.is_none() && item.known.is_none());
+    for item in new {
+        let file = &item.entry.file;
+        let stem = escaped(without_extension(file));
+        let is_free = |name: &String| !twice.contains(name) && !owners.contains(name.as_str());
+        let name = own.get(file).cloned().unwrap_or_else(|| {
+            if is_free(&stem) {
+                return stem.clone();
+            }
+            let whole = escaped(file);
+            let numbered = (2..).map(|number| format!("{whole}-{number}"));
+            let mut candidates = std::iter::once(whole.clone()).chain(numbered);
+            let free = candidates.find(|name| !owners.contains(name.as_str()));
+            free.expect("numbers do not end")
+        });
+        item.id = path_of(&name, &item.entry.key);
+        item.entry.id.clone_from(&item.id);
+    }
+}
+
+/// A path as part of an id, where `#`, `@` and a final `~m` begin what was made of a clip.
+fn escaped(path: &str) -> String {
+    let path = path
+        .replace('%', "%25")
+        .replace('#', "%23")
+        .replace('@', "%40");
+    match path.strip_suffix("~m") {
+        Some(rest) => format!("{rest}%7Em"),
+        None => path,
+    }
+}
+
+/// Keys, some of which are united.
+#[derive(Default)]
+struct Groups {
+    names: Vec<String>,
+    index: BTreeMap<String, usize>,
+    /// A key of the same group with a smaller name, or itself.
+    parents: Vec<usize>,
+}
+
+impl Groups {
+    fn key(&mut self, name: &str) -> usize {
+        if let Some(&key) = self.index.get(name) {
+            return key;
+        }
+        let key = self.names.len();
+        self.names.push(name.to_owned());
+        self.parents.push(key);
+        self.index.insert(name.to_owned(), key);
+        key
+    }
+
+    fn root(&self, mut key: usize) -> usize {
+        while self.parents[key] != key {
+            key = self.parents[key];
+        }
+        key
+    }
+
+    fn unite(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        let (smaller, larger) = if self.names[a] <= self.names[b] {
+            (a, b)
+        } else {
+            (b, a)
+        };
+        self.parents[larger] = smaller;
+    }
+}
+
+/// Id prefix that keeps a release's ids unique: empty, its format, or its format and a number.
+fn prefix_of(format: Format, entries: &[Entry], taken: &BTreeSet<String>) -> String {
+    let name = format.as_str();
+    let mut prefix = String::new();
+    let mut number = 1;
+    let is_taken = |prefix: &str| {
+        let mut ids = entries.iter();
+        ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
+    };
+    while is_taken(&prefix) {
+        prefix = match number {
+            1 => format!("{name}/"),
+            _ => format!("{name}-{number}/"),
+        };
+        number += 1;
+    }
+    prefix
+}

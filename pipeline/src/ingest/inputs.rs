@@ -1,0 +1,206 @@
+//! What a clip is read from: its file and the files that may say something about it. A clip is read again
+//! when one of them changes.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::list::Source;
+use crate::source::Contents;
+
+/// Files that speak of all clips in their folder and below, by the beginning of their names.
+const SPEAK_OF_ALL_BELOW: [&str; 6] = [
+    "stance.toml",
+    "captions.csv",
+    "license",
+    "licence",
+    "readme",
+    "copying",
+];
+
+/// Hashes of what single files are read from, by file. `motions` are the files with motions and `others`
+/// those without.
+///
+/// A file without a motion may say something about the motion with its name, else about all of its
+/// folder. One in a folder without motions belongs to the next folder above that has some.
+pub(super) fn of_single_files<'a>(
+    motions: &BTreeSet<&'a str>,
+    others: &BTreeSet<&'a str>,
+    sources: &BTreeMap<String, Source>,
+) -> BTreeMap<&'a str, String> {
+    let mut stems: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for file in motions {
+        let (folder, name) = split_name(file);
+        stems.entry(folder).or_default().insert(stem(name));
+    }
+    let mut of_stem: BTreeMap<(&str, &str), Vec<&str>> = BTreeMap::new();
+    let mut of_folder: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    let mut below: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for file in others {
+        let (folder, name) = split_name(file);
+        let lower = name.to_lowercase();
+        if SPEAK_OF_ALL_BELOW
+            .iter()
+            .any(|begin| lower.starts_with(begin))
+        {
+            below.entry(folder).or_default().push(file);
+            continue;
+        }
+        let own = stems.get(folder).and_then(|stems| {
+            let dots = name.match_indices('.').rev();
+            dots.map(|(dot, _)| &name[..dot])
+                .find(|stem| stems.contains(stem))
+        });
+        if let Some(own) = own {
+            of_stem.entry((folder, own)).or_default().push(file);
+        } else if let Some(folder) = above(folder).find(|folder| stems.contains_key(folder)) {
+            of_folder.entry(folder).or_default().push(file);
+        }
+    }
+    motions
+        .iter()
+        .map(|file| {
+            let (folder, name) = split_name(file);
+            let around = above(folder).filter_map(|folder| below.get(folder));
+            let files = std::iter::once(*file)
+                .chain(
+                    of_stem
+                        .get(&(folder, stem(name)))
+                        .into_iter()
+                        .flatten()
+                        .copied(),
+                )
+                .chain(of_folder.get(folder).into_iter().flatten().copied())
+                .chain(around.flatten().copied());
+            (*file, hash(files, sources))
+        })
+        .collect()
+}
+
+/// Hashes of what the motions of a release are read from, in the order of its entries: a file, those of
+/// the same name elsewhere in the release, and all that have the name of none.
+pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>) -> Vec<String> {
+    let motions: BTreeSet<&str> = contents.entries.iter().map(|e| e.file.as_str()).collect();
+    let stems: BTreeSet<&str> = motions
+        .iter()
+        .map(|file| stem(split_name(file).1))
+        .collect();
+    let passed_over = contents.passed_over.iter().map(|(file, _)| file.as_str());
+    let rejected = contents.rejected.iter().map(|(file, _)| file.as_str());
+    let mut of_stem: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    let mut of_all = Vec::new();
+    for file in passed_over.chain(rejected) {
+        let own = stem(split_name(file).1);
+        if stems.contains(own) {
+            of_stem.entry(own).or_default().push(file);
+        } else {
+            of_all.push(file);
+        }
+    }
+    let common = hash(of_all.into_iter(), sources);
+    let mut of_file: BTreeMap<&str, String> = BTreeMap::new();
+    for file in motions {
+        let own = of_stem.get(stem(split_name(file).1)).into_iter().flatten();
+        let own = hash(std::iter::once(file).chain(own.copied()), sources);
+        let both = blake3::hash(format!("{own} {common}").as_bytes());
+        of_file.insert(file, both.to_hex().to_string());
+    }
+    let entries = contents.entries.iter();
+    entries
+        .map(|entry| of_file[entry.file.as_str()].clone())
+        .collect()
+}
+
+/// A folder and those above it, to the root.
+fn above(folder: &str) -> impl Iterator<Item = &str> {
+    std::iter::successors(Some(folder), |folder| match *folder {
+        "" => None,
+        folder => Some(folder.rsplit_once('/').map_or("", |(above, _)| above)),
+    })
+}
+
+fn split_name(file: &str) -> (&str, &str) {
+    file.rsplit_once('/').unwrap_or(("", file))
+}
+
+fn stem(name: &str) -> &str {
+    match name.rfind('.') {
+        Some(dot) if dot > 0 => &name[..dot],
+        _ => name,
+    }
+}
+
+/// BLAKE3 over names and hashes of files.
+fn hash<'a>(files: impl Iterator<Item = &'a str>, sources: &BTreeMap<String, Source>) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for file in files {
+        let hash = sources
+            .get(file)
+            .and_then(|source| source.hash.as_deref().ok());
+        for part in [split_name(file).1, hash.unwrap_or("")] {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        }
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOTIONS: [&str; 3] = ["a/walk.bvh", "a/run.bvh", "b/walk.bvh"];
+
+    /// Files with motions whose inputs change when `changed` does.
+    fn depend_on(changed: &str, others: &[&str]) -> Vec<&'static str> {
+        let inputs = |content: &str| {
+            let source = |file: &&str| {
+                let source = Source {
+                    hash: Ok(if *file == changed {
+                        content
+                    } else {
+                        "as it was"
+                    }
+                    .to_owned()),
+                    head: Vec::new(),
+                };
+                ((*file).to_owned(), source)
+            };
+            let sources = MOTIONS.iter().chain(others).map(source).collect();
+            let others = others.iter().copied().collect();
+            of_single_files(&MOTIONS.into_iter().collect(), &others, &sources)
+                .into_values()
+                .collect::<Vec<String>>()
+        };
+        let mut motions = MOTIONS;
+        motions.sort_unstable();
+        let changed = std::iter::zip(inputs("before"), inputs("after"));
+        std::iter::zip(motions, changed)
+            .filter(|(_, (before, after))| before != after)
+            .map(|(file, _)| file)
+            .collect()
+    }
+
+    #[test]
+    fn a_file_speaks_of_its_namesake_its_folder_or_all_below() {
+        let others = [
+            "a/walk.stance.json",
+            "a/walk.txt",
+            "a/cfg/labels.txt",
+            "a/scene.bin",
+            "stance.toml",
+            "b/README.md",
+            "notes/list.txt",
+        ];
+        for (changed, expected) in [
+            ("a/walk.bvh", vec!["a/walk.bvh"]),
+            ("a/walk.stance.json", vec!["a/walk.bvh"]),
+            ("a/walk.txt", vec!["a/walk.bvh"]),
+            ("a/cfg/labels.txt", vec!["a/run.bvh", "a/walk.bvh"]),
+            ("a/scene.bin", vec!["a/run.bvh", "a/walk.bvh"]),
+            ("b/README.md", vec!["b/walk.bvh"]),
+            ("stance.toml", vec!["a/run.bvh", "a/walk.bvh", "b/walk.bvh"]),
+            ("notes/list.txt", vec![]),
+        ] {
+            assert_eq!(depend_on(changed, &others), expected, "{changed}");
+        }
+    }
+}

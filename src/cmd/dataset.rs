@@ -1,0 +1,141 @@
+//! `stance dataset`
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Subcommand;
+use datasets_spec::Transaction;
+use pipeline::merge::{Merged, merge};
+use serde::Serialize;
+
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Merge two datasets, or remove versions that are no longer needed.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Merge(Merge),
+    Prune(Prune),
+}
+
+/// Merge two datasets into a new one.
+///
+/// Clips of the first keep their ids, splits, masks and pairs. A clip of the second that the first has
+/// too is taken once; one whose id is taken by another motion gets the name of its dataset before it;
+/// one that is equal to a clip of the first goes into that clip's split.
+#[derive(clap::Args, Debug)]
+struct Merge {
+    /// Dataset folder whose clips keep their ids and splits
+    first: PathBuf,
+    /// Dataset folder to add
+    second: PathBuf,
+    /// Folder of the new dataset
+    #[arg(long)]
+    out: PathBuf,
+}
+
+/// Remove old versions of a dataset, and the files that only they name.
+///
+/// Every change of a dataset leaves the version before in place. Nothing else removes versions.
+#[derive(clap::Args, Debug)]
+struct Prune {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Number of newest versions to keep
+    #[arg(long, default_value = "1")]
+    keep: NonZeroUsize,
+    /// Only say what would be removed
+    #[arg(long)]
+    dry_run: bool,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    match &args.what {
+        What::Merge(args) => merged(args, global),
+        What::Prune(args) => pruned(args, global),
+    }
+}
+
+fn merged(args: &Merge, global: &Global) -> anyhow::Result<Exit> {
+    let done = merge(
+        &args.first,
+        &args.second,
+        &args.out,
+        &global.holder(),
+        &global.bars(),
+    )
+    .with_context(|| {
+        format!(
+            "cannot merge {} and {}",
+            args.first.display(),
+            args.second.display()
+        )
+    })?;
+    if global.json {
+        report::json(&done)?;
+    } else {
+        report::text(&summary(&done));
+    }
+    Ok(Exit::Done)
+}
+
+fn summary(done: &Merged) -> String {
+    let mut text = format!(
+        "{} clips; of the second dataset {} are in both, {} have a new id, {} a new split\n",
+        done.clips,
+        done.shared.len(),
+        done.renamed.len(),
+        done.moved.len()
+    );
+    for (from, to) in &done.renamed {
+        text += &format!("  {from} is {to}\n");
+    }
+    for (id, split) in &done.moved {
+        text += &format!("  {id} is in {split}\n");
+    }
+    for id in &done.dropped_labels {
+        text += &format!("  pair {id} was dropped: its motions are in two splits now\n");
+    }
+    text + &format!("root hash {}\n", done.root_hash)
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document {
+    versions: Vec<u64>,
+    files: u64,
+    bytes: u64,
+    dry_run: bool,
+}
+
+fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
+    // Locking would make the folder.
+    datasets_spec::Dataset::open_unverified(&args.dataset)?;
+    let transaction = Transaction::begin(&args.dataset, &global.holder())?;
+    let done = transaction.prune(args.keep.get(), args.dry_run)?;
+    if global.json {
+        report::json(&Document {
+            versions: done.versions,
+            files: done.files,
+            bytes: done.bytes,
+            dry_run: args.dry_run,
+        })?;
+    } else {
+        let removed = if args.dry_run { "to remove" } else { "removed" };
+        report::text(&format!(
+            "{} versions and {} files {removed}, {:.1} MB\n",
+            done.versions.len(),
+            done.files,
+            done.bytes as f64 / 1e6
+        ));
+    }
+    Ok(Exit::Done)
+}
