@@ -76,8 +76,8 @@ pub enum Error {
     },
     /// Automatic masks would replace masks that people have judged.
     #[error(
-        "{} holds {count} masks judged by people, which automatic masks would replace; pass --replace \
-         to discard them",
+        "{} holds {count} masks judged by people, which automatic masks would replace; pass --add to \
+         keep them and derive those of other clips, or --replace to discard them",
         path.display()
     )]
     JudgedMasks {

@@ -113,40 +113,59 @@ pub fn merge(
     let added = added(&base, b, label)?;
     let plan = plan_hash(
         "merge",
-        &(&a.manifest().root_hash, &b.manifest().root_hash, &added.label),
+        &(
+            &a.manifest().root_hash,
+            &b.manifest().root_hash,
+            &added.label,
+        ),
     );
     let shard_facts = datasets_spec::dataset::table_facts(&skeleton, &plan);
     let mut tables = BTreeMap::new();
     let parts = [&base, &added];
     progress.begin("merge", Some(SHARDED.len() as u64));
-    let motions = shards(&transaction, &parts, &shard_facts, |part, mut row: MotionRow| {
-        row.source_path = part.path(&row.source_path);
-        let mirrored = row.mirrored_of.take();
-        row.mirrored_of = mirrored.map(|id| renamed(part, id));
-        (!part.shared.contains(&row.id)).then(|| {
-            row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-            row.id = part.id(&row.id);
-            (row.split, row)
-        })
-    })?;
+    let motions = shards(
+        &transaction,
+        &parts,
+        &shard_facts,
+        |part, mut row: MotionRow| {
+            row.source_path = part.path(&row.source_path);
+            let mirrored = row.mirrored_of.take();
+            row.mirrored_of = mirrored.map(|id| renamed(part, id));
+            (!part.shared.contains(&row.id)).then(|| {
+                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
+                row.id = part.id(&row.id);
+                (row.split, row)
+            })
+        },
+    )?;
     tables.insert(MotionRow::TABLE.to_owned(), motions);
     progress.advance(1);
-    let markers = shards(&transaction, &parts, &shard_facts, |part, mut row: MarkerRow| {
-        row.source_path = part.path(&row.source_path);
-        (!part.shared.contains(&row.id)).then(|| {
-            row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-            row.id = part.id(&row.id);
-            (row.split, row)
-        })
-    })?;
+    let markers = shards(
+        &transaction,
+        &parts,
+        &shard_facts,
+        |part, mut row: MarkerRow| {
+            row.source_path = part.path(&row.source_path);
+            (!part.shared.contains(&row.id)).then(|| {
+                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
+                row.id = part.id(&row.id);
+                (row.split, row)
+            })
+        },
+    )?;
     progress.advance(1);
-    let features = shards(&transaction, &parts, &shard_facts, |part, mut row: HumanMl3dRow| {
-        (!part.shared.contains(&row.id)).then(|| {
-            row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-            row.id = part.id(&row.id);
-            (row.split, row)
-        })
-    })?;
+    let features = shards(
+        &transaction,
+        &parts,
+        &shard_facts,
+        |part, mut row: HumanMl3dRow| {
+            (!part.shared.contains(&row.id)).then(|| {
+                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
+                row.id = part.id(&row.id);
+                (row.split, row)
+            })
+        },
+    )?;
     progress.advance(1);
     for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
         if !files.is_empty() {
@@ -252,8 +271,10 @@ fn renamed(part: &Part<'_>, id: String) -> String {
 /// The second dataset: which of its clips the first has, and the ids and splits of the others.
 fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Part<'a>, Error> {
     let known = clips(base.dataset)?;
-    let by_id: BTreeMap<&MotionId, &str> =
-        known.iter().map(|(id, _, content)| (id, content.as_str())).collect();
+    let by_id: BTreeMap<&MotionId, &str> = known
+        .iter()
+        .map(|(id, _, content)| (id, content.as_str()))
+        .collect();
     let mut of_content: BTreeMap<&str, Split> = BTreeMap::new();
     for (_, split, content) in known.iter().filter(|(_, _, content)| !content.is_empty()) {
         of_content.entry(content).or_insert(*split);
@@ -266,7 +287,11 @@ fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Par
         ids: BTreeMap::new(),
         splits: BTreeMap::new(),
     };
-    let mut taken: BTreeSet<MotionId> = known.iter().chain(&own).map(|(id, ..)| id.clone()).collect();
+    let mut taken: BTreeSet<MotionId> = known
+        .iter()
+        .chain(&own)
+        .map(|(id, ..)| id.clone())
+        .collect();
     // All that is made of one source clip moves together.
     let mut moves: BTreeMap<&str, Split> = BTreeMap::new();
     for (id, _, content) in &own {
@@ -281,7 +306,8 @@ fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Par
                 });
                 let mut free = numbered.filter_map(|id| MotionId::parse(&id).ok());
                 let new = free.find(|id| taken.insert(id.clone()));
-                part.ids.insert(id.clone(), new.expect("numbers do not end"));
+                part.ids
+                    .insert(id.clone(), new.expect("numbers do not end"));
             }
             None => {}
         }
@@ -314,7 +340,13 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
             mask.motion_id = part.id(&mask.motion_id);
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
             mask.id = free(&mask.id, &part.label, |id| {
-                masks.get(id).is_none_or(|other| *other == MaskRow { id: id.to_owned(), ..mask.clone() })
+                masks.get(id).is_none_or(|other| {
+                    *other
+                        == MaskRow {
+                            id: id.to_owned(),
+                            ..mask.clone()
+                        }
+                })
             });
             masks.insert(mask.id.clone(), mask);
         }
@@ -328,7 +360,13 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
             }
             pair.split = split.unwrap_or(pair.split);
             pair.id = free(&pair.id, &part.label, |id| {
-                pairs.get(id).is_none_or(|other| *other == PairRow { id: id.to_owned(), ..pair.clone() })
+                pairs.get(id).is_none_or(|other| {
+                    *other
+                        == PairRow {
+                            id: id.to_owned(),
+                            ..pair.clone()
+                        }
+                })
             });
             pairs.insert(pair.id.clone(), pair);
         }
@@ -343,8 +381,12 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
 /// An id that no other row has: the row's own, else one with the label of its dataset.
 fn free(id: &str, label: &str, is_free: impl Fn(&str) -> bool) -> String {
     let numbered = (2..).map(|number| format!("{id} ({label} {number})"));
-    let mut candidates = [id.to_owned(), format!("{id} ({label})")].into_iter().chain(numbered);
-    candidates.find(|id| is_free(id)).expect("numbers do not end")
+    let mut candidates = [id.to_owned(), format!("{id} ({label})")]
+        .into_iter()
+        .chain(numbered);
+    candidates
+        .find(|id| is_free(id))
+        .expect("numbers do not end")
 }
 
 /// Writes a table of both datasets, a shard for each of theirs and split. `take` gives the row and its
@@ -355,11 +397,17 @@ fn shards<R: Row>(
     facts: &[(&str, String)],
     take: impl Fn(&Part<'_>, R) -> Option<(Split, R)>,
 ) -> Result<Vec<datasets_spec::manifest::FileEntry>, Error> {
-    let num_files = parts.iter().map(|part| part.dataset.files(R::TABLE, None).len()).sum();
-    let mut entries = Vec::new();
-    let files = parts
+    let num_files = parts
         .iter()
-        .flat_map(|part| part.dataset.files(R::TABLE, None).into_iter().map(move |file| (part, file)));
+        .map(|part| part.dataset.files(R::TABLE, None).len())
+        .sum();
+    let mut entries = Vec::new();
+    let files = parts.iter().flat_map(|part| {
+        part.dataset
+            .files(R::TABLE, None)
+            .into_iter()
+            .map(move |file| (part, file))
+    });
     for (index, (part, (path, _))) in files.enumerate() {
         let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
         for row in read_rows::<R>(&path)? {

@@ -135,6 +135,8 @@ pub enum Judged {
     Refuse,
     /// They are discarded.
     Replace,
+    /// All masks stay, and clips without any get automatic ones.
+    Add,
 }
 
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source
@@ -169,21 +171,21 @@ pub fn masks(
                 count: by_people,
             });
         }
-        Judged::Keep | Judged::Refuse | Judged::Replace => {}
+        Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
     let motions: Vec<MotionRow> = dataset.read(None)?;
     context.progress.begin("masks", Some(motions.len() as u64));
     let skeleton = dataset.skeleton()?;
     let mut rows: Vec<MaskRow> = present
         .into_iter()
-        .filter(|mask| mask.text_origin == "imported")
+        .filter(|mask| judged == Judged::Add || mask.text_origin == "imported")
         .collect();
-    let imported: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
+    let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     let automatic = automatic_masks(&motions, &skeleton, config)?;
     rows.extend(
         automatic
             .into_iter()
-            .filter(|mask| !imported.contains(&mask.motion_id)),
+            .filter(|mask| !masked.contains(&mask.motion_id)),
     );
     context
         .progress

@@ -42,6 +42,9 @@ pub(crate) struct Args {
     /// Derive the masks again even if people have reviewed some
     #[arg(long)]
     replace: bool,
+    /// Keep all masks and derive those of clips without any
+    #[arg(long, conflicts_with_all = ["drafts", "accept", "replace"])]
+    add: bool,
 }
 
 /// The `--json` document.
@@ -73,6 +76,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let config = MaskConfig::default();
             let judged = if args.replace {
                 Judged::Replace
+            } else if args.add {
+                Judged::Add
             } else {
                 Judged::Refuse
             };

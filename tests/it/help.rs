@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 25] = [
+const VERBS: [&str; 26] = [
     "demo",
     "run",
     "build",
@@ -15,6 +15,7 @@ const VERBS: [&str; 25] = [
     "ingest",
     "inspect",
     "verify",
+    "dataset",
     "stats",
     "export",
     "annotate",

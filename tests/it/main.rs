@@ -10,6 +10,7 @@ mod evaluate;
 mod export;
 mod exports;
 mod golden;
+mod growth;
 mod help;
 mod ingest;
 mod labels;

@@ -43,11 +43,11 @@ use crate::source::ReadOptions;
 
 pub use self::growth::{Growth, LostLabel};
 pub(crate) use self::list::{labelled as with_label, read_head};
-pub(crate) use self::sources::list_files;
-pub(crate) use self::recorded::{SHARDED, merged_facts};
 pub use self::options::{IngestOptions, REMARKS_FACT};
+pub(crate) use self::recorded::{SHARDED, merged_facts};
 pub use self::report::IngestReport;
 pub use self::split_list::SplitList;
+pub(crate) use self::sources::list_files;
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///

@@ -216,7 +216,10 @@ fn clips_of(
 
 /// Facts of two merged datasets: those on which they agree, and the sources of both. Also returns what the
 /// paths of the second begin with.
-pub(crate) fn merged_facts(first: &Dataset, second: &Dataset) -> (BTreeMap<String, String>, String) {
+pub(crate) fn merged_facts(
+    first: &Dataset,
+    second: &Dataset,
+) -> (BTreeMap<String, String>, String) {
     let (a, b) = (&first.manifest().facts, &second.manifest().facts);
     let mut facts: BTreeMap<String, String> = a
         .iter()
@@ -225,10 +228,15 @@ pub(crate) fn merged_facts(first: &Dataset, second: &Dataset) -> (BTreeMap<Strin
         .collect();
     let sources = |facts: &BTreeMap<String, String>| -> Vec<SourceLabel> {
         let text = facts.get(SOURCES_FACT);
-        text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
+        text.and_then(|text| serde_json::from_str(text).ok())
+            .unwrap_or_default()
     };
     let mut all = sources(a);
-    let name = second.root().file_name().unwrap_or_default().to_string_lossy();
+    let name = second
+        .root()
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut candidates = std::iter::once(name.clone().into_owned()).chain(numbered);
     let is_free = |label: &String| !all.iter().any(|source| lies_in(label, &source.label, &[]));

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::list::{Listed, Listing, list_sources, merged};
 use crate::Error;
+use crate::source::text_of_name;
 
 /// Fact of a manifest: the sources, as JSON.
 pub(super) const SOURCES_FACT: &str = "sources";
@@ -72,7 +73,7 @@ fn suffixes(path: &Path) -> Vec<String> {
     let names: Vec<String> = path
         .components()
         .filter_map(|part| match part {
-            Component::Normal(name) => Some(name.to_string_lossy().into_owned()),
+            Component::Normal(name) => Some(text_of_name(name)),
             _ => None,
         })
         .collect();
@@ -83,8 +84,7 @@ fn suffixes(path: &Path) -> Vec<String> {
 
 /// Name of the folder of a source.
 pub(super) fn name(source: &Listed) -> String {
-    let name = source.path.file_name().unwrap_or_default();
-    name.to_string_lossy().into_owned()
+    text_of_name(source.path.file_name().unwrap_or_default())
 }
 
 /// Labels for sources of a dataset that exists. `hashes` are those of the files by their place on the

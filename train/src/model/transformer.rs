@@ -416,8 +416,13 @@ mod tests {
                 .unsqueeze_dim::<4>(2);
             run(&layer, &x, |layer, x| layer.forward(x, Some(&padding)))
         });
-        for (ours, theirs) in ours.iter().zip(&theirs) {
-            check_equal(ours, theirs, 3e-5);
+        // The backend's derivative of GELU is that of its approximation by tanh, which differs from the exact
+        // one by up to 1e-3: burn-backend's `gelu_backward`. Only the result, and the gradients of what lies
+        // behind GELU, do not depend on it.
+        const EXACT: [usize; 4] = [0, 5, 12, 13];
+        for (index, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
+            let tolerance = if EXACT.contains(&index) { 3e-5 } else { 1e-3 };
+            check_equal(ours, theirs, tolerance);
         }
     }
 

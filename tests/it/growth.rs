@@ -1,0 +1,731 @@
+//! The second day of a dataset: it grows, changes, is merged and pruned, and loses nothing that people made.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
+use datasets_spec::{Dataset, Split};
+use serde_json::Value;
+
+use crate::util::{arg, corpus, stance};
+
+fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
+    let mut args = vec!["--json", "ingest"];
+    args.extend(sources.iter().map(|source| arg(source)));
+    args.extend(["--out", arg(out)]);
+    args.extend(more);
+    let done: Value = stance(&args).expect_code(code).json();
+    let count = |name: &str| done[name].as_u64().expect("a count");
+    assert_eq!(
+        count("sources"),
+        count("ingested") + count("quarantined") + count("skipped")
+    );
+    let dataset = Dataset::open(out).expect("a dataset");
+    assert_eq!(
+        dataset.manifest().rows("quarantine", None),
+        count("quarantined")
+    );
+    assert_eq!(dataset.manifest().rows("skipped", None), count("skipped"));
+    done
+}
+
+fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
+    let mut args = vec!["ingest"];
+    args.extend(sources.iter().map(|source| arg(source)));
+    args.extend(["--out", arg(out)]);
+    args.extend(more);
+    stance(&args).expect_code(1).stderr
+}
+
+fn motions(dataset: &Path) -> Vec<MotionRow> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.read(None).expect("rows")
+}
+
+/// Split and content of every clip.
+fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
+    let rows = motions(dataset).into_iter();
+    rows.map(|row| (row.id.to_string(), (row.split, row.content_hash)))
+        .collect()
+}
+
+fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    let rows: Vec<MaskRow> = dataset.read(None).expect("rows");
+    rows.into_iter().map(|row| (row.id.clone(), row)).collect()
+}
+
+fn verified(dataset: &Path) {
+    stance(&["verify", arg(dataset)]).expect_code(0);
+}
+
+/// The motion files of a corpus, sorted.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("listed") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else if path
+            .extension()
+            .is_some_and(|end| end == "bvh" || end == "npz")
+        {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Moves motion files with the files of the same name beside them.
+fn move_files(files: &[PathBuf], to: &Path) {
+    fs::create_dir_all(to).expect("made");
+    for file in files {
+        let stem = file
+            .file_stem()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned();
+        let folder = file.parent().expect("a folder");
+        for entry in fs::read_dir(folder).expect("listed") {
+            let path = entry.expect("an entry").path();
+            let name = path
+                .file_name()
+                .expect("a name")
+                .to_string_lossy()
+                .into_owned();
+            if name.starts_with(&format!("{stem}.")) {
+                fs::rename(&path, to.join(name)).expect("moved");
+            }
+        }
+    }
+}
+
+/// A corpus in two folders of half the clips each.
+fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = corpus(clips);
+    let (first, second) = (dir.path().join("corpus"), dir.path().join("more"));
+    let files = files(&first);
+    move_files(&files[files.len() / 2..], &second);
+    (dir, first, second)
+}
+
+/// Accepts every automatic mask in the name of a person.
+fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
+    stance(&["masks", arg(dataset)]).expect_code(0);
+    let file = dir.join("judged.jsonl");
+    stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
+    let lines = fs::read_to_string(&file).expect("drafts");
+    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let accept = [
+        "masks",
+        arg(dataset),
+        "--accept",
+        arg(&file),
+        "--author",
+        "ann",
+    ];
+    stance(&accept).expect_code(0);
+    let masks = masks(dataset);
+    assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));
+    masks
+}
+
+#[test]
+fn judged_masks_survive_a_file_that_is_added() {
+    let (dir, source, more) = halves(12);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
+    move_files(&files(&more)[..1], &source);
+    let grown = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(grown["growth"]["new"], 1);
+    assert_eq!(grown["growth"]["kept"], before.len());
+    assert_eq!(grown["growth"]["labels"]["masks"], judged.len());
+    assert_eq!(masks(&dataset), judged);
+    let after = clips(&dataset);
+    assert_eq!(after.len(), before.len() + 1);
+    assert!(before.iter().all(|(id, clip)| after[id] == *clip));
+    verified(&dataset);
+    // The files of the clips that stay were not even copied.
+    let old = Dataset::open(&dataset).expect("a dataset");
+    let kept = old.manifest().tables["motions"].iter();
+    assert!(kept.clone().any(|file| !file.path.contains(".v")));
+    // The new clip gets an automatic mask, and those of people stay.
+    stance(&["masks", arg(&dataset)]).expect_code(1);
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    let all = masks(&dataset);
+    assert!(judged.iter().all(|(id, mask)| all[id] == *mask));
+    let new = after
+        .keys()
+        .find(|id| !before.contains_key(*id))
+        .expect("a new clip");
+    assert!(all.values().any(|mask| mask.motion_id.as_str() == new));
+    // The same command again has nothing to do.
+    let again = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(again["already_complete"], true);
+}
+
+#[test]
+fn a_source_that_is_added_changes_no_id_and_no_split() {
+    let (dir, source, more) = halves(24);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let before = clips(&dataset);
+    let grown = ingest(&[&source, &more], &dataset, &[], 0);
+    assert_eq!(grown["growth"]["kept"], before.len());
+    let after = clips(&dataset);
+    assert_eq!(after.len(), 24);
+    assert!(before.iter().all(|(id, clip)| after[id] == *clip));
+    // The order of sources, their number and the place of a folder do not matter.
+    let moved = dir.path().join("elsewhere");
+    fs::create_dir(&moved).expect("made");
+    let moved = moved.join("corpus");
+    fs::rename(&source, &moved).expect("moved");
+    for sources in [vec![more.as_path(), &moved], vec![&moved], vec![&more]] {
+        let again = ingest(&sources, &dataset, &[], 0);
+        assert_eq!(again["already_complete"], true, "{sources:?}");
+    }
+    // A dataset made of both at once has the same splits, though its ids tell the folders apart.
+    let fresh = dir.path().join("fresh");
+    ingest(&[&more, &moved], &fresh, &[], 0);
+    let fresh = clips(&fresh);
+    for (id, clip) in &before {
+        assert_eq!(fresh[&format!("corpus/{id}")], *clip);
+    }
+    verified(&dataset);
+}
+
+#[test]
+fn a_folder_may_be_given_alone_and_the_others_stay() {
+    let (dir, source, more) = halves(12);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let before = clips(&dataset);
+    let grown = ingest(&[&more], &dataset, &[], 0);
+    assert_eq!(grown["growth"]["gone"], serde_json::json!([]));
+    let after = clips(&dataset);
+    assert_eq!(after.len(), 12);
+    assert!(before.iter().all(|(id, clip)| after[id] == *clip));
+    assert!(
+        after
+            .keys()
+            .filter(|id| !before.contains_key(*id))
+            .all(|id| id.starts_with("more/"))
+    );
+    verified(&dataset);
+}
+
+#[test]
+fn a_file_of_the_same_name_takes_nobodys_id() {
+    let dir = corpus(12);
+    let source = dir.path().join("corpus");
+    let all = files(&source);
+    let bvh = all
+        .iter()
+        .find(|file| file.extension().is_some_and(|end| end == "bvh"));
+    let npz = all
+        .iter()
+        .find(|file| file.extension().is_some_and(|end| end == "npz"));
+    let (bvh, npz) = (bvh.expect("a BVH"), npz.expect("an archive"));
+    let small = dir.path().join("small");
+    fs::create_dir(&small).expect("made");
+    fs::copy(npz, small.join("walk.npz")).expect("copied");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&small], &dataset, &[], 0);
+    let before = clips(&dataset);
+    assert!(before.contains_key("walk"));
+    fs::copy(bvh, small.join("walk.bvh")).expect("copied");
+    ingest(&[&small], &dataset, &[], 0);
+    let after = clips(&dataset);
+    assert_eq!(after["walk"], before["walk"]);
+    assert_eq!(after.keys().collect::<Vec<_>>(), ["walk", "walk.bvh"]);
+    // Both are of one name, so of one split.
+    assert_eq!(after["walk"].0, after["walk.bvh"].0);
+}
+
+#[test]
+fn two_folders_of_one_name_are_told_apart_by_what_they_hold() {
+    let (dir, source, more) = halves(12);
+    let [one, two] = ["one", "two"].map(|name| {
+        let folder = dir.path().join(name);
+        fs::create_dir(&folder).expect("made");
+        folder.join("data")
+    });
+    fs::rename(&source, &one).expect("moved");
+    fs::rename(&more, &two).expect("moved");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&one, &two], &dataset, &[], 0);
+    let before = clips(&dataset);
+    assert!(
+        before
+            .keys()
+            .all(|id| id.starts_with("one/data/") || id.starts_with("two/data/"))
+    );
+    let again = ingest(&[&two, &one], &dataset, &[], 0);
+    assert_eq!(again["already_complete"], true);
+    // The folders swap their places, not their clips.
+    let aside = dir.path().join("aside");
+    for (from, to) in [(&one, &aside), (&two, &one), (&aside, &two)] {
+        fs::rename(from, to).expect("moved");
+    }
+    ingest(&[&one, &two], &dataset, &[], 0);
+    assert_eq!(clips(&dataset), before);
+    // A new dataset does not depend on the order either.
+    let [ab, ba] = [[&one, &two], [&two, &one]].map(|sources| {
+        let out = dir.path().join(format!("fresh-{}", sources[0] == &one));
+        ingest(&sources.map(PathBuf::as_path), &out, &[], 0);
+        clips(&out)
+    });
+    assert_eq!(ab, ba);
+}
+
+#[test]
+fn signs_in_names_do_not_collapse_splits() {
+    let dir = corpus(40);
+    let source = dir.path().join("corpus");
+    let plain = dir.path().join("plain");
+    ingest(&[&source], &plain, &[], 0);
+    let named = dir.path().join("take#1@2");
+    fs::rename(&source, dir.path().join("moved")).expect("moved");
+    fs::create_dir(&source).expect("made");
+    fs::rename(dir.path().join("moved"), source.join("take#1@2")).expect("moved");
+    let odd = dir.path().join("odd");
+    ingest(&[&source], &odd, &[], 0);
+    drop(named);
+    let splits: BTreeSet<Split> = clips(&odd).values().map(|(split, _)| *split).collect();
+    assert!(splits.len() > 1, "{splits:?}");
+    assert!(clips(&odd).keys().all(|id| id.starts_with("take%231%402/")));
+    assert_eq!(clips(&odd).len(), clips(&plain).len());
+    verified(&odd);
+}
+
+#[test]
+fn labels_of_clips_that_change_are_not_lost_unasked() {
+    let (dir, source, more) = halves(12);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let judged = judge(&dataset, dir.path());
+    let root_hash = Dataset::open(&dataset)
+        .expect("a dataset")
+        .manifest()
+        .root_hash
+        .clone();
+    // A file that has a judged mask gets another motion.
+    let rows = motions(&dataset);
+    let labelled = |row: &&MotionRow| judged.values().any(|mask| mask.motion_id == row.id);
+    let row = rows.iter().find(labelled).expect("a labelled clip");
+    let file = source.join(&row.source_path);
+    let same_kind = |other: &&PathBuf| other.extension() == file.extension();
+    let others = files(&more);
+    let other = others
+        .iter()
+        .find(same_kind)
+        .expect("a file of this format");
+    let kept = fs::read(&file).expect("read");
+    fs::copy(other, &file).expect("copied");
+    let message = refused(&[&source], &dataset, &[]);
+    assert!(
+        message.contains("--drop-labels") && message.contains(row.id.as_str()),
+        "{message}"
+    );
+    assert_eq!(
+        Dataset::open(&dataset)
+            .expect("a dataset")
+            .manifest()
+            .root_hash,
+        root_hash
+    );
+    // The file is back: nothing happened.
+    fs::write(&file, &kept).expect("written");
+    assert_eq!(
+        ingest(&[&source], &dataset, &[], 0)["already_complete"],
+        true
+    );
+    // With the flag, the labels of this clip are listed and lost, and those of others stay.
+    fs::copy(other, &file).expect("copied");
+    let grown = ingest(&[&source], &dataset, &["--drop-labels"], 0);
+    let lost = grown["growth"]["lost"].as_array().expect("a list").len();
+    let expected = judged
+        .values()
+        .filter(|mask| mask.motion_id == row.id)
+        .count();
+    assert_eq!(lost, expected);
+    assert_eq!(masks(&dataset).len(), judged.len() - lost);
+    assert_eq!(
+        grown["growth"]["changed"],
+        serde_json::json!([row.id.as_str()])
+    );
+    verified(&dataset);
+    // The version before keeps them.
+    let versions = fs::read_dir(dataset.join("meta")).expect("listed").count();
+    assert!(versions > 3);
+}
+
+#[test]
+fn a_file_that_moves_keeps_its_clip_and_one_that_goes_takes_it_along() {
+    let dir = corpus(12);
+    let source = dir.path().join("corpus");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let before = clips(&dataset);
+    let judged = judge(&dataset, dir.path());
+    let all = files(&source);
+    move_files(&all[..1], &source.join("sorted/later"));
+    let grown = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(
+        grown["growth"]["moved"].as_array().expect("a list").len(),
+        1
+    );
+    assert_eq!(grown["growth"]["new"], 0);
+    assert_eq!(clips(&dataset), before);
+    assert_eq!(masks(&dataset), judged);
+    // A file goes.
+    fs::remove_file(&all[3]).expect("removed");
+    refused(&[&source], &dataset, &[]);
+    let grown = ingest(&[&source], &dataset, &["--drop-labels"], 0);
+    assert_eq!(grown["growth"]["gone"].as_array().expect("a list").len(), 1);
+    assert_eq!(clips(&dataset).len(), before.len() - 1);
+    verified(&dataset);
+}
+
+#[test]
+fn captions_that_change_are_read_again_and_masks_stay() {
+    let dir = corpus(8);
+    let source = dir.path().join("corpus");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
+    let file = &files(&source)[0];
+    let text =
+        r#"{"captions": [{"text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
+    fs::write(file.with_extension("stance.json"), text).expect("written");
+    let grown = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(
+        grown["growth"]["read_again"]
+            .as_array()
+            .expect("a list")
+            .len(),
+        1
+    );
+    assert_eq!(grown["growth"]["kept"], before.len() - 1);
+    assert_eq!(clips(&dataset), before);
+    assert_eq!(masks(&dataset), judged);
+    let captions = motions(&dataset).into_iter().flat_map(|row| row.captions);
+    assert!(
+        captions
+            .into_iter()
+            .any(|caption| caption.text == "a person is new")
+    );
+}
+
+#[test]
+fn other_settings_are_named_and_keep_ids_splits_and_labels() {
+    let dir = corpus(8);
+    let source = dir.path().join("corpus");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
+    let message = refused(
+        &[&source],
+        &dataset,
+        &["--fps", "30", "--license", "CC0-1.0"],
+    );
+    assert!(
+        message.contains("fps was 20 and is now 30")
+            && message.contains("license was none and is now CC0-1.0")
+            && message.contains("--new-version"),
+        "{message}"
+    );
+    ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
+    let after = clips(&dataset);
+    assert!(before.iter().all(|(id, (split, _))| after[id].0 == *split));
+    assert!(motions(&dataset).iter().all(|row| row.fps == 30.0));
+    assert_eq!(masks(&dataset), judged);
+    verified(&dataset);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
+    let dir = corpus(6);
+    let source = dir.path().join("corpus");
+    let dataset = dir.path().join("dataset");
+    let file = files(&source)[0].clone();
+    let aside = dir.path().join("aside");
+    fs::rename(&file, &aside).expect("moved");
+    // A link to nothing cannot be read.
+    std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
+    let first = ingest(&[&source], &dataset, &[], 2);
+    assert_eq!(first["codes"]["E-IO"], 1);
+    fs::remove_file(&file).expect("removed");
+    fs::rename(&aside, &file).expect("moved");
+    let again = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(again["growth"]["new"], 1);
+    assert_eq!(again["quarantined"], 0);
+    // A clip whose file cannot be read any more stays.
+    fs::rename(&file, &aside).expect("moved");
+    std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
+    let before = clips(&dataset);
+    let again = ingest(&[&source], &dataset, &[], 0);
+    assert!(
+        again["remarks"].to_string().contains("stays as it was"),
+        "{again}"
+    );
+    assert_eq!(clips(&dataset), before);
+}
+
+#[test]
+fn equal_files_share_a_split_wherever_they_lie() {
+    let dir = corpus(24);
+    let source = dir.path().join("corpus");
+    let copies = dir.path().join("copies");
+    fs::create_dir(&copies).expect("made");
+    for (number, file) in files(&source).iter().enumerate() {
+        let end = file
+            .extension()
+            .expect("an extension")
+            .to_string_lossy()
+            .into_owned();
+        fs::copy(file, copies.join(format!("copy{number}.{end}"))).expect("copied");
+    }
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source, &copies], &dataset, &[], 0);
+    let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
+    for (split, content) in clips(&dataset).into_values() {
+        splits.entry(content).or_default().insert(split);
+    }
+    assert!(splits.values().all(|splits| splits.len() == 1));
+    // Copies that come later follow the clips that are there.
+    let grown = dir.path().join("grown");
+    ingest(&[&source], &grown, &[], 0);
+    ingest(&[&copies], &grown, &[], 0);
+    let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
+    for (split, content) in clips(&grown).into_values() {
+        splits.entry(content).or_default().insert(split);
+    }
+    assert!(splits.len() > 12 && splits.values().all(|splits| splits.len() == 1));
+    verified(&grown);
+}
+
+#[test]
+fn what_was_skipped_is_listed_the_same_on_every_run() {
+    let dir = corpus(4);
+    let source = dir.path().join("corpus");
+    fs::write(source.join("notes.txt"), "no motion").expect("written");
+    let dataset = dir.path().join("dataset");
+    let first = ingest(&[&source], &dataset, &[], 0);
+    let again = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(again["already_complete"], true);
+    assert_eq!(first["skipped_reasons"], again["skipped_reasons"]);
+    let rows: Vec<SkippedRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    assert!(
+        rows.iter()
+            .any(|row| row.path == "notes.txt" && !row.reason.is_empty())
+    );
+}
+
+#[test]
+fn two_datasets_merge_and_lose_no_label() {
+    let (dir, source, more) = halves(12);
+    let [a, b] = ["a", "b"].map(|name| dir.path().join(name));
+    ingest(&[&source], &a, &[], 0);
+    let judged = judge(&a, dir.path());
+    // The second has other motions, one under an id of the first, and a clip of the first.
+    let first = files(&source);
+    fs::copy(&first[0], more.join(first[0].file_name().expect("a name"))).expect("copied");
+    let taken = first[1]
+        .file_stem()
+        .expect("a name")
+        .to_string_lossy()
+        .into_owned();
+    let other = files(&more).into_iter().find(|file| {
+        file.extension() == first[1].extension() && file.file_name() != first[0].file_name()
+    });
+    let name = first[1].file_name().expect("a name");
+    fs::copy(other.expect("a file"), more.join(name)).expect("copied");
+    ingest(&[&more], &b, &["--seed", "5"], 0);
+    let judged_too = judge(&b, dir.path());
+    let out = dir.path().join("both");
+    let merged: Value = stance(&[
+        "--json",
+        "dataset",
+        "merge",
+        arg(&a),
+        arg(&b),
+        "--out",
+        arg(&out),
+    ])
+    .expect_code(0)
+    .json();
+    verified(&out);
+    let (before, after) = (clips(&a), clips(&out));
+    assert!(before.iter().all(|(id, clip)| after[id] == *clip));
+    assert_eq!(merged["clips"], after.len());
+    assert_eq!(merged["renamed"][&taken], format!("b/{taken}"), "{merged}");
+    let labels = masks(&out);
+    assert!(judged.iter().all(|(id, mask)| labels[id] == *mask));
+    let shared = merged["shared"].as_array().expect("a list").len();
+    assert_eq!(after.len(), before.len() + clips(&b).len() - shared);
+    let of_others = judged_too
+        .values()
+        .filter(|mask| !judged.values().any(|own| own.id == mask.id));
+    assert!(labels.len() >= judged.len() + of_others.count());
+    // Equal motions are in one split.
+    let mut splits: BTreeMap<&str, BTreeSet<Split>> = BTreeMap::new();
+    for (split, content) in after.values() {
+        splits.entry(content).or_default().insert(*split);
+    }
+    assert!(splits.values().all(|splits| splits.len() == 1));
+    // The result grows like any other dataset.
+    let again = ingest(&[&source], &out, &[], 0);
+    assert_eq!(again["growth"]["gone"], serde_json::json!([]), "{again}");
+    assert_eq!(clips(&out), after);
+    stance(&["dataset", "merge", arg(&a), arg(&b), "--out", arg(&out)]).expect_code(1);
+}
+
+#[test]
+fn old_versions_go_only_when_asked() {
+    let (dir, source, more) = halves(8);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    judge(&dataset, dir.path());
+    ingest(&[&source, &more], &dataset, &[], 0);
+    let root_hash = Dataset::open(&dataset)
+        .expect("a dataset")
+        .manifest()
+        .root_hash
+        .clone();
+    let prune = ["--json", "dataset", "prune", arg(&dataset)];
+    let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat())
+        .expect_code(0)
+        .json();
+    let done: Value = stance(&prune).expect_code(0).json();
+    assert_eq!(asked["files"], done["files"]);
+    assert_eq!(done["versions"], serde_json::json!([1, 2, 3]));
+    assert!(done["files"].as_u64() > Some(0));
+    assert_eq!(
+        Dataset::open(&dataset)
+            .expect("a dataset")
+            .manifest()
+            .root_hash,
+        root_hash
+    );
+    verified(&dataset);
+    let again: Value = stance(&prune).expect_code(0).json();
+    assert_eq!(again["versions"], serde_json::json!([]));
+}
+
+/// Ten days in the life of a dataset. Every label that a person made is there after each of them.
+#[test]
+fn ten_days_end_with_every_label_that_a_person_made() {
+    let (dir, source, more) = halves(24);
+    let dataset = dir.path().join("dataset");
+    let judged = |expected: &BTreeMap<String, MaskRow>, day: u32| {
+        let found = masks(&dataset);
+        for (id, mask) in expected {
+            assert_eq!(found.get(id), Some(mask), "day {day}");
+        }
+        verified(&dataset);
+    };
+    // 1 ingest, 2 label, 3 annotate.
+    ingest(&[&source], &dataset, &[], 0);
+    let labels: Value = stance(&["--json", "pairs", arg(&dataset)])
+        .expect_code(0)
+        .json();
+    assert!(labels.is_object());
+    let mut by_people = judge(&dataset, dir.path());
+    judged(&by_people, 3);
+    // 4 add files, 5 add a source.
+    let later = files(&more);
+    move_files(&later[..3], &source);
+    ingest(&[&source], &dataset, &[], 0);
+    judged(&by_people, 4);
+    ingest(&[&source, &more], &dataset, &[], 0);
+    judged(&by_people, 5);
+    // 6 change a file that people have labelled: refused until they say so.
+    let row = motions(&dataset).into_iter().find(|row| {
+        row.source_path.ends_with(".npz") && by_people.values().any(|mask| mask.motion_id == row.id)
+    });
+    let row = row.expect("a labelled archive");
+    let archive = source.join(&row.source_path);
+    let another = later
+        .iter()
+        .rev()
+        .find(|file| file.extension() == archive.extension());
+    fs::copy(another.expect("another archive"), &archive).expect("copied");
+    refused(&[&source, &more], &dataset, &[]);
+    judged(&by_people, 6);
+    ingest(&[&source, &more], &dataset, &["--drop-labels"], 0);
+    by_people.retain(|_, mask| mask.motion_id != row.id);
+    judged(&by_people, 6);
+    // 7 remove a file without labels, 8 rename one with labels.
+    let bare = motions(&dataset).into_iter().find(|row| {
+        row.source_path.starts_with("more/")
+            && !by_people.values().any(|mask| mask.motion_id == row.id)
+    });
+    let bare = bare.expect("an unlabelled clip");
+    fs::remove_file(dir.path().join(&bare.source_path)).expect("removed");
+    ingest(&[&source, &more], &dataset, &[], 0);
+    judged(&by_people, 7);
+    let named = motions(&dataset).into_iter().find(|row| {
+        source.join(&row.source_path).exists()
+            && by_people.values().any(|mask| mask.motion_id == row.id)
+    });
+    let named = source.join(named.expect("a labelled clip").source_path);
+    move_files(&[named], &source.join("renamed"));
+    ingest(&[&source, &more], &dataset, &[], 0);
+    judged(&by_people, 8);
+    // 9 merge with the dataset of a colleague.
+    let (colleague, theirs) = (dir.path().join("colleague"), corpus(30));
+    ingest(
+        &[&theirs.path().join("corpus")],
+        &colleague,
+        &["--seed", "3"],
+        0,
+    );
+    let both = dir.path().join("both");
+    stance(&[
+        "dataset",
+        "merge",
+        arg(&dataset),
+        arg(&colleague),
+        "--out",
+        arg(&both),
+    ])
+    .expect_code(0);
+    let merged = masks(&both);
+    assert!(
+        by_people
+            .iter()
+            .all(|(id, mask)| merged.get(id) == Some(mask))
+    );
+    verified(&both);
+    // 10 export and prune.
+    let export = dir.path().join("export");
+    stance(&[
+        "export",
+        arg(&dataset),
+        "--to",
+        "bvh",
+        "--out",
+        arg(&export),
+    ])
+    .expect_code(0);
+    stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
+    judged(&by_people, 10);
+    let pairs: Vec<PairRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
+    assert!(
+        pairs
+            .iter()
+            .all(|pair| ids.contains(pair.source_id.as_str()))
+    );
+}
