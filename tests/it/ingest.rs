@@ -35,6 +35,7 @@ struct Ingested {
     label_problems: Vec<serde_json::Value>,
     licenses: BTreeMap<String, u64>,
     remarks: Vec<String>,
+    #[expect(dead_code, reason = "part of the contract")]
     growth: Option<serde_json::Value>,
     root_hash: String,
 }

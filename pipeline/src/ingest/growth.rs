@@ -263,7 +263,11 @@ impl<'a> Fates<'a> {
     }
 
     /// Recorded problems of labels that are as they were.
-    pub(super) fn label_problems(&self, plan: &Plan, recorded: Vec<LabelProblem>) -> Vec<LabelProblem> {
+    pub(super) fn label_problems(
+        &self,
+        plan: &Plan,
+        recorded: Vec<LabelProblem>,
+    ) -> Vec<LabelProblem> {
         let labels = plan.all_labels(self.recorded);
         let hashes: BTreeMap<&str, &str> = self
             .recorded
@@ -272,11 +276,15 @@ impl<'a> Fates<'a> {
             .map(|row| (row.path.as_str(), row.source_hash.as_str()))
             .collect();
         let is_same = |file: &str| {
-            let now = plan.sources.get(file).and_then(|source| source.hash.as_deref().ok());
+            let now = plan
+                .sources
+                .get(file)
+                .and_then(|source| source.hash.as_deref().ok());
             now.is_some() && now == hashes.get(file).copied()
         };
         let mut problems = recorded;
-        problems.retain(|problem| is_same(&problem.file) || !plan.is_of_run(&problem.file, &labels));
+        problems
+            .retain(|problem| is_same(&problem.file) || !plan.is_of_run(&problem.file, &labels));
         problems
     }
 
@@ -415,7 +423,8 @@ impl Labels {
             mask.split = split.copied().unwrap_or(mask.split);
         }
         for mut pair in std::mem::take(&mut self.pairs) {
-            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| splits.get(id.as_str()));
+            let [source, target] =
+                [&pair.source_id, &pair.target_id].map(|id| splits.get(id.as_str()));
             if source == target {
                 pair.split = source.copied().unwrap_or(pair.split);
                 self.pairs.push(pair);

@@ -176,8 +176,12 @@ impl Plan {
                 .then(|| of_content.get(&content).copied().flatten())
                 .flatten()
         };
-        let passes: [&dyn Fn(&Planned) -> Option<Split>; 4] =
-            [&|item| item.own_split, &own, &|item| item.entry.split, &copied];
+        let passes: [&dyn Fn(&Planned) -> Option<Split>; 4] = [
+            &|item| item.own_split,
+            &own,
+            &|item| item.entry.split,
+            &copied,
+        ];
         for pass in passes {
             for (item, key) in self.items.iter().zip(&keys) {
                 if let Some(split) = pass(item) {
@@ -216,7 +220,10 @@ impl Plan {
                 let id = &item.entry.id;
                 MotionId::parse(id).map_or(id.clone(), |id| id.source_clip().to_owned())
             }
-            None => escaped(without_extension(unlabelled(&self.labels, &item.entry.file))),
+            None => escaped(without_extension(unlabelled(
+                &self.labels,
+                &item.entry.file,
+            ))),
         }
     }
 }

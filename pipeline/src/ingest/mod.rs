@@ -31,7 +31,8 @@ use serde::Serialize;
 
 use self::growth::Fates;
 use self::options::{
-    LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings, rate_name,
+    LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings,
+    rate_name,
 };
 use self::plan::Plan;
 use self::recorded::Base;
@@ -46,8 +47,8 @@ pub(crate) use self::list::{labelled as with_label, read_head};
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{SHARDED, merged_facts};
 pub use self::report::IngestReport;
-pub use self::split_list::SplitList;
 pub(crate) use self::sources::list_files;
+pub use self::split_list::SplitList;
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///

@@ -144,6 +144,12 @@ impl Settings {
                 subjects.map_or_else(none, |subjects| subjects.hash().to_owned()),
             ),
             ("features", features.map_or_else(none, str::to_owned)),
+            ("made-captions", options.made_captions.to_string()),
+            (
+                "splits",
+                options.splits.as_ref().map_or_else(none, SplitList::hash),
+            ),
+            ("lenient", options.read.lenient.to_string()),
             (
                 "teleports",
                 format!("{:?}", options.teleports).to_lowercase(),

@@ -380,7 +380,8 @@ impl Plan {
                     };
                 let stated = labels::stated(Path::new(file), Some(&companions), &around);
                 let styled = stated.action.zip(stated.style);
-                item.group = styled.map(|(action, style)| style_group(unlabelled(sources, file), &action, &style));
+                item.group = styled
+                    .map(|(action, style)| style_group(unlabelled(sources, file), &action, &style));
                 (item.labelled_split, item.subject) = (stated.split, stated.subject);
                 failed.into_inner().or(around.failed)
             })
@@ -553,7 +554,9 @@ impl Plan {
 
 /// The path of a file without the label of its source.
 pub(super) fn unlabelled<'a>(sources: &[(SourceLabel, bool)], file: &'a str) -> &'a str {
-    let below = sources.iter().filter_map(|(source, _)| sources::below(&source.label, file));
+    let below = sources
+        .iter()
+        .filter_map(|(source, _)| sources::below(&source.label, file));
     below.min_by_key(|name| name.len()).unwrap_or(file)
 }
 

@@ -9,8 +9,8 @@ use datasets_spec::record::{
 use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 
-use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT};
 use super::list::labelled;
+use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT};
 use super::sources::{SOURCES_FACT, SourceLabel, lies_in};
 use crate::Error;
 use crate::clip::LabelProblem;
