@@ -457,7 +457,7 @@ fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
     fs::rename(&file, &aside).expect("moved");
     // A link to nothing cannot be read.
     std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
-    let first = ingest(&[&source], &dataset, &[], 2);
+    let first = ingest(&[&source], &dataset, &[], 3);
     assert_eq!(first["codes"]["E-IO"], 1);
     fs::remove_file(&file).expect("removed");
     fs::rename(&aside, &file).expect("moved");

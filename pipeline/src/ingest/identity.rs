@@ -293,7 +293,10 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
             let free = candidates.find(|name| !owners.contains(name.as_str()));
             free.expect("numbers do not end")
         });
-        item.id = path_of(&name, &item.entry.key);
+        item.id = match item.entry.key.as_str() {
+            "" => name,
+            key => format!("{name}#{key}"),
+        };
         item.entry.id.clone_from(&item.id);
     }
 }

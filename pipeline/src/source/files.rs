@@ -27,6 +27,11 @@ impl Files {
         Self { store, paths }
     }
 
+    /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
+    pub(crate) fn hash(&self, path: &Path) -> Result<String, String> {
+        self.store.hash(path).map_err(|error| error.to_string())
+    }
+
     /// Number of files.
     pub fn len(&self) -> usize {
         self.paths.len()
