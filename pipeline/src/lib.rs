@@ -39,6 +39,7 @@ pub mod floor;
 #[cfg(test)]
 mod golden;
 pub mod ingest;
+pub mod likeness;
 pub mod markers;
 pub mod merge;
 pub mod open;

@@ -10,12 +10,13 @@ use datasets_spec::record::{
 };
 use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, MotionId, Progress, Split};
+use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
 use crate::compose::{check_mask, check_pair};
+use crate::likeness::{Sketch, near_pairs};
 
 /// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -83,15 +84,15 @@ pub struct Verification {
     pub rows: u64,
     /// All defects.
     pub findings: Vec<Finding>,
-    /// Motions equal to one of another split. Published datasets contain some, so they are listed apart from
-    /// the findings.
+    /// Motions equal or nearly equal to one of another split. They are listed apart from the findings, because
+    /// published splits contain some.
     pub duplicates: Vec<Finding>,
 }
 
 impl Verification {
-    /// Whether there are no findings.
-    pub fn passed(&self) -> bool {
-        self.findings.is_empty()
+    /// Whether nothing was found; with `accept_duplicates`, nothing but equal motions in two splits.
+    pub fn passed(&self, accept_duplicates: bool) -> bool {
+        self.findings.is_empty() && (accept_duplicates || self.duplicates.is_empty())
     }
 }
 
@@ -102,6 +103,8 @@ impl Verification {
 /// The folder is no dataset, or of a newer format.
 pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Error> {
     let dataset = Dataset::open_unverified(root)?;
+    // A manifest without its skeleton is reported by the check of its motions.
+    let skeleton = dataset.skeleton().unwrap_or_default();
     let manifest = dataset.manifest();
     let mut findings = Vec::new();
     if !manifest.accounting.balances() {
@@ -123,7 +126,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     let read: Vec<Read> = files
         .par_iter()
         .map(|(table, file)| {
-            let read = Read::of(root, table, file, &manifest.skeleton);
+            let read = Read::of(root, table, file, &skeleton);
             progress.advance(1);
             read
         })
@@ -131,8 +134,8 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     let rows = read.iter().map(|read| read.rows).sum();
     let mut motions = BTreeMap::new();
     let mut named = Vec::new();
-    let mut by_content: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
-    let mut duplicates = Vec::new();
+    let mut sketches: Vec<(Split, Sketch)> = Vec::new();
+    let mut sketched: Vec<MotionId> = Vec::new();
     let mut by_source: BTreeMap<String, (MotionId, Split)> = BTreeMap::new();
     let mut labels: BTreeMap<(&str, String), Split> = BTreeMap::new();
     let mut rates: BTreeMap<Split, Rates> = BTreeMap::new();
@@ -161,9 +164,12 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
             }
         }
         for motion in read.motions {
-            duplicates.extend(motion.duplicate_of(&mut by_content));
             findings.extend(motion.leak(&mut by_source));
             rates.entry(motion.split).or_default().take(&motion);
+            if let Some(sketch) = motion.sketch {
+                sketches.push((motion.split, sketch));
+                sketched.push(motion.id.clone());
+            }
             if motions.insert(motion.id.clone(), motion.split).is_some() {
                 findings.push(Finding {
                     check: Check::Contents,
@@ -186,6 +192,19 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     }
     findings.extend(check_answers(&answers, &items));
     findings.sort();
+    let duplicates = near_pairs(&sketches).into_iter();
+    let duplicates = duplicates.map(|(first, second, distance)| Finding {
+        check: Check::Splits,
+        item: sketched[second].to_string(),
+        problem: format!(
+            "is in {}, and {} in {} is the same motion within {:.1} mm",
+            sketches[second].0,
+            sketched[first],
+            sketches[first].0,
+            1000.0 * distance
+        ),
+    });
+    let duplicates = duplicates.collect();
     progress.finish(&format!("{} files, {rows} rows", files.len()));
     Ok(Verification {
         files: files.len() as u64,
@@ -230,25 +249,10 @@ struct Met {
     id: MotionId,
     split: Split,
     mirrored_of: Option<String>,
-    content_hash: String,
+    sketch: Option<Sketch>,
 }
 
 impl Met {
-    /// Whether an earlier motion has the same content and another split.
-    fn duplicate_of(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
-        let first = met
-            .entry(self.content_hash.clone())
-            .or_insert_with(|| (self.id.clone(), self.split));
-        (first.1 != self.split).then(|| Finding {
-            check: Check::Splits,
-            item: self.id.to_string(),
-            problem: format!(
-                "is in {} and equal to {} in {}",
-                self.split, first.0, first.1
-            ),
-        })
-    }
-
     /// Whether an earlier motion of the same source clip is in another split.
     fn leak(&self, met: &mut BTreeMap<String, (MotionId, Split)>) -> Option<Finding> {
         let clip = match &self.mirrored_of {
@@ -392,7 +396,7 @@ struct Read {
 }
 
 impl Read {
-    fn of(root: &Path, table: &str, file: &FileEntry, skeleton: &str) -> Self {
+    fn of(root: &Path, table: &str, file: &FileEntry, skeleton: &Skeleton) -> Self {
         let mut read = Self::default();
         if let Err(problem) = check_file(root, file) {
             read.find(Check::Files, &file.path, problem);
@@ -559,12 +563,19 @@ impl Read {
         Ok(())
     }
 
-    fn motions(&mut self, path: &Path, file: &FileEntry, skeleton: &str) -> Result<(), String> {
+    fn motions(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        skeleton: &Skeleton,
+    ) -> Result<(), String> {
         for row in self.decoded::<MotionRow>(path, file)? {
             let id = row.id.as_str();
+            let mut sketch = None;
             match row.motion() {
                 Err(error) => self.find(Check::Contents, id, error.to_string()),
                 Ok(motion) => {
+                    sketch = Some(Sketch::of(&motion, skeleton));
                     let (hash, frames) = (motion.content_hash(), motion.len());
                     if hash != row.content_hash {
                         let problem = format!("its hash is {hash}, recorded {}", row.content_hash);
@@ -576,8 +587,9 @@ impl Read {
                     }
                 }
             }
-            if row.skeleton != skeleton {
-                let problem = format!("is posed on {}, the dataset on {skeleton}", row.skeleton);
+            if row.skeleton != skeleton.name() {
+                let (found, expected) = (&row.skeleton, skeleton.name());
+                let problem = format!("is posed on {found}, the dataset on {expected}");
                 self.find(Check::Contents, id, problem);
             }
             if file.split != Some(row.split) {
@@ -588,7 +600,7 @@ impl Read {
                 fps: row.fps,
                 split: row.split,
                 mirrored_of: row.mirrored_of,
-                content_hash: row.content_hash,
+                sketch,
                 id: row.id,
             });
         }
@@ -668,7 +680,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         dataset(dir.path(), &[row("a", Split::Train), row("b", Split::Test)]);
         let done = verify(dir.path(), &NoProgress).expect("a dataset");
-        assert!(done.passed(), "{:?}", done.findings);
+        assert!(done.passed(false), "{:?}", done.findings);
         assert_eq!((done.files, done.rows), (3, 2));
     }
 
@@ -692,7 +704,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         dataset(dir.path(), &[row("a", Split::Train), copy]);
         let done = verify(dir.path(), &NoProgress).expect("a dataset");
-        assert!(done.passed());
+        assert!(done.passed(true) && !done.passed(false));
         assert_eq!(done.duplicates.len(), 1);
         assert_eq!(done.duplicates[0].item, "b");
     }

@@ -257,3 +257,61 @@ fn folders_that_are_no_dataset_say_so() {
         Err(Error::NotADataset { .. })
     ));
 }
+
+/// The newest manifest of a dataset with some text replaced.
+fn replace_in_manifest(root: &Path, from: &str, to: &str) {
+    let path = root.join("meta/manifest-1.json");
+    let text = fs::read_to_string(&path).expect("a manifest");
+    assert!(text.contains(from), "{text}");
+    fs::write(&path, text.replace(from, to)).expect("written");
+}
+
+#[test]
+fn a_new_table_raises_the_schema_version() {
+    let dir = tempfile::tempdir().expect("dir");
+    commit_motions(dir.path(), &[row(0)]);
+    let now = format!("\"schema_version\": \"{}\"", table::SCHEMA_VERSION);
+    replace_in_manifest(dir.path(), &now, "\"schema_version\": \"1.0.0\"");
+    let old = Dataset::open(dir.path()).expect("opens");
+    assert_eq!(old.manifest().schema_version, "1.0.0");
+    let new = commit_motions(dir.path(), &[row(1)]);
+    assert_eq!(new.manifest().schema_version, table::SCHEMA_VERSION);
+}
+
+#[test]
+fn a_skeleton_with_another_number_of_joints_is_refused() {
+    let dir = tempfile::tempdir().expect("dir");
+    let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+    let skeleton = Skeleton::new("mine", [glam::DVec3::ONE; 55]);
+    let commit = Commit {
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    };
+    transaction.commit(commit).expect("commits");
+    let stored = Dataset::open(dir.path()).expect("opens");
+    assert_eq!(stored.skeleton().expect("as it was"), skeleton);
+    replace_in_manifest(dir.path(), "[1.0,1.0,1.0],", "");
+    let cut = Dataset::open(dir.path()).expect("opens");
+    assert!(matches!(cut.skeleton(), Err(Error::NotADataset { .. })));
+}
+
+#[test]
+fn pruning_keeps_the_newest_versions_and_their_files() {
+    let dir = tempfile::tempdir().expect("dir");
+    for index in 0..3 {
+        commit_motions(dir.path(), &[row(index)]);
+    }
+    let prune = |keep, dry_run| {
+        let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+        transaction.prune(keep, dry_run).expect("prunes")
+    };
+    let asked = prune(2, true);
+    let done = prune(2, false);
+    assert_eq!(asked, done);
+    assert_eq!((done.versions, done.files), (vec![1], 1));
+    assert!(done.bytes > 0);
+    let newest = Dataset::open(dir.path()).expect("opens");
+    assert_eq!(newest.read::<MotionRow>(None).expect("reads"), [row(2)]);
+    assert_eq!(prune(1, false).versions, [2]);
+    assert_eq!(prune(1, false).versions, Vec::<u64>::new());
+}

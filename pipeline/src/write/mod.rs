@@ -5,22 +5,32 @@ pub mod amass;
 pub mod bvh;
 pub mod gltf;
 
-use std::io;
+use std::fs::File;
+use std::io::{self, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Writes a file whole or not at all: to a temporary name beside it, then renamed.
+/// Writes a file whole or not at all: to a temporary name of its own beside it, synced, then renamed. Of two
+/// writers the later one wins.
 ///
 /// # Errors
 /// The file cannot be created, written or renamed; the temporary file is then removed.
 pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
+    static WRITTEN: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().ok_or(io::ErrorKind::InvalidInput)?;
-    let staged = path.with_file_name(format!(".{}.tmp", name.to_string_lossy()));
-    std::fs::write(&staged, content)
-        .and_then(|()| std::fs::rename(&staged, path))
-        .inspect_err(|_| {
-            // The temporary file may not exist; the first error is returned.
-            let _removed = std::fs::remove_file(&staged);
-        })
+    let (name, process) = (name.to_string_lossy(), std::process::id());
+    let number = WRITTEN.fetch_add(1, Ordering::Relaxed);
+    let staged = path.with_file_name(format!(".{name}.{process}.{number}.tmp"));
+    let write = || {
+        let mut file = File::create(&staged)?;
+        file.write_all(content)?;
+        file.sync_all()?;
+        std::fs::rename(&staged, path)
+    };
+    write().inspect_err(|_| {
+        // The temporary file may not exist; the first error is returned.
+        let _removed = std::fs::remove_file(&staged);
+    })
 }
 
 #[cfg(test)]
@@ -36,5 +46,23 @@ mod tests {
         assert_eq!(std::fs::read(&path).expect("there"), b"new");
         assert_eq!(std::fs::read_dir(dir.path()).expect("listed").count(), 1);
         assert!(replace_file(&dir.path().join("missing/walk.bvh"), b"x").is_err());
+    }
+
+    #[test]
+    fn two_writers_leave_one_of_their_files_whole() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let path = dir.path().join("walk.bvh");
+        let contents = [vec![b'a'; 100_000], vec![b'b'; 50_000]];
+        std::thread::scope(|scope| {
+            for content in &contents {
+                scope.spawn(|| {
+                    for _ in 0..50 {
+                        replace_file(&path, content).expect("written");
+                    }
+                });
+            }
+        });
+        assert!(contents.contains(&std::fs::read(&path).expect("there")));
+        assert_eq!(std::fs::read_dir(dir.path()).expect("listed").count(), 1);
     }
 }
