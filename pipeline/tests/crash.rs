@@ -364,3 +364,61 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
         std::fs::remove_dir_all(&out).expect("removed");
     }
 }
+
+/// Copies a dataset, whose files are never changed in place.
+fn copied(from: &Path, to: &Path) {
+    for (path, is_dir) in Disk.list(from).expect("listed") {
+        let target = to.join(path.file_name().expect("a name"));
+        if is_dir {
+            copied(&path, &target);
+        } else {
+            std::fs::create_dir_all(to).expect("made");
+            std::fs::copy(&path, &target).expect("copied");
+        }
+    }
+}
+
+#[test]
+fn a_dataset_whose_growth_fails_is_the_version_before() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let source = source(dir.path());
+    let base = dir.path().join("base");
+    let before = run(Disk::store(), &source, &base, false).expect("a healthy disk");
+    // A clip goes, one changes its labels, and one is new.
+    let mut files: Vec<PathBuf> = Disk
+        .list(&source)
+        .expect("listed")
+        .into_iter()
+        .map(|(path, _)| path)
+        .filter(|path| path.extension().is_some_and(|end| end == "npz"))
+        .collect();
+    files.sort();
+    std::fs::copy(&files[0], source.join("new.npz")).expect("copied");
+    std::fs::remove_file(&files[1]).expect("removed");
+    std::fs::write(files[2].with_extension("txt"), "a person is new\n").expect("written");
+    let grow = |store, out: &Path| {
+        copied(&base, out);
+        run(store, &source, out, false)
+    };
+    let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
+    let clean = grow(store, &dir.path().join("clean")).expect("a healthy disk");
+    let growth = clean.growth.expect("it grew");
+    assert_eq!((growth.new, growth.gone.len(), growth.read_again.len()), (1, 1, 1));
+    let clean = clean.dataset.manifest().root_hash.clone();
+    for at in 0..count.load(Ordering::SeqCst) {
+        let out = dir.path().join(format!("failing{at}"));
+        let (store, _) = Doomed::store(at, Fate::Fail(io::ErrorKind::StorageFull));
+        match grow(store, &out) {
+            // A source that could not be read keeps its clip, or is read the next time.
+            Ok(report) => assert!(report.accounting.balances()),
+            Err(_) => {
+                let found = Dataset::open(&out).expect("a whole version");
+                let found = &found.manifest().root_hash;
+                assert!(*found == before.dataset.manifest().root_hash || *found == clean);
+                let again = run(Disk::store(), &source, &out, false).expect("the disk is healthy");
+                assert_eq!(again.dataset.manifest().root_hash, clean, "operation {at}");
+            }
+        }
+        std::fs::remove_dir_all(&out).expect("removed");
+    }
+}

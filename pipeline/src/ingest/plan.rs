@@ -148,7 +148,7 @@ impl Plan {
         let listed = list_sources(paths)?;
         let by_place = hash_files(store.as_ref(), &listed, progress);
         let names = listed.iter().map(sources::name);
-        let given = if recorded.clips.is_empty() {
+        let given = if recorded.sources.is_empty() {
             sources::labels(&listed)
         } else {
             let hash_of = |place: &Path| by_place.get(place)?.hash.clone().ok();
