@@ -385,15 +385,11 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let base = dir.path().join("base");
     let before = run(Disk::store(), &source, &base, false).expect("a healthy disk");
     // A clip goes, one changes its labels, and one is new.
-    let mut files: Vec<PathBuf> = Disk
-        .list(&source)
-        .expect("listed")
-        .into_iter()
-        .map(|(path, _)| path)
-        .filter(|path| path.extension().is_some_and(|end| end == "npz"))
-        .collect();
+    let rows: Vec<MotionRow> = before.dataset.read(None).expect("reads");
+    let mut files: Vec<PathBuf> = rows.iter().map(|row| source.join(&row.source_path)).collect();
     files.sort();
-    std::fs::copy(&files[0], source.join("new.npz")).expect("copied");
+    let end = files[0].extension().expect("an extension");
+    std::fs::copy(&files[0], source.join("new").with_extension(end)).expect("copied");
     std::fs::remove_file(&files[1]).expect("removed");
     std::fs::write(files[2].with_extension("txt"), "a person is new\n").expect("written");
     let grow = |store, out: &Path| {

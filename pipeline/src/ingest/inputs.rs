@@ -7,20 +7,25 @@ use super::list::Source;
 use crate::source::Contents;
 
 /// Files that speak of all clips in their folder and below, by the beginning of their names.
-const SPEAK_OF_ALL_BELOW: [&str; 6] = [
+const SPEAK_OF_ALL_BELOW: [&str; 7] = [
     "stance.toml",
     "captions.csv",
     "license",
     "licence",
     "readme",
     "copying",
+    "unlicense",
 ];
+
+/// Ends of the names of files that describe the motion of their name alone.
+const ENDS_OF_LABELS: [&str; 2] = [".json", ".txt"];
 
 /// Hashes of what single files are read from, by file. `motions` are the files with motions and `others`
 /// those without.
 ///
-/// A file without a motion may say something about the motion with its name, else about all of its
-/// folder. One in a folder without motions belongs to the next folder above that has some.
+/// A file without a motion may say something about the motion with its name. Other files than labels may be
+/// read by any motion of their folder; those in a folder without motions belong to the next folder above
+/// that has some.
 pub(super) fn of_single_files<'a>(
     motions: &BTreeSet<&'a str>,
     others: &BTreeSet<&'a str>,
@@ -49,8 +54,11 @@ pub(super) fn of_single_files<'a>(
             dots.map(|(dot, _)| &name[..dot])
                 .find(|stem| stems.contains(stem))
         });
+        let is_label = stems.contains_key(folder) && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
         if let Some(own) = own {
             of_stem.entry((folder, own)).or_default().push(file);
+        } else if is_label {
+            // Labels of a motion that is not there.
         } else if let Some(folder) = above(folder).find(|folder| stems.contains_key(folder)) {
             of_folder.entry(folder).or_default().push(file);
         }
@@ -186,6 +194,7 @@ mod tests {
             "a/walk.txt",
             "a/cfg/labels.txt",
             "a/scene.bin",
+            "a/gone.stance.json",
             "stance.toml",
             "b/README.md",
             "notes/list.txt",
@@ -196,6 +205,7 @@ mod tests {
             ("a/walk.txt", vec!["a/walk.bvh"]),
             ("a/cfg/labels.txt", vec!["a/run.bvh", "a/walk.bvh"]),
             ("a/scene.bin", vec!["a/run.bvh", "a/walk.bvh"]),
+            ("a/gone.stance.json", vec![]),
             ("b/README.md", vec!["b/walk.bvh"]),
             ("stance.toml", vec!["a/run.bvh", "a/walk.bvh", "b/walk.bvh"]),
             ("notes/list.txt", vec![]),
