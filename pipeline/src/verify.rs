@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
     EditRow, HumanMl3dRow, ItemRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow,
-    QuarantineRow, ScoreRow, TripletRow, WindowRow,
+    QuarantineRow, ScoreRow, SkippedRow, TripletRow, WindowRow,
 };
 use datasets_spec::store::{Disk, Store};
 use datasets_spec::table::{Row, read_rows};
@@ -428,6 +428,7 @@ impl Read {
             EditRow::TABLE => read.edits(&path, file),
             ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
             QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
+            SkippedRow::TABLE => read.rows_of(&path, file, |_: &SkippedRow| Vec::new()),
             other => Err(format!("no table is called {other}")),
         };
         if let Err(problem) = reader {

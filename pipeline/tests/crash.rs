@@ -386,7 +386,10 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let before = run(Disk::store(), &source, &base, false).expect("a healthy disk");
     // A clip goes, one changes its labels, and one is new.
     let rows: Vec<MotionRow> = before.dataset.read(None).expect("reads");
-    let mut files: Vec<PathBuf> = rows.iter().map(|row| source.join(&row.source_path)).collect();
+    let mut files: Vec<PathBuf> = rows
+        .iter()
+        .map(|row| source.join(&row.source_path))
+        .collect();
     files.sort();
     let end = files[0].extension().expect("an extension");
     std::fs::copy(&files[0], source.join("new").with_extension(end)).expect("copied");
@@ -399,7 +402,10 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
     let clean = grow(store, &dir.path().join("clean")).expect("a healthy disk");
     let growth = clean.growth.expect("it grew");
-    assert_eq!((growth.new, growth.gone.len(), growth.read_again.len()), (1, 1, 1));
+    assert_eq!(
+        (growth.new, growth.gone.len(), growth.read_again.len()),
+        (1, 1, 1)
+    );
     let clean = clean.dataset.manifest().root_hash.clone();
     for at in 0..count.load(Ordering::SeqCst) {
         let out = dir.path().join(format!("failing{at}"));

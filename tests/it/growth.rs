@@ -514,18 +514,28 @@ fn equal_files_share_a_split_wherever_they_lie() {
 fn equal_motions_in_two_splits_fail_verification() {
     let dir = corpus(12);
     let source = dir.path().join("corpus");
-    let bvh = files(&source).into_iter().find(|file| file.extension().is_some_and(|end| end == "bvh"));
+    let bvh = files(&source)
+        .into_iter()
+        .find(|file| file.extension().is_some_and(|end| end == "bvh"));
     let bvh = bvh.expect("a BVH");
     // The same motion in other bytes, and a list that wants it in another split.
     let text = fs::read_to_string(&bvh).expect("text");
     fs::write(source.join("copy.bvh"), format!("{text}\n")).expect("written");
-    let stem = bvh.file_stem().expect("a name").to_string_lossy().into_owned();
+    let stem = bvh
+        .file_stem()
+        .expect("a name")
+        .to_string_lossy()
+        .into_owned();
     let list = dir.path().join("splits.csv");
     fs::write(&list, format!("clip,split\n*{stem},train\ncopy,test\n")).expect("written");
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &["--splits", arg(&list)], 0);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert!(ran.stdout.contains("is the same motion within 0.0 mm"), "{}", ran.stdout);
+    assert!(
+        ran.stdout.contains("is the same motion within 0.0 mm"),
+        "{}",
+        ran.stdout
+    );
     stance(&["verify", arg(&dataset), "--accept-duplicates"]).expect_code(0);
 }
 

@@ -54,7 +54,8 @@ pub(super) fn of_single_files<'a>(
             dots.map(|(dot, _)| &name[..dot])
                 .find(|stem| stems.contains(stem))
         });
-        let is_label = stems.contains_key(folder) && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
+        let is_label =
+            stems.contains_key(folder) && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
         if let Some(own) = own {
             of_stem.entry((folder, own)).or_default().push(file);
         } else if is_label {

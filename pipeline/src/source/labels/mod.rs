@@ -159,10 +159,7 @@ pub(crate) fn stated(
 }
 
 /// The sidecar of a motion file, empty if there is none or if it cannot be used.
-fn sidecar(
-    path: &Path,
-    companions: &Companions<'_>,
-) -> (Sidecar, Vec<LabelProblem>) {
+fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProblem>) {
     let name = format!("{}{}", stem_of(path), Sidecar::SUFFIX);
     let Some(bytes) = companions(&name) else {
         return Default::default();
@@ -274,11 +271,7 @@ mod tests {
     use super::*;
     use crate::clip::RotationSource;
 
-    fn labelled(
-        path: &str,
-        companions: &Companions<'_>,
-        around: &ClipLabels,
-    ) -> SourceClip {
+    fn labelled(path: &str, companions: &Companions<'_>, around: &ClipLabels) -> SourceClip {
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid");
         let clip = SourceClip::new(motion, RotationSource::Native);
         attach(clip, Path::new(path), companions, around)
