@@ -3,8 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::dataset::{Commit, ShardName};
-use datasets_spec::manifest::{Accounting, plan_hash};
+use datasets_spec::dataset::{Commit, ShardName, table_facts};
+use datasets_spec::license::{self, LICENSES_FACT};
+use datasets_spec::manifest::{Accounting, FileEntry, plan_hash};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
@@ -27,6 +28,8 @@ pub struct Merged {
     /// Clips of the second dataset that moved into the split of an equal motion of the first, or of the
     /// clip they share a source with.
     pub moved: BTreeMap<String, Split>,
+    /// What mixing the licences of the two asks for, if anything.
+    pub license_warning: Option<String>,
     /// Masks and pairs of the second dataset that name motions of two splits now.
     pub dropped_labels: Vec<String>,
     /// Hash of the result.
@@ -102,7 +105,7 @@ pub fn merge(
             path: out.to_owned(),
         });
     }
-    let (facts, label) = merged_facts(a, b);
+    let (mut facts, label) = merged_facts(a, b);
     let base = Part {
         dataset: a,
         label: String::new(),
@@ -119,7 +122,7 @@ pub fn merge(
             &added.label,
         ),
     );
-    let shard_facts = datasets_spec::dataset::table_facts(&skeleton, &plan);
+    let shard_facts = table_facts(&skeleton, &plan);
     let mut tables = BTreeMap::new();
     let parts = [&base, &added];
     progress.begin("merge", Some(SHARDED.len() as u64));
@@ -138,6 +141,9 @@ pub fn merge(
             })
         },
     )?;
+    let licenses = license::count(transaction.root(), motions.iter())?;
+    let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
+    facts.insert(LICENSES_FACT.to_owned(), text);
     tables.insert(MotionRow::TABLE.to_owned(), motions);
     progress.advance(1);
     let markers = shards(
@@ -246,16 +252,17 @@ pub fn merge(
         ..Commit::default()
     })?;
     progress.finish(&format!("{num_clips} clips"));
-    let text = |(from, to): (&MotionId, &MotionId)| (from.to_string(), to.to_string());
+    let names = |(from, to): (&MotionId, &MotionId)| (from.to_string(), to.to_string());
     Ok(Merged {
         clips: num_clips,
         shared: added.shared.iter().map(ToString::to_string).collect(),
-        renamed: added.ids.iter().map(text).collect(),
+        renamed: added.ids.iter().map(names).collect(),
         moved: added
             .splits
             .iter()
             .map(|(id, split)| (added.id(id).to_string(), *split))
             .collect(),
+        license_warning: license::warning(&licenses),
         dropped_labels: labels.dropped,
         root_hash: dataset.manifest().root_hash.clone(),
     })
@@ -396,7 +403,7 @@ fn shards<R: Row>(
     parts: &[&Part<'_>],
     facts: &[(&str, String)],
     take: impl Fn(&Part<'_>, R) -> Option<(Split, R)>,
-) -> Result<Vec<datasets_spec::manifest::FileEntry>, Error> {
+) -> Result<Vec<FileEntry>, Error> {
     let num_files = parts
         .iter()
         .map(|part| part.dataset.files(R::TABLE, None).len())

@@ -104,6 +104,9 @@ fn summary(done: &Merged) -> String {
     for id in &done.dropped_labels {
         text += &format!("  pair {id} was dropped: its motions are in two splits now\n");
     }
+    if let Some(warning) = &done.license_warning {
+        text += &format!("note: {warning}\n");
+    }
     text + &format!("root hash {}\n", done.root_hash)
 }
 

@@ -163,6 +163,16 @@ impl Settings {
         serde_json::to_string(self).expect("texts serialise")
     }
 
+    /// Whether two recorded settings read clips the same way: all are equal but the seed of the splits.
+    pub(super) fn read_alike(a: &str, b: &str) -> bool {
+        let [a, b] = [a, b].map(|text| {
+            let mut settings: Self = serde_json::from_str(text).unwrap_or_default();
+            settings.0.remove("seed");
+            settings.0
+        });
+        !a.is_empty() && a == b
+    }
+
     /// The settings that differ from recorded ones, in words; none where all are equal.
     pub(super) fn differing(&self, recorded: Option<&String>) -> Option<String> {
         let Some(recorded) = recorded.and_then(|text| serde_json::from_str::<Self>(text).ok())

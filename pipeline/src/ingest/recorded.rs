@@ -10,7 +10,7 @@ use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 
 use super::list::labelled;
-use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT};
+use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings};
 use super::sources::{SOURCES_FACT, SourceLabel, lies_in};
 use crate::Error;
 use crate::clip::LabelProblem;
@@ -223,7 +223,11 @@ pub(crate) fn merged_facts(
     let (a, b) = (&first.manifest().facts, &second.manifest().facts);
     let mut facts: BTreeMap<String, String> = a
         .iter()
-        .filter(|(name, value)| b.get(*name) == Some(value) || *name == SEED_FACT)
+        .filter(|(name, value)| match b.get(*name) {
+            _ if *name == SEED_FACT => true,
+            Some(other) if *name == SETTINGS_FACT => Settings::read_alike(value, other),
+            other => other == Some(value),
+        })
         .map(|(name, value)| (name.clone(), value.clone()))
         .collect();
     let sources = |facts: &BTreeMap<String, String>| -> Vec<SourceLabel> {
