@@ -167,37 +167,34 @@ impl Plan {
                 key
             })
             .collect();
+        // What decides on the split of each motion, the strongest first.
+        let reasons: Vec<[Option<Split>; 4]> = self
+            .items
+            .iter()
+            .map(|item| {
+                let recorded = item.known.map(|index| recorded.clips[index].split);
+                let content = (self.hash_of(item), item.entry.key.as_str());
+                let single = item.release.is_none() && !content.0.is_empty();
+                let copied = of_content.get(&content).copied().flatten();
+                let copied = copied.filter(|_| single);
+                [item.own_split, recorded, item.entry.split, copied]
+            })
+            .collect();
         let mut given: BTreeMap<usize, Split> = BTreeMap::new();
-        let own = |item: &Planned| item.known.map(|index| recorded.clips[index].split);
-        let copied = |item: &Planned| {
-            let content = (self.hash_of(item), item.entry.key.as_str());
-            let single = item.release.is_none() && !content.0.is_empty();
-            single
-                .then(|| of_content.get(&content).copied().flatten())
-                .flatten()
-        };
-        let passes: [&dyn Fn(&Planned) -> Option<Split>; 4] = [
-            &|item| item.own_split,
-            &own,
-            &|item| item.entry.split,
-            &copied,
-        ];
-        for pass in passes {
-            for (item, key) in self.items.iter().zip(&keys) {
-                if let Some(split) = pass(item) {
+        for strength in 0..4 {
+            for (reasons, key) in reasons.iter().zip(&keys) {
+                if let Some(split) = reasons[strength] {
                     given.entry(groups.root(*key)).or_insert(split);
                 }
             }
         }
-        let splits: Vec<Split> = self
-            .items
+        let splits: Vec<Split> = reasons
             .iter()
             .zip(&keys)
-            .map(|(item, key)| {
+            .map(|([own, recorded, published, _], key)| {
                 let group = groups.root(*key);
-                item.own_split
-                    .or(own(item))
-                    .or(item.entry.split)
+                own.or(*recorded)
+                    .or(*published)
                     .or(given.get(&group).copied())
                     .unwrap_or_else(|| Split::assign(&groups.names[group], seed))
             })
