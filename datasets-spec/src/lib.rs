@@ -15,6 +15,7 @@
 //! let row = QuarantineRow {
 //!     path: "walk.bvh".to_owned(),
 //!     source_hash: String::new(),
+//!     inputs_hash: String::new(),
 //!     code: "E-BVH-FRAMES".to_owned(),
 //!     reason: "found 3 rows of motion, expected 4".to_owned(),
 //!     byte_offset: Some(812),

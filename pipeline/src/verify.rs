@@ -50,7 +50,7 @@ impl Check {
         Self::Accounting,
     ];
 
-    /// What it says of itself.
+    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Files => "files",
