@@ -511,6 +511,48 @@ fn equal_files_share_a_split_wherever_they_lie() {
 }
 
 #[test]
+fn equal_motions_of_other_bytes_share_a_split() {
+    let dir = corpus(48);
+    let source = dir.path().join("corpus");
+    let copies = dir.path().join("copies");
+    fs::create_dir(&copies).expect("made");
+    let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
+    for (number, file) in files(&source).into_iter().filter(is_bvh).enumerate() {
+        let text = fs::read_to_string(&file).expect("text");
+        fs::write(
+            copies.join(format!("copy{number}.bvh")),
+            format!("{text}\n"),
+        )
+        .expect("written");
+    }
+    let one_split_each = |dataset: &Path| {
+        let mut splits: BTreeMap<String, Vec<Split>> = BTreeMap::new();
+        for (split, content) in clips(dataset).into_values() {
+            splits.entry(content).or_default().push(split);
+        }
+        assert!(
+            splits
+                .values()
+                .any(|splits| splits.len() > 1 && splits[0] != Split::Train)
+        );
+        assert!(
+            splits
+                .values()
+                .all(|splits| splits.iter().all(|split| *split == splits[0]))
+        );
+        verified(dataset);
+    };
+    let [both, grown] = ["both", "grown"].map(|name| dir.path().join(name));
+    ingest(&[&source, &copies], &both, &["--features", "humanml3d"], 0);
+    one_split_each(&both);
+    ingest(&[&source], &grown, &[], 0);
+    let before = clips(&grown);
+    ingest(&[&copies], &grown, &[], 0);
+    one_split_each(&grown);
+    assert!(before.iter().all(|(id, clip)| clips(&grown)[id] == *clip));
+}
+
+#[test]
 fn equal_motions_in_two_splits_fail_verification() {
     let dir = corpus(12);
     let source = dir.path().join("corpus");

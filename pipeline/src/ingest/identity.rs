@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::{MotionId, Seed, Split};
 
 use super::list::path_of;
@@ -30,7 +31,7 @@ impl Plan {
         });
         let mut items = std::mem::take(&mut self.items);
         if same_settings {
-            items.retain(|item| !self.was_refused(item, recorded));
+            self.refuse_again(&mut items, recorded);
         }
         self.recognise(&mut items, recorded, same_settings);
         let known = recorded.clips.iter();
@@ -40,20 +41,25 @@ impl Plan {
         self.items = items;
     }
 
-    /// Takes over the row of an item that was quarantined or skipped and has not changed.
-    fn was_refused(&mut self, item: &Planned, recorded: &Recorded) -> bool {
-        let path = path_of(&item.entry.file, &item.entry.key);
-        let quarantined = recorded.quarantine.iter().find(|row| {
-            // What could not be read may be readable now.
-            row.path == path && row.inputs_hash == item.inputs && row.code != "E-IO"
-        });
+    /// Takes over the rows of items that were quarantined or skipped and have not changed.
+    fn refuse_again(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
+        // What could not be read may be readable now.
+        let quarantine = recorded.quarantine.iter().filter(|row| row.code != "E-IO");
+        let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
+            .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
+            .collect();
         let skipped = recorded.skipped.iter();
-        let skipped = skipped
-            .clone()
-            .find(|row| row.path == path && row.inputs_hash == item.inputs);
-        self.rejected.extend(quarantined.cloned());
-        self.skipped.extend(skipped.cloned());
-        quarantined.is_some() || skipped.is_some()
+        let skipped: BTreeMap<(&str, &str), &SkippedRow> = skipped
+            .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
+            .collect();
+        items.retain(|item| {
+            let path = path_of(&item.entry.file, &item.entry.key);
+            let place = (path.as_str(), item.inputs.as_str());
+            let (quarantined, skipped) = (quarantine.get(&place), skipped.get(&place));
+            self.rejected.extend(quarantined.copied().cloned());
+            self.skipped.extend(skipped.copied().cloned());
+            quarantined.is_none() && skipped.is_none()
+        });
     }
 
     fn recognise(&self, items: &mut [Planned], recorded: &Recorded, same_settings: bool) {
@@ -63,9 +69,20 @@ impl Plan {
             by_path.entry(&clip.path).or_default().push(index);
             by_hash.entry(&clip.hash).or_default().push(index);
         }
+        let clips = recorded.clips.iter().enumerate();
+        let by_id: BTreeMap<&str, usize> = clips
+            .map(|(index, clip)| (clip.id.as_str(), index))
+            .collect();
         let mut claimed = BTreeSet::new();
         let mut claim = |item: &mut Planned, candidates: Option<&Vec<usize>>, moved: bool| {
-            let found = candidates.into_iter().flatten().copied().find(|&index| {
+            // Releases hold thousands of motions in a file; most have the id that the release gives them.
+            let exact = by_id.get(item.entry.id.as_str()).copied();
+            let exact =
+                exact.filter(|index| !moved && recorded.clips[*index].path == item.entry.file);
+            let mut candidates = exact
+                .into_iter()
+                .chain(candidates.into_iter().flatten().copied());
+            let found = candidates.find(|&index| {
                 let clip = &recorded.clips[index];
                 is_same_motion(item, clip)
                     && !(moved && self.sources.contains_key(&clip.path))
@@ -141,6 +158,37 @@ impl Plan {
     /// from the smallest of their keys. A key depends on neither the label of the source nor the files
     /// beside it, so that growth cannot change it.
     pub(super) fn assign_splits(&mut self, recorded: &Recorded, seed: Seed) {
+        let splits = self.splits(recorded, seed, &BTreeMap::new());
+        for (item, split) in self.items.iter_mut().zip(splits) {
+            let before = item.known.map(|index| recorded.clips[index].split);
+            item.is_kept &= before.is_none_or(|before| before == split);
+            item.split = split;
+        }
+    }
+
+    /// The motions of this run whose split changes now that the content of every motion is known, by id: equal
+    /// motions share a split, whatever their files.
+    pub(super) fn moves(
+        &self,
+        recorded: &Recorded,
+        seed: Seed,
+        contents: &BTreeMap<String, String>,
+    ) -> BTreeMap<String, Split> {
+        let splits = self.splits(recorded, seed, contents);
+        let items = self.items.iter().zip(splits);
+        items
+            .filter(|(item, split)| !item.is_kept && item.split != *split)
+            .map(|(item, split)| (item.id.clone(), split))
+            .collect()
+    }
+
+    /// The splits of all motions. `contents` are the hashes of motions by id, as far as they are known.
+    fn splits(
+        &self,
+        recorded: &Recorded,
+        seed: Seed,
+        contents: &BTreeMap<String, String>,
+    ) -> Vec<Split> {
         let mut groups = Groups::default();
         let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
         for clip in &recorded.clips {
@@ -149,7 +197,13 @@ impl Plan {
                 .or_default();
             split.get_or_insert(clip.split);
         }
+        let with_motion = recorded.clips.iter().filter(|clip| clip.has_motion());
+        let recorded_contents: BTreeMap<&str, Split> = with_motion
+            .rev()
+            .map(|clip| (clip.content.as_str(), clip.split))
+            .collect();
         let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+        let mut first_content: BTreeMap<&str, usize> = BTreeMap::new();
         let keys: Vec<usize> = self
             .items
             .iter()
@@ -164,6 +218,10 @@ impl Plan {
                     let first = *first_key.entry((hash, motion)).or_insert(key);
                     groups.unite(first, key);
                 }
+                if let Some(content) = contents.get(&item.id) {
+                    let first = *first_content.entry(content.as_str()).or_insert(key);
+                    groups.unite(first, key);
+                }
                 key
             })
             .collect();
@@ -176,7 +234,9 @@ impl Plan {
                 let content = (self.hash_of(item), item.entry.key.as_str());
                 let single = item.release.is_none() && !content.0.is_empty();
                 let copied = of_content.get(&content).copied().flatten();
-                let copied = copied.filter(|_| single);
+                let equal = contents.get(&item.id);
+                let equal = equal.and_then(|content| recorded_contents.get(content.as_str()));
+                let copied = copied.filter(|_| single).or(equal.copied());
                 [item.own_split, recorded, item.entry.split, copied]
             })
             .collect();
@@ -188,7 +248,7 @@ impl Plan {
                 }
             }
         }
-        let splits: Vec<Split> = reasons
+        reasons
             .iter()
             .zip(&keys)
             .map(|([own, recorded, published, _], key)| {
@@ -198,12 +258,7 @@ impl Plan {
                     .or(given.get(&group).copied())
                     .unwrap_or_else(|| Split::assign(&groups.names[group], seed))
             })
-            .collect();
-        for (item, split) in self.items.iter_mut().zip(splits) {
-            let before = item.known.map(|index| recorded.clips[index].split);
-            item.is_kept &= before.is_none_or(|before| before == split);
-            item.split = split;
-        }
+            .collect()
     }
 
     /// Key of the drawn split, for clips without a published one.

@@ -4,6 +4,7 @@
 //! shard fixed, so the result depends neither on the order in which threads finish nor on how often
 //! the run was interrupted. A bad file becomes a row of the `quarantine` table and the rest goes on.
 
+mod equal;
 mod growth;
 mod identity;
 mod inputs;
@@ -155,6 +156,7 @@ pub fn ingest_in(
             .filter_map(|(name, _)| Some((name.split?, name.of))),
     );
     tally.tables = fates.shards(&transaction, &of, &facts)?;
+    let mut made = Vec::new();
     for (name, items) in &shards {
         let staged = transaction.staged::<ShardNotes>(&plan_hash, name)?;
         let (entry, notes) = match staged {
@@ -169,7 +171,14 @@ pub fn ingest_in(
                 done
             }
         };
+        made.push((name.clone(), entry.clone()));
         tally.take(entry, notes);
+    }
+    let contents = equal::contents(&transaction, &made)?;
+    let moves = plan.moves(recorded, options.seed, &contents);
+    if !moves.is_empty() {
+        equal::move_rows(&transaction, &made, &mut tally.tables, &moves, &facts)?;
+        tally.follow(moves);
     }
     tally.staying = fates
         .staying()

@@ -97,6 +97,8 @@ pub(super) struct Tally {
     pub(super) skipped: Vec<SkippedRow>,
     /// Clips of the version before that stay, with their splits.
     pub(super) staying: BTreeMap<String, Split>,
+    /// Clips of this run that moved into the split of an equal one.
+    pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
     pub(super) markers_only: u64,
     pub(super) pairs: Vec<PairRow>,
@@ -129,6 +131,17 @@ impl Tally {
         let entries = plan.items.iter().map(|item| &item.entry);
         problems.extend(plan.folder_labels.problems(&plan.files, entries));
         problems.into_iter().collect()
+    }
+
+    /// Brings the labels of clips that moved into their splits.
+    pub(super) fn follow(&mut self, moves: BTreeMap<String, Split>) {
+        for mask in &mut self.masks {
+            mask.split = *moves.get(mask.motion_id.as_str()).unwrap_or(&mask.split);
+        }
+        for pair in &mut self.pairs {
+            pair.split = *moves.get(pair.target_id.as_str()).unwrap_or(&pair.split);
+        }
+        self.moves = moves;
     }
 
     /// Counts of the source items: those of this run, and those of sources that are not of it.
@@ -204,7 +217,10 @@ impl Tally {
     pub(super) fn splits<'a>(&'a self, shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
         let made = shards.iter().flat_map(|(_, items)| items);
-        let made = made.filter_map(|item| Some((item.id.as_ref().ok()?.as_str(), item.split)));
+        let made = made.filter_map(|item| {
+            let id = item.id.as_ref().ok()?.as_str();
+            Some((id, *self.moves.get(id).unwrap_or(&item.split)))
+        });
         staying
             .map(|(id, split)| (id.as_str(), *split))
             .chain(made.filter(|(id, _)| self.ingested.contains(*id)))

@@ -329,9 +329,18 @@ fn drawn_splits_follow_the_seed_and_keep_pairs_together() {
 
     let dir = tempfile::tempdir().expect("temporary folder");
     let ids: Vec<String> = (0..12).map(|number| format!("{number:06}")).collect();
+    // Motions of their own lengths: equal ones would share a split.
+    let distinct = |index: usize| {
+        Value::Dict(vec![
+            (Value::text("motion_source"), motion(30 + 6 * index, false)),
+            (Value::text("motion_target"), motion(33 + 6 * index, true)),
+            (Value::text("text"), Value::text("faster")),
+        ])
+    };
     let pairs: Vec<(&str, Value)> = ids
         .iter()
-        .map(|id| (id.as_str(), pair(25, "faster")))
+        .enumerate()
+        .map(|(index, id)| (id.as_str(), distinct(index)))
         .collect();
     put_dump(dir.path(), "in/motionfix.pth.tar", &pairs, true);
     let splits = |seed: u64| -> BTreeMap<MotionId, Split> {
