@@ -27,7 +27,11 @@ impl Recorded {
     pub(crate) fn read(root: &Path, case: &str) -> Self {
         let folder = std::env::var_os("STANCE_GOLDEN")
             .map_or_else(|| root.join("tests/data/golden"), PathBuf::from);
-        let path = folder.join(format!("{case}.safetensors"));
+        Self::read_file(folder.join(format!("{case}.safetensors")))
+    }
+
+    /// Reads the file of a case.
+    pub(crate) fn read_file(path: PathBuf) -> Self {
         let bytes = std::fs::read(&path).unwrap_or_else(|error| {
             panic!("cannot read {}: {error}; set STANCE_GOLDEN", path.display())
         });
@@ -41,7 +45,7 @@ impl Recorded {
                     Dtype::F32 => widen(data, |b| f32::from_le_bytes(b).into()),
                     Dtype::I64 => widen(data, |b| i64::from_le_bytes(b) as f64),
                     Dtype::U8 | Dtype::BOOL => widen(data, |b: [u8; 1]| b[0].into()),
-                    other => panic!("{case}: {key} has type {other:?}"),
+                    other => panic!("{}: {key} has type {other:?}", path.display()),
                 };
                 let shape = view.shape().to_vec();
                 (key.to_owned(), Tensor { shape, values })

@@ -15,12 +15,13 @@ use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use train::config::{NetworkConfig, Prediction, Preset, ScheduleName, TrainConfig};
 use train::data::{NoisyBatch, TextBatch};
-use train::diffusion::{Objective, Schedule};
+use train::diffusion::Objective;
 use train::model::denoiser::Denoiser;
 use train::model::fused;
 use train::model::weights::draw;
 use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
+use train::schedule::Schedule;
 
 /// Windows in a training step.
 const BATCH: usize = 64;

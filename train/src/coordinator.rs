@@ -22,9 +22,9 @@ use crate::config::{
     Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings,
     TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, narrowed, positive,
 };
-use crate::diffusion::Schedule;
 use crate::model::coordinator::Coordinator;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::{Error, Session};
 

@@ -1,18 +1,16 @@
-//! Noise schedule, forward noising, reverse step, guidance and loss.
+//! What MotionReFit's denoiser predicts, its guidance and its loss.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::skeleton::Joint;
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
-use crate::config::{
-    DiffusionConfig, FixedFrames, LINEAR_VARIANCES, Loss, Prediction, ScheduleName,
-};
+use crate::config::{DiffusionConfig, FixedFrames, Loss, Prediction};
 use crate::data::NoisyBatch;
 use crate::model::denoiser::Denoiser;
+use crate::schedule::Schedule;
 
 /// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
 /// numbers of a frame, fitted to training windows.
@@ -162,130 +160,7 @@ impl Basis<'_> {
     }
 }
 
-/// The coefficients of a diffusion of `T` steps, all in `f64`.
-///
-/// # Source
-/// Ho et al. 2020, Eq. 4 to 7.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Schedule {
-    /// Variance added in a step, `[T]`.
-    pub betas: Vec<f64>,
-    /// Product of `1 - beta` up to a step, `[T]`.
-    pub alphas_cumprod: Vec<f64>,
-    /// The same up to the step before, `[T]`.
-    pub alphas_cumprod_prev: Vec<f64>,
-    /// Variance of the posterior, `[T]`.
-    pub posterior_variance: Vec<f64>,
-    /// Weight of the clean window in the mean of the posterior, `[T]`.
-    pub posterior_mean_coef1: Vec<f64>,
-    /// Weight of the noisy window in the mean of the posterior, `[T]`.
-    pub posterior_mean_coef2: Vec<f64>,
-}
-
 impl Schedule {
-    /// Computes the coefficients.
-    ///
-    /// # Errors
-    /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
-    pub fn new(name: ScheduleName, num_steps: usize) -> Result<Self, Error> {
-        let scale = name.variance_scale(num_steps)?;
-        let [first, last] = LINEAR_VARIANCES;
-        let stride = scale * (last - first) / (num_steps - 1) as f64;
-        let betas: Vec<f64> = (0..num_steps)
-            .map(|step| scale * first + step as f64 * stride)
-            .collect();
-        let alphas_cumprod: Vec<f64> = betas
-            .iter()
-            .scan(1.0, |product, beta| {
-                *product *= 1.0 - beta;
-                Some(*product)
-            })
-            .collect();
-        let alphas_cumprod_prev: Vec<f64> = std::iter::once(1.0)
-            .chain(alphas_cumprod[..num_steps - 1].iter().copied())
-            .collect();
-        let coefficient = |f: &dyn Fn(f64, f64, f64) -> f64| -> Vec<f64> {
-            (0..num_steps)
-                .map(|t| f(betas[t], alphas_cumprod[t], alphas_cumprod_prev[t]))
-                .collect()
-        };
-        Ok(Self {
-            posterior_variance: coefficient(&|beta, now, before| {
-                beta * (1.0 - before) / (1.0 - now)
-            }),
-            posterior_mean_coef1: coefficient(&|beta, now, before| {
-                beta * before.sqrt() / (1.0 - now)
-            }),
-            posterior_mean_coef2: coefficient(&|beta, now, before| {
-                (1.0 - before) * (1.0 - beta).sqrt() / (1.0 - now)
-            }),
-            betas,
-            alphas_cumprod,
-            alphas_cumprod_prev,
-        })
-    }
-
-    /// Number of steps.
-    #[expect(clippy::len_without_is_empty, reason = "a schedule is never empty")]
-    pub fn len(&self) -> usize {
-        self.betas.len()
-    }
-
-    /// Adds noise to clean windows (Eq. 4).
-    ///
-    /// # Shapes
-    /// `x0`, `noise` and the result `[B, W, D]`; `timesteps` `[B]`.
-    pub fn q_sample(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x0.device());
-        x0 * signal + noise * spread
-    }
-
-    /// The clean window that the predicted noise implies, not yet clipped.
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn predict_x0(&self, x_t: Tensor<3>, timesteps: &[usize], eps: Tensor<3>) -> Tensor<3> {
-        let device = x_t.device();
-        let of_x = column(
-            timesteps,
-            |t| self.alphas_cumprod[t].sqrt().recip(),
-            &device,
-        );
-        let of_eps = column(
-            timesteps,
-            |t| (self.alphas_cumprod[t].recip() - 1.0).sqrt(),
-            &device,
-        );
-        x_t * of_x - eps * of_eps
-    }
-
-    /// The velocity of clean numbers and noise: `sqrt(a) noise - sqrt(1 - a) x0`.
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn velocity(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x0.device());
-        noise * signal - x0 * spread
-    }
-
-    /// The clean numbers that noisy ones and their velocity imply; the inverse of
-    /// [`Schedule::velocity`].
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn from_velocity(&self, x_t: Tensor<3>, timesteps: &[usize], v: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x_t.device());
-        x_t * signal - v * spread
-    }
-
-    /// Weights of signal and noise in noisy windows.
-    fn mixture(&self, timesteps: &[usize], device: &Device) -> (Tensor<3>, Tensor<3>) {
-        (
-            column(timesteps, |t| self.alphas_cumprod[t].sqrt(), device),
-            column(timesteps, |t| (1.0 - self.alphas_cumprod[t]).sqrt(), device),
-        )
-    }
-
     /// What a prediction says the clean window is, not yet clipped.
     ///
     /// # Shapes
@@ -314,50 +189,6 @@ impl Schedule {
             }
         }
     }
-
-    /// The mean of the window one step cleaner, given the clean one (Eq. 7).
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn posterior_mean(&self, x0: Tensor<3>, x_t: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
-        let device = x_t.device();
-        let of_x0 = column(timesteps, |t| self.posterior_mean_coef1[t], &device);
-        let of_x = column(timesteps, |t| self.posterior_mean_coef2[t], &device);
-        x0 * of_x0 + x_t * of_x
-    }
-
-    /// One reverse step, given the estimate of the clean window: noise of the posterior variance is
-    /// added to the mean, except at the last step, `timestep` 0.
-    ///
-    /// # Shapes
-    /// All `[B, W, D]`.
-    pub fn reverse_step(
-        &self,
-        x_t: Tensor<3>,
-        x0: Tensor<3>,
-        timestep: usize,
-        noise: Tensor<3>,
-    ) -> Tensor<3> {
-        let timesteps = vec![timestep; x_t.dims()[0]];
-        self.add_noise(self.posterior_mean(x0, x_t, &timesteps), timestep, noise)
-    }
-
-    /// Adds noise of the posterior variance to the mean of the posterior, except at the last step.
-    ///
-    /// # Shapes
-    /// All `[B, W, D]`.
-    pub fn add_noise(&self, mean: Tensor<3>, timestep: usize, noise: Tensor<3>) -> Tensor<3> {
-        if timestep == 0 {
-            return mean;
-        }
-        mean + noise.mul_scalar(self.posterior_variance[timestep].sqrt())
-    }
-}
-
-/// A coefficient per window, ready to be multiplied with a batch.
-fn column(timesteps: &[usize], coefficient: impl Fn(usize) -> f64, device: &Device) -> Tensor<3> {
-    let values: Vec<f32> = timesteps.iter().map(|&t| coefficient(t) as f32).collect();
-    Tensor::from_data(TensorData::new(values, [timesteps.len(), 1, 1]), device)
 }
 
 /// Classifier-free guidance: the prediction without text, moved towards and beyond the one with
@@ -580,9 +411,11 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 
 #[cfg(test)]
 mod tests {
+    use burn::tensor::Device;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::config::ScheduleName;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
         Tensor::from_data(
@@ -593,18 +426,6 @@ mod tests {
 
     fn values(tensor: Tensor<3>) -> Vec<f32> {
         tensor.into_data().try_into_vec_as().expect("floats")
-    }
-
-    #[test]
-    fn the_rescaled_schedule_ends_in_noise_and_the_official_one_does_not() {
-        let end = |name, steps| {
-            let schedule = Schedule::new(name, steps).expect("enough steps");
-            schedule.alphas_cumprod[steps - 1]
-        };
-        assert!((end(ScheduleName::Official, 100) - 0.3636).abs() < 1e-4);
-        assert!(end(ScheduleName::Rescaled, 100) < 3e-5);
-        assert!(end(ScheduleName::Rescaled, 50) < 3e-5);
-        assert!(Schedule::new(ScheduleName::Rescaled, 20).is_err());
     }
 
     #[test]
@@ -738,22 +559,6 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_true_noise_gives_the_clean_window_back(
-            x0 in prop::collection::vec(-1.0f32..1.0, 4),
-            noise in prop::collection::vec(-3.0f32..3.0, 4),
-            t in 0usize..50,
-        ) {
-            let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-            let x_t = schedule.q_sample(tensor(&x0), &[t], tensor(&noise));
-            let back = values(schedule.predict_x0(x_t, &[t], tensor(&noise)));
-            // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
-            let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
-            for (a, b) in x0.iter().zip(back) {
-                prop_assert!(f64::from((a - b).abs()) < slack, "{a} {b} {slack}");
-            }
-        }
-
-        #[test]
         fn every_true_prediction_gives_the_clean_window_back(
             x0 in prop::collection::vec(-1.0f32..1.0, 4),
             original in prop::collection::vec(-1.0f32..1.0, 4),
@@ -776,19 +581,6 @@ mod tests {
                 for (a, b) in x0.iter().zip(values(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");
                 }
-            }
-        }
-
-        #[test]
-        fn the_last_reverse_step_returns_the_clean_window(
-            x0 in prop::collection::vec(-0.9f32..0.9, 4),
-            x_t in prop::collection::vec(-3.0f32..3.0, 4),
-        ) {
-            let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-            let noise = tensor(&[7.0; 4]);
-            let last = values(schedule.reverse_step(tensor(&x_t), tensor(&x0), 0, noise));
-            for (x0, last) in x0.iter().zip(last) {
-                prop_assert!((x0 - last).abs() < 1e-6);
             }
         }
     }

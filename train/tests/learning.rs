@@ -25,12 +25,13 @@ use train::coordinator::{
     CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
 };
 use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
-use train::diffusion::{Objective, Schedule};
+use train::diffusion::Objective;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
 use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
+use train::schedule::Schedule;
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};

@@ -15,13 +15,13 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::compose::ComposeRecord;
 use train::config::{Preset, TrainConfig};
-use train::diffusion::Schedule;
 use train::edit::Fit;
 use train::fit::{EditorRecord, TextRecord};
 use train::sample::{
     EditItem, EditSettings, EditWindow, FitMethod, TimedInstruction, WindowModel, WindowRequest,
     edit_windows, reverse,
 };
+use train::schedule::Schedule;
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 

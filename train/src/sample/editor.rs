@@ -20,11 +20,11 @@ use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
-use crate::diffusion::Schedule;
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::denoiser::PreparedWeights;
 use crate::model::motionrefit::MotionRefit;
+use crate::schedule::Schedule;
 use crate::{Error, Session};
 
 /// A trained editor.

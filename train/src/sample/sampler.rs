@@ -5,9 +5,10 @@ use std::cell::Cell;
 use burn::tensor::Tensor;
 
 use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
-use crate::diffusion::{Basis, Extrapolation, Schedule, guide, put_fixed};
+use crate::diffusion::{Basis, Extrapolation, guide, put_fixed};
 use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::{Denoiser, PreparedWeights};
+use crate::schedule::Schedule;
 
 /// What a batch of windows is generated from.
 #[derive(Clone, Debug)]

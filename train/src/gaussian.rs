@@ -1,0 +1,200 @@
+//! Sampling with a network that predicts the clean motion under the cosine schedule: TMED and MDM.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Rng;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::sample::reverse;
+use crate::schedule::Schedule;
+
+/// Which steps are made where a motion is sampled in fewer steps than the network was trained with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Respacing {
+    /// Steps of training, spread evenly from the first to the last.
+    ///
+    /// # Source
+    /// Nichol and Dhariwal 2021, Sec. 4.
+    #[default]
+    Spread,
+    /// A cosine schedule of its own, of whose steps the network is told that they are its first ones.
+    /// It then sees more noise than it was trained to see at those steps: the defect of the released
+    /// TMED.
+    Official,
+}
+
+/// A step of sampling.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleStep {
+    /// Steps that are still to be made after this one: 0 at the last step.
+    pub index: usize,
+    /// The diffusion step that the network is shown.
+    pub timestep: usize,
+}
+
+/// The steps from noise to a clean motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleSteps {
+    schedule: Schedule,
+    timesteps: Vec<usize>,
+}
+
+impl SampleSteps {
+    /// `num_steps` steps for a network trained with the cosine schedule of `num_trained`.
+    ///
+    /// # Errors
+    /// There is no step, or there are more than in training.
+    pub fn new(num_trained: usize, num_steps: usize, respacing: Respacing) -> Result<Self, Error> {
+        if !(1..=num_trained).contains(&num_steps) {
+            return Err(Error::Config {
+                field: "steps",
+                problem: format!("it is {num_steps}, and must be from 1 to {num_trained}"),
+            });
+        }
+        if respacing == Respacing::Official {
+            return Ok(Self {
+                schedule: Schedule::cosine(num_steps)?,
+                timesteps: (0..num_steps).collect(),
+            });
+        }
+        let stride = (num_trained - 1) as f64 / (num_steps.max(2) - 1) as f64;
+        // A single step starts from the most noise.
+        let timesteps: Vec<usize> = (0..num_steps)
+            .map(|step| {
+                let left = (num_steps - 1 - step) as f64;
+                ((num_trained - 1) as f64 - left * stride).round_ties_even() as usize
+            })
+            .collect();
+        Ok(Self {
+            schedule: Schedule::cosine(num_trained)?.keeping(&timesteps),
+            timesteps,
+        })
+    }
+
+    /// The schedule over these steps.
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// The diffusion step that the network is shown at each step, `[N]`, rising.
+    pub fn timesteps(&self) -> &[usize] {
+        &self.timesteps
+    }
+
+    /// Makes all steps from `start`, which is noise, or a motion with noise. `clean` estimates the clean
+    /// motion of a noisy one, `noise` gives the noise of a step, and `on_step` sees each result.
+    ///
+    /// # Shapes
+    /// All `[B, T, D]`.
+    ///
+    /// # Source
+    /// Ho et al. 2020, Algorithm 2, with the posterior variance ("fixed small") and no clipping.
+    pub fn sample(
+        &self,
+        start: Tensor<3>,
+        clean: impl Fn(&Tensor<3>, SampleStep) -> Tensor<3>,
+        mut noise: impl FnMut(SampleStep) -> Tensor<3>,
+        mut on_step: impl FnMut(SampleStep, &Tensor<3>),
+    ) -> Tensor<3> {
+        let step = |index: usize| SampleStep {
+            index,
+            timestep: self.timesteps[index],
+        };
+        reverse(
+            &self.schedule,
+            None,
+            |x, index| clean(x, step(index)),
+            |mean, _| mean,
+            |index| index.map_or_else(|| start.clone(), |index| noise(step(index))),
+            |index, x| on_step(step(index), x),
+        )
+    }
+}
+
+/// Standard normal noise for sequences of different lengths, each from a generator of its own, so that
+/// it does not depend on the other sequences. It is zero past the end of a sequence.
+///
+/// # Shapes
+/// `B` generators and lengths give `[B, T, width]`, `T` being the largest length.
+pub fn noise(rngs: &mut [Rng], lengths: &[usize], width: usize, device: &Device) -> Tensor<3> {
+    let frames = lengths.iter().copied().max().unwrap_or(0);
+    let mut values = vec![0.0f32; rngs.len() * frames * width];
+    let rows = values.chunks_exact_mut((frames * width).max(1));
+    for ((row, rng), length) in rows.zip(rngs.iter_mut()).zip(lengths) {
+        for value in &mut row[..length * width] {
+            *value = rng.sample(StandardNormal);
+        }
+    }
+    Tensor::from_data(TensorData::new(values, [rngs.len(), frames, width]), device)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+
+    use super::*;
+
+    #[test]
+    fn fewer_steps_are_spread_over_those_of_training() {
+        let spread = |steps| SampleSteps::new(1_000, steps, Respacing::Spread).expect("steps");
+        let ten = spread(10);
+        assert_eq!(
+            ten.timesteps(),
+            [0, 111, 222, 333, 444, 555, 666, 777, 888, 999]
+        );
+        let whole = Schedule::cosine(1_000).expect("steps");
+        for (signal, &step) in ten.schedule().alphas_cumprod.iter().zip(ten.timesteps()) {
+            assert!((signal - whole.alphas_cumprod[step]).abs() < 1e-14);
+        }
+        assert_eq!(spread(1).timesteps(), [999]);
+        assert!(spread(1_000).timesteps().iter().copied().eq(0..1_000));
+        let official = SampleSteps::new(300, 10, Respacing::Official).expect("steps");
+        assert!(official.timesteps().iter().copied().eq(0..10));
+        assert_eq!(*official.schedule(), Schedule::cosine(10).expect("steps"));
+        assert!(SampleSteps::new(10, 0, Respacing::Spread).is_err());
+        assert!(SampleSteps::new(10, 11, Respacing::Spread).is_err());
+    }
+
+    #[test]
+    fn the_last_step_returns_the_estimate_and_no_row_sees_another() {
+        let steps = SampleSteps::new(50, 7, Respacing::Spread).expect("steps");
+        let device = Device::flex();
+        let rngs = |rows: &[&str]| -> Vec<Rng> {
+            rows.iter().map(|row| Seed(1).rng(&["row", row])).collect()
+        };
+        let sampled = |rows: &[&str], lengths: &[usize]| -> Vec<f32> {
+            let mut rngs = rngs(rows);
+            let start = noise(&mut rngs, lengths, 2, &device);
+            let mut indices = Vec::new();
+            let x = steps.sample(
+                start,
+                |x, step| match step.index {
+                    0 => x.clone(),
+                    _ => x.clone().mul_scalar(0.5),
+                },
+                |_| noise(&mut rngs, lengths, 2, &device),
+                |step, _| indices.push(step.index),
+            );
+            assert!(indices.into_iter().eq((0..7).rev()));
+            x.into_data().try_into_vec_as().expect("floats")
+        };
+        let both = sampled(&["a", "b"], &[3, 2]);
+        assert_eq!(both[..6], sampled(&["a"], &[3]));
+        assert_eq!(both[6..10], sampled(&["b"], &[2]));
+        assert_eq!(both[10..], [0.0; 2], "nothing is past the end");
+
+        let start = noise(&mut rngs(&["a"]), &[3], 2, &device);
+        let wanted = start.clone().mul_scalar(3.0);
+        let x = steps.sample(
+            start.clone(),
+            |_, _| wanted.clone(),
+            |_| start.clone(),
+            |_, _| {},
+        );
+        let difference: f32 = (x - wanted).abs().max().into_scalar();
+        assert!(difference < 1e-6);
+    }
+}

@@ -1,0 +1,119 @@
+//! The cosine schedule of TMED and MDM.
+
+use burn::tensor::{Tensor, TensorData};
+use train::gaussian::{Respacing, SampleSteps};
+use train::schedule::Schedule;
+
+use super::{Golden, check};
+
+/// Compares all recorded arrays of a schedule; their names begin with `prefix`.
+fn check_arrays(golden: &Golden, prefix: &str, schedule: &Schedule) {
+    let derived = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
+        schedule.alphas_cumprod.iter().map(|&a| f(a)).collect()
+    };
+    // The variance of the last step is zero; the reference takes that of the step before.
+    let log_variance = (0..schedule.len()).map(|t| schedule.posterior_variance[t.max(1)].ln());
+    for (name, values) in [
+        ("betas", schedule.betas.clone()),
+        ("alphas_cumprod", schedule.alphas_cumprod.clone()),
+        ("alphas_cumprod_prev", schedule.alphas_cumprod_prev.clone()),
+        ("posterior_variance", schedule.posterior_variance.clone()),
+        ("posterior_log_variance_clipped", log_variance.collect()),
+        (
+            "posterior_mean_coef1",
+            schedule.posterior_mean_coef1.clone(),
+        ),
+        (
+            "posterior_mean_coef2",
+            schedule.posterior_mean_coef2.clone(),
+        ),
+        ("sqrt_alphas_cumprod", derived(&f64::sqrt)),
+        (
+            "sqrt_one_minus_alphas_cumprod",
+            derived(&|a| (1.0 - a).sqrt()),
+        ),
+    ] {
+        check_array(golden, &format!("{prefix}{name}"), &values);
+    }
+}
+
+fn check_array(golden: &Golden, name: &str, values: &[f64]) {
+    let (expected, _) = golden.values(name);
+    assert_eq!(values.len(), expected.len(), "{name}");
+    for (value, expected) in values.iter().zip(&expected) {
+        assert!(
+            (value - expected).abs() <= 1e-10 * expected.abs(),
+            "{name}: {value} {expected}"
+        );
+    }
+}
+
+#[test]
+fn golden_tmed_schedule_arrays() {
+    let Some(golden) = Golden::find("tmed_diffusion") else {
+        return;
+    };
+    let trained = golden.values("out.T300.betas").1[0];
+    let few = golden.values("out.T10.betas").1[0];
+    for (prefix, steps) in [("out.T300.", trained), ("out.T10.", few)] {
+        // The case has the defect of the original: fewer steps are a schedule of their own.
+        let steps = SampleSteps::new(trained, steps, Respacing::Official).expect("steps");
+        check_arrays(&golden, prefix, steps.schedule());
+        let map = golden.indices(&format!("{prefix}timestep_map"));
+        assert_eq!(steps.timesteps(), map, "{prefix}");
+    }
+    let whole = SampleSteps::new(trained, trained, Respacing::Spread).expect("steps");
+    assert_eq!(whole.timesteps(), golden.indices("out.T300.timestep_map"));
+}
+
+#[test]
+fn golden_mdm_schedule_arrays() {
+    let Some(golden) = Golden::find("mdm_diffusion") else {
+        return;
+    };
+    let steps = golden.values("out.betas").1[0];
+    let schedule = Schedule::cosine(steps).expect("steps");
+    check_arrays(&golden, "out.", &schedule);
+}
+
+/// The recorded `[B, D, 1, T]` as `[B, T, D]`.
+fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
+    let x: Tensor<4> = golden.tensor(name);
+    x.squeeze_dim::<3>(2).swap_dims(1, 2)
+}
+
+#[test]
+fn golden_mdm_reverse_step_and_noising() {
+    let Some(golden) = Golden::find("mdm_diffusion") else {
+        return;
+    };
+    let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
+    let timesteps = golden.indices("in.t");
+    let recorded = |x: Tensor<3>| x.swap_dims(1, 2).unsqueeze_dim::<4>(2);
+    let noise = sequence(&golden, "in.noise");
+    let noisy = schedule.q_sample(sequence(&golden, "in.source"), &timesteps, noise.clone());
+    check(recorded(noisy), &golden, "out.q_sample", 5e-5);
+    let (x0, x_t) = (
+        sequence(&golden, "out.inpaint.x0"),
+        sequence(&golden, "in.x_t"),
+    );
+    let mean = schedule.posterior_mean(x0.clone(), x_t.clone(), &timesteps);
+    check(recorded(mean), &golden, "out.inpaint.mean", 5e-5);
+    let variance: Vec<f32> = timesteps
+        .iter()
+        .map(|&t| schedule.posterior_variance[t] as f32)
+        .collect();
+    let rows = timesteps.len();
+    let variance = Tensor::<1>::from_data(TensorData::new(variance, [rows]), &x0.device());
+    check(variance, &golden, "out.inpaint.variance", 1e-7);
+    let stepped: Vec<Tensor<3>> = timesteps
+        .iter()
+        .enumerate()
+        .map(|(row, &timestep)| {
+            let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
+            schedule.reverse_step(of(&x_t), of(&x0), timestep, of(&noise))
+        })
+        .collect();
+    let stepped = recorded(Tensor::cat(stepped, 0));
+    check(stepped, &golden, "out.inpaint.sample", 5e-5);
+}
