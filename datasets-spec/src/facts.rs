@@ -1,4 +1,4 @@
-//! Rows of a table without its frames, for reading metadata alone.
+//! Row types with the metadata columns only. Readers that need no frames use them and skip the frame columns.
 
 use crate::table::{Caption, PartCaption, Quality, table};
 use crate::{MotionId, Split};

@@ -36,7 +36,7 @@ pub const FLAG_FPS_DOUBTFUL: u32 = 1 << 10;
 /// for it.
 pub const FLAG_TELEPORT: u32 = 1 << 11;
 
-/// The first frame was a pose apart from the motion, such as a T-pose, and was dropped.
+/// The first frame was a reference pose, such as a T-pose, from which the motion jumps; it was dropped.
 pub const FLAG_REFERENCE_DROPPED: u32 = 1 << 12;
 /// The file holds another number of rows than its header states; it was read because the run asked for
 /// it.

@@ -74,8 +74,8 @@ pub struct SourceClip {
     pub flags: u32,
     /// The captured markers the motion was solved from.
     pub markers: Option<Markers>,
-    /// The motion this one is an edit of.
-    pub edit_of: Option<EditOf>,
+    /// The edits that lead to it.
+    pub edits: Vec<EditOf>,
     /// Body-part masks the source comes with.
     pub masks: Vec<SourceMask>,
     /// The HumanML3D features the motion was made of, a row for each of its frames.
@@ -105,7 +105,7 @@ impl SourceClip {
             notes: Vec::new(),
             flags: 0,
             markers: None,
-            edit_of: None,
+            edits: Vec::new(),
             masks: Vec::new(),
             features: None,
             body: None,
@@ -198,7 +198,7 @@ pub struct Markers {
     /// Reconstruction residuals in metres, `[T * M]`; negative where a marker was not seen.
     pub residuals: Vec<f32>,
     /// The known set the labels belong to.
-    pub set: Option<&'static str>,
+    pub set: Option<String>,
     /// Root-mean-square distance in metres between the markers seen in a frame and those of the
     /// solved body, `[T]`; empty if no body was solved.
     pub fit_residuals: Vec<f32>,

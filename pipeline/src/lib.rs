@@ -26,6 +26,7 @@ pub mod answers;
 pub mod catalogue;
 pub mod check;
 pub mod clip;
+mod clip_table;
 pub mod compose;
 mod csv_lines;
 pub mod doctor;

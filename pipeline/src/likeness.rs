@@ -4,8 +4,8 @@ use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::yaw;
 
-/// Mean distance of the body joints, in metres, under which two motions of one length are nearly equal:
-/// copies that went through another format differ by less, takes of one person by more.
+/// Two motions of one length whose body joints lie closer together than this on average, in metres, are nearly
+/// equal. Conversion to another format and back moves joints by less; two takes of one person differ by more.
 pub const TOLERANCE_M: f64 = 0.005;
 
 /// Joints that are compared.

@@ -14,7 +14,8 @@ use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 use serde::Serialize;
 
 use crate::Error;
-use crate::ingest::{SHARDED, merged_facts, with_label};
+use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::ingest::{merged_facts, with_label};
 
 /// What [`merge`] did.
 #[derive(Clone, Debug, Serialize)]
@@ -54,6 +55,24 @@ impl Part<'_> {
 
     fn path(&self, path: &str) -> String {
         with_label(&self.label, path)
+    }
+
+    /// The row and its split in the result; none if the other dataset has the clip.
+    fn take<R: ClipRow>(&self, mut row: R) -> Option<(Split, R)> {
+        if self.shared.contains(row.id()) {
+            return None;
+        }
+        if let Some(path) = row.source_path() {
+            *path = self.path(path);
+        }
+        if let Some(mirrored) = row.mirrored_of()
+            && let Ok(id) = MotionId::parse(mirrored)
+        {
+            *mirrored = self.id(&id).to_string();
+        }
+        let split = *self.splits.get(row.id()).unwrap_or(&row.split());
+        row.place(self.id(row.id()), split);
+        Some((split, row))
     }
 }
 
@@ -125,54 +144,17 @@ pub fn merge(
     let shard_facts = table_facts(&skeleton, &plan);
     let mut tables = BTreeMap::new();
     let parts = [&base, &added];
-    progress.begin("merge", Some(SHARDED.len() as u64));
-    let motions = shards(
-        &transaction,
-        &parts,
-        &shard_facts,
-        |part, mut row: MotionRow| {
-            row.source_path = part.path(&row.source_path);
-            let mirrored = row.mirrored_of.take();
-            row.mirrored_of = mirrored.map(|id| renamed(part, id));
-            (!part.shared.contains(&row.id)).then(|| {
-                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-                row.id = part.id(&row.id);
-                (row.split, row)
-            })
-        },
-    )?;
+    progress.begin("merge", Some(CLIP_TABLES.len() as u64));
+    let motions = shards::<MotionRow>(&transaction, &parts, &shard_facts)?;
+    progress.advance(1);
+    let markers = shards::<MarkerRow>(&transaction, &parts, &shard_facts)?;
+    progress.advance(1);
+    let features = shards::<HumanMl3dRow>(&transaction, &parts, &shard_facts)?;
+    progress.advance(1);
     let licenses = license::count(transaction.root(), motions.iter())?;
     let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
     facts.insert(LICENSES_FACT.to_owned(), text);
     tables.insert(MotionRow::TABLE.to_owned(), motions);
-    progress.advance(1);
-    let markers = shards(
-        &transaction,
-        &parts,
-        &shard_facts,
-        |part, mut row: MarkerRow| {
-            row.source_path = part.path(&row.source_path);
-            (!part.shared.contains(&row.id)).then(|| {
-                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-                row.id = part.id(&row.id);
-                (row.split, row)
-            })
-        },
-    )?;
-    progress.advance(1);
-    let features = shards(
-        &transaction,
-        &parts,
-        &shard_facts,
-        |part, mut row: HumanMl3dRow| {
-            (!part.shared.contains(&row.id)).then(|| {
-                row.split = *part.splits.get(&row.id).unwrap_or(&row.split);
-                row.id = part.id(&row.id);
-                (row.split, row)
-            })
-        },
-    )?;
-    progress.advance(1);
     for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
         if !files.is_empty() {
             tables.insert(table.to_owned(), files);
@@ -268,13 +250,6 @@ pub fn merge(
     })
 }
 
-fn renamed(part: &Part<'_>, id: String) -> String {
-    match MotionId::parse(&id) {
-        Ok(parsed) => part.id(&parsed).to_string(),
-        Err(_) => id,
-    }
-}
-
 /// The second dataset: which of its clips the first has, and the ids and splits of the others.
 fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Part<'a>, Error> {
     let known = clips(base.dataset)?;
@@ -346,16 +321,7 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
-            mask.id = free(&mask.id, &part.label, |id| {
-                masks.get(id).is_none_or(|other| {
-                    *other
-                        == MaskRow {
-                            id: id.to_owned(),
-                            ..mask.clone()
-                        }
-                })
-            });
-            masks.insert(mask.id.clone(), mask);
+            insert(&mut masks, mask, &part.label, |mask| &mut mask.id);
         }
         for mut pair in part.dataset.read::<PairRow>(None)? {
             pair.source_id = part.id(&pair.source_id);
@@ -366,16 +332,7 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
                 continue;
             }
             pair.split = split.unwrap_or(pair.split);
-            pair.id = free(&pair.id, &part.label, |id| {
-                pairs.get(id).is_none_or(|other| {
-                    *other
-                        == PairRow {
-                            id: id.to_owned(),
-                            ..pair.clone()
-                        }
-                })
-            });
-            pairs.insert(pair.id.clone(), pair);
+            insert(&mut pairs, pair, &part.label, |pair| &mut pair.id);
         }
     }
     Ok(Labels {
@@ -385,40 +342,47 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
     })
 }
 
-/// An id that no other row has: the row's own, else one with the label of its dataset.
-fn free(id: &str, label: &str, is_free: impl Fn(&str) -> bool) -> String {
-    let numbered = (2..).map(|number| format!("{id} ({label} {number})"));
-    let mut candidates = [id.to_owned(), format!("{id} ({label})")]
-        .into_iter()
-        .chain(numbered);
-    candidates
-        .find(|id| is_free(id))
-        .expect("numbers do not end")
+/// Adds a row under its id. Where another row has that id, the row gets one with the label of its dataset.
+fn insert<R: PartialEq>(
+    rows: &mut BTreeMap<String, R>,
+    mut row: R,
+    label: &str,
+    id: fn(&mut R) -> &mut String,
+) {
+    let own = id(&mut row).clone();
+    let mut numbers = 2..;
+    let mut candidate = own.clone();
+    while rows.get(&candidate).is_some_and(|other| *other != row) {
+        candidate = match id(&mut row) == &own {
+            true => format!("{own} ({label})"),
+            false => format!(
+                "{own} ({label} {})",
+                numbers.next().expect("numbers do not end")
+            ),
+        };
+        id(&mut row).clone_from(&candidate);
+    }
+    rows.insert(candidate, row);
 }
 
-/// Writes a table of both datasets, a shard for each of theirs and split. `take` gives the row and its
-/// split in the result; none if the row is left out.
-fn shards<R: Row>(
+/// Writes a table of both datasets, a shard for each of theirs and split.
+fn shards<R: ClipRow>(
     transaction: &Transaction,
     parts: &[&Part<'_>],
     facts: &[(&str, String)],
-    take: impl Fn(&Part<'_>, R) -> Option<(Split, R)>,
 ) -> Result<Vec<FileEntry>, Error> {
-    let num_files = parts
+    let files: Vec<_> = parts
         .iter()
-        .map(|part| part.dataset.files(R::TABLE, None).len())
-        .sum();
+        .flat_map(|part| {
+            let files = part.dataset.files(R::TABLE, None).into_iter();
+            files.map(move |(path, _)| (part, path))
+        })
+        .collect();
     let mut entries = Vec::new();
-    let files = parts.iter().flat_map(|part| {
-        part.dataset
-            .files(R::TABLE, None)
-            .into_iter()
-            .map(move |file| (part, file))
-    });
-    for (index, (part, (path, _))) in files.enumerate() {
+    for (index, (part, path)) in files.iter().enumerate() {
         let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
-        for row in read_rows::<R>(&path)? {
-            if let Some((split, row)) = take(part, row) {
+        for row in read_rows::<R>(path)? {
+            if let Some((split, row)) = part.take(row) {
                 by_split.entry(split).or_default().push(row);
             }
         }
@@ -427,7 +391,7 @@ fn shards<R: Row>(
                 table: R::TABLE,
                 split: Some(split),
                 index,
-                of: num_files,
+                of: files.len(),
             };
             entries.push(transaction.write_shard(&name, &rows, facts)?);
         }

@@ -9,7 +9,7 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, real_data, stance};
 
 const LAYOUTS: [&str; 7] = [
     "amass",
@@ -331,13 +331,14 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     let (dataset, rows) = dataset(dir.path(), &[]);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let of_train = |row: &&MotionRow| row.split == datasets_spec::Split::Train;
-    let train: Vec<&MotionRow> = rows.values().filter(of_train).take(2).collect();
+    let train: Vec<&MotionRow> = rows.values().filter(of_train).take(3).collect();
     let list = dir.path().join("pairs.csv");
-    let line = format!(
-        "{},{},old,walk as an old person\n",
-        train[0].id, train[1].id
-    );
-    std::fs::write(&list, line).expect("written");
+    // One motion is the edit of two.
+    let line = |original: &MotionRow| {
+        let (styled, original) = (&train[0].id, &original.id);
+        format!("{styled},{original},old,walk as an old person\n")
+    };
+    std::fs::write(&list, line(train[1]) + &line(train[2])).expect("written");
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
 
     // A second source beside it: the dataset is one of several folders.
@@ -368,7 +369,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
             .map(|pair| (pair.source_id, pair.target_id, pair.style, pair.instruction))
             .collect::<Vec<_>>()
     };
-    assert_eq!(pairs("second").len(), 1);
+    assert_eq!(pairs("second").len(), 2);
     assert_eq!(pairs("second"), pairs("dataset"));
 
     // A file that differs from its manifest is not read.
@@ -419,4 +420,42 @@ fn a_webdataset_export_is_read_again_packed_or_not() {
         labels(&again(dir.path(), &[&unpacked], "third").1),
         labels(&rows)
     );
+}
+
+#[test]
+fn a_dataset_among_the_sources_keeps_its_markers() {
+    use datasets_spec::record::MarkerRow;
+
+    let Some(data) = real_data("a_dataset_among_the_sources_keeps_its_markers") else {
+        return;
+    };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
+    let source = data.join("c3d");
+    for (source, out) in [(&source, &first), (&first, &second)] {
+        let (source, out) = (arg(source), arg(out));
+        let ran = stance(&["ingest", source, "--out", out, "--allow-quarantine", "100%"]);
+        ran.expect_code(0);
+    }
+    let [before, after] = [&first, &second].map(|dataset| {
+        let dataset = Dataset::open(dataset).expect("a dataset");
+        let solved: Vec<MotionRow> = dataset.read(None).expect("rows");
+        let solved: Vec<String> = solved.iter().map(|row| row.id.to_string()).collect();
+        let rows: Vec<MarkerRow> = dataset.read(None).expect("rows");
+        let rows = rows.into_iter();
+        let of_motions = rows.filter(|row| solved.contains(&row.id.to_string()));
+        of_motions
+            .map(|row| {
+                (
+                    row.id,
+                    row.labels,
+                    row.positions,
+                    row.residuals,
+                    row.marker_set,
+                )
+            })
+            .collect::<Vec<_>>()
+    });
+    assert!(!before.is_empty());
+    assert_eq!(after, before);
 }

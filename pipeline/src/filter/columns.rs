@@ -40,7 +40,7 @@ pub(super) enum Values {
     Truths(Vec<bool>),
 }
 
-/// Every name that a filter may use, with its column. Frames are left out.
+/// The names that a filter may use, with their columns. Columns of frames are not among them.
 pub(super) fn all() -> Vec<(String, Column)> {
     let mut named = Vec::new();
     for column in MotionRow::columns() {

@@ -6,11 +6,12 @@ use std::collections::BTreeMap;
 use datasets_spec::dataset::ShardName;
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
-use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::table::{ShardReader, read_rows};
 use datasets_spec::{MotionId, Split, Transaction};
 
 use super::growth::Files;
 use crate::Error;
+use crate::clip_table::ClipRow;
 
 /// Hash of every motion in some shards, by id.
 pub(super) fn contents(
@@ -42,9 +43,9 @@ pub(super) fn move_rows(
         moves,
         facts,
     };
-    run.table(files, |row: &mut MotionRow| (&row.id, &mut row.split))?;
-    run.table(files, |row: &mut MarkerRow| (&row.id, &mut row.split))?;
-    run.table(files, |row: &mut HumanMl3dRow| (&row.id, &mut row.split))
+    run.table::<MotionRow>(files)?;
+    run.table::<MarkerRow>(files)?;
+    run.table::<HumanMl3dRow>(files)
 }
 
 struct Run<'a> {
@@ -55,11 +56,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn table<R: Row>(
-        &self,
-        files: &mut Files,
-        parts: fn(&mut R) -> (&MotionId, &mut Split),
-    ) -> Result<(), Error> {
+    fn table<R: ClipRow>(&self, files: &mut Files) -> Result<(), Error> {
         let Some(files) = files.get_mut(R::TABLE) else {
             return Ok(());
         };
@@ -76,11 +73,10 @@ impl Run<'_> {
             let before = rows.len();
             let mut stay = Vec::new();
             for mut row in rows {
-                let (id, split) = parts(&mut row);
-                match self.moves.get(id.as_str()) {
-                    Some(wanted) => {
-                        *split = *wanted;
-                        moved.entry(*wanted).or_default().push(row);
+                match self.moves.get(row.id().as_str()) {
+                    Some(split) => {
+                        row.place(row.id().clone(), *split);
+                        moved.entry(*split).or_default().push(row);
                     }
                     None => stay.push(row),
                 }

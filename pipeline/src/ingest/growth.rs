@@ -18,6 +18,7 @@ use super::sources::{SourceLabel, lies_in};
 use crate::Error;
 use crate::annotation::pairs::is_from_labels;
 use crate::clip::LabelProblem;
+use crate::clip_table::ClipRow;
 use crate::source::format_named;
 
 /// What became of the clips and labels that a dataset had.
@@ -84,6 +85,21 @@ pub(super) struct Labels {
 
 /// Files of tables that are written shard by shard, by table.
 pub(super) type Files = BTreeMap<String, Vec<FileEntry>>;
+
+impl Growth {
+    /// Adds what became of the labels.
+    pub(super) fn count(&mut self, labels: &Labels) {
+        let counts = [
+            (MaskRow::TABLE, labels.masks.len()),
+            (PairRow::TABLE, labels.pairs.len()),
+        ];
+        let counts = counts.into_iter().filter(|(_, count)| *count > 0);
+        self.labels = counts
+            .map(|(table, count)| (table.to_owned(), count as u64))
+            .collect();
+        self.lost.clone_from(&labels.lost);
+    }
+}
 
 impl<'a> Fates<'a> {
     pub(super) fn of(plan: &Plan, recorded: &'a Recorded) -> Self {
@@ -202,22 +218,12 @@ impl<'a> Fates<'a> {
                     index: *index,
                     of: of.get(&shard.split).copied().unwrap_or(0),
                 };
-                let stays = |id: &MotionId| ids.contains(id.as_str());
-                let written = match *table {
-                    MotionRow::TABLE => {
-                        rewrite(transaction, &name, file, facts, |row: &MotionRow| {
-                            stays(&row.id)
-                        })?
-                    }
-                    MarkerRow::TABLE => {
-                        rewrite(transaction, &name, file, facts, |row: &MarkerRow| {
-                            stays(&row.id)
-                        })?
-                    }
-                    _ => rewrite(transaction, &name, file, facts, |row: &HumanMl3dRow| {
-                        stays(&row.id)
-                    })?,
+                let rewrite = match *table {
+                    MotionRow::TABLE => rewrite::<MotionRow>,
+                    MarkerRow::TABLE => rewrite::<MarkerRow>,
+                    _ => rewrite::<HumanMl3dRow>,
                 };
+                let written = rewrite(transaction, &name, file, facts, &ids)?;
                 files
                     .entry((*table).to_owned())
                     .or_default()
@@ -466,16 +472,16 @@ impl Plan {
     }
 }
 
-/// Writes the rows of a file that stay as a shard, if there are any.
-fn rewrite<R: Row>(
+/// Writes the rows of the clips `staying` as a shard, if there are any.
+fn rewrite<R: ClipRow>(
     transaction: &Transaction,
     name: &ShardName,
     file: &FileEntry,
     facts: &[(&str, String)],
-    stays: impl Fn(&R) -> bool,
+    staying: &BTreeSet<&str>,
 ) -> Result<Option<FileEntry>, Error> {
     let mut rows: Vec<R> = read_rows(&transaction.root().join(&file.path))?;
-    rows.retain(stays);
+    rows.retain(|row| staying.contains(row.id().as_str()));
     if rows.is_empty() {
         return Ok(None);
     }

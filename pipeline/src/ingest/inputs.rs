@@ -6,7 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::list::Source;
 use crate::source::Contents;
 
-/// Files that speak of all clips in their folder and below, by the beginning of their names.
+/// Label and licence files that apply to all clips in their folder and below. A file is one of them if its
+/// name begins with one of these words.
 const SPEAK_OF_ALL_BELOW: [&str; 7] = [
     "stance.toml",
     "captions.csv",
@@ -17,7 +18,7 @@ const SPEAK_OF_ALL_BELOW: [&str; 7] = [
     "unlicense",
 ];
 
-/// Ends of the names of files that describe the motion of their name alone.
+/// Extensions of label files that apply to the motion of the same name.
 const ENDS_OF_LABELS: [&str; 2] = [".json", ".txt"];
 
 /// Hashes of what single files are read from, by file. `motions` are the files with motions and `others`

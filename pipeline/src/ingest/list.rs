@@ -84,7 +84,7 @@ pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
     Ok(listed)
 }
 
-/// The files of all sources, each path behind the label of its source.
+/// The files of all sources. Each path begins with the label of its source.
 pub(super) fn merged(sources: Vec<Listed>, labels: &[String]) -> Listing {
     let mut merged = Listing::default();
     for (source, label) in sources.into_iter().zip(labels) {

@@ -13,7 +13,7 @@ use crate::feature::humanml3d;
 use crate::retarget::UserMap;
 use crate::source::{Format, ReadOptions};
 
-/// Version of the rules by which files become rows. Clips read by older rules are read again.
+/// Version of the code that turns files into rows. A dataset made by an older version is read again.
 const INGEST_VERSION: u32 = 4;
 
 /// Fact of a manifest: what a reader should know about its splits.

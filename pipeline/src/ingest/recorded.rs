@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::manifest::{FileEntry, Manifest};
-use datasets_spec::record::{
-    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
-};
+use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 
@@ -14,9 +12,7 @@ use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, 
 use super::sources::{SOURCES_FACT, SourceLabel, lies_in};
 use crate::Error;
 use crate::clip::LabelProblem;
-
-/// Tables that are written shard by shard with the motions.
-pub(crate) const SHARDED: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
+use crate::clip_table::CLIP_TABLES;
 
 /// The version that a run starts from.
 #[derive(Default)]
@@ -111,7 +107,7 @@ impl Recorded {
             ..Self::default()
         };
         let mut shards: BTreeMap<&str, RecordedShard> = BTreeMap::new();
-        for table in SHARDED {
+        for table in CLIP_TABLES {
             for file in base.tables.get(table).into_iter().flatten() {
                 let Some(split) = file.split else { continue };
                 let name = file.path.rsplit('/').next().unwrap_or(&file.path);

@@ -50,11 +50,7 @@ pub struct IngestReport {
     pub growth: Option<Growth>,
 }
 
-pub(super) fn already_complete(
-    out: &Path,
-    plan: &Plan,
-    kept_seed: Option<String>,
-) -> Result<IngestReport, Error> {
+pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, Error> {
     let dataset = Dataset::open(out)?;
     let facts = &dataset.manifest().facts;
     let licenses = license::licenses(dataset.manifest());
@@ -64,13 +60,7 @@ pub(super) fn already_complete(
         refused_pairs: refused
             .and_then(|lines| serde_json::from_str(lines).ok())
             .unwrap_or_default(),
-        remarks: plan
-            .remarks
-            .iter()
-            .cloned()
-            .chain(kept_seed)
-            .chain(license::warning(&licenses))
-            .collect(),
+        remarks: plan.remarks.clone(),
         refused_splits: plan.refused_splits.clone(),
         label_problems: facts
             .get(LABEL_PROBLEMS_FACT)
@@ -95,7 +85,7 @@ pub(super) struct Tally {
     pub(super) tables: BTreeMap<String, Vec<FileEntry>>,
     pub(super) quarantine: Vec<QuarantineRow>,
     pub(super) skipped: Vec<SkippedRow>,
-    /// Clips of the version before that stay, with their splits.
+    /// Recorded clips that are not read again, with their splits.
     pub(super) staying: BTreeMap<String, Split>,
     /// Clips of this run that moved into the split of an equal one.
     pub(super) moves: BTreeMap<String, Split>,
@@ -144,23 +134,28 @@ impl Tally {
         self.moves = moves;
     }
 
-    /// Counts of the source items: those of this run, and those of sources that are not of it.
+    /// Counts of the source items: `num_items` of this run, and those of sources that are not of it, of
+    /// which the rejected ones, `outside`, are added to the lists.
     pub(super) fn accounting(
-        &self,
+        &mut self,
         num_items: u64,
-        outside: &Outside,
+        outside: Outside,
         num_elsewhere: u64,
     ) -> Accounting {
+        let num_rejected = outside.quarantine.len() + outside.skipped.len();
+        self.quarantine.extend(outside.quarantine);
+        self.quarantine.sort_by(|a, b| a.path.cmp(&b.path));
+        self.skipped.extend(outside.skipped);
+        self.skipped.sort_by(|a, b| a.path.cmp(&b.path));
         let mut codes = BTreeMap::new();
-        for row in self.quarantine.iter().chain(&outside.quarantine) {
+        for row in &self.quarantine {
             *codes.entry(row.code.clone()).or_default() += 1;
         }
-        let [quarantined, skipped] = [outside.quarantine.len(), outside.skipped.len()];
         Accounting {
-            sources: num_items + num_elsewhere + (quarantined + skipped) as u64,
+            sources: num_items + num_elsewhere + num_rejected as u64,
             ingested: (self.staying.len() + self.ingested.len()) as u64 + self.markers_only,
-            quarantined: (self.quarantine.len() + quarantined) as u64,
-            skipped: (self.skipped.len() + skipped) as u64,
+            quarantined: self.quarantine.len() as u64,
+            skipped: self.skipped.len() as u64,
             codes,
         }
     }

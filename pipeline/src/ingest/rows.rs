@@ -26,7 +26,7 @@ pub(super) struct ClipRows {
     pub(super) motion: MotionRow,
     pub(super) features: Option<HumanMl3dRow>,
     pub(super) markers: Option<MarkerRow>,
-    pub(super) edit_of: Option<EditOf>,
+    pub(super) edits: Vec<EditOf>,
     pub(super) masks: Vec<SourceMask>,
 }
 
@@ -56,7 +56,7 @@ pub(super) fn marker_row(
         labels: markers.labels,
         positions: markers.positions,
         residuals: markers.residuals.into_iter().map(|r| [r]).collect(),
-        marker_set: markers.set.map(str::to_owned),
+        marker_set: markers.set,
         fit_residuals: markers.fit_residuals.into_iter().map(|r| [r]).collect(),
     }
 }
@@ -164,12 +164,12 @@ pub(super) fn clip_rows(
         motion,
         features,
         markers,
-        edit_of: clip.edit_of,
+        edits: clip.edits,
         masks: clip.masks,
     })
 }
 
-/// Drops a first frame that is a pose apart from the motion.
+/// Drops the first frame if it is a reference pose (T-pose) from which the motion jumps.
 fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
     if !starts_apart(&clip.motion, skeleton) {
         return;
@@ -179,7 +179,7 @@ fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
         return;
     };
     clip.notes.push(format!(
-        "source frame {} is a pose apart from the motion and was dropped",
+        "source frame {} is a reference pose from which the motion jumps; it was dropped",
         clip.source_frames.start
     ));
     clip.narrow(&kept, 1.0);

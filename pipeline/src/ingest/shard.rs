@@ -75,11 +75,11 @@ impl Plan {
                         motion,
                         features,
                         markers,
-                        edit_of,
+                        edits,
                         masks,
                     } = *clip;
                     notes.ingested.push(motion.id.as_str().to_owned());
-                    if let Some(edit) = edit_of {
+                    for edit in edits {
                         match pair_row(edit, item, &motion.id) {
                             Some(row) => notes.pairs.push(row),
                             None => notes.dropped_pairs += 1,

@@ -3,11 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use csv::StringRecord;
 use datasets_spec::Split;
 
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::csv_lines::LineNumbers;
+use crate::csv_lines;
 use crate::source::labels::{is_pattern, matches};
 
 /// Prefix of a name that means all clips of a subject.
@@ -43,32 +44,14 @@ impl SplitList {
     /// `clip,split`. A name is an id, a source file, or a pattern of them (`*` any characters, `?` one); after
     /// `subject:` it is a subject or a pattern of subjects.
     pub fn parse(bytes: &[u8]) -> Self {
-        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let mut list = Self::default();
-        let mut lines = LineNumbers::of(text);
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(text);
-        for (place, record) in reader.records().enumerate() {
-            let (number, line) = match record {
-                Err(error) => {
-                    let reason = "it is not UTF-8 text; save the file as UTF-8".to_owned();
-                    (lines.at(error.position()), Err(reason))
-                }
-                Ok(record) => {
-                    let number = lines.at(record.position());
-                    let fields: Vec<&str> = record.iter().collect();
-                    if place == 0
-                        && matches!(fields.as_slice(), [_, last] if last.eq_ignore_ascii_case("split"))
-                    {
-                        continue;
-                    }
-                    (number, parse_line(number, &fields))
-                }
-            };
-            match line {
+        let is_header =
+            |record: &StringRecord| record.len() == 2 && record[1].eq_ignore_ascii_case("split");
+        for (place, (number, record)) in csv_lines::records(bytes).enumerate() {
+            if place == 0 && record.as_ref().is_ok_and(is_header) {
+                continue;
+            }
+            match record.and_then(|record| parse_line(number, &record)) {
                 Ok(line) => list.lines.push(line),
                 Err(reason) => list.refused.push(RefusedLine {
                     line: number,
@@ -135,20 +118,21 @@ fn is_match(pattern: &str, name: &str) -> bool {
     pattern.starts_with(SUBJECT) == name.starts_with(SUBJECT) && matches(pattern, name)
 }
 
-fn parse_line(number: u64, fields: &[&str]) -> Result<Line, String> {
-    let [name, split] = fields else {
-        let count = fields.len();
+fn parse_line(number: u64, record: &StringRecord) -> Result<Line, String> {
+    if record.len() != 2 {
         return Err(format!(
-            "it has {count} fields, expected a name and a split"
+            "it has {} fields, expected a name and a split",
+            record.len()
         ));
-    };
+    }
+    let [name, split] = [&record[0], &record[1]];
     if name.is_empty() {
         return Err("it names no clip".to_owned());
     }
     let split = split.to_lowercase().parse();
     Ok(Line {
         number,
-        name: (*name).to_owned(),
+        name: name.to_owned(),
         split: split.map_err(|error: datasets_spec::Error| error.to_string())?,
     })
 }

@@ -133,7 +133,7 @@ pub fn solve(markers: &Markers, skeleton: &Skeleton) -> Result<Solved, SolveErro
         ),
         format!("captured person scaled by {:.3} to the body", solver.scale),
     ];
-    markers.set = Some(set);
+    markers.set = Some(set.to_owned());
     markers.fit_residuals = fit_residuals.clone();
     Ok(Solved {
         set,

@@ -177,3 +177,27 @@ pub trait Release: Send + Sync {
         options: &ReadOptions,
     ) -> Result<SourceClip, Rejected>;
 }
+
+/// The releases that a format found.
+pub(super) fn boxed<R: Release + 'static>(
+    found: impl IntoIterator<Item = R>,
+) -> Vec<Box<dyn Release>> {
+    let found = found.into_iter();
+    found
+        .map(|release| Box::new(release) as Box<dyn Release>)
+        .collect()
+}
+
+/// Refuses a stored pose on another skeleton than the one that is asked for.
+pub(super) fn check_skeleton(found: &str, options: &ReadOptions) -> Result<(), Rejected> {
+    let wanted = options.skeleton.name();
+    match found == wanted {
+        true => Ok(()),
+        false => Err(Rejected::read(
+            "E-DATASET-SKELETON",
+            format!(
+                "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
+            ),
+        )),
+    }
+}

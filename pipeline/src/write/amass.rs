@@ -125,7 +125,7 @@ fn smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Writer> {
     archive.text("gender", "neutral")?;
     archive.text("surface_model_type", "smplx")?;
     archive.numbers("mocap_frame_rate", &[], &[fps])?;
-    // Its name in the SMPL+H release, which add-ons for Blender look for too.
+    // The rate again, under the key of the SMPL+H release: Blender add-ons read that one.
     archive.numbers("mocap_framerate", &[], &[fps])?;
     archive.numbers("mocap_time_length", &[], &[num_frames as f64 / fps])?;
     archive.numbers("betas", &[NUM_BETAS], &[0.0; NUM_BETAS])?;

@@ -1,4 +1,4 @@
-//! Locates the frozen text encoder of a model and computes its vectors.
+//! Where CLIP is found, and the embeddings of instructions that it computes.
 
 use std::path::{Path, PathBuf};
 

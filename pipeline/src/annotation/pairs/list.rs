@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use csv::StringRecord;
 use datasets_spec::record::PairRow;
 use datasets_spec::{MotionId, Split};
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::LISTED;
 use crate::Error;
 use crate::compose::{EditKind, style_instruction};
-use crate::csv_lines::LineNumbers;
+use crate::csv_lines;
 
 /// The pairs of a file, by its names of clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -72,35 +73,15 @@ impl PairList {
             hash: blake3::hash(bytes).to_hex().to_string(),
             ..Self::default()
         };
-        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(text);
-        let mut lines = LineNumbers::of(text);
-        for (place, record) in reader.records().enumerate() {
-            let record = match record {
-                Ok(record) => record,
-                Err(error) => {
-                    let line = lines.at(error.position());
-                    let reason = "it is not UTF-8 text; save the file as UTF-8".to_owned();
-                    list.refused.push(RefusedLine { line, reason });
-                    continue;
-                }
-            };
-            let number = lines.at(record.position());
-            let is_header = place == 0
-                && record
-                    .get(0)
-                    .is_some_and(|name| name.eq_ignore_ascii_case("styled"))
-                && record
-                    .get(1)
-                    .is_some_and(|name| name.eq_ignore_ascii_case("original"));
-            if is_header {
+        let is_header = |record: &StringRecord| {
+            let begins = record.iter().take(2);
+            begins.map(str::to_lowercase).eq(["styled", "original"])
+        };
+        for (place, (number, record)) in csv_lines::records(bytes).enumerate() {
+            if place == 0 && record.as_ref().is_ok_and(is_header) {
                 continue;
             }
-            match Line::parse(number, &record) {
+            match record.and_then(|record| Line::parse(number, &record)) {
                 Ok(line) => list.lines.push(line),
                 Err(reason) => list.refused.push(RefusedLine {
                     line: number,
@@ -159,7 +140,7 @@ impl PairList {
 }
 
 impl Line {
-    fn parse(number: u64, record: &csv::StringRecord) -> Result<Self, String> {
+    fn parse(number: u64, record: &StringRecord) -> Result<Self, String> {
         let fields: Vec<&str> = record.iter().collect();
         if fields.iter().any(|field| field.contains('\n')) {
             return Err(

@@ -1,4 +1,4 @@
-//! Statistics of states, per episode and of all episodes.
+//! Minimum, maximum, mean, deviation and quantiles of the state vectors, for each episode and for the dataset.
 //!
 //! # Source
 //! `lerobot.datasets.compute_stats`: quantiles of a data set are the means of its episodes' quantiles,

@@ -53,7 +53,8 @@ impl Rows {
         }
     }
 
-    /// Takes lines, whole ones unless the file ends. `offset` is their place in the file.
+    /// Reads the next lines. Only at the end of the file may the last line lack its line end. `offset` is the byte
+    /// offset of `bytes` in the file.
     pub(super) fn take(&mut self, bytes: &[u8], offset: usize) -> Result<(), Rejected> {
         let mut at = 0;
         while at < bytes.len() {

@@ -1,8 +1,8 @@
-//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks and
-//! pair.
+//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks, pairs
+//! and markers.
 //!
-//! Motions are copied bit by bit where the rate stays the same. A clip keeps one pair, that of its first
-//! source; features and markers are not read. `E-DATASET-HASH` rejects a file that differs from its manifest.
+//! Motions and features are copied bit by bit where the rate stays the same. Captures without a motion are
+//! not read. `E-DATASET-HASH` rejects a file that differs from its manifest.
 
 mod release;
 
@@ -11,6 +11,7 @@ use std::path::Path;
 use datasets_spec::Fps;
 
 use self::release::StoredDataset;
+use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 
 /// A dataset folder.
@@ -34,9 +35,6 @@ impl SourceFormat for DatasetFolder {
         files: &Files,
         _index: Option<&Path>,
     ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(StoredDataset::find(files)
-            .into_iter()
-            .map(|dataset| Box::new(dataset) as Box<dyn Release>)
-            .collect())
+        Ok(boxed(StoredDataset::find(files)))
     }
 }

@@ -1,15 +1,19 @@
-//! A dataset folder among the sources.
+//! Reads a dataset folder as a source.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 
 use datasets_spec::manifest::{FORMAT, FileEntry, Manifest};
-use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{
+    CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
+};
 use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Split};
 
 use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
-use crate::clip::{EditOf, MadeMask, Rejected, RotationSource, SourceClip, SourceMask};
+use crate::clip::{EditOf, MadeMask, Markers, Rejected, RotationSource, SourceClip, SourceMask};
+use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 
 /// Flags that the motion itself does not show.
@@ -21,16 +25,46 @@ const CODE: &str = "E-DATASET-FILE";
 #[derive(Debug, Default)]
 pub(super) struct StoredDataset {
     contents: Contents,
-    /// By relative path.
+    /// Shards of motions, by relative path.
     shards: BTreeMap<String, ShardReader>,
+    /// By motion.
+    markers: Rows,
+    /// By motion.
+    features: Rows,
     /// By motion.
     masks: BTreeMap<String, Vec<MaskRow>>,
     /// By target.
     pairs: BTreeMap<String, Vec<PairRow>>,
 }
 
+/// A table with a row for some motions, read row by row.
+#[derive(Debug, Default)]
+struct Rows {
+    shards: Vec<ShardReader>,
+    /// Place in `shards`, and row, by motion.
+    places: BTreeMap<String, (usize, usize)>,
+}
+
+impl Rows {
+    fn add<R: Row>(&mut self, path: &Path) -> Result<(), datasets_spec::Error> {
+        let shard = ShardReader::open(path)?;
+        let ids = shard.column::<R, String>("id")?.into_iter().enumerate();
+        let index = self.shards.len();
+        self.places.extend(ids.map(|(row, id)| (id, (index, row))));
+        self.shards.push(shard);
+        Ok(())
+    }
+
+    fn row<R: Row>(&self, id: &str) -> Result<Option<R>, datasets_spec::Error> {
+        let Some((shard, row)) = self.places.get(id) else {
+            return Ok(None);
+        };
+        Ok(self.shards[*shard].rows_at(&[*row])?.pop())
+    }
+}
+
 impl StoredDataset {
-    /// The datasets among the files, each in its newest version.
+    /// Finds the dataset folders among the files, and plans the newest version of each.
     pub(super) fn find(files: &Files) -> Vec<Self> {
         let mut newest: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
         for file in files.all() {
@@ -109,7 +143,14 @@ impl StoredDataset {
         table: &str,
         entry: &FileEntry,
     ) {
-        if ![MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE].contains(&table) {
+        const READ: [&str; 5] = [
+            MotionRow::TABLE,
+            MarkerRow::TABLE,
+            HumanMl3dRow::TABLE,
+            MaskRow::TABLE,
+            PairRow::TABLE,
+        ];
+        if !READ.contains(&table) {
             return;
         }
         let file = format!("{root}{}", entry.path);
@@ -127,6 +168,8 @@ impl StoredDataset {
         }
         let read = || -> Result<(), datasets_spec::Error> {
             match table {
+                MarkerRow::TABLE => self.markers.add::<MarkerRow>(path)?,
+                HumanMl3dRow::TABLE => self.features.add::<HumanMl3dRow>(path)?,
                 MaskRow::TABLE => {
                     for mask in read_rows::<MaskRow>(path)? {
                         let of_motion = self.masks.entry(mask.motion_id.to_string());
@@ -168,24 +211,21 @@ impl StoredDataset {
         self.reject(&file, Rejected::read(CODE, problem));
     }
 
-    fn edit_of(&self, id: &str, notes: &mut Vec<String>) -> Option<EditOf> {
-        let pairs = self.pairs.get(id)?;
-        if pairs.len() > 1 {
-            notes.push(format!(
-                "{} further pairs of this clip in its dataset were not taken over",
-                pairs.len() - 1
-            ));
-        }
-        let pair = pairs.first()?;
-        Some(EditOf {
-            source_id: pair.source_id.to_string(),
-            kind: ["style", "fine-grained", "semantic"]
-                .into_iter()
-                .find(|kind| *kind == pair.kind)?,
-            style: pair.style.clone(),
-            parts: parts_of(&pair.parts),
-            instruction: pair.instruction.clone(),
-        })
+    fn edits(&self, id: &str) -> Vec<EditOf> {
+        let pairs = self.pairs.get(id).into_iter().flatten();
+        pairs
+            .filter_map(|pair| {
+                Some(EditOf {
+                    source_id: pair.source_id.to_string(),
+                    kind: ["style", "fine-grained", "semantic"]
+                        .into_iter()
+                        .find(|kind| *kind == pair.kind)?,
+                    style: pair.style.clone(),
+                    parts: parts_of(&pair.parts),
+                    instruction: pair.instruction.clone(),
+                })
+            })
+            .collect()
     }
 }
 
@@ -207,22 +247,18 @@ impl Release for StoredDataset {
             .and_then(|(shard, row)| shard.rows_at(&[row]).map(|mut rows| rows.pop()).transpose())
             .ok_or_else(|| refused("the file has no such row".to_owned()))?
             .map_err(|error| refused(error.to_string()))?;
-        if row.skeleton != options.skeleton.name() {
-            let (found, wanted) = (&row.skeleton, options.skeleton.name());
-            return Err(Rejected::read(
-                "E-DATASET-SKELETON",
-                format!(
-                    "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
-                ),
-            ));
-        }
+        check_skeleton(&row.skeleton, options)?;
         let motion = row.motion().map_err(|error| refused(error.to_string()))?;
         let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
         let captions = row.stated_captions().cloned().collect();
         let by_origin = row.captions_by_origin();
         let made = by_origin.filter(|(_, origin)| *origin == CAPTION_BY_RULE);
         let made_captions = made.map(|(caption, _)| caption.clone()).collect();
-        let mut clip = SourceClip {
+        let markers = self.markers.row::<MarkerRow>(&entry.id);
+        let markers = markers.map_err(|error| refused(error.to_string()))?;
+        let features = self.features.row::<HumanMl3dRow>(&entry.id);
+        let features = features.map_err(|error| refused(error.to_string()))?;
+        Ok(SourceClip {
             fit_error_m: row.fit_error_m,
             source_fps: Fps::new(row.fps_source.into()).unwrap_or(motion.fps()),
             source_frames: frame(row.start_frame)..frame(row.end_frame),
@@ -242,10 +278,11 @@ impl Release for StoredDataset {
                 .flatten()
                 .map(source_mask)
                 .collect(),
+            edits: self.edits(&entry.id),
+            markers: markers.map(stored_markers).transpose()?,
+            features: features.map(|row| row.features),
             ..SourceClip::new(motion, RotationSource::of_name(&row.rotation_source))
-        };
-        clip.edit_of = self.edit_of(&entry.id, &mut clip.notes);
-        Ok(clip)
+        })
     }
 }
 
@@ -256,6 +293,18 @@ fn root_and_version(file: &str) -> Option<(&str, u64)> {
     let number = file[at..].strip_prefix("meta/manifest-")?;
     let version = number.strip_suffix(".json")?.parse().ok()?;
     (root.is_empty() || root.ends_with('/')).then_some((root, version))
+}
+
+fn stored_markers(row: MarkerRow) -> Result<Markers, Rejected> {
+    let fps = Fps::new(row.fps.into());
+    Ok(Markers {
+        fps: fps.map_err(|error| Rejected::read("E-FPS", error.to_string()))?,
+        labels: row.labels,
+        positions: row.positions,
+        residuals: row.residuals.into_iter().map(|[value]| value).collect(),
+        set: row.marker_set,
+        fit_residuals: row.fit_residuals.into_iter().map(|[value]| value).collect(),
+    })
 }
 
 fn parts_of(names: &[String]) -> Vec<BodyPart> {

@@ -15,7 +15,7 @@ use crate::check::FLAG_POOR_FIT;
 use crate::clip::{Rejected, SourceClip};
 use crate::feature::humanml3d::recover_joints;
 use crate::source::files::{Files, refuse_pointer};
-use crate::source::format::{Contents, Entry, Release};
+use crate::source::format::{Contents, Entry, Release, boxed};
 use crate::source::labels;
 use crate::source::options::ReadOptions;
 
@@ -44,10 +44,7 @@ struct Folder {
 
 /// The HumanML3D folders among the files, each found by its layout.
 pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
-    let folders = layouts(files).into_iter().map(Folder::new);
-    folders
-        .map(|folder| Box::new(folder) as Box<dyn Release>)
-        .collect()
+    boxed(layouts(files).into_iter().map(Folder::new))
 }
 
 impl Folder {

@@ -1,8 +1,9 @@
 //! `captions.csv`: what a folder says of single clips, one line each.
 
+use csv::StringRecord;
 use datasets_spec::table::Caption;
 
-use crate::csv_lines::LineNumbers;
+use crate::csv_lines;
 use crate::sidecar::{LabelCaption, Sidecar};
 
 /// Columns of a file; only the first is needed.
@@ -22,19 +23,12 @@ pub(super) struct Content {
 /// Parses a file in UTF-8 with a header line. A line that cannot be used is a problem, and the rest is
 /// used.
 pub(super) fn parse(bytes: &[u8]) -> Content {
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut content = Content::default();
-    let mut lines = LineNumbers::of(text);
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(csv::Trim::All)
-        .from_reader(text);
-    let mut records = reader.records();
+    let mut records = csv_lines::records(bytes);
     let header = match records.next() {
-        Some(Ok(header)) => header,
-        Some(Err(_)) => {
-            content.problems.push(not_text(1));
+        Some((_, Ok(header))) => header,
+        Some((line, Err(reason))) => {
+            content.problems.push(format!("line {line}: {reason}"));
             return content;
         }
         None => return content,
@@ -58,17 +52,8 @@ pub(super) fn parse(bytes: &[u8]) -> Content {
             COLUMNS.join(", ")
         ));
     }
-    for record in records {
-        let record = match record {
-            Ok(record) => record,
-            Err(error) => {
-                let line = lines.at(error.position());
-                content.problems.push(not_text(line));
-                continue;
-            }
-        };
-        let line = lines.at(record.position());
-        match labels(&columns, &record) {
+    for (line, record) in records {
+        match record.and_then(|record| labels(&columns, &record)) {
             Ok((name, mut labels)) => {
                 let problems = &mut content.problems;
                 labels.clean(|reason| problems.push(format!("line {line}: {reason}")));
@@ -80,11 +65,7 @@ pub(super) fn parse(bytes: &[u8]) -> Content {
     content
 }
 
-fn not_text(line: u64) -> String {
-    format!("line {line}: it is not UTF-8 text; save the file as UTF-8")
-}
-
-fn labels(columns: &[String], record: &csv::StringRecord) -> Result<(String, Sidecar), String> {
+fn labels(columns: &[String], record: &StringRecord) -> Result<(String, Sidecar), String> {
     if record.len() > columns.len() {
         return Err(format!(
             "it has {} fields, the header {}; quote a text with commas",

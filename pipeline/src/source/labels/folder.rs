@@ -1,4 +1,5 @@
-//! What folders say of the clips in them and below: `stance.toml`, `captions.csv`, licences and readmes.
+//! Labels and licences that apply to a folder and all folders below it: `stance.toml`, `captions.csv`, licence files
+//! and readmes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

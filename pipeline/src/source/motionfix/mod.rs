@@ -313,7 +313,7 @@ impl Release for MotionFixRelease {
         ];
         clip.notes.extend(pair.note.clone());
         if side == TARGET {
-            clip.edit_of = Some(EditOf {
+            clip.edits.push(EditOf {
                 source_id: motion_id(id, SOURCE),
                 kind: "fine-grained",
                 style: None,

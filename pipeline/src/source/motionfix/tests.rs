@@ -174,10 +174,12 @@ fn dumps_and_lists_become_pairs() {
         let source = clip(&*release, &files, "motionfix/000136-source");
         assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
         assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
-        assert_eq!(source.edit_of, None);
+        assert_eq!(source.edits, []);
         let target = clip(&*release, &files, "motionfix/000136-target");
         assert_eq!(target.motion.len(), 20);
-        let edit = target.edit_of.expect("an edit");
+        let [edit] = &target.edits[..] else {
+            panic!("{:?}", target.edits);
+        };
         assert_eq!(edit.source_id, "motionfix/000136-source");
         assert_eq!(edit.kind, "fine-grained");
         assert_eq!(edit.instruction, raise);

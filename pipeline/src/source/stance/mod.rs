@@ -18,7 +18,7 @@ use datasets_spec::Fps;
 use kinematics::motion::BODY_POSE_WIDTH;
 
 use super::files::Files;
-use super::format::{Format, Recognised, Release, SourceFormat};
+use super::format::{Format, Recognised, Release, SourceFormat, boxed};
 use super::options::ReadOptions;
 use crate::clip::{Outcome, Rejected};
 
@@ -28,10 +28,8 @@ pub(crate) use release::{ADJUSTMENT, BASE_MOTION, REGEN, SPLIT, STYLE_TRANSFER};
 
 /// The releases among the files.
 pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
-    release::roots(files)
-        .into_iter()
-        .map(|root| Box::new(release::StanceRelease::plan(files, root)) as Box<dyn Release>)
-        .collect()
+    let roots = release::roots(files).into_iter();
+    boxed(roots.map(|root| release::StanceRelease::plan(files, root)))
 }
 
 fn rejected_json(file: &str, error: &serde_json::Error) -> Rejected {

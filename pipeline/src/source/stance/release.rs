@@ -83,8 +83,8 @@ enum Role {
 struct Detail {
     role: Role,
     origin: Option<Origin>,
-    /// Second place of the motion as the edit of another one: file and source id.
-    edited_in: Option<(String, String)>,
+    /// Further places of the motion as the edit of another one: file and source id.
+    edited_in: Vec<(String, String)>,
 }
 
 /// A planned release.
@@ -158,7 +158,7 @@ impl Release for StanceRelease {
             Role::Styled { source_id, style } => {
                 let mut clip = release_clip(&value)?;
                 clip.style = Some(style.clone());
-                clip.edit_of = Some(EditOf {
+                clip.edits.push(EditOf {
                     source_id: source_id.clone(),
                     kind: "style",
                     style: Some(style.clone()),
@@ -171,14 +171,14 @@ impl Release for StanceRelease {
             Role::Target { source_id } => {
                 let mut clip = release_clip(of_pair(&value, TARGET_KEY)?)?;
                 let edit = self.edit_of(&value, &entry.file, source_id, &mut clip.notes);
-                clip.edit_of = Some(edit);
+                clip.edits.push(edit);
                 clip
             }
         };
-        if let Some((file, source_id)) = &detail.edited_in {
+        for (file, source_id) in &detail.edited_in {
             let pair = read_pickle(files, file)?;
             let edit = self.edit_of(&pair, file, source_id, &mut clip.notes);
-            clip.edit_of = clip.edit_of.or(Some(edit));
+            clip.edits.push(edit);
         }
         let stem = stem_of(&entry.file);
         if motion_id(stem) != stem {
@@ -493,7 +493,7 @@ impl<'a> Planner<'a> {
                 if let (Role::Target { source_id }, Some(detail)) =
                     (role, self.release.details.get_mut(first))
                 {
-                    detail.edited_in.get_or_insert((entry.file, source_id));
+                    detail.edited_in.push((entry.file, source_id));
                 }
                 return false;
             }
@@ -502,7 +502,7 @@ impl<'a> Planner<'a> {
         let detail = Detail {
             role,
             origin,
-            edited_in: None,
+            edited_in: Vec::new(),
         };
         self.release.details.insert(place, detail);
         self.release.contents.entries.push(entry);

@@ -187,14 +187,14 @@ fn a_release_becomes_motions_masks_and_pairs() {
 
     let styled = clip(&*release, &files, "000009#proud");
     assert_eq!(styled.style.as_deref(), Some("proud"));
-    let edit = styled.edit_of.expect("an edit");
+    let edit = &styled.edits[0];
     assert_eq!((edit.source_id.as_str(), edit.kind), ("000009", "style"));
     assert_eq!(edit.instruction, "", "the release has no words");
-    let adjusted = clip(&*release, &files, &target).edit_of.expect("an edit");
+    let adjusted = &clip(&*release, &files, &target).edits[0];
     assert_eq!(adjusted.source_id, source);
     assert_eq!(adjusted.parts, [BodyPart::LeftArm]);
     assert_eq!(adjusted.instruction, "raise it higher");
-    assert_eq!(clip(&*release, &files, &source).edit_of, None);
+    assert_eq!(clip(&*release, &files, &source).edits, []);
 }
 
 #[test]
@@ -271,9 +271,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
         .map(|(_, r)| r.code)
         .collect();
     assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
-    let edit = clip(&*release, &files, "adjustment/a#tgt")
-        .edit_of
-        .expect("an edit");
+    let edit = &clip(&*release, &files, "adjustment/a#tgt").edits[0];
     assert_eq!(edit.instruction, "lower");
     assert_eq!(edit.parts, [BodyPart::LeftArm]);
     let pointer = release.read(&files, entry(&*release, "000002"), &ReadOptions::default());

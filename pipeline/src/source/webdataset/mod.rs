@@ -10,6 +10,7 @@ use std::path::Path;
 use datasets_spec::Fps;
 
 use self::release::Shards;
+use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 
 /// A folder of shards, or of unpacked files.
@@ -32,9 +33,6 @@ impl SourceFormat for WebDataset {
         files: &Files,
         _index: Option<&Path>,
     ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(Shards::find(files)
-            .into_iter()
-            .map(|shards| Box::new(shards) as Box<dyn Release>)
-            .collect())
+        Ok(boxed(Shards::find(files)))
     }
 }

@@ -12,6 +12,7 @@ use serde::Deserialize;
 
 use crate::clip::{Rejected, RotationSource, SourceClip};
 use crate::sidecar::LabelCaption;
+use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 
 /// Endings of the members of a clip.
@@ -63,7 +64,7 @@ pub(super) struct Shards {
 }
 
 impl Shards {
-    /// The folders with shards, or with unpacked files.
+    /// Finds the folders with shards or unpacked files.
     pub(super) fn find(files: &Files) -> Vec<Self> {
         // Folder, key and, for archives, its name: a key is unique in a shard.
         let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
@@ -153,17 +154,8 @@ impl Release for Shards {
             .get(&(entry.file.clone(), entry.key.clone()))
             .ok_or_else(|| refused("there is no such clip".to_owned()))?;
         let facts = facts(files, members)?;
-        if let Some(found) = facts
-            .skeleton
-            .filter(|name| name != options.skeleton.name())
-        {
-            let wanted = options.skeleton.name();
-            return Err(Rejected::read(
-                "E-DATASET-SKELETON",
-                format!(
-                    "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
-                ),
-            ));
+        if let Some(found) = &facts.skeleton {
+            check_skeleton(found, options)?;
         }
         let array = |ending: &str, width: usize| {
             let array = read_numbers(ending, &bytes(files, &members[ending])?)?;

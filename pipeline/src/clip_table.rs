@@ -1,0 +1,84 @@
+//! The tables with a row for each clip: a shard of motions has its markers and features beside it.
+
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
+use datasets_spec::table::Row;
+use datasets_spec::{MotionId, Split};
+
+/// The names of the tables.
+pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
+
+/// A row of one of these tables.
+pub(crate) trait ClipRow: Row {
+    /// Id of the clip.
+    fn id(&self) -> &MotionId;
+
+    /// Split of the clip.
+    fn split(&self) -> Split;
+
+    /// Gives the clip another id and split.
+    fn place(&mut self, id: MotionId, split: Split);
+
+    /// The path of the file that the clip was read from, where the table has it.
+    fn source_path(&mut self) -> Option<&mut String> {
+        None
+    }
+
+    /// Id of the clip that this one mirrors.
+    fn mirrored_of(&mut self) -> Option<&mut String> {
+        None
+    }
+}
+
+impl ClipRow for MotionRow {
+    fn id(&self) -> &MotionId {
+        &self.id
+    }
+
+    fn split(&self) -> Split {
+        self.split
+    }
+
+    fn place(&mut self, id: MotionId, split: Split) {
+        (self.id, self.split) = (id, split);
+    }
+
+    fn source_path(&mut self) -> Option<&mut String> {
+        Some(&mut self.source_path)
+    }
+
+    fn mirrored_of(&mut self) -> Option<&mut String> {
+        self.mirrored_of.as_mut()
+    }
+}
+
+impl ClipRow for MarkerRow {
+    fn id(&self) -> &MotionId {
+        &self.id
+    }
+
+    fn split(&self) -> Split {
+        self.split
+    }
+
+    fn place(&mut self, id: MotionId, split: Split) {
+        (self.id, self.split) = (id, split);
+    }
+
+    fn source_path(&mut self) -> Option<&mut String> {
+        Some(&mut self.source_path)
+    }
+}
+
+impl ClipRow for HumanMl3dRow {
+    fn id(&self) -> &MotionId {
+        &self.id
+    }
+
+    fn split(&self) -> Split {
+        self.split
+    }
+
+    fn place(&mut self, id: MotionId, split: Split) {
+        (self.id, self.split) = (id, split);
+    }
+}

@@ -1,0 +1,346 @@
+//! A run whose plan is made: it reads the shards and commits the dataset.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::dataset::Commit;
+use datasets_spec::license::{self, LICENSES_FACT};
+use datasets_spec::manifest::{Accounting, FileEntry};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Progress, Split, Transaction};
+use serde::Serialize;
+
+use super::equal;
+use super::growth::{Fates, Files, Growth, Labels, LostLabel, Outside};
+use super::options::{
+    IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
+    SETTINGS_FACT, Settings, rate_name,
+};
+use super::plan::{Plan, Shards};
+use super::recorded::Base;
+use super::report::{IngestReport, Tally, counted};
+use super::shard::ShardNotes;
+use super::sources::SOURCES_FACT;
+use crate::Error;
+use crate::annotation::pairs::RefusedLine;
+use crate::clip::LabelProblem;
+use crate::clip_table::CLIP_TABLES;
+
+/// A run from its plan to the report.
+pub(super) struct Run<'a> {
+    transaction: Transaction,
+    options: &'a IngestOptions,
+    settings: &'a Settings,
+    base: &'a Base,
+    plan: &'a Plan,
+    fates: &'a Fates<'a>,
+    plan_hash: String,
+    /// Facts of every file.
+    facts: [(&'static str, String); 6],
+}
+
+/// The pairs of the dataset, and what became of the others.
+struct Pairs {
+    rows: Vec<PairRow>,
+    dropped: u64,
+    refused: Vec<RefusedLine>,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn new(
+        transaction: Transaction,
+        options: &'a IngestOptions,
+        settings: &'a Settings,
+        base: &'a Base,
+        plan: &'a Plan,
+        fates: &'a Fates<'a>,
+    ) -> Self {
+        let version = transaction.base().map_or(0, |base| base.version);
+        let plan_hash = plan.hash(settings, options, version);
+        let facts = [
+            ("skeleton", options.read.skeleton.name().to_owned()),
+            ("fps", rate_name(options)),
+            ("plan_hash", plan_hash.clone()),
+            ("units", "metres, radians, seconds".to_owned()),
+            ("up_axis", "y".to_owned()),
+            ("forward_axis", "z".to_owned()),
+        ];
+        Self {
+            transaction,
+            options,
+            settings,
+            base,
+            plan,
+            fates,
+            plan_hash,
+            facts,
+        }
+    }
+
+    /// Reads what is new or changed, and commits it with what stays. `outside` are rejected items of
+    /// sources that are not of this run; tables composed of the clips stay where all `is_as_before`.
+    pub(super) fn finish(
+        self,
+        outside: Outside,
+        is_as_before: bool,
+        progress: &dyn Progress,
+    ) -> Result<(IngestReport, Growth), Error> {
+        // Nothing is read for labels that may not be lost.
+        self.labels(None)?;
+        let shards = self.plan.shards(&self.fates.rewritten());
+        let mut tally = self.read(&shards, progress)?;
+        let num_elsewhere = self.fates.num_elsewhere();
+        let accounting = tally.accounting(self.plan.num_items(), outside, num_elsewhere);
+        progress.finish(&format!(
+            "{} sources: {} ingested, {} quarantined, {} skipped",
+            accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+        ));
+        let labels = self.labels(Some((&tally, &shards)))?;
+        let mut growth = self.fates.report(self.plan, &tally.ingested);
+        growth.count(&labels);
+        let masks = tally.masks(labels.masks);
+        let pairs = self.pairs(labels.pairs, &tally, &shards);
+        let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
+        let mut carried = self.composed();
+        if !is_as_before {
+            growth.dropped_tables = std::mem::take(&mut carried).into_iter().collect();
+        }
+        let report = self.commit(tables, carried, accounting, tally, pairs)?;
+        Ok((report, growth))
+    }
+
+    /// Reads the shards. Shards that an interrupted run of the same plan has read are taken from it.
+    fn read(&self, shards: &Shards<'_>, progress: &dyn Progress) -> Result<Tally, Error> {
+        let Self {
+            transaction,
+            plan,
+            plan_hash,
+            facts,
+            ..
+        } = self;
+        let mut tally = Tally {
+            skipped: plan.skipped.clone(),
+            quarantine: plan.rejected.clone(),
+            ..Tally::default()
+        };
+        let total: usize = shards.iter().map(|(_, items)| items.len()).sum();
+        progress.begin("ingest", Some(total as u64));
+        let mut num_shards = self.fates.rewritten();
+        let names = shards.iter().map(|(name, _)| name);
+        num_shards.extend(names.filter_map(|name| Some((name.split?, name.of))));
+        tally.tables = self.fates.shards(transaction, &num_shards, facts)?;
+        let mut made = Vec::new();
+        for (name, items) in shards {
+            let staged = transaction.staged::<ShardNotes>(plan_hash, name)?;
+            let (entry, notes) = match staged {
+                Some(done) if transaction.holds(done.1.beside.iter().map(|(_, file)| file))? => {
+                    tally.resumed_shards += 1;
+                    progress.advance(items.len() as u64);
+                    done
+                }
+                _ => {
+                    let done =
+                        plan.make_shard(transaction, name, items, self.options, facts, progress)?;
+                    transaction.stage(plan_hash, name, &done.0, &done.1)?;
+                    done
+                }
+            };
+            made.push((name.clone(), entry.clone()));
+            tally.take(entry, notes);
+        }
+        let contents = equal::contents(transaction, &made)?;
+        let moves = plan.moves(&self.base.recorded, self.options.seed, &contents);
+        if !moves.is_empty() {
+            equal::move_rows(transaction, &made, &mut tally.tables, &moves, facts)?;
+            tally.follow(moves);
+        }
+        let staying = self.fates.staying();
+        tally.staying = staying.map(|(id, split)| (id.to_string(), split)).collect();
+        Ok(tally)
+    }
+
+    /// The labels that stay. Before reading, all clips that are read again are taken to be usable.
+    ///
+    /// # Errors
+    /// Some are lost, and the options do not allow it.
+    fn labels(&self, read: Option<(&Tally, &Shards<'_>)>) -> Result<Labels, Error> {
+        let (masks, pairs) = (self.base.masks.clone(), self.base.label_pairs.clone());
+        let ingested = read.map(|(tally, _)| &tally.ingested);
+        let mut labels = self.fates.labels(masks, pairs, ingested);
+        if let Some((tally, shards)) = read {
+            labels.follow(&tally.splits(shards));
+        }
+        if labels.lost.is_empty() || self.options.drop_labels {
+            return Ok(labels);
+        }
+        Err(labels_lost(&self.transaction, &labels.lost))
+    }
+
+    /// The pairs that stay, those that came with clips of this run, and those of the list.
+    fn pairs(&self, staying: Vec<PairRow>, tally: &Tally, shards: &Shards<'_>) -> Pairs {
+        let (made, dropped) = tally.pairs(shards);
+        let mut rows: BTreeMap<String, PairRow> = BTreeMap::new();
+        let known = staying.into_iter().chain(made);
+        rows.extend(known.map(|row| (row.id.clone(), row)));
+        let known: Vec<PairRow> = rows.values().cloned().collect();
+        let listed = tally.listed_pairs(shards, self.options.pairs.as_ref(), &known);
+        rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));
+        Pairs {
+            rows: rows.into_values().collect(),
+            dropped,
+            refused: listed.refused,
+        }
+    }
+
+    /// Writes the tables beside the shards, and returns the files of all tables.
+    fn tables(
+        &self,
+        tally: &mut Tally,
+        masks: &[MaskRow],
+        pairs: &[PairRow],
+    ) -> Result<Files, Error> {
+        let Self {
+            transaction, facts, ..
+        } = self;
+        let mut tables = std::mem::take(&mut tally.tables);
+        let quarantine = transaction.write_shards(None, &tally.quarantine, facts)?;
+        tables.insert(QuarantineRow::TABLE.to_owned(), quarantine);
+        let skipped = transaction.write_shards(None, &tally.skipped, facts)?;
+        tables.insert(SkippedRow::TABLE.to_owned(), skipped);
+        if !pairs.is_empty() {
+            let files = write_present(transaction, |row: &PairRow| row.split, pairs, facts)?;
+            tables.insert(PairRow::TABLE.to_owned(), files);
+        }
+        if !masks.is_empty() {
+            let files = write_present(transaction, |row: &MaskRow| row.split, masks, facts)?;
+            tables.insert(MaskRow::TABLE.to_owned(), files);
+        }
+        Ok(tables)
+    }
+
+    /// Labels that could not be used, of this run and those recorded that are as they were.
+    fn label_problems(&self, tally: &Tally) -> Vec<LabelProblem> {
+        let mut problems = tally.label_problems(self.plan);
+        let recorded = self.base.label_problems.clone();
+        problems.extend(self.fates.label_problems(self.plan, recorded));
+        problems.sort();
+        problems.dedup();
+        problems
+    }
+
+    /// Tables that were composed of the motions of the version before.
+    fn composed(&self) -> BTreeSet<String> {
+        let base = self.transaction.base().into_iter();
+        let tables = base.flat_map(|base| base.tables.keys());
+        tables.filter(|table| is_composed(table)).cloned().collect()
+    }
+
+    fn commit(
+        self,
+        tables: Files,
+        carried: BTreeSet<String>,
+        accounting: Accounting,
+        tally: Tally,
+        pairs: Pairs,
+    ) -> Result<IngestReport, Error> {
+        let plan = self.plan;
+        let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
+        let licenses = license::count(self.transaction.root(), motions)?;
+        let label_problems = self.label_problems(&tally);
+        let mut facts = BTreeMap::from([
+            (LICENSES_FACT.to_owned(), json(&licenses)),
+            (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
+            (SEED_FACT.to_owned(), self.options.seed.0.to_string()),
+            ("fps".to_owned(), rate_name(self.options)),
+            ("files".to_owned(), plan.files.len().to_string()),
+            ("dropped_pairs".to_owned(), pairs.dropped.to_string()),
+            (SETTINGS_FACT.to_owned(), self.settings.text()),
+            (
+                SOURCES_FACT.to_owned(),
+                plan.all_sources(&self.base.recorded),
+            ),
+        ]);
+        if let Some(list) = &self.options.pairs {
+            facts.insert(PAIRS_FACT.to_owned(), list.hash().to_owned());
+        }
+        if !plan.remarks.is_empty() {
+            facts.insert(REMARKS_FACT.to_owned(), plan.remarks.join("; "));
+        }
+        if !pairs.refused.is_empty() {
+            facts.insert(REFUSED_PAIRS_FACT.to_owned(), json(&pairs.refused));
+        }
+        let dataset = self.transaction.commit(Commit {
+            tables,
+            plan_hash: self.plan_hash,
+            skeleton: self.options.read.skeleton.clone(),
+            accounting: Some(accounting.clone()),
+            facts,
+            fresh: true,
+            carried,
+        })?;
+        Ok(IngestReport {
+            dataset,
+            accounting,
+            files: plan.files.len() as u64,
+            dropped_pairs: pairs.dropped,
+            refused_pairs: pairs.refused,
+            remarks: plan.remarks.clone(),
+            refused_splits: plan.refused_splits.clone(),
+            label_problems,
+            licenses,
+            skipped: counted(&tally.skipped),
+            quarantine: tally.quarantine,
+            resumed_shards: tally.resumed_shards,
+            already_complete: false,
+            growth: None,
+        })
+    }
+}
+
+/// Whether a table is composed of motions by a stage that can make it again.
+fn is_composed(table: &str) -> bool {
+    let of_ingestion = [
+        MaskRow::TABLE,
+        PairRow::TABLE,
+        QuarantineRow::TABLE,
+        SkippedRow::TABLE,
+    ];
+    !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
+}
+
+fn labels_lost(transaction: &Transaction, lost: &[LostLabel]) -> Error {
+    const SHOWN: usize = 5;
+    let shown: Vec<String> = lost
+        .iter()
+        .take(SHOWN)
+        .map(|label| format!("{} of {} ({})", label.id, label.table, label.reason))
+        .collect();
+    Error::LabelsLost {
+        path: transaction.root().to_owned(),
+        count: lost.len(),
+        shown: shown.join(", "),
+    }
+}
+
+/// A fact of a manifest as JSON.
+fn json(fact: &impl Serialize) -> String {
+    serde_json::to_string(fact).expect("numbers and texts serialise")
+}
+
+/// Writes a table with a shard for each split that has rows.
+fn write_present<R: Row>(
+    transaction: &Transaction,
+    split_of: fn(&R) -> Split,
+    rows: &[R],
+    facts: &[(&str, String)],
+) -> Result<Vec<FileEntry>, Error> {
+    let mut files = Vec::new();
+    for split in Split::ALL {
+        let rows = rows.iter().filter(|row| split_of(row) == split);
+        let rows: Vec<R> = rows.cloned().collect();
+        if !rows.is_empty() {
+            files.extend(transaction.write_shards(Some(split), &rows, facts)?);
+        }
+    }
+    Ok(files)
+}
