@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::table::{Caption, PartCaption, Quality, Row, table};
-use crate::{Error, Fps, Motion, MotionId, Split};
+use crate::{BodyPart, Error, Fps, JointSet, Motion, MotionId, Split};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 
@@ -612,6 +612,24 @@ impl ItemRow {
             &self.target_global_orient,
             &self.target_body_pose,
         )
+    }
+
+    /// Joints that the edit changes: those the target took, or else those of the named parts that are
+    /// known here. Empty where the item tells neither.
+    ///
+    /// # Errors
+    /// A joint has an unknown name.
+    pub fn edited_joints(&self) -> Result<JointSet, Error> {
+        let taken = [&self.hard_joints, &self.soft_joints].map(|names| names.clone().try_into());
+        let [hard, soft]: [Result<JointSet, Error>; 2] = taken;
+        let taken = hard?.union(soft?);
+        if !taken.is_empty() {
+            return Ok(taken);
+        }
+        let parts = self.parts.iter().filter_map(|name| name.parse().ok());
+        Ok(parts.fold(JointSet::EMPTY, |joints, part: BodyPart| {
+            joints.union(part.joints())
+        }))
     }
 
     /// The target made of another capture of the same action in the same style, if there is one.

@@ -71,6 +71,12 @@ pub(crate) struct Args {
     /// Factor of the sampling noise; below 1 edits vary less [default: from the editor's settings]
     #[arg(long)]
     temperature: Option<f64>,
+    /// MDM-BP: diffusion step whose noise is added to the source at the start [default: the last step]
+    #[arg(long, value_name = "STEP")]
+    start: Option<usize>,
+    /// MDM-BP: last diffusion steps in which the whole body is free [default: 20 of 1,000]
+    #[arg(long, value_name = "N")]
+    release: Option<usize>,
     /// Test items to answer, as `stance items` draws them; --seed is that of the sampling alone
     #[arg(long, conflicts_with_all = ["motion", "text", "during", "history", "dataset"])]
     items: Option<PathBuf>,
@@ -140,6 +146,8 @@ impl Args {
             prior: self.prior,
             coordinator_strength: self.coordinator_strength,
             coordinator_steps: self.coordinator_steps,
+            start: self.start,
+            release: self.release,
         }
     }
 

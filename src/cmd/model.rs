@@ -10,7 +10,7 @@ use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
 use train::config::TrainConfig;
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
-use train::exchange;
+use train::exchange::{self, MdmArgs};
 use train::features::{FeatureRecipe, FeatureStats};
 use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
@@ -55,18 +55,18 @@ struct ImportArgs {
     #[arg(long, value_enum, default_value_t = PresetArg::Official)]
     preset: PresetArg,
     /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
-    #[arg(long, value_name = "FILE", required_unless_present = "features")]
+    #[arg(long, value_name = "FILE", required_unless_present = "stats")]
     range: Option<PathBuf>,
     /// Features of an evaluation encoder
     #[arg(long, value_enum, required_if_eq("model", "tmr"), requires = "stats")]
     features: Option<Features>,
-    /// Folder with the mean.pt and std.pt of those features
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder with the mean.pt and std.pt of those features; for mdm with the Mean.npy and Std.npy of HumanML3D
+    #[arg(long, value_name = "FOLDER", required_if_eq("model", "mdm"))]
     stats: Option<PathBuf>,
-    /// Attention heads of an evaluation encoder, which its file does not record
+    /// Attention heads of an evaluation encoder or of MDM, which its file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
-    /// Folder of the CLIP text encoder that the editor uses [default: the hub's cache]
+    /// Folder of the CLIP text encoder that the model uses [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
     /// Run folder to write
@@ -97,6 +97,8 @@ enum Model {
     Coordinator,
     /// The motion encoder of TMR or of the MotionFix evaluation (motion_encoder.pt, or last.ckpt)
     Tmr,
+    /// MDM, encoder variant (model000475000.pt, with its args.json beside it)
+    Mdm,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -162,6 +164,9 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
         return import_encoder(args, features.recipe(), stats);
     }
+    if let (Model::Mdm, Some(stats)) = (args.model, &args.stats) {
+        return import_mdm(args, stats);
+    }
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
     };
@@ -199,7 +204,9 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
             };
             exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
         }
-        Model::Tmr => bail!("name what the encoder sees: --features and --stats"),
+        Model::Tmr | Model::Mdm => {
+            bail!("name what the network sees: --stats, and for an encoder --features")
+        }
     }
     Ok(())
 }
@@ -229,6 +236,40 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
     };
     let (out, file) = (&args.out, &args.file);
     exchange::import_motion_encoder(out, args.heads, features, weights, file, &device())?;
+    Ok(())
+}
+
+fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
+    // Newer checkpoints hold the averaged weights beside the others.
+    let options = StateDictOptions {
+        nested: &["model_avg", "model"],
+        ..StateDictOptions::default()
+    };
+    let weights = weights(&args.file, &options)?;
+    let described = args.file.with_file_name("args.json");
+    let mdm: MdmArgs = if described.exists() {
+        serde_json::from_slice(&read(&described)?)
+            .with_context(|| format!("{} does not describe an MDM", described.display()))?
+    } else {
+        MdmArgs::default()
+    };
+    let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
+        let path = stats.join(name);
+        Ok(exchange::read_npy_numbers(&read(&path)?, &path)?)
+    };
+    let features = FeatureStats {
+        recipe: FeatureRecipe::HumanMl3d,
+        mean: numbers("Mean.npy")?,
+        std: numbers("Std.npy")?,
+    };
+    let clip = text_encoder(args.text_encoder.as_deref()).load(&device())?;
+    let text = TextRecord::Frozen {
+        encoder_hash: clip.identity().to_owned(),
+        width: clip.width(),
+    };
+    let (out, file) = (&args.out, &args.file);
+    let fitted = (features, text);
+    exchange::import_mdm(out, &mdm, args.heads, fitted, weights, file, &device())?;
     Ok(())
 }
 

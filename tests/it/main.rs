@@ -14,6 +14,7 @@ mod growth;
 mod help;
 mod ingest;
 mod labels;
+mod mdm;
 mod pairs;
 mod results;
 mod seams;

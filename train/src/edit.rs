@@ -218,6 +218,7 @@ impl EditSystem for MotionRefitSystem {
                     motion,
                     instructions,
                     fps,
+                    ..
                 } = *request;
                 EditItem::timed(id, motion, instructions, fps, skeleton, record)
             })

@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
 use kinematics::normalise::Normalizer;
-use pickle::{self, Value};
+use pickle::{self, Value, npy};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
+use serde::Deserialize;
 
 use crate::Error;
 use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
-use crate::config::NetworkConfig;
+use crate::config::{NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
 use crate::features::FeatureStats;
 use crate::fit::{self, EditorRecord};
+use crate::mdm::{self, MdmConfig, MdmRecord};
 use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
@@ -121,55 +123,24 @@ pub fn import_motion_encoder(
     device: &Device,
 ) -> Result<(), Error> {
     let recipe = features.recipe;
-    for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
-        if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
-            return Err(Error::Encoder {
-                problem: format!(
-                    "needs a {name} of {} finite numbers for features {}, and has {}",
-                    recipe.width(),
-                    recipe.name(),
-                    values.len()
-                ),
-            });
-        }
-    }
+    check_stats(&features)?;
     // Lightning's checkpoints name the networks, the extracted files do not.
     const NETWORK: &str = "motion_encoder.";
-    let (prefix, model) = {
-        let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
-        let named = file.names().iter().any(|name| name.starts_with(NETWORK));
-        let prefix = if named { NETWORK } else { "" };
-        let shape = |name: &str| -> Result<[usize; 2], Error> {
-            let tensor = file.tensor(&format!("{prefix}{name}"));
-            let tensor = tensor.map_err(|problem| Error::weights(path, problem))?;
-            <[usize; 2]>::try_from(tensor.shape())
-                .map_err(|_| Error::weights(path, format!("{prefix}{name} is no matrix")))
-        };
-        let [width, num_features] = shape("projection.weight")?;
-        if num_features != recipe.width() {
-            return Err(Error::Encoder {
-                problem: format!(
-                    "takes {num_features} numbers a frame, and features {} have {}",
-                    recipe.name(),
-                    recipe.width()
-                ),
-            });
-        }
-        let [feed_forward, _] = shape("seqTransEncoder.layers.0.linear1.weight")?;
-        let layer = |k: usize| format!("{prefix}seqTransEncoder.layers.{k}.linear1.weight");
-        let num_layers = (0..)
-            .take_while(|&k| file.tensor(&layer(k)).is_ok())
-            .count();
-        let model = NetworkConfig {
-            width,
-            num_layers,
-            num_heads,
-            feed_forward,
-            dropout: 0.0,
-        };
-        (prefix, model)
-    };
-    model.check()?;
+    let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
+    let is_named = file.names().iter().any(|name| name.starts_with(NETWORK));
+    let prefix = if is_named { NETWORK } else { "" };
+    let input = format!("{prefix}projection.weight");
+    let encoder = format!("{prefix}seqTransEncoder");
+    let (model, num_features) = encoder_sizes(&file, &input, &encoder, num_heads, path)?;
+    if num_features != recipe.width() {
+        return Err(Error::Encoder {
+            problem: format!(
+                "takes {num_features} numbers a frame, and features {} have {}",
+                recipe.name(),
+                recipe.width()
+            ),
+        });
+    }
     let mut network = SequenceEncoder::new(recipe.width(), &model, device);
     from_safetensors(&mut network, weights, prefix, path)?;
     let record = MotionEncoderRecord { model, features };
@@ -182,6 +153,140 @@ pub fn import_motion_encoder(
     let run = Run::open(
         run_dir,
         &RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record),
+    )?;
+    run.write(Slot::Best, &files.into())
+}
+
+/// Checks statistics that were read.
+fn check_stats(features: &FeatureStats) -> Result<(), Error> {
+    let recipe = features.recipe;
+    for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
+        if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
+            return Err(Error::Encoder {
+                problem: format!(
+                    "needs a {name} of {} finite numbers for features {}, and has {}",
+                    recipe.width(),
+                    recipe.name(),
+                    values.len()
+                ),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Sizes of a `nn.TransformerEncoder` and the inputs of the layer before it, read off their tensors. The
+/// number of heads is not among them.
+fn encoder_sizes(
+    file: &SafeTensors<'_>,
+    input: &str,
+    encoder: &str,
+    num_heads: usize,
+    path: &Path,
+) -> Result<(NetworkConfig, usize), Error> {
+    let [width, num_inputs] = matrix_shape(file, input, path)?;
+    let layer = |k: usize| format!("{encoder}.layers.{k}.linear1.weight");
+    let [feed_forward, _] = matrix_shape(file, &layer(0), path)?;
+    let model = NetworkConfig {
+        width,
+        num_layers: (0..)
+            .take_while(|&k| file.tensor(&layer(k)).is_ok())
+            .count(),
+        num_heads,
+        feed_forward,
+        dropout: 0.0,
+    };
+    model.check()?;
+    Ok((model, num_inputs))
+}
+
+fn matrix_shape(file: &SafeTensors<'_>, name: &str, path: &Path) -> Result<[usize; 2], Error> {
+    let tensor = file.tensor(name);
+    let tensor = tensor.map_err(|problem| Error::weights(path, problem))?;
+    <[usize; 2]>::try_from(tensor.shape())
+        .map_err(|_| Error::weights(path, format!("{name} is no matrix")))
+}
+
+/// What the `args.json` beside a released checkpoint of MDM says of it. Keys that it lacks have the
+/// released defaults.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(default)]
+pub struct MdmArgs {
+    arch: String,
+    text_encoder_type: String,
+    noise_schedule: String,
+    diffusion_steps: usize,
+    mask_frames: bool,
+}
+
+impl Default for MdmArgs {
+    fn default() -> Self {
+        Self {
+            arch: "trans_enc".to_owned(),
+            text_encoder_type: "clip".to_owned(),
+            noise_schedule: "cosine".to_owned(),
+            diffusion_steps: 1_000,
+            mask_frames: false,
+        }
+    }
+}
+
+/// Makes a run folder of an MDM trained elsewhere: the encoder variant, of any size and number of
+/// diffusion steps.
+///
+/// # Errors
+/// It is another variant, the folder holds another run, a tensor is missing or does not fit the
+/// features or the text encoder, the statistics are of another width, or a file cannot be written.
+pub fn import_mdm(
+    run_dir: &Path,
+    args: &MdmArgs,
+    num_heads: usize,
+    (features, text): (FeatureStats, fit::TextRecord),
+    weights: Vec<u8>,
+    path: &Path,
+    device: &Device,
+) -> Result<(), Error> {
+    for (field, value, known) in [
+        ("arch", &args.arch, "trans_enc"),
+        ("text_encoder_type", &args.text_encoder_type, "clip"),
+        ("noise_schedule", &args.noise_schedule, "cosine"),
+    ] {
+        if value != known {
+            return Err(Error::weights(
+                path,
+                format!("its args.json says {field} {value}; only {known} is known here"),
+            ));
+        }
+    }
+    check_stats(&features)?;
+    let (model, num_features) = {
+        let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
+        let input = "input_process.poseEmbedding.weight";
+        encoder_sizes(&file, input, "seqTransEncoder", num_heads, path)?
+    };
+    if num_features != features.recipe.width() {
+        let problem = format!("it takes {num_features} numbers a frame, not those of HumanML3D");
+        return Err(Error::weights(path, problem));
+    }
+    let record = MdmRecord {
+        train: MdmConfig {
+            model,
+            diffusion_steps: args.diffusion_steps,
+            mask_frames: args.mask_frames,
+            ..MdmConfig::preset(Preset::Official)
+        },
+        features,
+        text,
+    };
+    record.train.check()?;
+    let mut network = record.network(device).network;
+    from_safetensors(&mut network, weights, "", path)?;
+    let files = [(mdm::WEIGHTS.to_owned(), to_safetensors(&network, run_dir)?)];
+    // Its features do not depend on the body.
+    let skeleton = Skeleton::smplx_neutral();
+    let run = Run::open(
+        run_dir,
+        &RunRecord::new(mdm::KIND, "imported", &skeleton, record),
     )?;
     run.write(Slot::Best, &files.into())
 }
@@ -199,6 +304,16 @@ pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> 
         .and_then(pickle::Array::to_f64)
         .map(|values| values.into_iter().map(|value| value as f32).collect())
         .ok_or_else(|| Error::weights(path, format!("it holds {}, no tensor", value.describe())))
+}
+
+/// Reads the numbers of a file of `numpy.save`, such as `Mean.npy`.
+///
+/// # Errors
+/// The file is malformed, or holds no numbers.
+pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
+    let name = path.display().to_string();
+    let array = npy::read_numbers(&name, bytes).map_err(|error| Error::weights(path, error))?;
+    Ok(array.values.iter().map(|&value| value as f32).collect())
 }
 
 /// Writes the network of a run as one safetensors file under the released names, the position tables

@@ -244,6 +244,15 @@ impl FeatureStats {
         })
     }
 
+    /// The inverse of [`FeatureStats::push_normalized`].
+    pub(crate) fn restored(&self, values: &[f32]) -> Vec<f32> {
+        let columns = self.mean.iter().zip(&self.std).cycle();
+        let values = values.iter().zip(columns);
+        values
+            .map(|(value, (mean, std))| value * std + mean)
+            .collect()
+    }
+
     /// Appends rows in units of standard deviations from the mean.
     pub(crate) fn push_normalized(&self, rows: &[f32], out: &mut Vec<f32>) {
         for row in rows.chunks_exact(self.recipe.width()) {

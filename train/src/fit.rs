@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::config::{Prediction, TextEncoder, TrainConfig};
+use crate::config::{Prediction, TextConfig, TextEncoder, TrainConfig};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::{Extrapolation, Objective};
 use crate::model::motionrefit::{MotionRefit, TextSource};
@@ -107,6 +107,46 @@ pub enum TextRecord {
 }
 
 impl TextRecord {
+    /// What settings ask for: what is known from the run whose weights are taken over, else the words of
+    /// `texts` or the encoder of `vectors`.
+    ///
+    /// # Errors
+    /// Known and wanted encoders differ, the settings of the words are out of range, or the frozen encoder
+    /// is missing.
+    pub(crate) fn chosen<'a>(
+        config: &TextConfig,
+        known: Option<Self>,
+        texts: impl IntoIterator<Item = &'a str>,
+        vectors: Option<&dyn TextVectors>,
+    ) -> Result<Self, Error> {
+        match (config.encoder, known) {
+            (TextEncoder::Learned, Some(text @ Self::Learned(_)))
+            | (TextEncoder::Clip, Some(text @ Self::Frozen { .. })) => Ok(text),
+            (_, Some(_)) => Err(Error::Config {
+                field: "text.encoder",
+                problem: "it is not that of the run whose weights are to be taken over".to_owned(),
+            }),
+            (TextEncoder::Learned, None) => Ok(Self::Learned(Vocabulary::build(
+                texts,
+                config.words.num_buckets,
+                config.words.max_words,
+            )?)),
+            (TextEncoder::Clip, None) => {
+                let vectors = vectors.ok_or_else(|| Error::Config {
+                    field: "text.encoder",
+                    problem:
+                        "it is clip; give the folder of its weights with --text-encoder, or set it \
+                         to learned"
+                            .to_owned(),
+                })?;
+                Ok(Self::Frozen {
+                    encoder_hash: vectors.encoder_hash().to_owned(),
+                    width: vectors.width(),
+                })
+            }
+        }
+    }
+
     pub(crate) fn source(&self) -> TextSource {
         match self {
             Self::Learned(vocabulary) => TextSource::Learned(vocabulary.num_tokens()),
@@ -183,34 +223,8 @@ pub fn train_motionrefit<'a>(
         Some(record) => (Some(record.text), record.extrapolation),
         None => (None, None),
     };
-    let text = match (config.text.encoder, known_text) {
-        (TextEncoder::Learned, Some(text @ TextRecord::Learned(_)))
-        | (TextEncoder::Clip, Some(text @ TextRecord::Frozen { .. })) => text,
-        (_, Some(_)) => {
-            return Err(Error::Config {
-                field: "text.encoder",
-                problem: "it is not that of the run whose weights are to be taken over".to_owned(),
-            });
-        }
-        (TextEncoder::Learned, None) => TextRecord::Learned(Vocabulary::build(
-            corpus.instructions.iter().map(String::as_str),
-            config.text.words.num_buckets,
-            config.text.words.max_words,
-        )?),
-        (TextEncoder::Clip, None) => {
-            let vectors = corpus.vectors.ok_or_else(|| Error::Config {
-                field: "text.encoder",
-                problem:
-                    "it is clip; give the folder of its weights with --text-encoder, or set it to \
-                          learned"
-                        .to_owned(),
-            })?;
-            TextRecord::Frozen {
-                encoder_hash: vectors.encoder_hash().to_owned(),
-                width: vectors.width(),
-            }
-        }
-    };
+    let instructions = corpus.instructions.iter().map(String::as_str);
+    let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
     let sampler = WindowSampler {

@@ -52,6 +52,7 @@
 //! # }
 //! ```
 
+pub mod captioned;
 pub mod checkpoint;
 pub mod compose;
 pub mod config;
@@ -65,8 +66,11 @@ pub mod features;
 pub mod fit;
 pub mod gaussian;
 pub mod history;
+pub mod humanml3d;
 pub mod j2s;
 pub mod kind;
+pub mod mdm;
+pub mod mdm_bp;
 pub mod metrics;
 pub mod model;
 pub mod optimizer;

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
-use crate::stage::{coordinator, editor, encoder, poses};
+use crate::stage::{coordinator, editor, encoder, mdm, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 
 /// All models.
@@ -16,6 +16,7 @@ pub const MODELS: &[ModelKind] = &[
     coordinator::MODEL,
     encoder::MODEL,
     poses::MODEL,
+    mdm::MODEL,
 ];
 
 /// A model by its name.

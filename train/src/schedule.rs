@@ -66,6 +66,27 @@ impl Schedule {
         Ok(Self::of_betas(betas.collect()))
     }
 
+    /// The schedule whose standard deviations are linear, of latent diffusion.
+    ///
+    /// # Errors
+    /// There are fewer than two steps.
+    ///
+    /// # Source
+    /// Rombach et al. 2022, with the variances of MLD (`algorithms` section 14).
+    pub fn scaled_linear(num_steps: usize) -> Result<Self, Error> {
+        const VARIANCES: [f64; 2] = [0.00085, 0.012];
+        if num_steps < 2 {
+            return Err(Error::Config {
+                field: "diffusion_steps",
+                problem: format!("it is {num_steps}, and must be at least 2"),
+            });
+        }
+        let [first, last] = VARIANCES.map(f64::sqrt);
+        let stride = (last - first) / (num_steps - 1) as f64;
+        let betas = (0..num_steps).map(|step| (first + step as f64 * stride).powi(2));
+        Ok(Self::of_betas(betas.collect()))
+    }
+
     /// The schedule over some of the steps, in rising order: each kept step adds the noise of all steps
     /// since the kept step before it.
     ///

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, Seed};
+use datasets_spec::{Dataset, Fps, JointSet, Motion, Seed};
 use pipeline::stage::commit_edits;
 use serde::{Deserialize, Serialize};
 
@@ -60,6 +60,9 @@ pub struct EditRequest<'a> {
     pub instructions: &'a [TimedInstruction],
     /// Frame rate of the edit.
     pub fps: Fps,
+    /// Joints that the edit is said to change; empty where that is not known. Systems that edit by the
+    /// instruction alone ignore them.
+    pub joints: JointSet,
 }
 
 /// How far generated points are from a body, as they know no bones.
@@ -231,6 +234,10 @@ pub struct EditConfig {
     pub coordinator_strength: Option<f64>,
     /// Last steps that a coordinator guides; `None` for those of the editor's settings.
     pub coordinator_steps: Option<usize>,
+    /// Diffusion step whose noise MDM-BP adds to the source at the start; `None` for the last step.
+    pub start: Option<usize>,
+    /// Last diffusion steps in which MDM-BP frees the whole body; `None` for 20 of 1,000.
+    pub release: Option<usize>,
 }
 
 impl Default for EditConfig {
@@ -245,6 +252,8 @@ impl Default for EditConfig {
             prior: None,
             coordinator_strength: None,
             coordinator_steps: None,
+            start: None,
+            release: None,
         }
     }
 }
@@ -281,13 +290,16 @@ pub fn edit_items(
     let requests: Vec<EditRequest<'_>> = items
         .iter()
         .zip(&sources)
-        .map(|(item, (motion, instructions))| EditRequest {
-            id: &item.id,
-            motion,
-            instructions,
-            fps: motion.fps(),
+        .map(|(item, (motion, instructions))| {
+            Ok(EditRequest {
+                id: &item.id,
+                motion,
+                instructions,
+                fps: motion.fps(),
+                joints: item.edited_joints()?,
+            })
         })
-        .collect();
+        .collect::<Result<_, Error>>()?;
     let edited = system.edit(&requests, seed, session)?;
     let rows = items
         .iter()
@@ -331,6 +343,7 @@ pub fn edit_motion(
         motion,
         instructions,
         fps,
+        joints: JointSet::EMPTY,
     };
     let mut edited = system.edit(&[request], seed, session)?;
     let (motion, misfit) = edited

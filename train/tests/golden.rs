@@ -2,6 +2,10 @@
 
 #[path = "golden/gaussian.rs"]
 mod gaussian;
+#[path = "golden/mdm.rs"]
+mod mdm;
+#[path = "golden/mld.rs"]
+mod mld;
 #[path = "../../tests/data/golden.rs"]
 mod recorded;
 

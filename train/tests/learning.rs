@@ -1,5 +1,8 @@
 //! The trainer learns, stops and continues, and the editor is repeatable.
 
+#[path = "learning/mdm.rs"]
+mod mdm;
+
 use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;
 use std::sync::LazyLock;

@@ -483,7 +483,7 @@ pub(crate) fn positive(field: &'static str, value: u64) -> Result<(), Error> {
     Ok(())
 }
 
-fn share(field: &'static str, value: f64) -> Result<(), Error> {
+pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Error> {
     if !(0.0..1.0).contains(&value) {
         return Err(Error::Config {
             field,

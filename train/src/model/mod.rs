@@ -1,13 +1,17 @@
 //! Networks.
 
 pub mod clip;
+pub mod conditioned;
 pub mod coordinator;
 pub mod denoiser;
 pub mod dropout;
 pub mod fused;
+pub mod mdm;
+pub mod mld;
 pub mod motionrefit;
 pub mod pose_net;
 pub mod position;
+pub mod skip;
 pub mod text;
 pub mod tmr;
 pub mod torch;

@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
-use super::text::LearnedText;
+use super::text::{LearnedText, text_vectors};
 use crate::config::{DiffusionConfig, NetworkConfig};
 use crate::data::{NoisyBatch, TextBatch};
 use crate::diffusion::Objective;
@@ -76,17 +76,7 @@ impl MotionRefit {
     /// # Panics
     /// If words are given to a model without an encoder of words.
     pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
-        match texts {
-            TextBatch::Words(tokens) => self
-                .text
-                .as_ref()
-                .expect("words are given to a model that learns them")
-                .forward(tokens),
-            TextBatch::Vectors(values) => Tensor::from_data(
-                TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
-                device,
-            ),
-        }
+        text_vectors(self.text.as_ref(), texts, rows, device)
     }
 
     /// The training loss of a batch. A dropped instruction is a row of zeros.

@@ -7,6 +7,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::denoiser::TEXT_DIVISOR;
 use super::position::positions;
+use crate::data::TextBatch;
 use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
@@ -56,6 +57,31 @@ impl LearnedText {
             .squeeze_dim::<2>(1);
         let text = self.norm.forward(sum / count);
         self.output.forward(text).mul_scalar(TEXT_DIVISOR)
+    }
+}
+
+/// The vectors of texts: those of a frozen encoder as they are, and words by the encoder that is trained
+/// with the model.
+///
+/// # Shapes
+/// `rows` texts give `[B, d]`.
+///
+/// # Panics
+/// If words are given to a model without an encoder of words.
+pub(crate) fn text_vectors(
+    learned: Option<&LearnedText>,
+    texts: &TextBatch,
+    rows: usize,
+    device: &Device,
+) -> Tensor<2> {
+    match texts {
+        TextBatch::Words(tokens) => learned
+            .expect("words are given to a model that learns them")
+            .forward(tokens),
+        TextBatch::Vectors(values) => Tensor::from_data(
+            TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
+            device,
+        ),
     }
 }
 

@@ -18,7 +18,7 @@ use crate::Error;
 
 /// Renamed parameters: (pattern in PyTorch's name, ours; pattern in our name, PyTorch's). The store
 /// converts layouts of linear layers and names of norms.
-const RENAMES: [(&str, &str, &str, &str); 7] = [
+const RENAMES: [(&str, &str, &str, &str); 10] = [
     (
         r"in_proj_(weight|bias)$",
         "in_proj.$1",
@@ -50,6 +50,24 @@ const RENAMES: [(&str, &str, &str, &str); 7] = [
         "sequence_decoder.",
         r"sequence_decoder\.",
         "seqTransDecoder.",
+    ),
+    (
+        r"^input_process\.poseEmbedding\.",
+        "pose_embedding.",
+        r"^pose_embedding\.",
+        "input_process.poseEmbedding.",
+    ),
+    (
+        r"^output_process\.poseFinal\.",
+        "pose_final.",
+        r"^pose_final\.",
+        "output_process.poseFinal.",
+    ),
+    (
+        r"^emb_proj\.1\.",
+        "emb_proj.",
+        r"^emb_proj\.",
+        "emb_proj.1.",
     ),
 ];
 
@@ -169,7 +187,8 @@ fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Ve
 /// The distributions are PyTorch's: linear layers uniform within `1/sqrt(fan_in)`; the joint
 /// projection of attention Xavier-uniform and the biases of attention zero; norms one and zero, and
 /// the running mean and variance of a batch norm zero and one; embeddings and learned tokens standard
-/// normal.
+/// normal; in the skip transformers of MLD every matrix Xavier-uniform, and learned positions between 0 and
+/// 1.
 pub fn draw<M: Module>(network: M, seed: Seed) -> Result<M, Error> {
     let mut draw = Draw {
         seed,
@@ -197,19 +216,23 @@ struct Draw {
 
 enum Values {
     Constant(f32),
+    /// Between minus and plus the bound.
     Uniform(f64),
+    /// Between 0 and 1.
+    Unit,
     Normal,
 }
 
 impl Draw {
     fn values(&mut self, name: &str, shape: &[usize]) -> Values {
-        let layer = self
+        let mut structs = self
             .containers
             .iter()
             .rev()
-            .find_map(|container| container.strip_prefix("Struct:"))
-            .unwrap_or_default();
+            .filter_map(|container| container.strip_prefix("Struct:"));
+        let layer = structs.clone().next().unwrap_or_default();
         let is_attention = name.contains("in_proj") || name.contains("out_proj");
+        let is_xavier = name.contains("in_proj") || structs.any(|name| name == "SkipLayers");
         match (layer, name.rsplit('.').next().unwrap_or_default()) {
             ("LayerNorm" | "BatchNorm", "gamma") | ("BatchNorm", "running_var") => {
                 Values::Constant(1.0)
@@ -219,7 +242,7 @@ impl Draw {
             }
             ("Linear", "weight") => {
                 self.fan_in = shape[0];
-                if name.contains("in_proj") {
+                if is_xavier {
                     // Xavier: sqrt(6 / (inputs + outputs)).
                     Values::Uniform((6.0 / (shape[0] + shape[1]) as f64).sqrt())
                 } else {
@@ -228,7 +251,10 @@ impl Draw {
             }
             ("Linear", "bias") if is_attention => Values::Constant(0.0),
             ("Linear", "bias") => Values::Uniform((self.fan_in as f64).sqrt().recip()),
-            ("Embedding", "weight") | ("SequenceEncoder", "tokens") => Values::Normal,
+            ("Embedding", "weight")
+            | ("SequenceEncoder", "tokens")
+            | ("MotionVae", "global_motion_token") => Values::Normal,
+            ("LearnedPositions", "pe") => Values::Unit,
             (layer, _) => {
                 let layer = layer.to_owned();
                 self.unknown.get_or_insert_with(|| (name.to_owned(), layer));
@@ -261,6 +287,7 @@ impl ModuleMapper for Draw {
             Values::Uniform(bound) => (0..count)
                 .map(|_| rng.random_range(-bound..bound) as f32)
                 .collect(),
+            Values::Unit => (0..count).map(|_| rng.random_range(0.0..1.0)).collect(),
             Values::Normal => (0..count).map(|_| rng.sample(StandardNormal)).collect(),
         };
         let device = param.lazy_device();

@@ -300,7 +300,7 @@ pub fn model_frames(num_frames: usize, fps: Fps, editor: &EditorRecord) -> usize
 
 /// The poses of a motion at another rate over the whole of it: where its last frame lies between two,
 /// the second of them is there too, as far beyond the end as the one before is from it.
-fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
+pub(crate) fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
     let poses = motion.poses();
     let Some(last) = poses.len().checked_sub(1) else {
         return poses;

@@ -1,9 +1,11 @@
 //! Stages of training, from a dataset folder to a run folder: open the dataset, assemble what the
 //! model learns from, train.
 
+mod captioned;
 pub mod coordinator;
 pub mod editor;
 pub mod encoder;
+pub(crate) mod mdm;
 pub mod poses;
 
 use std::path::Path;

@@ -1,0 +1,274 @@
+//! Crops of captioned motions, as models of motions and captions are trained on them.
+
+use datasets_spec::{Seed, Skeleton};
+use pipeline::feature::Statistics;
+use pipeline::feature::humanml3d::Features;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::data::TextVectors;
+use crate::features::{FeatureRecipe, FeatureStats, Prepared};
+use crate::tmr::CaptionedMotion;
+
+/// What a model of motions and captions learns from.
+#[derive(Clone, Copy)]
+pub struct CaptionedCorpus<'a> {
+    /// Training clips.
+    pub train: &'a [CaptionedMotion<'a>],
+    /// Validation clips.
+    pub val: &'a [CaptionedMotion<'a>],
+    /// Vectors of all captions and of the empty text, of a frozen encoder.
+    pub vectors: Option<&'a dyn TextVectors>,
+    /// The skeleton the motions drive.
+    pub skeleton: &'a Skeleton,
+    /// Hash of the table of motions.
+    pub dataset_hash: &'a str,
+}
+
+/// A clip as features of HumanML3D, with its captions.
+pub(crate) struct CaptionedRows {
+    rows: Vec<Features>,
+    captions: Vec<String>,
+}
+
+/// The features of the clips that have at least `min_frames` of them.
+///
+/// # Errors
+/// No clip is long enough, one has no caption, or one has no features.
+pub(crate) fn captioned_rows(
+    clips: &[CaptionedMotion<'_>],
+    min_frames: usize,
+    what: &'static str,
+) -> Result<Vec<CaptionedRows>, Error> {
+    let rows: Vec<Option<CaptionedRows>> = clips
+        .par_iter()
+        .map(|clip| {
+            if clip.captions.is_empty() {
+                return Err(Error::Item {
+                    id: clip.id.to_owned(),
+                    problem: "has no caption".to_owned(),
+                });
+            }
+            if clip.motion.len() <= min_frames {
+                return Ok(None);
+            }
+            let clip_rows = Prepared::new(clip.motion, FeatureRecipe::HumanMl3d, 1, clip.id)?;
+            let rows = clip_rows.features(0..clip_rows.len());
+            let (rows, _) = rows.as_chunks();
+            Ok((rows.len() >= min_frames).then(|| CaptionedRows {
+                rows: rows.to_vec(),
+                captions: clip.captions.to_vec(),
+            }))
+        })
+        .collect::<Result<_, Error>>()?;
+    let rows: Vec<CaptionedRows> = rows.into_iter().flatten().collect();
+    if rows.is_empty() {
+        return Err(Error::Empty { what });
+    }
+    Ok(rows)
+}
+
+/// Mean and standard deviation of the features, the latter averaged over each group of features, as
+/// HumanML3D publishes them.
+pub(crate) fn grouped_stats(clips: &[CaptionedRows]) -> FeatureStats {
+    /// Lower bound of a spread: what never changes in the training split is not blown up.
+    const LEAST_STD: f32 = 1e-3;
+    let mut statistics = Statistics::default();
+    for clip in clips {
+        statistics.take(&clip.rows);
+    }
+    FeatureStats {
+        recipe: FeatureRecipe::HumanMl3d,
+        mean: statistics.mean().to_vec(),
+        std: statistics
+            .group_std()
+            .iter()
+            .map(|std| std.max(LEAST_STD))
+            .collect(),
+    }
+}
+
+/// Normalised crops of clips and a caption of each, with zeros after each row's length.
+#[derive(Clone, Debug)]
+pub(crate) struct Crops<'a> {
+    /// `[B, T, 263]`
+    pub(crate) features: Vec<f32>,
+    /// `[B]`
+    pub(crate) lengths: Vec<usize>,
+    /// `T`
+    pub(crate) frames: usize,
+    /// `[B]`
+    pub(crate) captions: Vec<&'a str>,
+}
+
+/// Samples crops of clips. What is drawn for a sample depends on the seed and the sample's place in the
+/// run alone.
+#[derive(Clone, Copy)]
+pub(crate) struct CropSampler<'a> {
+    pub(crate) clips: &'a [CaptionedRows],
+    pub(crate) stats: &'a FeatureStats,
+    /// Frames of the longest crop.
+    pub(crate) max_frames: usize,
+    /// Whether crops are padded to the longest possible one rather than to the longest of the batch.
+    pub(crate) pads_to_max: bool,
+    pub(crate) seed: Seed,
+}
+
+/// Lengths of crops are multiples of this number of frames.
+const CROP_UNIT: usize = 4;
+
+impl<'a> CropSampler<'a> {
+    /// The samples `first..first + count` of the run, epochs following one another.
+    ///
+    /// A crop is as long as its clip, rounded down to a multiple of four frames, and in a third of the
+    /// cases four frames shorter.
+    ///
+    /// # Source
+    /// `Text2MotionDatasetV2` of HumanML3D, which MDM and MLD use.
+    pub(crate) fn draw(&self, first: u64, count: usize) -> Crops<'a> {
+        let num_clips = self.clips.len() as u64;
+        let mut epoch_order: Option<(u64, Vec<usize>)> = None;
+        let crops: Vec<Crop> = (first..first + count as u64)
+            .map(|sample| {
+                let (epoch, place) = (sample / num_clips, sample % num_clips);
+                let order = match &epoch_order {
+                    Some((known, order)) if *known == epoch => order,
+                    _ => {
+                        let mut order: Vec<usize> = (0..self.clips.len()).collect();
+                        order.shuffle(&mut self.seed.rng(&["epoch", &epoch.to_string()]));
+                        &epoch_order.insert((epoch, order)).1
+                    }
+                };
+                let clip = order[place as usize];
+                let mut rng = self.seed.rng(&["crop", &sample.to_string()]);
+                let num_frames = self.clips[clip].rows.len();
+                let whole = num_frames.min(self.max_frames) / CROP_UNIT * CROP_UNIT;
+                let frames = if rng.random_range(0..3) == 0 && whole > CROP_UNIT {
+                    whole - CROP_UNIT
+                } else {
+                    whole.max(1)
+                };
+                Crop {
+                    clip,
+                    caption: rng.random_range(0..self.clips[clip].captions.len()),
+                    start: rng.random_range(0..=num_frames - frames),
+                    frames,
+                }
+            })
+            .collect();
+        self.crops(&crops)
+    }
+
+    /// All clips from their first frame with their first caption, in batches of `size`.
+    pub(crate) fn whole(&self, size: usize) -> Vec<Crops<'a>> {
+        let crops: Vec<Crop> = (0..self.clips.len())
+            .map(|clip| Crop {
+                clip,
+                caption: 0,
+                start: 0,
+                frames: self.clips[clip].rows.len().min(self.max_frames),
+            })
+            .collect();
+        crops.chunks(size).map(|crops| self.crops(crops)).collect()
+    }
+
+    fn crops(&self, crops: &[Crop]) -> Crops<'a> {
+        let lengths: Vec<usize> = crops.iter().map(|crop| crop.frames).collect();
+        let frames = if self.pads_to_max {
+            self.max_frames
+        } else {
+            lengths.iter().copied().max().unwrap_or(0)
+        };
+        let width = self.stats.recipe.width();
+        let mut features = Vec::with_capacity(crops.len() * frames * width);
+        for (row, crop) in crops.iter().enumerate() {
+            let rows = &self.clips[crop.clip].rows[crop.start..crop.start + crop.frames];
+            self.stats
+                .push_normalized(rows.as_flattened(), &mut features);
+            features.resize((row + 1) * frames * width, 0.0);
+        }
+        let clips = self.clips;
+        Crops {
+            features,
+            lengths,
+            frames,
+            captions: crops
+                .iter()
+                .map(|crop| clips[crop.clip].captions[crop.caption].as_str())
+                .collect(),
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Crop {
+    clip: usize,
+    caption: usize,
+    start: usize,
+    frames: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn clips() -> Vec<CaptionedRows> {
+        [9, 14, 30]
+            .into_iter()
+            .enumerate()
+            .map(|(clip, frames)| CaptionedRows {
+                rows: (0..frames)
+                    .map(|frame| [(100 * clip + frame) as f32; 263])
+                    .collect(),
+                captions: vec![format!("clip {clip}")],
+            })
+            .collect()
+    }
+
+    #[test]
+    fn crops_do_not_depend_on_their_batch_and_lie_within_their_clips() {
+        let clips = clips();
+        let stats = FeatureStats {
+            recipe: FeatureRecipe::HumanMl3d,
+            mean: vec![0.0; 263],
+            std: vec![1.0; 263],
+        };
+        let sampler = CropSampler {
+            clips: &clips,
+            stats: &stats,
+            max_frames: 20,
+            pads_to_max: true,
+            seed: Seed(1),
+        };
+        let all = sampler.draw(0, 12);
+        let part = sampler.draw(5, 3);
+        let row = 20 * 263;
+        assert_eq!(part.features, all.features[5 * row..8 * row]);
+        assert_eq!(part.captions, all.captions[5..8]);
+        let mut seen: Vec<&str> = all.captions[..3].to_vec();
+        seen.sort_unstable();
+        assert_eq!(
+            seen,
+            ["clip 0", "clip 1", "clip 2"],
+            "an epoch has every clip"
+        );
+        for (index, &length) in all.lengths.iter().enumerate() {
+            assert!(length % CROP_UNIT == 0 && (4..=20).contains(&length));
+            let rows = &all.features[index * row..][..row];
+            let first = rows[0];
+            for (frame, values) in rows.chunks_exact(263).enumerate() {
+                let expected = if frame < length {
+                    first + frame as f32
+                } else {
+                    0.0
+                };
+                assert_eq!(values[0], expected);
+            }
+        }
+        let whole = sampler.whole(2);
+        assert_eq!(whole[0].lengths, [9, 14]);
+        assert_eq!(whole[1].lengths, [20]);
+    }
+}

@@ -1,0 +1,242 @@
+//! Motions as the 263 features of HumanML3D, and back to the body and the place they came from.
+
+use datasets_spec::record::HUMANML3D_WIDTH;
+use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
+use glam::{DQuat, DVec3};
+use kinematics::KeypointFrame;
+use kinematics::fit::{FitOptions, fit_motion_from};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
+use pipeline::feature::humanml3d::{
+    FeatureError, Features, Joints, UNIFORM_BONES, features_of_joints, recover_joints,
+};
+
+use crate::system::Misfit;
+
+/// Joints that decide where the body goes: pelvis and legs.
+const LOWER_BODY: JointSet = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
+
+/// Knee and ankle of the right leg, whose bones measure the size of a body in the recipe.
+const LEG: [usize; 2] = [5, 8];
+
+/// Places of features that some joints decide. Each joint has its position, rotation and velocity; the
+/// four numbers of the root and the foot contacts follow from pelvis and legs.
+///
+/// # Source
+/// `humanml_utils.py` of MDM, whose mask of the lower body this is for pelvis and legs.
+pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
+    const POSITIONS: usize = 4;
+    const ROTATIONS: usize = 67;
+    const VELOCITIES: usize = 193;
+    const CONTACTS: usize = 259;
+    let mut mask = [false; HUMANML3D_WIDTH];
+    for joint in joints.iter().map(kinematics::Joint::index) {
+        // The root has no position and rotation of its own.
+        if let Some(place) = joint.checked_sub(1) {
+            mask[POSITIONS + 3 * place..][..3].fill(true);
+            mask[ROTATIONS + 6 * place..][..6].fill(true);
+        }
+        mask[VELOCITIES + 3 * joint..][..3].fill(true);
+    }
+    if !joints.intersection(LOWER_BODY).is_empty() {
+        mask[..POSITIONS].fill(true);
+        mask[CONTACTS..].fill(true);
+    }
+    mask
+}
+
+/// A motion as features, with what leads from features to its body and its place.
+#[derive(Clone, Debug)]
+pub struct SourceFeatures {
+    /// The features, a row for each pose.
+    pub features: Vec<Features>,
+    poses: Vec<Pose>,
+    placement: Placement,
+}
+
+/// From the uniform skeleton of the features, which begins at the origin and faces +z, to a source.
+#[derive(Clone, Copy, Debug)]
+struct Placement {
+    turn: DQuat,
+    scale: f64,
+    shift: DVec3,
+}
+
+impl Placement {
+    /// The placement of a source whose first frame is the given one of the uniform skeleton. The recipe
+    /// keeps the direction of every bone and scales the path of the root.
+    fn new(source: &Joints, uniform: &Joints) -> Self {
+        let leg: f64 = LEG
+            .iter()
+            .map(|&joint| source[joint].distance(source[parent_of(joint)]))
+            .sum();
+        let scale = leg / (UNIFORM_BONES[LEG[0]] + UNIFORM_BONES[LEG[1]]);
+        let (mut along, mut across) = (0.0, 0.0);
+        for joint in 1..NUM_BODY_JOINTS {
+            let bone = |points: &Joints| points[joint] - points[parent_of(joint)];
+            let (to, from) = (bone(source), bone(uniform));
+            along += to.x * from.x + to.z * from.z;
+            across += to.x * from.z - to.z * from.x;
+        }
+        let turn = DQuat::from_rotation_y(across.atan2(along));
+        Self {
+            turn,
+            scale,
+            shift: source[0] - turn * (uniform[0] * scale),
+        }
+    }
+}
+
+impl SourceFeatures {
+    /// The features of poses at 20 fps.
+    ///
+    /// The recipe takes velocities from the next frame and therefore loses the last one; here the joints
+    /// move on for a frame as they moved before it.
+    ///
+    /// # Errors
+    /// There are fewer than two poses, or a bone without a direction.
+    pub fn new(poses: Vec<Pose>, skeleton: &Skeleton) -> Result<Self, FeatureError> {
+        let mut joints: Vec<Joints> = skeleton.points_of_poses(&poses);
+        let [.., before, last] = joints[..] else {
+            return Err(FeatureError::TooShort {
+                frames: poses.len(),
+            });
+        };
+        joints.push(std::array::from_fn(|joint| {
+            2.0 * last[joint] - before[joint]
+        }));
+        let features = features_of_joints(&joints)?;
+        let placement = Placement::new(&joints[0], &recover_joints(&features[..1])[0]);
+        Ok(Self {
+            features,
+            poses,
+            placement,
+        })
+    }
+
+    /// Other features as a motion at 20 fps that begins where the source does, and how far their points
+    /// are from a body. Bones have the lengths of the skeleton; twists that no joint shows are those of
+    /// the source.
+    ///
+    /// # Errors
+    /// There are more features than poses of the source, or a number is not finite.
+    pub fn motion(
+        &self,
+        features: &[Features],
+        skeleton: &Skeleton,
+    ) -> Result<(Motion, Misfit), FeatureError> {
+        let joints = recover_joints(features);
+        let frames = self.targets(&joints, skeleton)?;
+        let no_motion = |error: kinematics::Error| FeatureError::NoMotion {
+            reason: error.to_string(),
+        };
+        let options = FitOptions::body_joints();
+        let fitted = fit_motion_from(skeleton, &frames, &self.poses, Fps::STORE, &options)
+            .map_err(no_motion)?;
+        let misfit = Misfit {
+            fit_error_m: mean(&fitted.error_m),
+            bone_drift_m: mean(&bone_drifts(&joints)) * self.placement.scale as f32,
+        };
+        Ok((fitted.motion, misfit))
+    }
+
+    /// Joints of the uniform skeleton where they lie on the body and in the place of the source.
+    fn targets(
+        &self,
+        joints: &[Joints],
+        skeleton: &Skeleton,
+    ) -> Result<Vec<KeypointFrame>, FeatureError> {
+        let Placement { turn, scale, shift } = self.placement;
+        joints
+            .iter()
+            .enumerate()
+            .map(|(frame, points)| {
+                // Keypoints beyond the body joints have no weight.
+                let mut target = [turn * (points[0] * scale) + shift; NUM_KEYPOINTS];
+                for joint in 1..NUM_BODY_JOINTS {
+                    let direction = (points[joint] - points[parent_of(joint)])
+                        .try_normalize()
+                        .ok_or(FeatureError::NoDirection { joint, frame })?;
+                    target[joint] = target[parent_of(joint)]
+                        + turn * direction * skeleton.offset(joint).length();
+                }
+                Ok(target)
+            })
+            .collect()
+    }
+}
+
+/// How far each bone is from its length in the uniform skeleton, in metres.
+fn bone_drifts(joints: &[Joints]) -> Vec<f64> {
+    joints
+        .iter()
+        .flat_map(|points| {
+            (1..NUM_BODY_JOINTS).map(|joint| {
+                (points[joint].distance(points[parent_of(joint)]) - UNIFORM_BONES[joint]).abs()
+            })
+        })
+        .collect()
+}
+
+fn mean(values: &[f64]) -> f32 {
+    (values.iter().sum::<f64>() / values.len().max(1) as f64) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A body that walks in a bow while it waves.
+    fn poses() -> Vec<Pose> {
+        (0..30)
+            .map(|frame| {
+                let t = f64::from(frame) / 20.0;
+                let heading = 2.0 + 0.6 * t;
+                let mut pose = Pose {
+                    transl: DVec3::new(3.0 + t * heading.sin(), 0.4, -1.0 + t * heading.cos()),
+                    ..Pose::REST
+                };
+                pose.rotations[0] = DQuat::from_rotation_y(heading);
+                pose.rotations[1] = DQuat::from_rotation_x(-0.4 * (3.0 * t).sin());
+                pose.rotations[16] = DQuat::from_rotation_z(0.5 + (4.0 * t).sin());
+                pose.rotations[20] = DQuat::from_rotation_x(0.3);
+                pose
+            })
+            .collect()
+    }
+
+    #[test]
+    fn own_features_give_the_motion_back() {
+        let (poses, skeleton) = (poses(), Skeleton::smplx_neutral());
+        let source = SourceFeatures::new(poses.clone(), &skeleton).expect("long enough");
+        assert_eq!(source.features.len(), poses.len());
+        let (motion, misfit) = source
+            .motion(&source.features, &skeleton)
+            .expect("a motion");
+        let wanted: Vec<Joints> = skeleton.points_of_poses(&poses);
+        let found: Vec<Joints> = skeleton.points_of_poses(&motion.poses());
+        for (wanted, found) in wanted.iter().flatten().zip(found.iter().flatten()) {
+            // Velocities in single precision add up over thirty frames.
+            assert!(wanted.distance(*found) < 1e-4, "{wanted} {found}");
+        }
+        assert!(misfit.fit_error_m < 1e-4 && misfit.bone_drift_m < 1e-5);
+        let twist = motion.pose(3).rotations[20].angle_between(poses[3].rotations[20]);
+        assert!(twist < 1e-3, "{twist}");
+    }
+
+    #[test]
+    fn one_pose_is_too_short() {
+        let skeleton = Skeleton::smplx_neutral();
+        assert!(matches!(
+            SourceFeatures::new(vec![Pose::REST], &skeleton),
+            Err(FeatureError::TooShort { frames: 1 })
+        ));
+    }
+
+    #[test]
+    fn an_arm_moves_no_root() {
+        let mask = feature_mask(JointSet::of(&[16, 18, 20]));
+        assert_eq!(mask.iter().filter(|&&is_free| is_free).count(), 3 * 12);
+        assert!(!mask[0] && !mask[262] && mask[4 + 3 * 15]);
+        assert!(feature_mask(JointSet::ALL).iter().all(|&is_free| is_free));
+    }
+}

@@ -1,0 +1,418 @@
+//! MDM: settings and training.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use crate::captioned::{
+    CaptionedCorpus, CaptionedRows, CropSampler, Crops, captioned_rows, grouped_stats,
+};
+use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::config::{
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
+    WordsConfig, positive, share,
+};
+use crate::data::{TextBatch, Texts};
+use crate::features::FeatureStats;
+use crate::fit::TextRecord;
+use crate::model::conditioned::Conditioned;
+use crate::model::mdm::Mdm;
+use crate::model::weights::draw;
+use crate::schedule::Schedule;
+use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::{Error, Session};
+
+/// Kind of run.
+pub(crate) const KIND: &str = "mdm";
+
+pub(crate) const WEIGHTS: &str = "mdm.safetensors";
+
+/// Settings of MDM.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MdmConfig {
+    /// Sizes of the transformer.
+    pub model: NetworkConfig,
+    /// Text encoder.
+    pub text: TextConfig,
+    /// Steps of the diffusion, whose schedule is the squared cosine.
+    pub diffusion_steps: usize,
+    /// Whether frames past the end of a motion are hidden from attention. If not, motions are padded to
+    /// `max_frames` wherever the network sees them, because it was trained to see the padding.
+    pub mask_frames: bool,
+    /// Probability of training a motion without its caption.
+    pub text_dropout: f64,
+    /// Guidance weight of the text.
+    pub guidance: f64,
+    /// Shortest motion trained on, in frames at 20 fps.
+    pub min_frames: usize,
+    /// Longest crop trained on, in frames at 20 fps.
+    pub max_frames: usize,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+impl MdmConfig {
+    /// The named settings.
+    ///
+    /// # Source
+    /// `Paper` and `Official`: the released defaults (`algorithms` section 12). `Tiny`: our choice for
+    /// two processor cores and a few minutes.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Paper | Preset::Official => Self {
+                model: NetworkConfig {
+                    width: 512,
+                    num_layers: 8,
+                    num_heads: 4,
+                    feed_forward: 1024,
+                    dropout: 0.1,
+                },
+                text: TextConfig {
+                    encoder: TextEncoder::Clip,
+                    words: WordsConfig {
+                        num_buckets: 64,
+                        max_words: 32,
+                    },
+                },
+                diffusion_steps: 1_000,
+                mask_frames: false,
+                text_dropout: 0.1,
+                guidance: 2.5,
+                min_frames: 40,
+                max_frames: 196,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-4,
+                        decay: Decay::Constant,
+                        warmup_steps: 0,
+                        weight_decay: 0.0,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 64,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(600_000),
+                    log_every: 100,
+                    val_every: 10_000,
+                    keep_epochs: 0,
+                    seed: 0,
+                },
+            },
+            Preset::Tiny => Self {
+                model: NetworkConfig {
+                    width: 128,
+                    num_layers: 3,
+                    num_heads: 4,
+                    feed_forward: 256,
+                    dropout: 0.0,
+                },
+                text: TextConfig {
+                    encoder: TextEncoder::Learned,
+                    words: WordsConfig {
+                        num_buckets: 16,
+                        max_words: 24,
+                    },
+                },
+                diffusion_steps: 50,
+                mask_frames: true,
+                min_frames: 16,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-3,
+                        decay: Decay::Linear,
+                        warmup_steps: 50,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: Some(0.99),
+                    },
+                    batch_size: 32,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(1_000),
+                    log_every: 20,
+                    val_every: 100,
+                    keep_epochs: 0,
+                    seed: 0,
+                },
+                ..Self::preset(Preset::Official)
+            },
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.model.check()?;
+        self.run.check()?;
+        share("text_dropout", self.text_dropout)?;
+        positive("diffusion_steps", self.diffusion_steps as u64)?;
+        positive("min_frames", self.min_frames as u64)?;
+        if self.max_frames < self.min_frames {
+            return Err(Error::Config {
+                field: "max_frames",
+                problem: format!(
+                    "it is {}, less than min_frames {}",
+                    self.max_frames, self.min_frames
+                ),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Record of a run of MDM.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MdmRecord {
+    /// The resolved settings.
+    pub train: MdmConfig,
+    /// Mean and spread of the features over the training split.
+    pub features: FeatureStats,
+    /// What the network is told captions by.
+    pub text: TextRecord,
+}
+
+impl MdmRecord {
+    /// Builds the networks.
+    pub(crate) fn network(&self, device: &Device) -> Conditioned<Mdm> {
+        let (config, num_features) = (&self.train.model, self.features.recipe.width());
+        Conditioned::new(self.text.source(), config.width, device, |text_width| {
+            Mdm::new(config, num_features, text_width, device)
+        })
+    }
+}
+
+/// Trains MDM, or continues where the run folder left off, exactly as
+/// [`crate::fit::train_motionrefit`] does. Clips shorter than `min_frames` are left out. A run that starts
+/// from the weights of another keeps its words and feature statistics.
+///
+/// # Errors
+/// The settings are unusable, a split has no clip that is long enough, a clip has no caption, the text
+/// encoder is missing, the folder holds another run or a damaged checkpoint, a loss is not finite, or a
+/// file cannot be written.
+pub fn train_mdm<'a>(
+    start: impl Into<Start<'a>>,
+    config: &MdmConfig,
+    corpus: CaptionedCorpus<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    config.check()?;
+    let start = start.into();
+    let fitted: Option<MdmRecord> = start.fitted(KIND)?;
+    let (known_text, known_features) = match fitted {
+        Some(record) => (Some(record.text), Some(record.features)),
+        None => (None, None),
+    };
+    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
+    let text = TextRecord::chosen(
+        &config.text,
+        known_text,
+        captions.map(String::as_str),
+        corpus.vectors,
+    )?;
+    let rows = |clips, what| captioned_rows(clips, config.min_frames, what);
+    let train = rows(corpus.train, "training split of MDM")?;
+    let val = rows(corpus.val, "validation split of MDM")?;
+    let record = MdmRecord {
+        train: config.clone(),
+        features: known_features.unwrap_or_else(|| grouped_stats(&train)),
+        text,
+    };
+    let run = Run::open(
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
+    )?;
+    let device = session.device.clone().autodiff();
+    let seed = Seed(config.run.seed);
+    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
+    let task = MdmTask::new(&record, [&train, &val], record.text.texts(corpus.vectors)?)?;
+    let trainer = TrainerConfig {
+        kind: KIND,
+        samples: "motions",
+        run: config.run,
+        epoch_len: train.len() as u64,
+    };
+    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    Ok(report)
+}
+
+/// Noisy motions with their captions, with everything a training step draws.
+struct MdmBatch {
+    /// Normalised features, `[B, T, 263]`.
+    features: Vec<f32>,
+    /// Standard normal noise, `[B, T, 263]`.
+    noise: Vec<f32>,
+    /// Frames of each motion, `[B]`.
+    lengths: Vec<usize>,
+    /// `T`
+    frames: usize,
+    /// Diffusion steps, `[B]`.
+    timesteps: Vec<usize>,
+    texts: TextBatch,
+    /// 1 where the caption is shown, 0 where it is dropped, `[B]`.
+    text_kept: Vec<f32>,
+}
+
+struct MdmTask<'a> {
+    record: &'a MdmRecord,
+    schedule: Schedule,
+    sampler: CropSampler<'a>,
+    texts: Texts<'a>,
+    val_batches: Vec<MdmBatch>,
+}
+
+impl<'a> MdmTask<'a> {
+    fn new(
+        record: &'a MdmRecord,
+        splits: [&'a [CaptionedRows]; 2],
+        texts: Texts<'a>,
+    ) -> Result<Self, Error> {
+        let [train, val] = splits;
+        let config = &record.train;
+        let seed = Seed(config.run.seed);
+        let sampler = |clips, name| CropSampler {
+            clips,
+            stats: &record.features,
+            max_frames: config.max_frames,
+            pads_to_max: !config.mask_frames,
+            seed: seed.derive(&[name]),
+        };
+        let mut task = Self {
+            record,
+            schedule: Schedule::cosine(config.diffusion_steps)?,
+            sampler: sampler(train, "train"),
+            texts,
+            val_batches: Vec::new(),
+        };
+        let held_out = sampler(val, "val");
+        let mut first = 0;
+        for crops in held_out.whole(config.run.micro_batch()) {
+            let samples = first..first + crops.lengths.len();
+            // Steps spread evenly make validations comparable.
+            let timesteps = samples
+                .map(|sample| (2 * sample + 1) * config.diffusion_steps / (2 * val.len()))
+                .collect();
+            let count = crops.lengths.len();
+            let mut batch = task.noisy(crops, held_out.seed, first as u64)?;
+            batch.timesteps = timesteps;
+            batch.text_kept.fill(1.0);
+            task.val_batches.push(batch);
+            first += count;
+        }
+        Ok(task)
+    }
+
+    /// Draws noise, diffusion steps and dropped captions of crops, the first of which is the sample
+    /// `first` of the run.
+    fn noisy(&self, crops: Crops<'_>, seed: Seed, first: u64) -> Result<MdmBatch, Error> {
+        let row = crops.frames * self.record.features.recipe.width();
+        let mut noise = Vec::with_capacity(crops.features.len());
+        let (mut timesteps, mut text_kept) = (Vec::new(), Vec::new());
+        for index in 0..crops.lengths.len() as u64 {
+            let mut rng = seed.rng(&["noise", &(first + index).to_string()]);
+            timesteps.push(rng.random_range(0..self.schedule.len()));
+            let is_dropped = rng.random_bool(self.record.train.text_dropout);
+            text_kept.push(if is_dropped { 0.0 } else { 1.0 });
+            noise.extend((0..row).map(|_| rng.sample::<f32, _>(StandardNormal)));
+        }
+        Ok(MdmBatch {
+            texts: self.texts.batch(crops.captions.iter().copied())?,
+            features: crops.features,
+            noise,
+            lengths: crops.lengths,
+            frames: crops.frames,
+            timesteps,
+            text_kept,
+        })
+    }
+}
+
+impl Task for MdmTask<'_> {
+    type Model = Conditioned<Mdm>;
+    type Batch = MdmBatch;
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, MdmBatch)>, Error> {
+        let run = &self.record.train.run;
+        run.micro_batches(step)
+            .map(|(first, count)| {
+                let crops = self.sampler.draw(first, count);
+                let share = count as f64 / run.batch_size as f64;
+                Ok((share, self.noisy(crops, self.sampler.seed, first)?))
+            })
+            .collect()
+    }
+
+    /// The error of the predicted clean motions.
+    ///
+    /// # Source
+    /// Tevet et al. 2023, Eq. 2; the weights of the geometric losses are 0 in the released settings.
+    fn loss(&self, model: &Conditioned<Mdm>, batch: &MdmBatch, device: &Device) -> Tensor<1> {
+        let rows = batch.lengths.len();
+        let motions = |values: &[f32]| -> Tensor<3> {
+            let width = self.record.features.recipe.width();
+            let shape = [rows, batch.frames, width];
+            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+        };
+        let (x0, noise) = (motions(&batch.features), motions(&batch.noise));
+        let kept = TensorData::new(batch.text_kept.clone(), [rows, 1]);
+        let text =
+            model.text_vectors(&batch.texts, rows, device) * Tensor::<2>::from_data(kept, device);
+        let x_t = self.schedule.q_sample(x0.clone(), &batch.timesteps, noise);
+        let lengths = self.record.train.mask_frames.then_some(&*batch.lengths);
+        let predicted = model.network.forward(x_t, &batch.timesteps, text, lengths);
+        masked_l2(predicted, x0, &batch.lengths).mean()
+    }
+
+    fn validate(&self, model: &Conditioned<Mdm>, device: &Device) -> f32 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for batch in &self.val_batches {
+            let loss: f32 = self.loss(model, batch, device).into_scalar();
+            let rows = batch.lengths.len() as f64;
+            sum += f64::from(loss) * rows;
+            count += rows;
+        }
+        (sum / count) as f32
+    }
+
+    fn save(&self, model: &Conditioned<Mdm>, run_dir: &Path) -> Result<Files, Error> {
+        model.save(WEIGHTS, run_dir)
+    }
+
+    fn load(
+        &self,
+        model: &mut Conditioned<Mdm>,
+        files: &mut Files,
+        run_dir: &Path,
+    ) -> Result<(), Error> {
+        model.load(WEIGHTS, files, run_dir)
+    }
+}
+
+/// The mean squared error of each row over the frames that are not padding.
+///
+/// # Shapes
+/// `predicted` and `target` `[B, T, F]`; `lengths` and the result `[B]`.
+///
+/// # Source
+/// `masked_l2` of the released code.
+pub fn masked_l2(predicted: Tensor<3>, target: Tensor<3>, lengths: &[usize]) -> Tensor<1> {
+    let [rows, frames, width] = predicted.dims();
+    let weights: Vec<f32> = lengths
+        .iter()
+        .flat_map(|&length| {
+            let weight = 1.0 / (length.max(1) * width) as f32;
+            (0..frames).map(move |frame| if frame < length { weight } else { 0.0 })
+        })
+        .collect();
+    let weights = TensorData::new(weights, [rows, frames, 1]);
+    let weights = Tensor::<3>::from_data(weights, &predicted.device());
+    let errors = (predicted - target).square() * weights;
+    errors.sum_dim(2).sum_dim(1).reshape([rows])
+}

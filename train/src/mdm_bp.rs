@@ -1,0 +1,511 @@
+//! MDM-BP as an editing system: MDM starts from the noised source and keeps what lies outside the edited
+//! body parts until the last steps.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::record::HUMANML3D_WIDTH;
+use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
+use kinematics::resample::grid;
+use pipeline::feature::humanml3d::Features;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+
+use crate::checkpoint::{RunRecord, read_for_use, read_record, weights_hash};
+use crate::config::Preset;
+use crate::data::TextVectors;
+use crate::diffusion::guide;
+use crate::fit::{TEXT, TextRecord};
+use crate::humanml3d::{SourceFeatures, feature_mask};
+use crate::mdm::{KIND, MdmConfig, MdmRecord, WEIGHTS};
+use crate::model::conditioned::Conditioned;
+use crate::model::mdm::{Mdm, PreparedMdm};
+use crate::sample::{EditTimes, covering};
+use crate::schedule::Schedule;
+use crate::system::{
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
+    SystemSource,
+};
+use crate::{Error, Session};
+
+/// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
+const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
+
+/// A trained MDM that edits parts of motions.
+struct MdmBpSystem {
+    model: Conditioned<Mdm>,
+    prepared: PreparedMdm,
+    record: MdmRecord,
+    inpainting: PartInpainting,
+    guidance: f64,
+    temperature: f64,
+    max_batch: usize,
+    identity: SystemIdentity,
+    skeleton: Skeleton,
+    source: SystemSource,
+    vectors: Option<Box<dyn TextVectors + Send>>,
+    device: Device,
+}
+
+/// Opens a run of MDM as an editor of motions.
+pub(crate) fn open(
+    source: &SystemSource,
+    config: &EditConfig,
+    skeleton: &Skeleton,
+    device: &Device,
+) -> Result<Box<dyn EditSystem>, Error> {
+    let RunRecord { config: record, .. } = read_record::<MdmRecord>(&source.run, KIND)?;
+    record.train.check()?;
+    let mut files = read_for_use(&source.run, source.slot, KIND)?;
+    let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
+        .iter()
+        .filter_map(|&name| files.get(name).map(Vec::as_slice))
+        .collect();
+    let checkpoint_hash = weights_hash(&record, &weights);
+    let mut model = record.network(device);
+    model.load(WEIGHTS, &mut files, &source.run)?;
+    let inpainting = PartInpainting::new(
+        Schedule::cosine(record.train.diffusion_steps)?,
+        config.start,
+        config.release,
+    )?;
+    let guidance = config.guidance.unwrap_or(record.train.guidance);
+    let temperature = config.temperature.unwrap_or(1.0);
+    let is_tiny = record.train.model == MdmConfig::preset(Preset::Tiny).model;
+    let name = if is_tiny { "MDM-BP tiny" } else { "MDM-BP" };
+    let settings = serde_json::json!({
+        "checkpoint": source.slot.name(),
+        "guidance": guidance,
+        "temperature": temperature,
+        "start": inpainting.start,
+        "release": inpainting.release,
+        "fps": Fps::STORE,
+    });
+    Ok(Box::new(MdmBpSystem {
+        prepared: model.network.prepare(),
+        model,
+        record,
+        inpainting,
+        guidance,
+        temperature,
+        max_batch: config.max_batch.max(1),
+        identity: SystemIdentity {
+            name: config.name.clone().unwrap_or_else(|| name.to_owned()),
+            checkpoint_hash,
+            settings: settings.to_string(),
+        },
+        skeleton: skeleton.clone(),
+        source: source.clone(),
+        vectors: None,
+        device: device.clone(),
+    }))
+}
+
+/// Sampling that replaces parts of the estimated clean motion by those of a source.
+#[derive(Clone, Debug)]
+pub struct PartInpainting {
+    schedule: Schedule,
+    start: usize,
+    release: usize,
+}
+
+impl PartInpainting {
+    /// Starts from the source with the noise of step `start`, the last one if none is given, and replaces
+    /// nothing in the last `release` steps: as large a share of all steps as published, 20 of 1,000, if
+    /// none is given.
+    ///
+    /// # Errors
+    /// The schedule has no step `start`.
+    pub fn new(
+        schedule: Schedule,
+        start: Option<usize>,
+        release: Option<usize>,
+    ) -> Result<Self, Error> {
+        let [released, steps] = PUBLISHED_RELEASE;
+        let start = start.unwrap_or(schedule.len() - 1);
+        if start >= schedule.len() {
+            return Err(Error::Config {
+                field: "start",
+                problem: format!(
+                    "it is step {start}, and the model has the steps 0 to {}",
+                    schedule.len() - 1
+                ),
+            });
+        }
+        Ok(Self {
+            release: release.unwrap_or(schedule.len() * released / steps),
+            schedule,
+            start,
+        })
+    }
+
+    /// Generates motions whose kept features are those of the source, but for what the last steps make of
+    /// them. `clean` estimates the clean motion of a noisy one at a step, guidance included; `noise` is
+    /// asked for the start (`None`), then for every step; `on_step` sees the estimate that each step used.
+    ///
+    /// # Shapes
+    /// `source` and the result `[B, T, F]`; `kept` `[B, 1, F]`, 1 where the source is kept and 0
+    /// elsewhere.
+    ///
+    /// # Errors
+    /// Whatever `clean` returns.
+    ///
+    /// # Source
+    /// MotionReFit, App. C.2 (MDM-BP): the start from the original and the release in the last 20 of 1,000
+    /// steps; the order of guidance, replacement and posterior is that of MDM's released editing. The step
+    /// the original is noised to is not published.
+    pub fn sample(
+        &self,
+        source: &Tensor<3>,
+        kept: &Tensor<3>,
+        mut clean: impl FnMut(&Tensor<3>, usize) -> Result<Tensor<3>, Error>,
+        mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
+        mut on_step: impl FnMut(usize, &Tensor<3>),
+    ) -> Result<Tensor<3>, Error> {
+        let at = |timestep: usize| vec![timestep; source.dims()[0]];
+        let mut x = self
+            .schedule
+            .q_sample(source.clone(), &at(self.start), noise(None));
+        for timestep in (0..=self.start).rev() {
+            let mut x0 = clean(&x, timestep)?;
+            if timestep >= self.release {
+                x0 = keep_source(x0, source, kept);
+            }
+            on_step(timestep, &x0);
+            let mean = self.schedule.posterior_mean(x0, x, &at(timestep));
+            x = self
+                .schedule
+                .add_noise(mean, timestep, noise(Some(timestep)));
+        }
+        Ok(x)
+    }
+}
+
+/// Puts the kept features of a source into an estimate of the clean motion.
+///
+/// # Shapes
+/// As [`PartInpainting::sample`].
+pub fn keep_source(x0: Tensor<3>, source: &Tensor<3>, kept: &Tensor<3>) -> Tensor<3> {
+    let free = kept.clone().neg().add_scalar(1.0);
+    x0 * free + source.clone() * kept.clone()
+}
+
+/// A request as the network sees it.
+struct Item<'a> {
+    request: &'a EditRequest<'a>,
+    instruction: &'a str,
+    source: SourceFeatures,
+    /// Frames that the network sees, padding included.
+    seen_frames: usize,
+    rng: Rng,
+}
+
+impl<'a> Item<'a> {
+    fn new(
+        request: &'a EditRequest<'a>,
+        config: &MdmConfig,
+        skeleton: &Skeleton,
+        seed: Seed,
+    ) -> Result<Self, Error> {
+        let [instruction] = request.instructions else {
+            return Err(refused(request, "MDM-BP follows one instruction at a time"));
+        };
+        if instruction.frames != (0..request.motion.len()) {
+            return Err(refused(request, "MDM-BP edits all frames of a motion only"));
+        }
+        let poses = covering(request.motion, Fps::STORE);
+        let source =
+            SourceFeatures::new(poses, skeleton).map_err(|error| refused(request, error))?;
+        let own_frames = source.features.len();
+        Ok(Self {
+            request,
+            instruction: &instruction.text,
+            source,
+            seen_frames: if config.mask_frames {
+                own_frames
+            } else {
+                own_frames.max(config.max_frames)
+            },
+            rng: seed.rng(&["mdm-bp", request.id]),
+        })
+    }
+
+    /// Joints that may change: all where the request does not say.
+    fn edited_joints(&self) -> JointSet {
+        if self.request.joints.is_empty() {
+            JointSet::ALL
+        } else {
+            self.request.joints
+        }
+    }
+
+    /// Generated features as a motion of the rate and length that is asked for.
+    fn motion(
+        &self,
+        features: &[Features],
+        skeleton: &Skeleton,
+    ) -> Result<(Motion, Misfit), Error> {
+        let (motion, misfit) = self
+            .source
+            .motion(features, skeleton)
+            .map_err(|error| refused(self.request, error))?;
+        let EditRequest {
+            id,
+            motion: original,
+            fps,
+            ..
+        } = *self.request;
+        let frames = grid(original.len(), original.fps(), fps).len();
+        let motion = Resample::Exact
+            .apply(&motion, fps)
+            .and_then(|motion| motion.crop(0..frames))
+            .map_err(|source| Error::Motion {
+                id: id.to_owned(),
+                source: source.into(),
+            })?;
+        Ok((motion, misfit))
+    }
+}
+
+fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error {
+    Error::Item {
+        id: request.id.to_owned(),
+        problem: format!("cannot be edited: {problem}"),
+    }
+}
+
+impl MdmBpSystem {
+    /// Edits items of which the network sees equally many frames; gives the features of each.
+    fn generate(
+        &self,
+        items: &mut [&mut Item<'_>],
+        session: &Session<'_>,
+    ) -> Result<Vec<Vec<Features>>, Error> {
+        let (rows, frames) = (items.len(), items[0].seen_frames);
+        let stats = &self.record.features;
+        let mut source = Vec::with_capacity(rows * frames * HUMANML3D_WIDTH);
+        let mut kept = Vec::with_capacity(rows * HUMANML3D_WIDTH);
+        for (row, item) in items.iter().enumerate() {
+            stats.push_normalized(item.source.features.as_flattened(), &mut source);
+            source.resize((row + 1) * frames * HUMANML3D_WIDTH, 0.0);
+            let mask = feature_mask(item.edited_joints());
+            kept.extend(mask.map(|is_edited| if is_edited { 0.0 } else { 1.0 }));
+        }
+        let tensor = |values: Vec<f32>, frames: usize| -> Tensor<3> {
+            let shape = [rows, frames, HUMANML3D_WIDTH];
+            Tensor::from_data(TensorData::new(values, shape), &self.device)
+        };
+        let (source, kept) = (tensor(source, frames), tensor(kept, 1));
+
+        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
+        let texts = self.record.text.texts(vectors)?;
+        let texts = texts.batch(items.iter().map(|item| item.instruction))?;
+        let text = self.model.text_vectors(&texts, rows, &self.device);
+        // At weight 1 the prediction without text cancels out.
+        let is_guided = self.guidance != 1.0;
+        let text = if is_guided {
+            Tensor::cat(vec![text.clone(), text.zeros_like()], 0)
+        } else {
+            text
+        };
+        let clean = |x: &Tensor<3>, timestep: usize| {
+            if session.is_stopped() {
+                return Err(Error::Stopped { what: "editing" });
+            }
+            let network = |x: Tensor<3>, timesteps: &[usize]| {
+                self.model
+                    .network
+                    .infer(&self.prepared, x, timesteps, text.clone())
+            };
+            if !is_guided {
+                return Ok(network(x.clone(), &vec![timestep; rows]));
+            }
+            let both = Tensor::cat(vec![x.clone(), x.clone()], 0);
+            let both = network(both, &vec![timestep; 2 * rows]);
+            let half = |index: usize| both.clone().narrow(0, index * rows, rows);
+            Ok(guide(half(0), half(1), self.guidance))
+        };
+        let scale = self.temperature as f32;
+        let noise = |_| {
+            let values = items
+                .iter_mut()
+                .flat_map(|item| {
+                    (0..frames * HUMANML3D_WIDTH)
+                        .map(|_| scale * item.rng.sample::<f32, _>(StandardNormal))
+                })
+                .collect();
+            tensor(values, frames)
+        };
+        let x = self
+            .inpainting
+            .sample(&source, &kept, clean, noise, |_, _| {})?;
+        let values: Vec<f32> = x
+            .into_data()
+            .try_into_vec_as()
+            .expect("a float tensor gives floats");
+        let rows = values.chunks_exact(frames * HUMANML3D_WIDTH);
+        Ok(rows
+            .zip(items)
+            .map(|(row, item)| {
+                let restored = stats.restored(row);
+                let (features, _) = restored.as_chunks();
+                features[..item.source.features.len()].to_vec()
+            })
+            .collect())
+    }
+}
+
+impl EditSystem for MdmBpSystem {
+    fn identity(&self) -> &SystemIdentity {
+        &self.identity
+    }
+
+    fn fps(&self) -> Fps {
+        Fps::STORE
+    }
+
+    fn guidance(&self) -> f64 {
+        self.guidance
+    }
+
+    fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
+        Remarks {
+            num_short: 0,
+            unknown_words: texts
+                .iter()
+                .flat_map(|text| self.record.text.unknown_words(text))
+                .collect(),
+        }
+    }
+
+    fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
+        if let TextRecord::Frozen { .. } = self.record.text {
+            let source = &self.source;
+            let table = source
+                .text_encoder
+                .embeddings(&source.run, texts, session)?;
+            self.record.text.texts(Some(&table))?;
+            self.vectors = Some(Box::new(table));
+        }
+        Ok(())
+    }
+
+    fn edit(
+        &self,
+        requests: &[EditRequest<'_>],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<EditedMotions, Error> {
+        let mut items: Vec<Item<'_>> = requests
+            .par_iter()
+            .map(|request| Item::new(request, &self.record.train, &self.skeleton, seed))
+            .collect::<Result<_, Error>>()?;
+        let mut times = EditTimes {
+            window: self.record.train.max_frames,
+            ..EditTimes::default()
+        };
+        let begun = session.secs();
+        let progress = session.progress;
+        progress.begin("edit", Some(items.len() as u64));
+        // A row never sees padding that depends on the other rows.
+        let mut by_length: Vec<(usize, &mut Item<'_>)> = items.iter_mut().enumerate().collect();
+        by_length.sort_by_key(|(index, item)| (item.seen_frames, *index));
+        let mut generated: Vec<Vec<Features>> = vec![Vec::new(); by_length.len()];
+        for alike in by_length.chunk_by_mut(|(_, a), (_, b)| a.seen_frames == b.seen_frames) {
+            for batch in alike.chunks_mut(self.max_batch) {
+                let (indices, mut items): (Vec<usize>, Vec<&mut Item<'_>>) = batch
+                    .iter_mut()
+                    .map(|(index, item)| (*index, &mut **item))
+                    .unzip();
+                let made = self.generate(&mut items, session)?;
+                for (index, features) in indices.iter().zip(made) {
+                    generated[*index] = features;
+                }
+                times.num_windows += indices.len();
+                times.num_batches += 1;
+                progress.advance(indices.len() as u64);
+            }
+        }
+        times.diffusion_secs = session.secs() - begun;
+        progress.finish(&format!("{} motions", items.len()));
+
+        let begun = session.secs();
+        progress.begin("fit", Some(items.len() as u64));
+        let motions = items
+            .par_iter()
+            .zip(&generated)
+            .map(|(item, features)| {
+                let made = item.motion(features, &self.skeleton)?;
+                progress.advance(1);
+                Ok(made)
+            })
+            .collect::<Result<_, Error>>()?;
+        times.fit_secs = session.secs() - begun;
+        progress.finish(&format!("{} edited motions fitted", items.len()));
+        Ok(EditedMotions { motions, times })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tensor(values: &[f32]) -> Tensor<3> {
+        let data = TensorData::new(values.to_vec(), [1, values.len() / 2, 2]);
+        Tensor::from_data(data, &Device::flex())
+    }
+
+    fn values(tensor: &Tensor<3>) -> Vec<f32> {
+        tensor.to_data().try_into_vec_as().expect("floats")
+    }
+
+    /// Samples with a network that answers 5 everywhere; gives the estimates that the steps used and the
+    /// result.
+    fn run(release: usize) -> (Vec<(usize, Vec<f32>)>, Vec<f32>) {
+        let schedule = Schedule::cosine(30).expect("steps");
+        let inpainting = PartInpainting::new(schedule, None, Some(release)).expect("usable");
+        // The first of two features is kept.
+        let (source, kept) = (tensor(&[1.0, 2.0, 3.0, 4.0]), tensor(&[1.0, 0.0]));
+        let mut estimates = Vec::new();
+        let mut rng = Seed(1).rng(&["noise"]);
+        let x = inpainting
+            .sample(
+                &source,
+                &kept,
+                |x, _| Ok(x.zeros_like().add_scalar(5.0)),
+                |_| tensor(&[0; 4].map(|_| rng.sample(StandardNormal))),
+                |timestep, x0| estimates.push((timestep, values(x0))),
+            )
+            .expect("sampled");
+        (estimates, values(&x))
+    }
+
+    #[test]
+    fn kept_features_are_the_source_until_the_release() {
+        let (estimates, x) = run(20);
+        assert_eq!(estimates.len(), 30);
+        for (timestep, x0) in estimates {
+            let expected = if timestep >= 20 {
+                [1.0, 5.0, 3.0, 5.0]
+            } else {
+                [5.0; 4]
+            };
+            assert_eq!(x0, expected, "step {timestep}");
+        }
+        assert!(x.iter().all(|value| (value - 5.0).abs() < 1e-5));
+        let (_, x) = run(0);
+        for (value, expected) in x.iter().zip([1.0, 5.0, 3.0, 5.0]) {
+            assert!((value - expected).abs() < 1e-5, "{value} {expected}");
+        }
+    }
+
+    #[test]
+    fn the_release_is_the_published_share_of_the_steps() {
+        for (steps, release) in [(1_000, 20), (50, 1), (10, 0)] {
+            let schedule = Schedule::cosine(steps).expect("steps");
+            let inpainting = PartInpainting::new(schedule, None, None).expect("usable");
+            assert_eq!((inpainting.start, inpainting.release), (steps - 1, release));
+        }
+        let schedule = Schedule::cosine(10).expect("steps");
+        assert!(PartInpainting::new(schedule, Some(10), None).is_err());
+    }
+}

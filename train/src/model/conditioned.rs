@@ -1,0 +1,95 @@
+//! A network that hears texts, with the text encoder trained with it, where there is one.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use burn_store::ModuleSnapshot;
+
+use super::denoiser::TEXT_DIVISOR;
+use super::motionrefit::TextSource;
+use super::text::{LearnedText, text_vectors};
+use super::weights::{from_safetensors, to_safetensors};
+use crate::Error;
+use crate::checkpoint::{Files, take};
+use crate::data::TextBatch;
+use crate::fit::TEXT;
+
+/// A network and its text encoder.
+#[derive(Module, Debug)]
+pub struct Conditioned<N: Module> {
+    /// The network.
+    pub network: N,
+    /// Turns texts into vectors, unless a frozen encoder does.
+    pub text: Option<LearnedText>,
+}
+
+impl<N: Module + ModuleSnapshot> Conditioned<N> {
+    /// Builds a network for the width of its text vectors. A learned encoder makes vectors of `width`
+    /// numbers.
+    pub fn new(
+        text: TextSource,
+        width: usize,
+        device: &Device,
+        network: impl FnOnce(usize) -> N,
+    ) -> Self {
+        let (text_width, text) = match text {
+            TextSource::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
+            TextSource::Frozen(width) => (width, None),
+        };
+        Self {
+            network: network(text_width),
+            text,
+        }
+    }
+
+    /// The vectors of a batch of texts.
+    ///
+    /// # Shapes
+    /// `rows` texts give `[B, text_width]`.
+    ///
+    /// # Panics
+    /// If words are given to a model without an encoder of words.
+    pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
+        let vectors = text_vectors(self.text.as_ref(), texts, rows, device);
+        // The learned encoder is as loud as a denoiser needs it that divides text.
+        match &self.text {
+            Some(_) => vectors.div_scalar(TEXT_DIVISOR),
+            None => vectors,
+        }
+    }
+
+    /// The networks as files of a checkpoint, that of `N` under the given name.
+    ///
+    /// # Errors
+    /// A network cannot be written.
+    pub(crate) fn save(&self, name: &str, run_dir: &Path) -> Result<Files, Error> {
+        let network = to_safetensors(&self.network, run_dir)?;
+        let mut files: Files = [(name.to_owned(), network)].into();
+        if let Some(text) = &self.text {
+            files.insert(TEXT.to_owned(), to_safetensors(text, run_dir)?);
+        }
+        Ok(files)
+    }
+
+    /// The inverse of [`Conditioned::save`].
+    ///
+    /// # Errors
+    /// A file is missing, damaged or of another network.
+    pub(crate) fn load(
+        &mut self,
+        name: &str,
+        files: &mut Files,
+        run_dir: &Path,
+    ) -> Result<(), Error> {
+        let bytes = take(files, name, run_dir)?;
+        from_safetensors(&mut self.network, bytes, "", &run_dir.join(name))?;
+        match &mut self.text {
+            Some(text) => {
+                let bytes = take(files, TEXT, run_dir)?;
+                from_safetensors(text, bytes, "", &run_dir.join(TEXT))
+            }
+            None => Ok(()),
+        }
+    }
+}

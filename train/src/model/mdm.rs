@@ -1,0 +1,117 @@
+//! The MDM network: a clean motion from a noisy one, a diffusion step and a caption.
+
+use burn::module::Module;
+use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
+use burn::tensor::{Device, Tensor};
+
+use super::denoiser::IndexEmbedding;
+use super::dropout::drop_out;
+use super::fused::PreparedEncoder;
+use super::position::positions;
+use super::transformer::{Encoder, padding_of};
+use crate::config::NetworkConfig;
+
+/// A transformer over one token of diffusion step and caption, and a token for each frame.
+///
+/// # Source
+/// Tevet et al. 2023, Sec. 3; the layout and the names are those of the released code with
+/// `arch=trans_enc` (`algorithms` section 12).
+#[derive(Module, Debug)]
+pub struct Mdm {
+    pose_embedding: Linear,
+    embed_timestep: IndexEmbedding,
+    embed_text: Linear,
+    sequence_encoder: Encoder,
+    pose_final: Linear,
+    dropout: Dropout,
+}
+
+/// The layers of an [`Mdm`], prepared for many passes; `None` where they do not lie on a processor.
+#[derive(Debug)]
+pub struct PreparedMdm(Option<PreparedEncoder>);
+
+impl Mdm {
+    /// Builds the network for frames of `num_features` numbers and text vectors of `text_width`.
+    pub fn new(
+        config: &NetworkConfig,
+        num_features: usize,
+        text_width: usize,
+        device: &Device,
+    ) -> Self {
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        Self {
+            pose_embedding: linear(num_features, config.width),
+            embed_timestep: IndexEmbedding::new(config.width, device),
+            embed_text: linear(text_width, config.width),
+            sequence_encoder: Encoder::new(config, device),
+            pose_final: linear(config.width, num_features),
+            dropout: DropoutConfig::new(config.dropout).init(),
+        }
+    }
+
+    /// Predicts the clean motion.
+    ///
+    /// A row of zeros stands for no text; the bias of the text's layer stays, as in the released code.
+    /// Frames past a row's length take part in attention unless `lengths` says where they begin.
+    ///
+    /// # Shapes
+    /// `x` and the result `[B, T, F]`; `timesteps` `[B]`; `text` `[B, text_width]`; `lengths` `[B]`.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        timesteps: &[usize],
+        text: Tensor<2>,
+        lengths: Option<&[usize]>,
+    ) -> Tensor<3> {
+        let [_, frames, _] = x.dims();
+        let padding = lengths.map(|lengths| {
+            let tokens: Vec<usize> = lengths.iter().map(|length| 1 + length).collect();
+            padding_of(&tokens, 1 + frames, &x.device()).unsqueeze_dims(&[1, 1])
+        });
+        let tokens = drop_out(&self.dropout, self.tokens(x, timesteps, text));
+        let tokens = self.sequence_encoder.forward(tokens, padding.as_ref());
+        self.frames(tokens)
+    }
+
+    /// Prepares the layers for sampling. They are those the network has now.
+    pub fn prepare(&self) -> PreparedMdm {
+        PreparedMdm(self.sequence_encoder.prepare())
+    }
+
+    /// [`Mdm::forward`] without gradients, all frames of all rows taking part.
+    ///
+    /// # Shapes
+    /// As [`Mdm::forward`].
+    pub fn infer(
+        &self,
+        prepared: &PreparedMdm,
+        x: Tensor<3>,
+        timesteps: &[usize],
+        text: Tensor<2>,
+    ) -> Tensor<3> {
+        let tokens = self.tokens(x, timesteps, text);
+        let encoded = prepared
+            .0
+            .as_ref()
+            .and_then(|encoder| encoder.forward(tokens.clone()));
+        self.frames(encoded.unwrap_or_else(|| self.sequence_encoder.forward(tokens, None)))
+    }
+
+    /// The token of step and text, and those of the frames, with their positions: `[B, 1 + T, d]`.
+    fn tokens(&self, x: Tensor<3>, timesteps: &[usize], text: Tensor<2>) -> Tensor<3> {
+        let device = x.device();
+        let condition = self.embed_timestep.forward(timesteps) + self.embed_text.forward(text);
+        let tokens = Tensor::cat(
+            vec![condition.unsqueeze_dim(1), self.pose_embedding.forward(x)],
+            1,
+        );
+        let [_, length, width] = tokens.dims();
+        tokens + positions(length, width, &device)
+    }
+
+    /// The frames of encoded tokens.
+    fn frames(&self, tokens: Tensor<3>) -> Tensor<3> {
+        let [_, length, _] = tokens.dims();
+        self.pose_final.forward(tokens.narrow(1, 1, length - 1))
+    }
+}

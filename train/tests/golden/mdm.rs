@@ -1,0 +1,200 @@
+//! MDM against its released code.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::JointSet;
+use safetensors::SafeTensors;
+use train::diffusion::guide;
+use train::humanml3d::feature_mask;
+use train::mdm::masked_l2;
+use train::mdm_bp::keep_source;
+use train::model::mdm::Mdm;
+use train::schedule::Schedule;
+
+use super::{Golden, check};
+
+fn network(golden: &Golden) -> Mdm {
+    let config = golden.network("latent_dim", "ff_size");
+    let (_, shape) = golden.values("in.x");
+    let text_width = golden.size("clip_dim");
+    let mut network = Mdm::new(&config, shape[1], text_width, &Device::flex());
+    golden.load(&mut network, "weights.");
+    network
+}
+
+/// The recorded `[B, F, 1, T]` as `[B, T, F]`.
+fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
+    let x: Tensor<4> = golden.tensor(name);
+    x.squeeze_dim::<3>(2).swap_dims(1, 2)
+}
+
+fn recorded(x: Tensor<3>) -> Tensor<4> {
+    x.swap_dims(1, 2).unsqueeze_dim(2)
+}
+
+fn text(golden: &Golden) -> Tensor<2> {
+    golden.tensor::<3>("in.text_embed").squeeze_dim::<2>(0)
+}
+
+fn masks_frames(golden: &Golden) -> bool {
+    golden.metadata()["mask_frames"] == "True"
+}
+
+/// The predictions of the recorded network with and without its recorded text.
+fn predictions(golden: &Golden, x: &Tensor<3>, timesteps: &[usize]) -> [Tensor<3>; 2] {
+    let lengths = golden.indices("in.lengths");
+    let lengths = masks_frames(golden).then_some(lengths.as_slice());
+    let (network, text) = (network(golden), text(golden));
+    [text.clone(), text.zeros_like()]
+        .map(|text| network.forward(x.clone(), timesteps, text, lengths))
+}
+
+#[test]
+fn golden_mdm_denoiser() {
+    let Some(golden) = Golden::find("mdm_denoiser") else {
+        return;
+    };
+    let (x, timesteps) = (sequence(&golden, "in.x"), golden.indices("in.t"));
+    let [with_text, without_text] = predictions(&golden, &x, &timesteps);
+    check(recorded(with_text.clone()), &golden, "out.x0", 5e-5);
+    check(
+        recorded(without_text.clone()),
+        &golden,
+        "out.x0_uncond",
+        5e-5,
+    );
+    let weight = golden.values("in.scale").0[0];
+    let guided = guide(with_text, without_text, weight);
+    check(recorded(guided), &golden, "out.x0_cfg", 5e-5);
+    if !masks_frames(&golden) {
+        let network = network(&golden);
+        let inferred = network.infer(&network.prepare(), x, &timesteps, text(&golden));
+        check(recorded(inferred), &golden, "out.x0", 5e-5);
+    }
+}
+
+#[test]
+fn golden_mdm_inpainting() {
+    let (Some(golden), Some(denoiser)) =
+        (Golden::find("mdm_diffusion"), Golden::find("mdm_denoiser"))
+    else {
+        return;
+    };
+    let (x_t, timesteps) = (sequence(&golden, "in.x_t"), golden.indices("in.t"));
+    let [with_text, without_text] = predictions(&denoiser, &x_t, &timesteps);
+    let x0 = guide(with_text, without_text, denoiser.values("in.scale").0[0]);
+    let lower_body = feature_mask(JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]));
+    let kept: Vec<f32> = lower_body
+        .map(|is_kept| f32::from(u8::from(is_kept)))
+        .to_vec();
+    let width = kept.len();
+    let kept = Tensor::from_data(TensorData::new(kept, [1, 1, width]), &x0.device());
+    let source = sequence(&golden, "in.source");
+    let replaced = keep_source(x0.clone(), &source, &kept);
+    check(recorded(replaced), &golden, "out.inpaint.x0", 5e-5);
+
+    let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
+    let noise = sequence(&golden, "in.noise");
+    let stepped: Vec<Tensor<3>> = timesteps
+        .iter()
+        .enumerate()
+        .map(|(row, &timestep)| {
+            let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
+            schedule.reverse_step(of(&x_t), of(&x0), timestep, of(&noise))
+        })
+        .collect();
+    let stepped = recorded(Tensor::cat(stepped, 0));
+    check(stepped, &golden, "out.plain.sample", 5e-5);
+
+    let lengths = denoiser.indices("in.lengths");
+    check(
+        masked_l2(source, x_t, &lengths),
+        &golden,
+        "out.masked_l2",
+        5e-5,
+    );
+}
+
+#[test]
+fn golden_mdm_feature_masks() {
+    let Some(golden) = Golden::find("mdm_diffusion") else {
+        return;
+    };
+    let marked = |name: &str| -> Vec<bool> {
+        golden
+            .indices(name)
+            .into_iter()
+            .map(|value| value == 1)
+            .collect()
+    };
+    let lower = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
+    assert_eq!(feature_mask(lower).to_vec(), marked("out.mask_lower_body"));
+    let upper = feature_mask(JointSet::ALL.difference(lower));
+    assert_eq!(upper.to_vec(), marked("out.mask_upper_body"));
+}
+
+#[test]
+fn golden_mdm_is_imported_as_an_editor() {
+    use train::exchange::{MdmArgs, import_mdm};
+    use train::features::{FeatureRecipe, FeatureStats};
+    use train::fit::TextRecord;
+    use train::registry::open_system;
+    use train::system::{EditConfig, SystemSource};
+    use train::text::source::TextEncoderSource;
+
+    let Some(golden) = Golden::find("mdm_denoiser") else {
+        return;
+    };
+    let recorded = golden.bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+    let tensors = reference
+        .tensors()
+        .into_iter()
+        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)));
+    let bytes = safetensors::serialize(tensors, None).expect("serialises");
+    let device = Device::flex();
+    let imported = |args: &str, run: &Path| {
+        let args: MdmArgs = serde_json::from_str(args).expect("arguments");
+        let fitted = (
+            FeatureStats {
+                recipe: FeatureRecipe::HumanMl3d,
+                mean: vec![0.0; FeatureRecipe::HumanMl3d.width()],
+                std: vec![1.0; FeatureRecipe::HumanMl3d.width()],
+            },
+            TextRecord::Frozen {
+                encoder_hash: "clip".to_owned(),
+                width: golden.size("clip_dim"),
+            },
+        );
+        let heads = golden.size("num_heads");
+        let path = Path::new("model.pt");
+        import_mdm(run, &args, heads, fitted, bytes.clone(), path, &device)
+    };
+    // The released model of 1,000 steps has no such keys in its file; that of 50 steps masks frames.
+    for (args, start, release) in [
+        ("{}", 999, 20),
+        (
+            r#"{"diffusion_steps": 50, "mask_frames": true, "lr": 1e-4}"#,
+            49,
+            1,
+        ),
+    ] {
+        let dir = tempfile::tempdir().expect("a folder");
+        imported(args, dir.path()).expect("imported");
+        let source = SystemSource::best(dir.path(), TextEncoderSource::default());
+        let skeleton = datasets_spec::Skeleton::smplx_neutral();
+        let config = EditConfig::default();
+        let system = open_system(&source, &config, &skeleton, &device).expect("an editor");
+        let settings: serde_json::Value =
+            serde_json::from_str(&system.identity().settings).expect("a document");
+        assert_eq!(
+            (&settings["start"], &settings["release"]),
+            (&start.into(), &release.into())
+        );
+        assert_eq!(settings["guidance"], 2.5);
+    }
+    let dir = tempfile::tempdir().expect("a folder");
+    let refused = imported(r#"{"arch": "trans_dec"}"#, dir.path()).expect_err("another network");
+    assert!(refused.to_string().contains("trans_dec"), "{refused}");
+}

@@ -1,0 +1,52 @@
+//! MLD against its released code.
+
+use burn::tensor::{Device, Tensor};
+use train::model::mld::{LatentDenoiser, MotionVae, step_sinusoid};
+
+use super::{Golden, check};
+
+fn denoiser(golden: &Golden) -> LatentDenoiser {
+    let config = golden.network("latent_dim", "ff_size");
+    let positions = golden.values("weights.query_pos.pe").1[0];
+    let text_width = golden.size("text_encoded_dim");
+    let mut network = LatentDenoiser::new(&config, text_width, positions, &Device::flex());
+    golden.load(&mut network, "weights.");
+    network
+}
+
+#[test]
+fn golden_mld_vae() {
+    let Some(golden) = Golden::find("mld_vae") else {
+        return;
+    };
+    let config = golden.network("latent_dim", "ff_size");
+    let positions = golden.values("weights.query_pos_encoder.pe").1[0];
+    let mut vae = MotionVae::new(&config, golden.size("nfeats"), positions, &Device::flex());
+    golden.load(&mut vae, "weights.");
+
+    let features: Tensor<3> = golden.tensor("in.features");
+    let [_, frames, _] = features.dims();
+    let lengths = golden.indices("in.lengths");
+    let encoded = vae.encode(features, &lengths);
+    check(encoded.mu.clone(), &golden, "out.mu", 5e-5);
+    check(encoded.logvar.clone(), &golden, "out.logvar", 5e-5);
+    let latent = encoded.sample(golden.tensor::<3>("in.eps").squeeze_dim::<2>(0));
+    check(latent, &golden, "out.z", 5e-5);
+    check(encoded.kl(&encoded.standard()), &golden, "out.kl", 5e-5);
+    let decoded = vae.decode(golden.tensor("out.z"), &lengths, frames);
+    check(decoded, &golden, "out.decoded", 5e-5);
+}
+
+#[test]
+fn golden_mld_denoiser() {
+    let Some(golden) = Golden::find("mld_denoiser") else {
+        return;
+    };
+    let timesteps = golden.indices("in.t");
+    let width = golden.size("text_encoded_dim");
+    let time = step_sinusoid(&timesteps, width, &Device::flex());
+    check(time, &golden, "out.time_proj", 5e-5);
+    let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
+    let noise = denoiser(&golden).forward(single("in.x"), &timesteps, single("in.text"));
+    check(noise.unsqueeze_dim::<3>(1), &golden, "out.eps", 5e-5);
+}

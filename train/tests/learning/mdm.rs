@@ -1,0 +1,253 @@
+//! MDM learns, continues, and edits body parts.
+
+use burn::tensor::TensorData;
+use datasets_spec::JointSet;
+use kinematics::skeleton::NUM_BODY_JOINTS;
+use pipeline::feature::Statistics;
+use pipeline::feature::humanml3d::{Features, features_of_joints, joints_of_motion};
+use train::captioned::CaptionedCorpus;
+use train::mdm::{MdmConfig, masked_l2, train_mdm};
+use train::model::conditioned::Conditioned;
+use train::model::mdm::Mdm;
+use train::registry::open_system;
+use train::schedule::Schedule;
+use train::system::{EditConfig, EditRequest, SystemSource, whole};
+use train::text::source::TextEncoderSource;
+
+use super::*;
+
+/// Walks of several speeds, in which every second has raised arms.
+fn clips(count: usize) -> Vec<(String, Motion, Vec<String>)> {
+    (0..count)
+        .map(|index| {
+            let mut motion = walk(41, 0.3 + 0.2 * index as f64, index as f64);
+            let is_raised = index % 2 == 1;
+            if is_raised {
+                for frame in 0..motion.len() {
+                    for (joint, turn) in ARMS_UP {
+                        motion.set_axis_angle(frame, joint, turn.as_vec3().to_array());
+                    }
+                }
+            }
+            let caption = if is_raised {
+                "walk with raised arms"
+            } else {
+                "walk"
+            };
+            (index.to_string(), motion, vec![caption.to_owned()])
+        })
+        .collect()
+}
+
+fn config(num_steps: u64) -> MdmConfig {
+    let mut config = MdmConfig::preset(Preset::Tiny);
+    config.model = NetworkConfig {
+        width: 64,
+        num_layers: 1,
+        num_heads: 4,
+        feed_forward: 64,
+        dropout: 0.0,
+    };
+    config.diffusion_steps = 10;
+    config.max_frames = 40;
+    config.run.batch_size = 4;
+    config.run.length = RunLength::of_steps(num_steps);
+    config.run.log_every = 2;
+    config.run.val_every = 4;
+    config
+}
+
+/// Trains on clips and validates on the same.
+fn trained(
+    run: &Path,
+    config: &MdmConfig,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> TrainReport {
+    let clips = clips(6);
+    let corpus = CaptionedCorpus {
+        train: &views(&clips),
+        val: &views(&clips),
+        vectors: None,
+        skeleton: &SKELETON,
+        dataset_hash: "0",
+    };
+    let session = Session {
+        device: &Device::flex(),
+        more_devices: &[],
+        progress,
+        stop,
+        clock: &|| Duration::ZERO,
+    };
+    train_mdm(run, config, corpus, &session).expect("trains")
+}
+
+fn features(motion: &Motion) -> Vec<Features> {
+    features_of_joints(&joints_of_motion(motion, &SKELETON)).expect("long enough")
+}
+
+#[test]
+fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = config(1);
+    config.run.optimizer.learning_rate = 0.0;
+    let stop = AtomicBool::new(false);
+    let report = trained(dir.path(), &config, &NoProgress, &stop);
+
+    let all: Vec<Vec<Features>> = clips(6)
+        .iter()
+        .map(|(_, motion, _)| features(motion))
+        .collect();
+    let mut statistics = Statistics::default();
+    for clip in &all {
+        statistics.take(clip);
+    }
+    let (mean, std) = (statistics.mean(), statistics.group_std());
+    let squares: Vec<f64> = all
+        .iter()
+        .flatten()
+        .flat_map(|frame| {
+            (0..frame.len()).map(|column| {
+                let value = (frame[column] - mean[column]) / std[column].max(1e-3);
+                f64::from(value * value)
+            })
+        })
+        .collect();
+    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, and
+    // the prediction knows nothing of the motion. The clips are as long as one another.
+    let expected = squares.iter().sum::<f64>() / squares.len() as f64 + 1.0 / 3.0;
+    let found = report.best_val_loss.expect("validated");
+    assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
+}
+
+#[test]
+fn one_batch_of_mdm_is_overfitted() {
+    const FRAMES: usize = 8;
+    let device = Device::flex().autodiff();
+    let mut rng = Seed(3).rng(&["overfit"]);
+    let network = NetworkConfig {
+        width: 128,
+        ..config(1).model
+    };
+    let vocabulary = Vocabulary::build(["walk jump"], 1, 4).expect("valid");
+    let text = TextSource::Learned(vocabulary.num_tokens());
+    let untrained = Conditioned::new(text, network.width, &device, |text_width| {
+        Mdm::new(&network, 12, text_width, &device)
+    });
+    let mut model = draw(untrained, Seed(2)).expect("known layers");
+    let texts = TextBatch::Words(vocabulary.encode_batch(["walk", "jump"]));
+    let schedule = Schedule::cosine(10).expect("steps");
+    let (timesteps, lengths) = ([3, 8], [FRAMES, FRAMES - 3]);
+    let mut normal = || {
+        let values: Vec<f32> = (0..2 * FRAMES * 12)
+            .map(|_| rng.sample(StandardNormal))
+            .collect();
+        Tensor::<3>::from_data(TensorData::new(values, [2, FRAMES, 12]), &device)
+    };
+    let (x0, noise) = (normal(), normal());
+    let x_t = schedule.q_sample(x0.clone(), &timesteps, noise);
+    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let mut losses = Vec::new();
+    for step in 0..300 {
+        let text = model.text_vectors(&texts, 2, &device);
+        let x = model
+            .network
+            .forward(x_t.clone(), &timesteps, text, Some(&lengths));
+        let loss = masked_l2(x, x0.clone(), &lengths).mean();
+        losses.push(loss.clone().into_scalar::<f32>());
+        let gradients = GradientsParams::from_grads(loss.backward(), &model);
+        let rate = 3e-3 * (1.0 - f64::from(step) / 300.0);
+        model = optimizer.step(rate, model, gradients);
+    }
+    let (first, last) = (losses[0], losses[299]);
+    assert!(last < 0.01 * first, "{first} fell to {last}");
+}
+
+#[test]
+fn an_interrupted_run_of_mdm_ends_as_an_uninterrupted_one() {
+    let mut config = config(9);
+    config.model.dropout = 0.1;
+    let stop = AtomicBool::new(false);
+    let whole = tempfile::tempdir().expect("a folder");
+    trained(whole.path(), &config, &NoProgress, &stop);
+    let parts = tempfile::tempdir().expect("a folder");
+    let interrupt = StopAfter {
+        stop: &stop,
+        steps: AtomicU64::new(5),
+    };
+    let report = trained(parts.path(), &config, &interrupt, &stop);
+    assert!(!report.is_complete && report.steps == 5);
+    stop.store(false, Ordering::Relaxed);
+    let report = trained(parts.path(), &config, &NoProgress, &stop);
+    assert!(report.is_complete);
+    assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
+    for file in ["mdm.safetensors", "text.safetensors"] {
+        let bytes = |run: &Path| {
+            std::fs::read(run.join("checkpoint/last").join(file)).expect("a checkpoint")
+        };
+        assert!(bytes(parts.path()) == bytes(whole.path()), "{file}");
+    }
+}
+
+#[test]
+fn mdm_bp_changes_only_the_joints_it_is_told_to() {
+    let dir = tempfile::tempdir().expect("a folder");
+    trained(dir.path(), &config(4), &NoProgress, &AtomicBool::new(false));
+    let edited = |release: usize, joints: JointSet, fps: Fps, ids: &[&str]| -> Vec<Motion> {
+        let source = SystemSource::best(dir.path(), TextEncoderSource::default());
+        let config = EditConfig {
+            release: Some(release),
+            ..EditConfig::default()
+        };
+        let system = open_system(&source, &config, &SKELETON, &Device::flex()).expect("opens");
+        assert_eq!(system.identity().name, "MDM-BP");
+        let motions: Vec<Motion> = ids.iter().map(|id| walk(23 + id.len(), 1.0, 0.3)).collect();
+        let instructions: Vec<_> = motions
+            .iter()
+            .map(|motion| [whole("raise", motion)])
+            .collect();
+        let requests: Vec<EditRequest<'_>> = ids
+            .iter()
+            .zip(&motions)
+            .zip(&instructions)
+            .map(|((id, motion), instructions)| EditRequest {
+                id,
+                motion,
+                instructions,
+                fps,
+                joints,
+            })
+            .collect();
+        let made = quietly(|session| system.edit(&requests, Seed(1), session)).expect("edits");
+        made.motions.into_iter().map(|(motion, _)| motion).collect()
+    };
+    let moved = |motion: &Motion, joint: usize| -> f64 {
+        let source = joints_of_motion(&walk(motion.len(), 1.0, 0.3), &SKELETON);
+        let found = joints_of_motion(motion, &SKELETON);
+        let pairs = source.iter().zip(&found);
+        pairs
+            .map(|(a, b)| a[joint].distance(b[joint]))
+            .fold(0.0, f64::max)
+    };
+    let arm = JointSet::of(&[16, 18, 20]);
+    let together = edited(0, arm, Fps::STORE, &["a", "bb"]);
+    assert_eq!(
+        together.iter().map(Motion::len).collect::<Vec<_>>(),
+        [24, 25]
+    );
+    for joint in (0..NUM_BODY_JOINTS).filter(|&joint| !arm.contains(joint)) {
+        // The features are single precision, and velocities add up.
+        assert!(moved(&together[0], joint) < 1e-3, "joint {joint}");
+    }
+    assert!(moved(&together[0], 20) > 0.05);
+    let alone = edited(0, arm, Fps::STORE, &["a"]);
+    for joint in 0..NUM_BODY_JOINTS {
+        let both = [&alone[0], &together[0]].map(|motion| joints_of_motion(motion, &SKELETON));
+        assert!(both[0][20][joint].distance(both[1][20][joint]) < 1e-4);
+    }
+    // With the whole body free in the last steps the legs move too; other rates are kept.
+    let free = edited(3, arm, Fps::STORE, &["a"]);
+    assert!(moved(&free[0], 7) > 0.01);
+    let faster = edited(0, JointSet::EMPTY, Fps::new(30.0).expect("a rate"), &["a"]);
+    assert_eq!((faster[0].len(), faster[0].fps().get()), (35, 30.0));
+}
