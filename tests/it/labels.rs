@@ -416,6 +416,34 @@ fn licences_are_found_in_the_sources_and_travel() {
 }
 
 #[test]
+fn problems_of_labels_stay_listed_while_a_dataset_grows() {
+    let sources = Sources::new();
+    sources.motions(&["walk.bvh"]);
+    sources.write(
+        "captions.csv",
+        "clip,text\nwalk,a person walks\nrun,a person runs\n",
+    );
+    sources.write("walk.stance.json", r#"{"captions": 7}"#);
+    let (first, _) = sources.ingest("out", &[]);
+    let before = problems(&first);
+    assert_eq!(before.len(), 2, "{before:?}");
+    // Another clip comes, and the clip with the labels stays unread.
+    sources.motions(&["walk.bvh", "sit.bvh"]);
+    let (grown, _) = sources.ingest("out", &[]);
+    assert_eq!(grown["growth"]["kept"], 1, "{grown}");
+    assert_eq!(problems(&grown), before);
+    // A label that is mended leaves the list.
+    sources.write("walk.stance.json", r#"{"captions": ["a person walks"]}"#);
+    let (mended, _) = sources.ingest("out", &[]);
+    let now = problems(&mended);
+    assert_eq!(now.len(), 1, "{now:?}");
+    assert!(
+        before.contains(&now[0]) && now[0].starts_with("captions.csv"),
+        "{now:?}"
+    );
+}
+
+#[test]
 fn captures_without_a_motion_have_a_licence_too() {
     let Some(data) = real_data("captures_without_a_motion_have_a_licence_too") else {
         return;

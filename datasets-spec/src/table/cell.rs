@@ -88,7 +88,7 @@ impl Cell for String {
     }
 
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        Ok(Arc::new(StringArray::from_iter_values(values)))
+        Ok(Arc::new(texts(values)?))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -107,9 +107,9 @@ impl Cell for Option<String> {
     }
 
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        Ok(Arc::new(StringArray::from_iter(
-            values.map(Option::as_deref),
-        )))
+        let values: Vec<Option<&str>> = values.map(Option::as_deref).collect();
+        check_text_length(values.iter().flatten())?;
+        Ok(Arc::new(StringArray::from(values)))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -162,6 +162,26 @@ fn parse_each<T>(
 
 fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new("item", data_type, false))
+}
+
+/// A column of texts.
+fn texts<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Result<StringArray, String> {
+    let values: Vec<T> = values.into_iter().collect();
+    check_text_length(&values)?;
+    Ok(StringArray::from_iter_values(values))
+}
+
+/// Arrow's offsets of texts are 32 bits wide too.
+fn check_text_length<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Result<(), String> {
+    let lengths = values.into_iter().map(|text| text.as_ref().len());
+    let total: usize = lengths.sum();
+    match i32::try_from(total) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(format!(
+            "has {total} bytes of text in one shard, at most {} fit; shorten captions and notes",
+            i32::MAX
+        )),
+    }
 }
 
 /// Offsets of a list column from the lengths of its rows. Arrow's are 32 bits wide: frames of motions
@@ -252,15 +272,15 @@ impl Cell for Vec<String> {
 
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
         let mut lengths = Vec::new();
-        let mut texts: Vec<&str> = Vec::new();
+        let mut flat: Vec<&str> = Vec::new();
         for row in values {
             lengths.push(row.len());
-            texts.extend(row.iter().map(String::as_str));
+            flat.extend(row.iter().map(String::as_str));
         }
         Ok(Arc::new(ListArray::new(
             item(DataType::Utf8),
             offsets(&lengths)?,
-            Arc::new(StringArray::from_iter_values(texts)),
+            Arc::new(texts(flat)?),
             None,
         )))
     }
@@ -308,8 +328,8 @@ impl Cell for Vec<Caption> {
         let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
         let all: Vec<&Caption> = rows.into_iter().flatten().collect();
         let columns: Vec<ArrayRef> = vec![
-            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.text))),
-            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.tokens))),
+            Arc::new(texts(all.iter().map(|c| &c.text))?),
+            Arc::new(texts(all.iter().map(|c| &c.tokens))?),
             Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.from_s))),
             Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.to_s))),
         ];
@@ -353,8 +373,8 @@ impl Cell for Vec<PartCaption> {
         let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
         let all: Vec<&PartCaption> = rows.into_iter().flatten().collect();
         let columns: Vec<ArrayRef> = vec![
-            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.part))),
-            Arc::new(StringArray::from_iter_values(all.iter().map(|c| &c.text))),
+            Arc::new(texts(all.iter().map(|c| &c.part))?),
+            Arc::new(texts(all.iter().map(|c| &c.text))?),
         ];
         struct_lists(&lengths, part_caption_fields(), columns)
     }
@@ -421,6 +441,8 @@ impl Cell for Quality {
 
 #[cfg(test)]
 mod tests {
+    use std::iter::repeat_n;
+
     use super::*;
 
     #[test]
@@ -431,5 +453,16 @@ mod tests {
         assert!(offsets(&[longest]).is_ok());
         let problem = Vec::<[f32; 0]>::encode(&mut rows.iter()).expect_err("one frame too many");
         assert!(problem.contains("2147483647 items"), "{problem}");
+    }
+
+    #[test]
+    fn texts_beyond_the_offsets_are_an_error() {
+        let text = "a".repeat(1 << 20);
+        assert!(String::encode(&mut repeat_n(&text, 8)).is_ok());
+        let problem = String::encode(&mut repeat_n(&text, 1 << 11)).expect_err("a byte too many");
+        assert!(problem.contains("2147483648 bytes"), "{problem}");
+        let (text, none) = (Some(text), None);
+        let mut rows = repeat_n(&text, 1 << 11).chain([&none]);
+        assert!(Option::<String>::encode(&mut rows).is_err());
     }
 }

@@ -612,3 +612,26 @@ pub(super) fn without_extension(relative: &str) -> &str {
         _ => relative,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::gltf;
+
+    #[test]
+    fn files_are_not_listed_beyond_the_limit_or_if_they_cannot_be_read() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let place = |name: &str| (name.to_owned(), dir.path().join(name));
+        let large = fs::File::create(dir.path().join("large.glb")).expect("made");
+        // The file is sparse: it takes no room on the disk.
+        large.set_len(MAX_FILE_LEN + 1).expect("enlarged");
+        let files = Files::new(["large.glb", "gone.glb"].map(place).into());
+        let code = |name| {
+            keys_of(gltf::FORMAT, &files, name)
+                .expect_err("no keys")
+                .code
+        };
+        assert_eq!(code("large.glb"), "E-TOO-LARGE");
+        assert_eq!(code("gone.glb"), "E-IO");
+    }
+}
