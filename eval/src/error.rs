@@ -91,11 +91,11 @@ pub enum Error {
         /// Of the other.
         other: String,
     },
-    /// An axis of a sweep cannot be followed.
-    #[error("axis {axis:?}: {problem}")]
-    Axis {
+    /// The points of a figure cannot be made.
+    #[error("figure {figure:?}: {problem}")]
+    Figure {
         /// Its name.
-        axis: String,
+        figure: String,
         /// What is wrong with it.
         problem: String,
     },

@@ -4,7 +4,7 @@
 //! [`evaluators::MotionEncoder`] for latents, and returns rows of the `scores` table, which it lays out
 //! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
 //! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
-//! commits scores; [`sweep`] plans ablations.
+//! commits scores; [`figure`] holds the points and drawings of ablations.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 //!
@@ -77,6 +77,7 @@ pub mod compare;
 pub mod draw;
 mod error;
 pub mod evaluators;
+pub mod figure;
 pub mod format;
 pub mod linalg;
 pub mod metric;
@@ -85,7 +86,6 @@ pub mod protocol;
 pub mod published;
 pub mod report;
 pub mod score;
-pub mod sweep;
 pub mod table;
 pub mod times;
 

@@ -220,6 +220,14 @@ impl Table {
         Some(table)
     }
 
+    /// Orders the systems as they are named, after the rows that every table has.
+    pub fn sort_systems(&mut self, names: &[&str]) {
+        self.rows.sort_by_key(|row| {
+            let place = names.iter().position(|name| *name == row.system);
+            (!row.baseline).then(|| place.unwrap_or(names.len()))
+        });
+    }
+
     /// The head of the table in one line: the task, and what the numbers depend on.
     pub fn head(&self) -> String {
         format!("{}: {}", self.task, self.conditions())

@@ -210,8 +210,9 @@ fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
         .ok_or_else(|| "there are 28 and 22".to_owned())
 }
 
+/// A table of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum TableArg {
+pub(crate) enum TableArg {
     #[value(name = "1", help = "body part replacement and style transfer")]
     One,
     #[value(name = "2", help = "MotionFix, galleries of 32")]
@@ -227,7 +228,19 @@ enum TableArg {
 }
 
 impl TableArg {
-    fn scored(self) -> Option<PaperTable> {
+    /// Its name on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::One => "1",
+            Self::Two => "2",
+            Self::A1 => "a1",
+            Self::A2 => "a2",
+            Self::A3 => "a3",
+            Self::A4 => "a4",
+        }
+    }
+
+    pub(crate) fn scored(self) -> Option<PaperTable> {
         Some(match self {
             Self::One => PaperTable::One,
             Self::Two => PaperTable::Two,
@@ -287,7 +300,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
 /// The scores in the shape of a table of the paper: its tasks, where the edits are of any of them,
 /// and the tasks there are otherwise.
-fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
+pub(crate) fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.recipes, &table.columns());
     let wanted = |found: &Table| {
         [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
@@ -319,8 +332,7 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         })
         .collect::<anyhow::Result<_>>()?;
     if args.published {
-        let name = || "RTX 3090 (published)".to_owned();
-        rows.extend(times::PUBLISHED.map(|times| (name(), times)));
+        rows.extend(times::published());
     }
     if global.json || args.measure.format == FormatArg::Json {
         let rows: Vec<_> = rows

@@ -11,6 +11,7 @@ use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Report, Strip};
+use eval::table::Table;
 
 use crate::cmd::eval::{further_tables, tables};
 use crate::device::DeviceArgs;
@@ -50,19 +51,10 @@ const BINS: usize = 24;
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.device.choose()?;
     let answered = Answered::read_for_table(&args.edits)?;
-    let Answered {
-        items,
-        edits,
-        skeleton,
-    } = &answered;
-    let mut answers: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
-    for row in edits {
-        answers.entry(&row.id).or_default().push(row);
-    }
-    if edits.is_empty() {
+    if answered.edits.is_empty() {
         bail!("the tables hold no edits");
     }
-    let scores = match &args.encoder {
+    let tables = match &args.encoder {
         Some(encoder) => {
             let runs = EvaluatorRuns {
                 encoder,
@@ -72,12 +64,50 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 seed: global.seed(),
                 ..Protocol::default()
             };
-            Some(stages::scores(&answered, &runs, &protocol, global)?)
+            let scores = stages::scores(&answered, &runs, &protocol, global)?;
+            [tables(&scores), further_tables(&scores)].concat()
         }
-        None => None,
+        None => Vec::new(),
     };
-    let step = items.len().div_ceil(args.items.max(1)).max(1);
-    let unknown = stages::unknown_words(&args.edits)?;
+    let page = Report {
+        title: args.title.clone(),
+        ..of_edits(&answered, &args.edits, tables, args.items, global)?
+    };
+    let html = page.to_html();
+    std::fs::write(&args.out, &html)
+        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    if global.json {
+        report::json(&serde_json::json!({ "out": args.out, "bytes": html.len() }))?;
+    } else {
+        report::text(&format!(
+            "{} ({} kB)",
+            args.out.display(),
+            html.len() / 1000
+        ));
+    }
+    Ok(Exit::Done)
+}
+
+/// A page without a title about edits, which lie in `folders`; `shown` items are in the viewer, spread over the
+/// table.
+pub(crate) fn of_edits(
+    answered: &Answered,
+    folders: &[PathBuf],
+    tables: Vec<Table>,
+    shown: usize,
+    global: &Global,
+) -> anyhow::Result<Report> {
+    let Answered {
+        items,
+        edits,
+        skeleton,
+    } = answered;
+    let mut answers: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
+    for row in edits {
+        answers.entry(&row.id).or_default().push(row);
+    }
+    let step = items.len().div_ceil(shown.max(1)).max(1);
+    let unknown = stages::unknown_words(folders)?;
     let strips: Vec<Strip> = items
         .iter()
         .step_by(step)
@@ -133,12 +163,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         .iter()
         .map(|(system, settings)| (*system, settings))
         .collect();
-    let tables = match &scores {
-        Some(scores) => [tables(scores), further_tables(scores)].concat(),
-        None => Vec::new(),
-    };
-    let page = Report {
-        title: args.title.clone(),
+    Ok(Report {
+        title: String::new(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
         cards: vec![
             card(
@@ -154,6 +180,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ),
         ],
         tables,
+        figures: Vec::new(),
         charts: vec![
             bars("Length of the edits", "seconds", &secs),
             bars("Bone drift of the generated points", "centimetres", &drifts),
@@ -166,20 +193,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ],
         details: vec![Details::of_json("Systems", &settings)],
         commands: Vec::new(),
-    };
-    let html = page.to_html();
-    std::fs::write(&args.out, &html)
-        .with_context(|| format!("cannot write {}", args.out.display()))?;
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "bytes": html.len() }))?;
-    } else {
-        report::text(&format!(
-            "{} ({} kB)",
-            args.out.display(),
-            html.len() / 1000
-        ));
-    }
-    Ok(Exit::Done)
+    })
 }
 
 /// The strip of an item: the source first, then the edits, then the targets. The note names the words of

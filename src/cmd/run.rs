@@ -599,6 +599,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         ),
         cards,
         tables: tables(done.scores),
+        figures: Vec::new(),
         charts,
         strips: strips(done)?,
         facts,

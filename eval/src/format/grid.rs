@@ -1,7 +1,9 @@
 //! Small tables of text: a head, and rows with a name.
 
+use serde::Serialize;
+
 /// A table of text cells.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Grid {
     /// Title.
     pub title: String,

@@ -7,7 +7,7 @@ mod viewer;
 use std::fmt::Write;
 
 use crate::draw::escaped;
-use crate::draw::plot::{Bars, Plot, bar_chart, plot};
+use crate::draw::plot::{Bars, HeatMap, Plot, bar_chart, heat_map, plot};
 use crate::draw::strip::{Style, strip};
 use crate::table::Table;
 
@@ -25,6 +25,8 @@ pub struct Report {
     pub cards: Vec<Card>,
     /// Result tables.
     pub tables: Vec<Table>,
+    /// Scores along settings.
+    pub figures: Vec<Chart>,
     /// Loss curves and histograms.
     pub charts: Vec<Chart>,
     /// Edited motions.
@@ -57,6 +59,19 @@ pub enum Chart {
     Lines(Plot),
     /// Counts, such as those of clip lengths.
     Bars(Bars),
+    /// Values of pairs of settings.
+    Heat(HeatMap),
+}
+
+impl Chart {
+    /// The drawing as one SVG document.
+    pub fn svg(&self) -> String {
+        match self {
+            Self::Lines(lines) => plot(lines),
+            Self::Bars(bars) => bar_chart(bars),
+            Self::Heat(map) => heat_map(map),
+        }
+    }
 }
 
 const STYLE: &str = include_str!("report.css");
@@ -104,6 +119,7 @@ impl Report {
         [
             Section::new("summary", "Summary", cards(&self.cards)),
             Section::new("results", "Results", result_tables::html(&self.tables)),
+            Section::new("figures", "Figures", charts(&self.figures)),
             Section::new(
                 "viewer-section",
                 "Motions in 3D",
@@ -201,11 +217,7 @@ fn charts(charts: &[Chart]) -> String {
     }
     let mut html = "<div class=\"charts\">\n".to_owned();
     for chart in charts {
-        let drawing = match chart {
-            Chart::Lines(lines) => plot(lines),
-            Chart::Bars(bars) => bar_chart(bars),
-        };
-        let _ = writeln!(html, "<div class=\"chart\">{drawing}</div>");
+        let _ = writeln!(html, "<div class=\"chart\">{}</div>", chart.svg());
     }
     html.push_str("</div>\n");
     html
@@ -271,6 +283,12 @@ mod tests {
                 note: text(),
             }],
             tables: vec![table],
+            figures: vec![Chart::Heat(HeatMap {
+                title: text(),
+                x: (text(), vec![text()]),
+                y: (text(), vec![text()]),
+                values: vec![1.0],
+            })],
             charts: vec![
                 Chart::Lines(Plot {
                     title: text(),

@@ -1,0 +1,481 @@
+//! `stance reproduce`
+
+mod plan;
+mod work;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use datasets_spec::record::ScoreRow;
+use eval::draw::raster::png;
+use eval::format;
+use eval::names::ALL_TASKS;
+use eval::report::{Chart, Report};
+use eval::table::Table;
+use eval::times::{self, WindowTimes};
+use serde::Serialize;
+use serde_json::Value;
+
+use self::plan::{FigureSpecs, PaperTable, Plan, Spec};
+use self::work::{Work, write};
+use crate::cmd::eval::paper_tables;
+use crate::cmd::page;
+use crate::device::TrainDeviceArgs;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+use crate::session::{is_stopped, stopped};
+
+/// Reproduce tables and figures of the paper: train what is missing, edit, score, and write them.
+///
+/// The plan is a TOML file, or the name of one of the plans of the program (--list). It names a dataset,
+/// the systems that are rows of the tables, the tables, and the figures: settings of a system that change.
+/// Trainings, edits and scores that several of them need are made once. Interrupted and run again, it goes
+/// on where it stopped.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The plan: a file, or the name of a plan of the program
+    #[arg(required_unless_present = "list")]
+    plan: Option<PathBuf>,
+    /// List the plans of the program
+    #[arg(long)]
+    list: bool,
+    /// Dataset in place of the plan's
+    #[arg(long)]
+    dataset: Option<PathBuf>,
+    /// Folder for the results in place of the plan's
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print the published rows of the paper as well, marked as published
+    #[arg(long)]
+    published: bool,
+    /// Check the plan, and list its systems and points without running them
+    #[arg(long)]
+    dry_run: bool,
+    #[command(flatten)]
+    device: TrainDeviceArgs,
+}
+
+/// The plans of the program: those of the paper's size, and those for two processor cores.
+macro_rules! plans {
+    ($($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../../eval/plans/", $name, ".toml")))),*]
+    };
+}
+
+const PLANS: &[(&str, &str)] = plans![
+    "paper/table-1",
+    "paper/table-2",
+    "paper/table-a1",
+    "paper/table-a2",
+    "paper/table-a3",
+    "paper/table-a4",
+    "paper/figure-6",
+    "paper/figure-a1",
+    "small/table-1",
+    "small/table-2",
+    "small/table-a1",
+    "small/table-a2",
+    "small/table-a3",
+    "small/table-a4",
+    "small/figure-6",
+    "small/figure-a1",
+];
+
+/// Items in the viewer of the page.
+const SHOWN_ITEMS: usize = 12;
+
+/// Pixels of a drawing for each of its own.
+const PNG_ZOOM: f32 = 2.0;
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let Some(path) = args.plan.as_deref().filter(|_| !args.list) else {
+        let names: Vec<&str> = PLANS.iter().map(|(name, _)| *name).collect();
+        match global.json {
+            true => report::json(&names)?,
+            false => report::text(&names.join("\n")),
+        }
+        return Ok(Exit::Done);
+    };
+    args.device.choose()?;
+    let plan = read(args, path)?;
+    let specs = plan.specs(global)?;
+    let figures = plan.figure_specs(global)?;
+    if args.dry_run {
+        list(&specs, &figures, global)?;
+        return Ok(Exit::Done);
+    }
+    let Some(work) = Work::begin(&plan, global)? else {
+        return Ok(stopped());
+    };
+    let mut done = Done::default();
+    for (place, spec) in specs.iter().enumerate() {
+        report::note(&format!("system {} of {}: {}", place + 1, specs.len(), spec.name));
+        match work.edits(spec) {
+            Ok(Some(edits)) => done.edits.push((spec.name.clone(), edits)),
+            Ok(None) => return Ok(stopped()),
+            Err(error) => done.fail(&spec.name, error)?,
+        }
+    }
+    for table in &plan.tables {
+        let made = tables(table, args.published, &plan, &work, &done, global);
+        match made {
+            Ok(made) => done.tables.extend(made),
+            Err(error) => done.fail(&format!("table {}", table.paper.name()), error)?,
+        }
+    }
+    for figure in &figures {
+        match drawn(figure, &plan, &work, &mut done, global)? {
+            Some(made) => done.figures.push(made),
+            None => return Ok(stopped()),
+        }
+    }
+    finish(args, path, &plan, &work, done, global)
+}
+
+fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
+    let (dataset, out) = (args.dataset.as_deref(), args.out.as_deref());
+    let own = PLANS.iter().find(|(name, _)| path == Path::new(name));
+    match own.filter(|_| !path.exists()) {
+        // Their paths are relative to the folder in which the command runs.
+        Some((_, text)) => Plan::read(text, Path::new("plan.toml"), dataset, out),
+        None => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}; --list names the plans of the program", path.display()))?;
+            Plan::read(&text, path, dataset, out)
+        }
+    }
+}
+
+fn list(specs: &[Spec], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow::Result<()> {
+    let mut lines: Vec<String> = specs.iter().map(|spec| spec.name.clone()).collect();
+    for figure in figures {
+        let name = &figure.figure.name;
+        lines.extend(figure.points.iter().map(|point| format!("{name}: {}", point.name())));
+    }
+    match global.json {
+        true => report::json(&lines)?,
+        false => report::text(&lines.join("\n")),
+    }
+    Ok(())
+}
+
+/// What has been made of a plan.
+#[derive(Default)]
+struct Done {
+    /// Edits by the name of their system.
+    edits: Vec<(String, PathBuf)>,
+    tables: Vec<TableMade>,
+    figures: Vec<FigureMade>,
+    failed: Vec<String>,
+}
+
+impl Done {
+    /// Reports a part that failed. An interrupt or a lock ends the command; the other parts go on after any
+    /// other failure.
+    fn fail(&mut self, part: &str, error: anyhow::Error) -> anyhow::Result<()> {
+        if Exit::of_error(&error) != Exit::Failed {
+            return Err(error.context(part.to_owned()));
+        }
+        report::error(&error.context(part.to_owned()));
+        self.failed.push(part.to_owned());
+        Ok(())
+    }
+}
+
+/// A table of the paper.
+struct TableMade {
+    name: String,
+    tables: Vec<Table>,
+    scores: Vec<ScoreRow>,
+    /// Table A4 in place of scores.
+    grids: Vec<format::grid::Grid>,
+}
+
+/// A figure.
+struct FigureMade {
+    name: String,
+    charts: Vec<(String, Chart)>,
+    points: Vec<PointMade>,
+    /// Items that are too short for some point.
+    left_out: usize,
+}
+
+#[derive(Serialize)]
+struct PointMade {
+    point: String,
+    values: Vec<Value>,
+    scores: Vec<Value>,
+}
+
+fn tables(
+    table: &PaperTable,
+    published: bool,
+    plan: &Plan,
+    work: &Work<'_>,
+    done: &Done,
+    global: &Global,
+) -> anyhow::Result<Option<TableMade>> {
+    let wanted = plan.systems_of(table);
+    let rows = |name: &&str| done.edits.iter().find(|(system, _)| system == name);
+    let found: Vec<&(String, PathBuf)> = wanted.iter().filter_map(rows).collect();
+    if found.is_empty() {
+        return Ok(None);
+    }
+    let published = published || table.published;
+    let name = format!("table-{}", table.paper.name());
+    let Some(paper) = table.paper.scored() else {
+        let mut rows: Vec<(String, WindowTimes)> = found
+            .into_iter()
+            .map(|(system, edits)| Ok((system.clone(), WindowTimes::read(edits)?)))
+            .collect::<anyhow::Result<_>>()?;
+        if published {
+            rows.extend(times::published());
+        }
+        return Ok(Some(TableMade {
+            name,
+            tables: Vec::new(),
+            scores: Vec::new(),
+            grids: times::tables(&rows),
+        }));
+    };
+    let edits: Vec<PathBuf> = found.into_iter().map(|(_, edits)| edits.clone()).collect();
+    let answered = work.answered(&edits, None)?;
+    let protocol = plan.protocol(Some(table.paper), global);
+    let scores = work.scores(&answered, &edits, &protocol)?;
+    let mut tables = paper_tables(&scores, paper);
+    for laid_out in &mut tables {
+        laid_out.sort_systems(&wanted);
+        if published {
+            laid_out.append_published(paper);
+        }
+    }
+    Ok(Some(TableMade {
+        name,
+        tables,
+        scores: scores.rows,
+        grids: Vec::new(),
+    }))
+}
+
+/// Makes the points of a figure, and draws it. None if an interrupt ended it.
+fn drawn(
+    specs: &FigureSpecs<'_>,
+    plan: &Plan,
+    work: &Work<'_>,
+    done: &mut Done,
+    global: &Global,
+) -> anyhow::Result<Option<FigureMade>> {
+    let protocol = plan.protocol(None, global);
+    let figure = specs.figure;
+    let mut scored = Vec::with_capacity(specs.points.len());
+    let mut left_out = 0;
+    for (place, (point, spec)) in std::iter::zip(&specs.points, &specs.specs).enumerate() {
+        if is_stopped() {
+            return Ok(None);
+        }
+        let name = format!("{}, {}", figure.name, point.name());
+        report::note(&format!("point {} of {}: {name}", place + 1, specs.points.len()));
+        let at_point = || -> anyhow::Result<Option<(Vec<ScoreRow>, usize)>> {
+            let Some(edits) = work.edits(spec)? else {
+                return Ok(None);
+            };
+            let edits = [edits];
+            let all = work.answered(&edits, None)?.items.len();
+            let answered = work.answered(&edits, specs.min_frames)?;
+            let scores = work.scores(&answered, &edits, &protocol)?;
+            Ok(Some((scores.rows, all - answered.items.len())))
+        };
+        match at_point() {
+            Ok(Some((rows, short))) => {
+                scored.push(rows);
+                left_out = short;
+            }
+            Ok(None) => return Ok(None),
+            Err(error) => {
+                done.fail(&name, error)?;
+                scored.push(Vec::new());
+            }
+        }
+    }
+    if left_out > 0 {
+        report::note(&format!(
+            "{}: {left_out} items are shorter than the longest window and count at no point",
+            figure.name
+        ));
+    }
+    let mut charts = Vec::new();
+    for &task in &specs.tasks {
+        for &metric in &specs.metrics {
+            let of_task = match task {
+                ALL_TASKS => String::new(),
+                task => format!("-{task}"),
+            };
+            let name = file_name(&format!("{}{of_task}-{}", figure.name, metric.name));
+            charts.push((name, figure.chart(metric, task, &specs.points, &scored)));
+        }
+    }
+    let points = std::iter::zip(&specs.points, scored)
+        .map(|(point, rows)| {
+            Ok(PointMade {
+                point: point.name(),
+                values: point.changes.iter().map(|(_, value)| value.clone()).collect(),
+                scores: in_json(&rows)?,
+            })
+        })
+        .collect::<anyhow::Result<_>>()?;
+    Ok(Some(FigureMade {
+        name: figure.name.clone(),
+        charts,
+        points,
+        left_out,
+    }))
+}
+
+/// Scores as `stance eval --json` prints them.
+fn in_json(rows: &[ScoreRow]) -> anyhow::Result<Vec<Value>> {
+    Ok(serde_json::from_str(&format::json::render(rows)?)?)
+}
+
+fn file_name(text: &str) -> String {
+    let name: String = text
+        .chars()
+        .map(|c| if c.is_alphanumeric() { c } else { '-' })
+        .collect();
+    name.to_lowercase()
+}
+
+/// The `--json` document, also `results.json`.
+#[derive(Serialize)]
+struct Document {
+    page: PathBuf,
+    tables: Vec<(String, Value)>,
+    figures: Vec<FigureDocument>,
+    failed: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct FigureDocument {
+    name: String,
+    drawings: Vec<PathBuf>,
+    left_out: usize,
+    points: Vec<PointMade>,
+}
+
+/// Writes tables, figures and the page, and prints the tables.
+fn finish(
+    args: &Args,
+    path: &Path,
+    plan: &Plan,
+    work: &Work<'_>,
+    done: Done,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let out = &plan.out;
+    let mut texts = Vec::new();
+    let mut document = Document {
+        page: out.join("index.html"),
+        tables: Vec::new(),
+        figures: Vec::new(),
+        failed: done.failed.clone(),
+    };
+    for made in &done.tables {
+        let forms = made.forms()?;
+        for (extension, text) in &forms {
+            write(&out.join("tables").join(format!("{}.{extension}", made.name)), text.as_bytes())?;
+        }
+        texts.push(forms[0].1.clone());
+        document.tables.push((made.name.clone(), made.document()?));
+    }
+    let folders: Vec<PathBuf> = done.edits.iter().map(|(_, edits)| edits.clone()).collect();
+    let all: Vec<Table> = done.tables.iter().flat_map(|made| made.tables.clone()).collect();
+    let answered = work.answered(&folders, None)?;
+    let mut page: Report = match folders.is_empty() {
+        true => Report::default(),
+        false => page::of_edits(&answered, &folders, all, SHOWN_ITEMS, global)?,
+    };
+    for figure in done.figures {
+        let mut drawings = Vec::new();
+        for (name, chart) in figure.charts {
+            let svg = chart.svg();
+            let drawing = out.join("figures").join(format!("{name}.svg"));
+            write(&drawing, svg.as_bytes())?;
+            write(&drawing.with_extension("png"), &png(&svg, PNG_ZOOM)?)?;
+            drawings.push(drawing);
+            page.figures.push(chart);
+        }
+        texts.extend(drawings.iter().map(|drawing| drawing.display().to_string()));
+        document.figures.push(FigureDocument {
+            name: figure.name,
+            drawings,
+            left_out: figure.left_out,
+            points: figure.points,
+        });
+    }
+    page.title.clone_from(&plan.title);
+    page.commands = vec![command(args, path, global)];
+    write(&document.page, page.to_html().as_bytes())?;
+    write(&out.join("results.json"), &serde_json::to_vec_pretty(&document)?)?;
+    match global.json {
+        true => report::json(&document)?,
+        false => {
+            texts.push(document.page.display().to_string());
+            report::text(&texts.join("\n"));
+        }
+    }
+    if done.failed.is_empty() {
+        return Ok(Exit::Done);
+    }
+    report::note(&format!(
+        "failed and missing: {}; the rest is written, and the same command tries these again",
+        done.failed.join("; ")
+    ));
+    Ok(Exit::Failed)
+}
+
+impl TableMade {
+    /// The table in each form, with the extension of its file; text comes first.
+    fn forms(&self) -> anyhow::Result<[(&'static str, String); 5]> {
+        let joined = |of: fn(&format::grid::Grid) -> String| {
+            let grids: Vec<String> = self.grids.iter().map(of).collect();
+            grids.join("\n")
+        };
+        Ok(match self.grids.is_empty() {
+            true => [
+                ("txt", format::text::render(&self.tables)),
+                ("md", format::markdown::render(&self.tables)),
+                ("tex", format::latex::render(&self.tables)),
+                ("csv", format::csv::render(&self.scores)),
+                ("json", format::json::render(&self.scores)?),
+            ],
+            false => [
+                ("txt", joined(format::grid::Grid::text)),
+                ("md", joined(format::grid::Grid::markdown)),
+                ("tex", joined(format::grid::Grid::latex)),
+                ("csv", joined(format::grid::Grid::csv)),
+                ("json", serde_json::to_string_pretty(&self.grids)?),
+            ],
+        })
+    }
+
+    fn document(&self) -> anyhow::Result<Value> {
+        Ok(match self.grids.is_empty() {
+            true => in_json(&self.scores)?.into(),
+            false => serde_json::to_value(&self.grids)?,
+        })
+    }
+}
+
+fn command(args: &Args, path: &Path, global: &Global) -> String {
+    let option = |name: &str, value: &Option<PathBuf>| match value {
+        Some(value) => format!(" {name} {}", value.display()),
+        None => String::new(),
+    };
+    format!(
+        "stance reproduce {}{}{}{}",
+        path.display(),
+        option("--dataset", &args.dataset),
+        option("--out", &args.out),
+        global.seed_option()
+    )
+}

@@ -1,0 +1,415 @@
+//! The plan of `stance reproduce`: its file, and what has to be trained and edited for it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use clap::ValueEnum as _;
+use datasets_spec::{Seed, Split};
+use eval::figure::{Figure, Point, Sections};
+use eval::metric::{self, Metric};
+use eval::names::ALL_TASKS;
+use eval::protocol::Protocol;
+use pipeline::compose::{ComposeConfig, ItemConfig};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use train::checkpoint::Slot;
+use train::config::{Preset, TrainConfig, overlay};
+use train::coordinator::CoordinatorConfig;
+use train::j2s::J2sConfig;
+use train::kind::ModelKind;
+use train::registry::{self, MODELS};
+use train::system::EditConfig;
+use train::tmr::TmrConfig;
+
+use crate::cmd::eval::TableArg;
+use crate::global::Global;
+use crate::seeds::Seeds;
+use crate::settings;
+
+/// The editor that a system is if it names no model.
+const EDITOR: &str = "motionrefit";
+const COORDINATOR: &str = "coordinator";
+const POSES: &str = "j2s";
+const ENCODER: &str = "tmr";
+
+/// Settings in place of those of a preset.
+type Own = Map<String, Value>;
+
+/// The plan as its file holds it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Plan {
+    /// Title of the page.
+    #[serde(default = "title")]
+    pub(super) title: String,
+    /// Dataset with masks or pairs.
+    pub(super) dataset: PathBuf,
+    /// Folder for trainings, edits, scores, tables and figures.
+    pub(super) out: PathBuf,
+    /// Run folder of the encoder that motions are scored with; without it one is trained under `out`.
+    encoder: Option<PathBuf>,
+    /// Folder of CLIP, for settings that use it.
+    #[serde(alias = "clip")]
+    pub(super) text_encoder: Option<PathBuf>,
+    #[serde(default = "tiny")]
+    preset: Preset,
+    /// Split that the items are drawn from.
+    #[serde(default = "test")]
+    pub(super) split: Split,
+    /// Test questions, the same for every system.
+    #[serde(default)]
+    pub(super) items: ItemConfig,
+    /// Seeds of items, training and sampling.
+    #[serde(default)]
+    pub(super) seeds: Seeds,
+    #[serde(default)]
+    pub(super) eval: Protocol,
+    /// Settings of each model, by its name.
+    #[serde(default)]
+    models: BTreeMap<String, Own>,
+    /// Settings of the composer.
+    #[serde(default)]
+    compose: Own,
+    /// Settings of editing.
+    #[serde(default)]
+    edit: Own,
+    /// The rows, in the order of the tables.
+    #[serde(rename = "system")]
+    systems: Vec<System>,
+    #[serde(default, rename = "table")]
+    pub(super) tables: Vec<PaperTable>,
+    #[serde(default, rename = "figure")]
+    pub(super) figures: Vec<Figure>,
+}
+
+/// A row of the tables.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct System {
+    /// Its name in tables.
+    name: String,
+    #[serde(default = "editor")]
+    model: String,
+    /// Settings of its training beside those of its model.
+    #[serde(default)]
+    train: Own,
+    /// Settings of the composer beside those of the plan.
+    #[serde(default)]
+    compose: Own,
+    /// Settings of editing beside those of the plan.
+    #[serde(default)]
+    edit: Own,
+    /// Whether a coordinator guides it.
+    #[serde(default)]
+    coordinator: bool,
+    /// Whether a pose network finds its rotations.
+    #[serde(default)]
+    poses: bool,
+}
+
+/// A table of the paper.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PaperTable {
+    /// Its number: 1, 2, a1, a2, a3 or a4.
+    #[serde(deserialize_with = "number")]
+    pub(super) paper: TableArg,
+    /// Names of the systems that it shows; without any, all.
+    #[serde(default)]
+    systems: Vec<String>,
+    /// Whether it shows the published rows too.
+    #[serde(default)]
+    pub(super) published: bool,
+}
+
+fn number<'de, D: serde::Deserializer<'de>>(from: D) -> Result<TableArg, D::Error> {
+    let text = String::deserialize(from)?;
+    TableArg::from_str(&text, true).map_err(|_| {
+        serde::de::Error::custom(format!(
+            "there is no table {text:?}; there are 1, 2, a1, a2, a3 and a4"
+        ))
+    })
+}
+
+fn title() -> String {
+    "Reproduction".to_owned()
+}
+
+fn tiny() -> Preset {
+    Preset::Tiny
+}
+
+fn test() -> Split {
+    Split::Test
+}
+
+fn editor() -> String {
+    EDITOR.to_owned()
+}
+
+/// A training. Equal ones are made once.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Training {
+    #[serde(serialize_with = "name_of")]
+    pub(super) model: &'static ModelKind,
+    pub(super) preset: Preset,
+    pub(super) own: Value,
+    pub(super) compose: ComposeConfig,
+    /// Seed in place of that of the model's settings.
+    pub(super) seed: Option<u64>,
+}
+
+fn name_of<S: serde::Serializer>(model: &&'static ModelKind, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(model.name)
+}
+
+/// A system with everything that its edits depend on.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Spec {
+    pub(super) name: String,
+    pub(super) training: Training,
+    pub(super) coordinator: Option<Training>,
+    pub(super) poses: Option<Training>,
+    pub(super) edit: EditConfig,
+    /// Epoch of its checkpoint; none for the best one.
+    epoch: Option<u64>,
+}
+
+impl Spec {
+    pub(super) fn slot(&self) -> Slot {
+        self.epoch.map_or(Slot::Best, Slot::Epoch)
+    }
+}
+
+/// A figure and the systems at its points.
+pub(super) struct FigureSpecs<'a> {
+    pub(super) figure: &'a Figure,
+    pub(super) points: Vec<Point>,
+    pub(super) specs: Vec<Spec>,
+    pub(super) metrics: Vec<&'static Metric>,
+    pub(super) tasks: Vec<&'a str>,
+    /// Frames at the model's rate that a source must have to be scored: the longest window, if the figure is
+    /// about windows. Shorter items would be padded at some points and not at others.
+    pub(super) min_frames: Option<usize>,
+}
+
+impl Plan {
+    /// Reads a plan. Paths are relative to its file; `dataset` and `out` replace its own.
+    pub(super) fn read(
+        text: &str,
+        path: &Path,
+        dataset: Option<&Path>,
+        out: Option<&Path>,
+    ) -> anyhow::Result<Self> {
+        let mut plan: Self =
+            toml::from_str(text).with_context(|| format!("in {}", path.display()))?;
+        let base = path.parent().unwrap_or(Path::new("."));
+        let folders = [&mut plan.dataset, &mut plan.out];
+        let optional = [&mut plan.encoder, &mut plan.text_encoder];
+        for folder in folders.into_iter().chain(optional.into_iter().flatten()) {
+            *folder = base.join(&*folder);
+        }
+        plan.dataset = dataset.map_or(plan.dataset, Path::to_owned);
+        plan.out = out.map_or(plan.out, Path::to_owned);
+        plan.check()?;
+        Ok(plan)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        let models: Vec<&str> = MODELS.iter().map(|model| model.name).collect();
+        let named = self.systems.iter().map(|system| &system.model);
+        for name in self.models.keys().chain(named) {
+            if registry::model(name).is_none() {
+                bail!(
+                    "there is no model {name:?}; there are: {}",
+                    models.join(", ")
+                );
+            }
+        }
+        for (place, system) in self.systems.iter().enumerate() {
+            if self.systems[..place].iter().any(|other| other.name == system.name) {
+                bail!("two systems are called {:?}; name them apart", system.name);
+            }
+        }
+        let of_tables = self.tables.iter().flat_map(|table| &table.systems);
+        let of_figures = self.figures.iter().filter_map(|figure| figure.system.as_ref());
+        for name in of_tables.chain(of_figures) {
+            self.system(Some(name))?;
+        }
+        Ok(())
+    }
+
+    fn system(&self, name: Option<&String>) -> anyhow::Result<&System> {
+        let mut systems = self.systems.iter();
+        match name {
+            Some(name) => systems
+                .find(|system| system.name == *name)
+                .with_context(|| format!("there is no [[system]] named {name:?}")),
+            None => systems.next().context("the plan has no [[system]]"),
+        }
+    }
+
+    /// Names of the systems of a table.
+    pub(super) fn systems_of<'a>(&'a self, table: &'a PaperTable) -> Vec<&'a str> {
+        let all = self.systems.iter().map(|system| system.name.as_str());
+        match table.systems.is_empty() {
+            true => all.collect(),
+            false => table.systems.iter().map(String::as_str).collect(),
+        }
+    }
+
+    /// The run folder of the encoder, or its training.
+    pub(super) fn encoder(&self, global: &Global) -> anyhow::Result<Result<PathBuf, Training>> {
+        Ok(match &self.encoder {
+            Some(run) => Ok(run.clone()),
+            None => Err(self.training(ENCODER, Value::Null, global)?),
+        })
+    }
+
+    /// All systems of the tables.
+    pub(super) fn specs(&self, global: &Global) -> anyhow::Result<Vec<Spec>> {
+        let systems = self.systems.iter();
+        systems
+            .map(|system| self.spec(system, &self.sections(system)?, None, global))
+            .collect()
+    }
+
+    /// All figures.
+    pub(super) fn figure_specs(&self, global: &Global) -> anyhow::Result<Vec<FigureSpecs<'_>>> {
+        let figures = self.figures.iter();
+        figures
+            .map(|figure| {
+                let system = self.system(figure.system.as_ref())?;
+                let points = figure.points(&self.sections(system)?)?;
+                let specs = points.iter().map(|point| {
+                    self.spec(system, &point.sections, point.epoch, global)
+                        .with_context(|| format!("figure {:?}, {}", figure.name, point.name()))
+                });
+                let window = |point: &Point| point.value("train.window")?.as_u64();
+                let tasks: Vec<&str> = figure.tasks.iter().map(String::as_str).collect();
+                Ok(FigureSpecs {
+                    figure,
+                    specs: specs.collect::<anyhow::Result<_>>()?,
+                    metrics: metrics(&figure.metrics)?,
+                    tasks: if tasks.is_empty() { vec![ALL_TASKS] } else { tasks },
+                    min_frames: points.iter().filter_map(window).max().map(|most| most as usize),
+                    points,
+                })
+            })
+            .collect()
+    }
+
+    /// Settings of a system, by section: those of the plan with its own over them.
+    fn sections(&self, system: &System) -> anyhow::Result<Sections> {
+        let over = |base: Option<&Own>, own: &Own| -> anyhow::Result<Value> {
+            let base = Value::Object(base.cloned().unwrap_or_default());
+            Ok(overlay(&base, &Value::Object(own.clone()))?)
+        };
+        Ok(BTreeMap::from([
+            ("train", over(self.models.get(&system.model), &system.train)?),
+            ("compose", over(Some(&self.compose), &system.compose)?),
+            ("edit", over(Some(&self.edit), &system.edit)?),
+        ]))
+    }
+
+    fn spec(
+        &self,
+        system: &System,
+        sections: &Sections,
+        epoch: Option<u64>,
+        global: &Global,
+    ) -> anyhow::Result<Spec> {
+        let own = |section: &str| match &sections[section] {
+            Value::Object(own) => own.clone(),
+            _ => Own::new(),
+        };
+        let compose = &TrainConfig::compose_preset(self.preset);
+        let compose = settings::over(compose, "compose", &own("compose"))?;
+        let training = Training {
+            compose,
+            ..self.training(&system.model, sections["train"].clone(), global)?
+        };
+        let coordinator = match system.coordinator {
+            true => {
+                // It has to see the windows of the editor that it guides.
+                let train: TrainConfig =
+                    overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
+                let shared = json!({ "window": train.window, "keypoints": train.keypoints });
+                Some(self.training(COORDINATOR, shared, global)?)
+            }
+            false => None,
+        };
+        let poses = system.poses.then(|| self.training(POSES, Value::Null, global));
+        Ok(Spec {
+            name: system.name.clone(),
+            training,
+            coordinator,
+            poses: poses.transpose()?,
+            edit: EditConfig {
+                name: Some(system.name.clone()),
+                ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
+            },
+            epoch,
+        })
+    }
+
+    /// The training of a model, with `own` over the settings of the plan for it.
+    fn training(&self, name: &str, own: Value, global: &Global) -> anyhow::Result<Training> {
+        let model = registry::model(name).with_context(|| format!("no model {name:?}"))?;
+        let of_plan = Value::Object(self.models.get(name).cloned().unwrap_or_default());
+        let own = match own {
+            Value::Null => of_plan,
+            own => overlay(&of_plan, &own)?,
+        };
+        // What other models refuse is found when they are trained.
+        let checked = match name {
+            EDITOR => overlay(&TrainConfig::preset(self.preset), &own).map(drop),
+            COORDINATOR => overlay(&CoordinatorConfig::preset(self.preset), &own).map(drop),
+            POSES => overlay(&J2sConfig::of(self.preset), &own).map(drop),
+            ENCODER => overlay(&TmrConfig::preset(self.preset), &own).map(drop),
+            _ => Ok(()),
+        };
+        checked.with_context(|| format!("settings of {name}"))?;
+        let compose = &TrainConfig::compose_preset(self.preset);
+        let seed = match own.get("seed") {
+            Some(_) => global.given_seed(),
+            None => Some(self.seeds.train(global).0),
+        };
+        Ok(Training {
+            model,
+            preset: self.preset,
+            own,
+            compose: settings::over(compose, "compose", &self.compose)?,
+            seed,
+        })
+    }
+
+    /// The protocol, with a gallery of the paper's tables where it is one of them.
+    pub(super) fn protocol(&self, table: Option<TableArg>, global: &Global) -> Protocol {
+        let scored = table.and_then(TableArg::scored);
+        Protocol {
+            gallery: scored.map_or(self.eval.gallery, |table| table.gallery()),
+            seed: global.seed_or(Some(self.eval.seed.0)),
+            ..self.eval
+        }
+    }
+
+    pub(super) fn sampling_seed(&self, global: &Global) -> Seed {
+        self.seeds.sample(global)
+    }
+}
+
+fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {
+    let known = || {
+        let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
+        known.join(", ")
+    };
+    names
+        .iter()
+        .map(|name| {
+            metric::from_name(name)
+                .with_context(|| format!("there is no metric {name:?}; there are: {}", known()))
+        })
+        .collect()
+}

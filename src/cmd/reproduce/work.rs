@@ -1,0 +1,185 @@
+//! Training, editing and scoring for a plan. Each result lies in a folder that is named by all it depends on,
+//! and is not made again.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use datasets_spec::Dataset;
+use datasets_spec::manifest::plan_hash;
+use datasets_spec::record::{EditRow, ItemRow};
+use eval::answers::{Answered, Scores};
+use eval::protocol::Protocol;
+use serde::Serialize;
+use train::checkpoint::Start;
+use train::kind::TrainRequest;
+use train::system::SystemSource;
+
+use super::plan::{Plan, Spec, Training};
+use crate::evaluators::EvaluatorRuns;
+use crate::global::Global;
+use crate::session::{text_encoder, with_session};
+use crate::stages;
+
+/// A plan under way.
+pub(super) struct Work<'a> {
+    plan: &'a Plan,
+    global: &'a Global,
+    items: PathBuf,
+    /// Root hash of the items.
+    asked: String,
+    encoder: PathBuf,
+    /// Hash of the encoder, and how it was trained.
+    recipe: (String, String),
+}
+
+/// What an interrupt has ended is none.
+type Unless<T> = anyhow::Result<Option<T>>;
+
+impl<'a> Work<'a> {
+    /// Draws the items, and trains the encoder.
+    pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> Unless<Self> {
+        let items = plan.out.join("items");
+        let seed = plan.seeds.items(global);
+        let drawn = stages::items(&plan.dataset, &items, plan.split, &plan.items, seed, global)
+            .context("items")?;
+        let mut work = Self {
+            plan,
+            global,
+            items,
+            asked: drawn.manifest().root_hash.clone(),
+            encoder: PathBuf::new(),
+            recipe: Default::default(),
+        };
+        match plan.encoder(global)? {
+            Ok(run) => work.encoder = run,
+            Err(training) => match work.trained(&training).context("encoder")? {
+                Some(run) => work.encoder = run,
+                None => return Ok(None),
+            },
+        }
+        work.recipe = work.runs().with(&drawn.skeleton()?, |evaluators| {
+            let encoder = evaluators.encoder;
+            Ok((encoder.hash(), encoder.recipe()))
+        })?;
+        Ok(Some(work))
+    }
+
+    pub(super) fn runs(&self) -> EvaluatorRuns<'_> {
+        EvaluatorRuns {
+            encoder: &self.encoder,
+            coordinator: None,
+        }
+    }
+
+    fn trained(&self, training: &Training) -> Unless<PathBuf> {
+        let name = format!("{}-{}", training.model.name, short("training", training));
+        let run = self.plan.out.join("runs").join(name);
+        let request = TrainRequest {
+            dataset: &self.plan.dataset,
+            start: Start::from(run.as_path()),
+            preset: training.preset,
+            own: &training.own,
+            compose: &training.compose,
+            windows: None,
+            text_encoder: &text_encoder(self.plan.text_encoder.as_deref()),
+            seed: training.seed,
+            length: None,
+        };
+        let train = training.model.train;
+        let done = with_session(&self.global.bars(), |session| train(&request, session))
+            .with_context(|| format!("training {}", training.model.name))?;
+        Ok(done.is_complete.then_some(run))
+    }
+
+    /// The folder with a system's edits of all items.
+    pub(super) fn edits(&self, spec: &Spec) -> Unless<PathBuf> {
+        let seed = self.plan.sampling_seed(self.global);
+        let edits = self.plan.out.join("edits");
+        let edits = edits.join(short("edits", &(spec, &self.asked, seed)));
+        if Dataset::open(&edits).is_ok() {
+            return Ok(Some(edits));
+        }
+        let helper = |training: &Option<Training>| -> Unless<Option<PathBuf>> {
+            match training {
+                Some(training) => Ok(self.trained(training)?.map(Some)),
+                None => Ok(Some(None)),
+            }
+        };
+        let Some(run) = self.trained(&spec.training)? else {
+            return Ok(None);
+        };
+        let (Some(coordinator), Some(poses)) = (helper(&spec.coordinator)?, helper(&spec.poses)?)
+        else {
+            return Ok(None);
+        };
+        let source = SystemSource {
+            slot: spec.slot(),
+            coordinator,
+            poses,
+            ..SystemSource::best(&run, text_encoder(self.plan.text_encoder.as_deref()))
+        };
+        stages::edits(&self.items, &source, &edits, &spec.edit, seed, self.global)?;
+        Ok(Some(edits))
+    }
+
+    /// Items and edits of some systems. Items whose source has fewer frames than `min_frames` at the model's rate are
+    /// left out.
+    pub(super) fn answered(
+        &self,
+        edits: &[PathBuf],
+        min_frames: Option<usize>,
+    ) -> anyhow::Result<Answered> {
+        let folders: Vec<PathBuf> = [&self.items].into_iter().chain(edits).cloned().collect();
+        let mut answered = Answered::read_for_table(&folders)?;
+        if let Some(frames) = min_frames {
+            let rate = self.plan.items.compose.fps.get();
+            let is_long = |item: &ItemRow| {
+                let last = f64::from(item.source_frames - 1);
+                last * rate / f64::from(item.fps) + 1.0 >= frames as f64
+            };
+            answered.items.retain(is_long);
+            let kept: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
+            answered.edits.retain(|row: &EditRow| kept.contains(&row.id.as_str()));
+        }
+        Ok(answered)
+    }
+
+    /// Scores some systems.
+    pub(super) fn scores(
+        &self,
+        answered: &Answered,
+        edits: &[PathBuf],
+        protocol: &Protocol,
+    ) -> anyhow::Result<Scores> {
+        let names = edits.iter().filter_map(|folder| folder.file_name());
+        let names: Vec<String> = names
+            .map(|name| name.to_string_lossy().into_owned())
+            .collect();
+        let ids: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
+        let key = short("scores", &(names, ids, protocol, &self.recipe));
+        let folder = self.plan.out.join("scores").join(key);
+        if let Ok(done) = Dataset::open(&folder) {
+            return Ok(Scores {
+                rows: done.read(None)?,
+                recipes: [self.recipe.clone()].into(),
+            });
+        }
+        let scores = stages::scores(answered, &self.runs(), protocol, self.global)?;
+        scores.commit(&folder, &answered.skeleton, &self.global.holder())?;
+        Ok(scores)
+    }
+}
+
+/// Name of a folder: a hash of all that its content depends on.
+fn short<T: Serialize>(what: &str, of: &T) -> String {
+    format!("{:.12}", plan_hash(what, of))
+}
+
+/// Writes a result.
+pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
