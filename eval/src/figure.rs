@@ -75,7 +75,9 @@ impl Point {
     /// The value of a changed setting.
     pub fn value(&self, key: &str) -> Option<&Value> {
         let mut changes = self.changes.iter();
-        changes.find(|(changed, _)| changed == key).map(|(_, value)| value)
+        changes
+            .find(|(changed, _)| changed == key)
+            .map(|(_, value)| value)
     }
 }
 
@@ -140,11 +142,9 @@ impl Figure {
             let of_task = found.clone().find(|row| row.task == task);
             // With one kind of edit there is no row over all tasks.
             let any = || (task == ALL_TASKS).then(|| found.next()).flatten();
-            of_task
-                .or_else(any)
-                .map_or((f64::NAN, f64::NAN), |row| {
-                    (row.mean, row.ci95.unwrap_or(f64::NAN))
-                })
+            of_task.or_else(any).map_or((f64::NAN, f64::NAN), |row| {
+                (row.mean, row.ci95.unwrap_or(f64::NAN))
+            })
         };
         let is_edited = |system: &str| ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system);
         let values: Vec<(f64, f64)> = scored.iter().map(|rows| value(rows, &is_edited)).collect();
@@ -263,7 +263,9 @@ mod tests {
 
     #[test]
     fn points_are_every_value_or_every_pair_of_values() {
-        let ratios = figure("compose.mcm_ratio", None).points(&own()).expect("points");
+        let ratios = figure("compose.mcm_ratio", None)
+            .points(&own())
+            .expect("points");
         assert_eq!(ratios.len(), 2);
         assert_eq!(ratios[0].name(), "compose.mcm_ratio = 0.5");
         let pairs = figure("train.length.steps", Some("edit.name"));

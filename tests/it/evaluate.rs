@@ -1,4 +1,4 @@
-//! Tables in every form, comparisons, sweeps and the page of edits.
+//! Tables in every form, comparisons, plans and the page of edits.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -278,118 +278,127 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(low <= number(&moved["difference"]) && number(&moved["difference"]) <= high);
 }
 
-#[test]
-fn a_sweep_goes_on_where_it_stopped_and_is_drawn() {
-    let bench = Bench::open();
+/// A plan of a small editor, with its settings in section `models.motionrefit`.
+fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
+    let settings = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
+    let settings = settings.replace("[model]", "[models.motionrefit.model]");
     let plan = bench.workshop.path("plan.toml");
-    let write = |key: &str| {
-        let settings = bench.workshop.path("small.toml");
-        let train = fs::read_to_string(settings)
-            .expect("settings")
-            .replace("[model]", "[train.model]");
-        let text = format!(
-            "dataset = \"dataset\"\nout = \"sweep\"\nencoder = \"encoder\"\n\
-             metrics = [\"E2T AvgR\", \"FS\"]\n[eval]\nrepeats = 2\n[items]\ncount = 6\n\
-             [[axis]]\nname = \"MCM ratio\"\nkey = \"{key}\"\nvalues = [0.2, 1.0]\n\
-             [[axis]]\nname = \"guidance\"\nkey = \"edit.guidance\"\nvalues = [1.0, 2.0]\n\
-             second_key = \"edit.temperature\"\nsecond_values = [0.5]\n\
-             [train]\nlength = {{ steps = 3 }}\n{train}"
-        );
-        fs::write(&plan, text).expect("writes");
-    };
-    write("compose.nonsense");
-    let refused = stance(&["sweep", arg(&plan)]).expect_code(1);
-    assert!(refused.stderr.contains("nonsense"), "{}", refused.stderr);
-    write("mcm_ratio");
-    let refused = stance(&["sweep", arg(&plan)]).expect_code(1);
-    assert!(
-        refused.stderr.contains("compose.mcm_ratio"),
-        "{}",
-        refused.stderr
+    let text = format!(
+        "dataset = \"dataset\"\nout = \"made\"\nencoder = \"encoder\"\nsplit = \"val\"\n{rest}\n\
+         [eval]\nrepeats = 2\n[items]\ncount = 6\n\
+         [models.motionrefit]\nlength = {{ steps = 3 }}\n{settings}"
     );
+    fs::write(&plan, text).expect("writes");
+    plan
+}
 
-    write("compose.mcm_ratio");
-    let listed = stance(&["sweep", arg(&plan), "--dry-run"])
-        .expect_code(0)
-        .stdout;
+#[test]
+fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
+    let bench = Bench::open();
+    let systems = "[[system]]\nname = \"ours\"\n\
+                   [[system]]\nname = \"Nearest\"\nmodel = \"nearest\"\ntrain = { triplets = 8 }\n";
+    let figures = |key: &str| {
+        format!(
+            "[[figure]]\nname = \"MCM ratio\"\nkey = \"{key}\"\nvalues = [0.2, 1.0]\n\
+             metrics = [\"E2T AvgR\", \"FS\"]\n\
+             [[figure]]\nname = \"guidance\"\nsystem = \"ours\"\nkey = \"edit.guidance\"\n\
+             values = [1.0, 2.0]\nsecond_key = \"edit.temperature\"\nsecond_values = [0.5]\n\
+             tasks = [\"semantic\"]\n"
+        )
+    };
+    for (key, word) in [
+        ("compose.nonsense", "nonsense"),
+        ("mcm_ratio", "compose.mcm_ratio"),
+    ] {
+        let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
+        let refused = stance(&["reproduce", arg(&plan)]).expect_code(1);
+        assert!(refused.stderr.contains(word), "{}", refused.stderr);
+    }
+    let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
+    let plan = write_plan(
+        &bench,
+        &format!("{systems}{tables}{}", figures("compose.mcm_ratio")),
+    );
+    let listed = stance(&["reproduce", arg(&plan), "--dry-run"]).expect_code(0);
     assert_eq!(
-        listed.lines().collect::<Vec<_>>(),
+        listed.stdout.lines().collect::<Vec<_>>(),
         [
-            "unchanged",
-            "compose.mcm_ratio = 0.2",
-            "compose.mcm_ratio = 1.0",
-            "edit.guidance = 1.0, edit.temperature = 0.5",
-            "edit.guidance = 2.0, edit.temperature = 0.5",
+            "ours",
+            "Nearest",
+            "MCM ratio: compose.mcm_ratio = 0.2",
+            "MCM ratio: compose.mcm_ratio = 1.0",
+            "guidance: edit.guidance = 1.0, edit.temperature = 0.5",
+            "guidance: edit.guidance = 2.0, edit.temperature = 0.5",
         ]
     );
-    assert!(!bench.workshop.path("sweep").exists());
-    let first: Value = stance(&["--json", "sweep", arg(&plan)])
+    assert!(!bench.workshop.path("made").exists());
+    let first: Value = stance(&["--json", "reproduce", arg(&plan)])
         .expect_code(0)
         .json();
-    let out = bench.workshop.path("sweep");
-    // The ratio of 1 is the default: two trainings serve five points.
+    let out = bench.workshop.path("made");
+    // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
     let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
-    assert_eq!((count("runs"), count("edits"), count("scores")), (2, 4, 4));
+    assert_eq!((count("runs"), count("edits")), (3, 5));
     for drawing in [
-        "mcm-ratio-e2t-avgr.svg",
-        "mcm-ratio-fs.svg",
-        "guidance-e2t-avgr.svg",
+        "mcm-ratio-e2t-avgr",
+        "mcm-ratio-fs",
+        "guidance-semantic-e2t-avgr",
     ] {
-        let svg = fs::read_to_string(out.join(drawing)).expect("drawn");
+        let svg = fs::read_to_string(out.join(format!("figures/{drawing}.svg"))).expect("drawn");
         assert!(
             svg.starts_with("<svg") && !svg.contains("no values"),
             "{drawing}"
         );
+        let png = fs::read(out.join(format!("figures/{drawing}.png"))).expect("drawn");
+        assert!(png.starts_with(b"\x89PNG"));
     }
-    let again: Value = stance(&["--json", "sweep", arg(&plan)])
+    // Every cell of the table is a number, in the order of the plan.
+    let csv = fs::read_to_string(out.join("tables/table-1.csv")).expect("a table");
+    assert!(csv.contains("Nearest") && csv.contains("ours"), "{csv}");
+    let text = fs::read_to_string(out.join("tables/table-1.txt")).expect("a table");
+    let place = |name: &str| text.find(name).expect("a row");
+    assert!(place("Real Data") < place("Identity") && place("Identity") < place("ours"));
+    assert!(
+        place("ours") < place("Nearest")
+            && place("Nearest") < place("Published, not measured here")
+    );
+    let times = fs::read_to_string(out.join("tables/table-a4.md")).expect("a table");
+    assert!(times.contains("ours"), "{times}");
+    let page = fs::read_to_string(out.join("index.html")).expect("a page");
+    assert!(page.contains("guidance") && page.contains("Nearest"));
+    let again: Value = stance(&["--json", "reproduce", arg(&plan)])
         .expect_code(0)
         .json();
     assert_eq!(first, again);
+    assert_eq!((count("runs"), count("edits")), (3, 5));
 }
 
 #[test]
 fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let bench = Bench::open();
-    let plan = bench.workshop.path("plan.toml");
-    let settings = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
-    let train = settings.replace("[model]", "[train.model]");
-    let text = format!(
-        "dataset = \"dataset\"\nout = \"points\"\nencoder = \"encoder\"\nmetrics = [\"FS\"]\n\
-         [eval]\nrepeats = 2\n[items]\ncount = 6\n[seeds]\ntrain = 4\nitems = 3\n\
-         [[axis]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 400]\n\
-         [[axis]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\n\
-         [[axis]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\n\
-         [train]\nlength = {{ steps = 2 }}\n{train}"
+    let plan = write_plan(
+        &bench,
+        "[seeds]\ntrain = 4\nitems = 3\n[[system]]\nname = \"ours\"\n\
+         [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 400]\nmetrics = [\"FS\"]\n\
+         [[figure]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\nmetrics = [\"FS\"]\n\
+         [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    fs::write(&plan, text).expect("writes");
     let before = bench.workshop.root_hash();
-    let ran = stance(&["--json", "sweep", arg(&plan)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("1 of 7 points failed"),
-        "{}",
-        ran.stderr
-    );
+    let ran = stance(&["--json", "reproduce", arg(&plan)]).expect_code(1);
     assert!(ran.stderr.contains("train.window = 400"), "{}", ran.stderr);
-    let rows: Value = ran.json();
-    let points: std::collections::BTreeSet<&str> = rows
-        .as_array()
-        .expect("rows")
-        .iter()
-        .map(|row| row["point"].as_str().expect("a name"))
-        .collect();
+    let made: Value = ran.json();
     assert_eq!(
-        Vec::from_iter(points),
-        [
-            "compose.fixed_pairs = false",
-            "compose.fixed_pairs = true",
-            "train.seed = 1",
-            "train.seed = 2",
-            "train.window = 12",
-            "unchanged",
-        ]
+        made["failed"].as_array().expect("a list").len(),
+        2,
+        "{made}"
     );
+    let scored = |figure: usize, point: usize| {
+        let scores = &made["figures"][figure]["points"][point]["scores"];
+        scores.as_array().expect("rows").len()
+    };
+    assert!((0..2).all(|point| scored(1, point) > 0 && scored(2, point) > 0));
     assert_eq!(bench.workshop.root_hash(), before);
-    let out = bench.workshop.path("points");
+    let out = bench.workshop.path("made");
     let mut seeds: Vec<u64> = fs::read_dir(out.join("runs"))
         .expect("runs")
         .map(|run| {
@@ -400,10 +409,45 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
         .collect();
     seeds.sort_unstable();
     assert_eq!(seeds, [1, 2, 4, 4, 4]);
-    let svg = fs::read_to_string(out.join("pairs-fs.svg")).expect("drawn");
+    let svg = fs::read_to_string(out.join("figures/pairs-fs.svg")).expect("drawn");
     assert!(svg.contains(">true<") && svg.contains(">false<"), "{svg}");
-    let svg = fs::read_to_string(out.join("window-fs.svg")).expect("drawn");
-    assert!(svg.contains("<circle"), "{svg}");
+}
+
+#[test]
+fn items_that_are_short_for_one_window_count_at_none() {
+    let bench = Bench::open();
+    let plan = write_plan(
+        &bench,
+        "[[system]]\nname = \"ours\"\n\
+         [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 24]\nmetrics = [\"FS\"]\n",
+    );
+    let made: Value = stance(&["--json", "reproduce", arg(&plan)])
+        .expect_code(0)
+        .json();
+    let figure = &made["figures"][0];
+    let counts: Vec<&Value> = [0, 1]
+        .map(|point| &figure["points"][point]["scores"][0]["n"])
+        .into();
+    assert_eq!(counts[0], counts[1]);
+    let items = Dataset::open(&bench.workshop.path("made/items")).expect("items");
+    let rows = items.items().expect("rows");
+    // 24 frames at the model's 10 per second.
+    let long = rows.iter().filter(|item| {
+        f64::from(item.source_frames - 1) * 10.0 / f64::from(item.fps) + 1.0 >= 24.0
+    });
+    assert_eq!(counts[0].as_u64(), Some(long.count() as u64));
+}
+
+#[test]
+fn plans_of_the_program_can_be_followed() {
+    let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
+        .expect_code(0)
+        .json();
+    assert_eq!(listed.len(), 16);
+    for name in listed {
+        let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
+        assert!(ran.stdout.lines().count() > 2, "{name}: {}", ran.stdout);
+    }
 }
 
 /// A body a tenth larger than the built-in one, as a file of joints.

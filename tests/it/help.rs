@@ -99,7 +99,16 @@ fn options_of_models_stand_where_a_model_runs() {
     for verb in VERBS {
         let help = stance(&[verb, "--help"]).expect_code(0).stdout;
         let (device, devices) = (help.contains("--device "), help.contains("--devices "));
-        let runs = ["demo", "run", "train", "edit", "eval", "reproduce", "report"].contains(&verb);
+        let runs = [
+            "demo",
+            "run",
+            "train",
+            "edit",
+            "eval",
+            "reproduce",
+            "report",
+        ]
+        .contains(&verb);
         let trains = ["demo", "run", "train", "reproduce"].contains(&verb);
         assert_eq!((device, devices), (runs, trains), "{verb}");
     }

@@ -73,6 +73,7 @@ pub mod mdm;
 pub mod mdm_bp;
 pub mod metrics;
 pub mod model;
+mod nearest;
 pub mod optimizer;
 pub mod registry;
 pub mod sample;

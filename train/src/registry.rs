@@ -7,6 +7,7 @@ use crate::Error;
 use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
+use crate::nearest;
 use crate::stage::{coordinator, editor, encoder, mdm, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 
@@ -17,6 +18,7 @@ pub const MODELS: &[ModelKind] = &[
     encoder::MODEL,
     poses::MODEL,
     mdm::MODEL,
+    nearest::MODEL,
 ];
 
 /// A model by its name.

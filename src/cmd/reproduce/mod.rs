@@ -110,7 +110,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let mut done = Done::default();
     for (place, spec) in specs.iter().enumerate() {
-        report::note(&format!("system {} of {}: {}", place + 1, specs.len(), spec.name));
+        report::note(&format!(
+            "system {} of {}: {}",
+            place + 1,
+            specs.len(),
+            spec.name
+        ));
         match work.edits(spec) {
             Ok(Some(edits)) => done.edits.push((spec.name.clone(), edits)),
             Ok(None) => return Ok(stopped()),
@@ -140,8 +145,12 @@ fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
         // Their paths are relative to the folder in which the command runs.
         Some((_, text)) => Plan::read(text, Path::new("plan.toml"), dataset, out),
         None => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read {}; --list names the plans of the program", path.display()))?;
+            let text = std::fs::read_to_string(path).with_context(|| {
+                format!(
+                    "cannot read {}; --list names the plans of the program",
+                    path.display()
+                )
+            })?;
             Plan::read(&text, path, dataset, out)
         }
     }
@@ -151,7 +160,12 @@ fn list(specs: &[Spec], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow:
     let mut lines: Vec<String> = specs.iter().map(|spec| spec.name.clone()).collect();
     for figure in figures {
         let name = &figure.figure.name;
-        lines.extend(figure.points.iter().map(|point| format!("{name}: {}", point.name())));
+        lines.extend(
+            figure
+                .points
+                .iter()
+                .map(|point| format!("{name}: {}", point.name())),
+        );
     }
     match global.json {
         true => report::json(&lines)?,
@@ -275,7 +289,11 @@ fn drawn(
             return Ok(None);
         }
         let name = format!("{}, {}", figure.name, point.name());
-        report::note(&format!("point {} of {}: {name}", place + 1, specs.points.len()));
+        report::note(&format!(
+            "point {} of {}: {name}",
+            place + 1,
+            specs.points.len()
+        ));
         let at_point = || -> anyhow::Result<Option<(Vec<ScoreRow>, usize)>> {
             let Some(edits) = work.edits(spec)? else {
                 return Ok(None);
@@ -319,7 +337,11 @@ fn drawn(
         .map(|(point, rows)| {
             Ok(PointMade {
                 point: point.name(),
-                values: point.changes.iter().map(|(_, value)| value.clone()).collect(),
+                values: point
+                    .changes
+                    .iter()
+                    .map(|(_, value)| value.clone())
+                    .collect(),
                 scores: in_json(&rows)?,
             })
         })
@@ -382,13 +404,21 @@ fn finish(
     for made in &done.tables {
         let forms = made.forms()?;
         for (extension, text) in &forms {
-            write(&out.join("tables").join(format!("{}.{extension}", made.name)), text.as_bytes())?;
+            write(
+                &out.join("tables")
+                    .join(format!("{}.{extension}", made.name)),
+                text.as_bytes(),
+            )?;
         }
         texts.push(forms[0].1.clone());
         document.tables.push((made.name.clone(), made.document()?));
     }
     let folders: Vec<PathBuf> = done.edits.iter().map(|(_, edits)| edits.clone()).collect();
-    let all: Vec<Table> = done.tables.iter().flat_map(|made| made.tables.clone()).collect();
+    let all: Vec<Table> = done
+        .tables
+        .iter()
+        .flat_map(|made| made.tables.clone())
+        .collect();
     let answered = work.answered(&folders, None)?;
     let mut page: Report = match folders.is_empty() {
         true => Report::default(),
@@ -415,7 +445,10 @@ fn finish(
     page.title.clone_from(&plan.title);
     page.commands = vec![command(args, path, global)];
     write(&document.page, page.to_html().as_bytes())?;
-    write(&out.join("results.json"), &serde_json::to_vec_pretty(&document)?)?;
+    write(
+        &out.join("results.json"),
+        &serde_json::to_vec_pretty(&document)?,
+    )?;
     match global.json {
         true => report::json(&document)?,
         false => {

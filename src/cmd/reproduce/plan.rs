@@ -228,12 +228,18 @@ impl Plan {
             }
         }
         for (place, system) in self.systems.iter().enumerate() {
-            if self.systems[..place].iter().any(|other| other.name == system.name) {
+            if self.systems[..place]
+                .iter()
+                .any(|other| other.name == system.name)
+            {
                 bail!("two systems are called {:?}; name them apart", system.name);
             }
         }
         let of_tables = self.tables.iter().flat_map(|table| &table.systems);
-        let of_figures = self.figures.iter().filter_map(|figure| figure.system.as_ref());
+        let of_figures = self
+            .figures
+            .iter()
+            .filter_map(|figure| figure.system.as_ref());
         for name in of_tables.chain(of_figures) {
             self.system(Some(name))?;
         }
@@ -292,8 +298,16 @@ impl Plan {
                     figure,
                     specs: specs.collect::<anyhow::Result<_>>()?,
                     metrics: metrics(&figure.metrics)?,
-                    tasks: if tasks.is_empty() { vec![ALL_TASKS] } else { tasks },
-                    min_frames: points.iter().filter_map(window).max().map(|most| most as usize),
+                    tasks: if tasks.is_empty() {
+                        vec![ALL_TASKS]
+                    } else {
+                        tasks
+                    },
+                    min_frames: points
+                        .iter()
+                        .filter_map(window)
+                        .max()
+                        .map(|most| most as usize),
                     points,
                 })
             })
@@ -307,7 +321,10 @@ impl Plan {
             Ok(overlay(&base, &Value::Object(own.clone()))?)
         };
         Ok(BTreeMap::from([
-            ("train", over(self.models.get(&system.model), &system.train)?),
+            (
+                "train",
+                over(self.models.get(&system.model), &system.train)?,
+            ),
             ("compose", over(Some(&self.compose), &system.compose)?),
             ("edit", over(Some(&self.edit), &system.edit)?),
         ]))
@@ -340,7 +357,9 @@ impl Plan {
             }
             false => None,
         };
-        let poses = system.poses.then(|| self.training(POSES, Value::Null, global));
+        let poses = system
+            .poses
+            .then(|| self.training(POSES, Value::Null, global));
         Ok(Spec {
             name: system.name.clone(),
             training,

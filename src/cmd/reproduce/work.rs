@@ -139,7 +139,9 @@ impl<'a> Work<'a> {
             };
             answered.items.retain(is_long);
             let kept: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
-            answered.edits.retain(|row: &EditRow| kept.contains(&row.id.as_str()));
+            answered
+                .edits
+                .retain(|row: &EditRow| kept.contains(&row.id.as_str()));
         }
         Ok(answered)
     }

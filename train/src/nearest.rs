@@ -1,0 +1,316 @@
+//! The nearest neighbour in the training set: a system without a network. It answers with the training target
+//! whose instruction is closest to the one it is given. A model that does no better has only learned to recall.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use burn::tensor::Device;
+use datasets_spec::record::TripletRow;
+use datasets_spec::{Dataset, Fps, Motion, Pose, Resample, Seed, Skeleton};
+use glam::DQuat;
+use kinematics::canonical::{Anchor, canonicalise, world_from_segment};
+use kinematics::resample::grid;
+use pipeline::compose::ComposeConfig;
+use pipeline::stage::{self, COMPOSED, Context};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{Run, RunRecord, read_record};
+use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::sample::EditTimes;
+use crate::system::{
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
+    SystemSource,
+};
+use crate::vocabulary::words_of;
+use crate::{Error, Session};
+
+/// The nearest neighbour in the training set.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: KIND,
+    about: "The training target whose instruction is closest: no network, a row to compare with",
+    train,
+    open: Some(open),
+};
+
+const KIND: &str = "nearest";
+/// Folder of the training triplets in a run.
+const TRIPLETS: &str = "triplets";
+/// Name in tables.
+const NAME: &str = "Nearest neighbour";
+
+/// Settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NearestConfig {
+    /// Training triplets to answer from.
+    triplets: u64,
+    /// Seed of the training stream.
+    seed: u64,
+}
+
+/// What a run depends on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NearestRecord {
+    train: NearestConfig,
+    compose: ComposeConfig,
+}
+
+/// Records triplets of the training stream.
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let preset = NearestConfig {
+        triplets: 1_024,
+        seed: 0,
+    };
+    let mut config = request.settings(&preset)?;
+    config.seed = request.seed.unwrap_or(config.seed);
+    let dataset = Dataset::open(request.dataset)?;
+    let record = RunRecord::new(
+        KIND,
+        &dataset.content_hash(&COMPOSED),
+        &dataset.skeleton()?,
+        NearestRecord {
+            train: config,
+            compose: request.compose.clone(),
+        },
+    );
+    Run::open(request.start, &record)?;
+    let run = request.start.run;
+    let context = Context {
+        progress: session.progress,
+        holder: "stance train nearest",
+    };
+    let made = stage::triplets(
+        request.dataset,
+        &run.join(TRIPLETS),
+        config.triplets,
+        request.compose,
+        Seed(config.seed),
+        &context,
+    )?;
+    let rows: Vec<TripletRow> = made.read(None)?;
+    let instructions: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
+    let (triplets, instructions) = (rows.len(), instructions.len());
+    Ok(Trained {
+        is_complete: true,
+        summary: format!(
+            "{triplets} training targets with {instructions} instructions; in {}",
+            run.display()
+        ),
+        document: serde_json::json!({ "triplets": triplets, "instructions": instructions }),
+    })
+}
+
+/// Training targets by instruction.
+struct Nearest {
+    identity: SystemIdentity,
+    fps: Fps,
+    skeleton: Skeleton,
+    instructions: Instructions,
+    targets: BTreeMap<String, Vec<Motion>>,
+}
+
+fn open(
+    source: &SystemSource,
+    config: &EditConfig,
+    skeleton: &Skeleton,
+    _device: &Device,
+) -> Result<Box<dyn EditSystem>, Error> {
+    let record = read_record::<NearestRecord>(&source.run, KIND)?;
+    let folder = Dataset::open(&source.run.join(TRIPLETS))?;
+    let mut targets: BTreeMap<String, Vec<Motion>> = BTreeMap::new();
+    let mut fps = Fps::STORE;
+    for row in folder.read::<TripletRow>(None)? {
+        let edited = row.edited().map_err(|source| Error::Motion {
+            id: row.id.clone(),
+            source,
+        })?;
+        fps = edited.fps();
+        targets.entry(row.instruction).or_default().push(edited);
+    }
+    let settings = serde_json::json!({ "triplets": record.config.train.triplets });
+    Ok(Box::new(Nearest {
+        identity: SystemIdentity {
+            name: config.name.clone().unwrap_or_else(|| NAME.to_owned()),
+            checkpoint_hash: folder.manifest().root_hash.clone(),
+            settings: settings.to_string(),
+        },
+        fps,
+        skeleton: skeleton.clone(),
+        instructions: Instructions::of(targets.keys().map(String::as_str)),
+        targets,
+    }))
+}
+
+impl EditSystem for Nearest {
+    fn identity(&self) -> &SystemIdentity {
+        &self.identity
+    }
+
+    fn fps(&self) -> Fps {
+        self.fps
+    }
+
+    fn guidance(&self) -> f64 {
+        1.0
+    }
+
+    fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
+        let words = texts.iter().flat_map(|text| words_of(text));
+        Remarks {
+            unknown_words: words
+                .filter(|word| !self.instructions.weights.contains_key(word))
+                .collect(),
+            ..Remarks::default()
+        }
+    }
+
+    fn prepare(&mut self, _texts: &[String], _session: &Session<'_>) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn edit(
+        &self,
+        requests: &[EditRequest<'_>],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<EditedMotions, Error> {
+        let motions = requests.iter().map(|request| {
+            if session.is_stopped() {
+                return Err(Error::Stopped { what: "editing" });
+            }
+            Ok((self.answer(request, seed)?, Misfit::default()))
+        });
+        Ok(EditedMotions {
+            motions: motions.collect::<Result<_, Error>>()?,
+            times: EditTimes::default(),
+        })
+    }
+}
+
+impl Nearest {
+    /// The target of the closest instruction, one of them where several have it, moved to the start of the
+    /// original and cut to its length; a shorter one ends with its last pose held.
+    fn answer(&self, request: &EditRequest<'_>, seed: Seed) -> Result<Motion, Error> {
+        let failed = |source: datasets_spec::Error| Error::Motion {
+            id: request.id.to_owned(),
+            source,
+        };
+        let texts: Vec<&str> = request
+            .instructions
+            .iter()
+            .map(|own| own.text.as_str())
+            .collect();
+        let closest = self.instructions.closest(&texts.join(" "));
+        let targets = closest.and_then(|text| self.targets.get(text));
+        let targets = targets.map_or(&[][..], Vec::as_slice);
+        if targets.is_empty() {
+            return Err(Error::Item {
+                id: request.id.to_owned(),
+                problem: "cannot be answered: the run holds no training targets".to_owned(),
+            });
+        }
+        let mut rng = seed.rng(&[KIND, request.id]);
+        let target = &targets[rng.random_range(0..targets.len())];
+        let target = Resample::Exact
+            .apply(target, request.fps)
+            .map_err(|error| failed(error.into()))?;
+        let original = request.motion;
+        let frames = grid(original.len(), original.fps(), request.fps).len();
+        let mut poses = target.poses();
+        poses.truncate(frames);
+        self.move_to(&mut poses, &original.pose(0));
+        let last = poses.last().copied().unwrap_or(Pose::REST);
+        poses.resize(frames, last);
+        Motion::from_poses(request.fps, &poses).map_err(|error| failed(error.into()))
+    }
+
+    /// Moves and turns a motion so that it starts where another one does. Heights stay.
+    fn move_to(&self, poses: &mut [Pose], start: &Pose) {
+        canonicalise(poses, Anchor::Pelvis, &self.skeleton);
+        let placement = world_from_segment(start, Anchor::Pelvis, &self.skeleton);
+        let turn = DQuat::from_rotation_y(placement.yaw_rad);
+        let pivot = self.skeleton.rest(0);
+        for pose in poses {
+            pose.transl = turn * (pose.transl + pivot) - pivot;
+            pose.transl.x += placement.x;
+            pose.transl.z += placement.z;
+            pose.rotations[0] = turn * pose.rotations[0];
+        }
+    }
+}
+
+/// Instructions as bags of words, weighted by how few instructions have a word.
+struct Instructions {
+    texts: Vec<(String, BTreeSet<String>)>,
+    /// `ln(1 + N / n)` of a word that n of the N instructions have.
+    weights: BTreeMap<String, f64>,
+}
+
+impl Instructions {
+    fn of<'a>(texts: impl Iterator<Item = &'a str>) -> Self {
+        let texts: Vec<(String, BTreeSet<String>)> = texts
+            .map(|text| (text.to_owned(), words_of(text).collect()))
+            .collect();
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        for (_, words) in &texts {
+            for word in words {
+                *counts.entry(word.clone()).or_default() += 1;
+            }
+        }
+        let weight = |count: usize| (1.0 + texts.len() as f64 / count as f64).ln();
+        let weights = counts
+            .into_iter()
+            .map(|(word, count)| (word, weight(count)));
+        Self {
+            weights: weights.collect(),
+            texts,
+        }
+    }
+
+    /// The instruction with the largest cosine to a text, the first in alphabetical order where several
+    /// have it. Words of no instruction count for nothing.
+    fn closest(&self, text: &str) -> Option<&str> {
+        let words: BTreeSet<String> = words_of(text).collect();
+        let square = |word: &String| self.weights.get(word).map_or(0.0, |weight| weight * weight);
+        let cosine = |own: &BTreeSet<String>| {
+            let common: f64 = own.intersection(&words).map(square).sum();
+            let length: f64 = own.iter().map(square).sum();
+            common / length.sqrt().max(f64::MIN_POSITIVE)
+        };
+        let mut closest: Option<(f64, &str)> = None;
+        for (text, own) in &self.texts {
+            let found = cosine(own);
+            if closest.is_none_or(|(best, _)| found > best) {
+                closest = Some((found, text));
+            }
+        }
+        closest.map(|(_, text)| text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_closest_instruction_shares_the_rarest_words() {
+        let texts = [
+            "a person waves with the left arm",
+            "a person waves with the right arm",
+            "walk like an old person",
+        ];
+        let instructions = Instructions::of(texts.into_iter());
+        let closest = |text: &str| instructions.closest(text).expect("a text");
+        assert_eq!(closest(texts[1]), texts[1]);
+        assert_eq!(closest("wave the LEFT arm!"), texts[0]);
+        assert_eq!(closest("as an old one"), texts[2]);
+        // Nothing in common: the first.
+        assert_eq!(closest("jump"), texts[0]);
+        assert!(
+            Instructions::of(std::iter::empty())
+                .closest("jump")
+                .is_none()
+        );
+    }
+}
