@@ -68,6 +68,15 @@ pub(crate) struct Args {
     /// Guidance weight [default: from the editor's settings]
     #[arg(long)]
     guidance: Option<f64>,
+    /// Guidance weight of the motion to edit, of TMED [default: from the editor's settings]
+    #[arg(long, value_name = "WEIGHT")]
+    source_guidance: Option<f64>,
+    /// Diffusion steps, of TMED [default: from the editor's settings]
+    #[arg(long, value_name = "N")]
+    diffusion_steps: Option<usize>,
+    /// Begin from the motion to edit and not from noise, of TMED
+    #[arg(long)]
+    from_source: bool,
     /// Factor of the sampling noise; below 1 edits vary less [default: from the editor's settings]
     #[arg(long)]
     temperature: Option<f64>,
@@ -141,6 +150,9 @@ impl Args {
             name: self.name.clone(),
             takes: self.takes,
             guidance: self.guidance,
+            source_guidance: self.source_guidance,
+            steps: self.diffusion_steps,
+            from_source: self.from_source,
             temperature: self.temperature,
             fit: self.fit,
             prior: self.prior,

@@ -16,6 +16,7 @@ use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
+use train::tmed::{TmedImport, import_tmed, read_released_statistics};
 
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
@@ -34,11 +35,27 @@ pub(crate) struct Args {
 enum Action {
     Import(ImportArgs),
     Export(ExportArgs),
-    /// Download the CLIP text encoder into the hub's cache, or resume a download
+    /// Download a CLIP text encoder into the hub's cache, or resume a download
     ///
     /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
     /// HF_ENDPOINT names; downloads are checked against the checksums that the server announces.
-    Fetch,
+    Fetch(FetchArgs),
+}
+
+#[derive(clap::Args, Debug)]
+struct FetchArgs {
+    /// Which CLIP
+    #[arg(long, value_enum, default_value_t)]
+    clip: Clip,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Clip {
+    /// ViT-B/32: MotionReFit
+    #[default]
+    VitB32,
+    /// ViT-L/14: TMED
+    VitL14,
 }
 
 /// Make a run folder from a released checkpoint (.pth) or of a safetensors file under its names.
@@ -60,10 +77,11 @@ struct ImportArgs {
     /// Features of an evaluation encoder
     #[arg(long, value_enum, required_if_eq("model", "tmr"), requires = "stats")]
     features: Option<Features>,
-    /// Folder with the mean.pt and std.pt of those features; for mdm with the Mean.npy and Std.npy of HumanML3D
-    #[arg(long, value_name = "FOLDER", required_if_eq("model", "mdm"))]
+    /// Folder with the mean.pt and std.pt of those features; for mdm with the Mean.npy and Std.npy of
+    /// HumanML3D; for tmed the file statistics_motionfix.npy
+    #[arg(long, value_name = "PATH", required_if_eq_any([("model", "mdm"), ("model", "tmed")]))]
     stats: Option<PathBuf>,
-    /// Attention heads of an evaluation encoder or of MDM, which its file does not record
+    /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
     /// Folder of the CLIP text encoder that the model uses [default: the hub's cache]
@@ -95,6 +113,8 @@ enum Model {
     Motionrefit,
     /// The body-part coordinator
     Coordinator,
+    /// The denoiser of TMED (MotionFix)
+    Tmed,
     /// The motion encoder of TMR or of the MotionFix evaluation (motion_encoder.pt, or last.ckpt)
     Tmr,
     /// MDM, encoder variant (model000475000.pt, with its args.json beside it)
@@ -128,7 +148,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             vec![args.out.clone()]
         }
         Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
-        Action::Fetch => fetch(global)?,
+        Action::Fetch(args) => fetch(args.clip, global)?,
     };
     if global.json {
         report::json(&serde_json::json!({ "files": files }))?;
@@ -142,12 +162,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-fn fetch(global: &Global) -> anyhow::Result<Vec<PathBuf>> {
+fn fetch(clip: Clip, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
     let hub = Hub::from_variables(|name| std::env::var_os(name))?;
     let bars = global.bars();
     bars.begin("fetch", None);
     let files = ClipFiles::fetch(
-        ClipModel::VitB32,
+        match clip {
+            Clip::VitB32 => ClipModel::VitB32,
+            Clip::VitL14 => ClipModel::VitL14,
+        },
         &hub_cache().ok_or(train::Error::NoHubCache)?,
         &hub,
         &mut |done, total| {
@@ -167,6 +190,9 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     if let (Model::Mdm, Some(stats)) = (args.model, &args.stats) {
         return import_mdm(args, stats);
     }
+    if let (Model::Tmed, Some(stats)) = (args.model, &args.stats) {
+        return import_motionfix(args, stats);
+    }
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
     };
@@ -183,7 +209,8 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let (out, file) = (&args.out, &args.file);
     match args.model {
         Model::Motionrefit => {
-            let clip = text_encoder(args.text_encoder.as_deref()).load(&device())?;
+            let clip =
+                text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
             let record = EditorRecord {
                 train: TrainConfig::preset(preset),
                 normalizer,
@@ -204,10 +231,39 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
             };
             exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
         }
-        Model::Tmr | Model::Mdm => {
+        Model::Tmr | Model::Mdm | Model::Tmed => {
             bail!("name what the network sees: --stats, and for an encoder --features")
         }
     }
+    Ok(())
+}
+
+fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
+    let options = StateDictOptions {
+        strip: &["module.", "denoiser."],
+        // Lightning's checkpoints hold the text tower and the metrics too.
+        keep: &[
+            "sep_token",
+            "pose_proj_",
+            "embed_timestep.",
+            "emb_proj.",
+            "encoder.",
+            "feat_comb_coeff",
+            "first_pose_proj.",
+        ],
+        ..StateDictOptions::default()
+    };
+    let weights = weights(&args.file, &options)?;
+    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
+    let import = TmedImport {
+        num_heads: args.heads,
+        statistics: read_released_statistics(&read(stats)?, stats)?,
+        text: TextRecord::Frozen {
+            encoder_hash: clip.token_identity(),
+            width: clip.token_width(),
+        },
+    };
+    import_tmed(&args.out, import, weights, &args.file, &device())?;
     Ok(())
 }
 

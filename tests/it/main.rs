@@ -4,6 +4,7 @@
 mod accounting;
 mod annotate;
 mod answers;
+mod baselines;
 mod chain;
 mod compose;
 mod evaluate;

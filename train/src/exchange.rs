@@ -380,15 +380,8 @@ fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error
     safetensors::serialize(tensors, None).map_err(weights)
 }
 
-/// Reads the normaliser of the released program: an array of one object, which is a
-/// dictionary whose value holds the lower bound and the upper, one number or one for each axis.
-///
-/// # Errors
-/// The file holds something else.
-///
-/// # Source
-/// `data/norm_scaled.npy` (`formats` section 5), whose shape is not published.
-pub fn read_released_range(bytes: &[u8], path: &Path) -> Result<Normalizer, Error> {
+/// Reads the object in a file of `numpy.save`.
+pub(crate) fn read_numpy_object(bytes: &[u8], path: &Path) -> Result<Value, Error> {
     let problem = |detail: &str| Error::weights(path, detail);
     let header = match bytes {
         [0x93, b'N', b'U', b'M', b'P', b'Y', 1, _, low, high, ..] => {
@@ -399,9 +392,21 @@ pub fn read_released_range(bytes: &[u8], path: &Path) -> Result<Normalizer, Erro
     let pickled = bytes
         .get(header..)
         .ok_or_else(|| problem("it ends in its header"))?;
-    let value = pickle::read(pickled).map_err(|rejected| {
-        Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
-    })?;
+    pickle::read(pickled)
+        .map_err(|rejected| Error::weights(path, format!("{}: {}", rejected.code, rejected.reason)))
+}
+
+/// Reads the normaliser of the released program: an array of one object, which is a
+/// dictionary whose value holds the lower bound and the upper, one number or one for each axis.
+///
+/// # Errors
+/// The file holds something else.
+///
+/// # Source
+/// `data/norm_scaled.npy` (`formats` section 5), whose shape is not published.
+pub fn read_released_range(bytes: &[u8], path: &Path) -> Result<Normalizer, Error> {
+    let problem = |detail: &str| Error::weights(path, detail);
+    let value = read_numpy_object(bytes, path)?;
     let inner = match value.as_sequence() {
         Some([inner]) => inner,
         _ => &value,

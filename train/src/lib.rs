@@ -82,6 +82,7 @@ mod session;
 pub mod stage;
 pub mod system;
 pub mod text;
+pub mod tmed;
 pub mod tmr;
 pub mod trainer;
 pub mod vocabulary;

@@ -10,6 +10,7 @@ use crate::kind::ModelKind;
 use crate::nearest;
 use crate::stage::{coordinator, editor, encoder, mdm, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
+use crate::tmed;
 
 /// All models.
 pub const MODELS: &[ModelKind] = &[
@@ -19,6 +20,7 @@ pub const MODELS: &[ModelKind] = &[
     poses::MODEL,
     mdm::MODEL,
     nearest::MODEL,
+    tmed::MODEL,
 ];
 
 /// A model by its name.

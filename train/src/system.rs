@@ -63,6 +63,9 @@ pub struct EditRequest<'a> {
     /// Joints that the edit is said to change; empty where that is not known. Systems that edit by the
     /// instruction alone ignore them.
     pub joints: JointSet,
+    /// Frames that the edit is asked to have, where that is known. Systems that make windows one after
+    /// another keep the length of the motion.
+    pub frames: Option<usize>,
 }
 
 /// How far generated points are from a body, as they know no bones.
@@ -78,7 +81,7 @@ pub struct Misfit {
 /// Result of [`EditSystem::edit`].
 #[derive(Clone, Debug)]
 pub struct EditedMotions {
-    /// One motion for each request, as long as its original, and how far the generated points are from
+    /// One motion for each request, as long as its original or as the request asks, and how far the generated points are from
     /// a body.
     pub motions: Vec<(Motion, Misfit)>,
     /// Where the time went.
@@ -221,6 +224,13 @@ pub struct EditConfig {
     pub takes: u64,
     /// Guidance weight; `None` for the one the editor was trained for.
     pub guidance: Option<f64>,
+    /// Guidance weight of the source, for systems that have one; `None` for that of their settings.
+    pub source_guidance: Option<f64>,
+    /// Diffusion steps, for systems that can make fewer than in training; `None` for those of their
+    /// settings.
+    pub steps: Option<usize>,
+    /// Whether a system that can do either begins an edit from the source and not from noise.
+    pub from_source: bool,
     /// Factor of the noise; `None` for the one the editor was trained for.
     pub temperature: Option<f64>,
     /// Windows generated at a time.
@@ -246,6 +256,9 @@ impl Default for EditConfig {
             name: None,
             takes: 1,
             guidance: None,
+            source_guidance: None,
+            steps: None,
+            from_source: false,
             temperature: None,
             max_batch: 64,
             fit: FitMethod::Exact,
@@ -266,7 +279,8 @@ pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
     }
 }
 
-/// Edits the source of every item. The rows have the rate and the length of the sources.
+/// Edits the source of every item. The rows have the rate of the sources, and their length unless the
+/// system makes edits as long as the targets.
 ///
 /// # Errors
 /// As [`EditSystem::edit`].
@@ -297,6 +311,9 @@ pub fn edit_items(
                 instructions,
                 fps: motion.fps(),
                 joints: item.edited_joints()?,
+                frames: usize::try_from(item.target_frames)
+                    .ok()
+                    .filter(|&frames| frames > 0),
             })
         })
         .collect::<Result<_, Error>>()?;
@@ -312,7 +329,7 @@ pub fn edit_items(
 /// An edited motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edited {
-    /// The motion, as long as the original, at 20 fps, or at the model's rate where that is higher.
+    /// The motion, as long in time as the original, at 20 fps, or at the model's rate where that is higher.
     pub motion: Motion,
     /// How far the generated points are from a body.
     pub misfit: Misfit,
@@ -344,6 +361,7 @@ pub fn edit_motion(
         instructions,
         fps,
         joints: JointSet::EMPTY,
+        frames: None,
     };
     let mut edited = system.edit(&[request], seed, session)?;
     let (motion, misfit) = edited

@@ -8,6 +8,8 @@ mod mdm;
 mod mld;
 #[path = "../../tests/data/golden.rs"]
 mod recorded;
+#[path = "golden/tmed.rs"]
+mod tmed;
 
 use std::cell::Cell;
 use std::collections::HashMap;

@@ -2,6 +2,8 @@
 
 #[path = "learning/mdm.rs"]
 mod mdm;
+#[path = "learning/tmed.rs"]
+mod tmed;
 
 use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;

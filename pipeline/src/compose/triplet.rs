@@ -67,6 +67,25 @@ impl Stream {
         self.library.compose(place, &pairing, &self.config)
     }
 
+    /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in
+    /// use, with the partner, the mask and the alpha of an epoch. It is none of the [`Stream::triplet`]s,
+    /// of which a motion has as many as windows.
+    ///
+    /// # Panics
+    /// If the number is not below [`Stream::num_clips`].
+    pub fn clip(&self, epoch: u64, number: u64) -> Triplet {
+        let (pairing, instruction) = self.clip_pairing(epoch, number);
+        let kind = self.library.kind_of(pairing.subject).as_str();
+        let place = Place {
+            id: format!("{}-{kind}-clip-{epoch}-{number}", self.library.split()),
+            seed: self.seed,
+            epoch,
+            recipe_hash: self.recipe_hash.clone(),
+            instruction: instruction.to_owned(),
+        };
+        self.library.compose(place, &pairing, &self.config)
+    }
+
     /// Composes a recorded triplet again, bit for bit, from its id alone.
     ///
     /// # Errors
@@ -323,6 +342,26 @@ mod tests {
             let explained = stream().explain(&triplet.id).expect("its own id");
             prop_assert_eq!(explained.to_row(), triplet.to_row());
             prop_assert_eq!(explained, triplet);
+        }
+    }
+
+    #[test]
+    fn clips_meet_other_partners_in_every_epoch_unless_pairs_are_fixed() {
+        for fixed_pairs in [false, true] {
+            let config = ComposeConfig {
+                fixed_pairs,
+                ..ComposeConfig::default()
+            };
+            let stream = stream(config);
+            let mut told = 0;
+            for number in 0..stream.num_clips() {
+                let [first, second] = [0, 1].map(|epoch| stream.clip(epoch, number));
+                assert_eq!(first.target_id, second.target_id);
+                assert_eq!(stream.clip(0, number), first);
+                assert_eq!(first.original.len(), first.edited.len());
+                told += usize::from(first.original != second.original);
+            }
+            assert_eq!(told > 0, !fixed_pairs);
         }
     }
 

@@ -168,7 +168,7 @@ pub struct WordsConfig {
 pub enum TextEncoder {
     /// One that is trained with the denoiser and needs no download.
     Learned,
-    /// The text tower of CLIP ViT-B/32, frozen; its vectors are made before training.
+    /// The text tower of CLIP, frozen: ViT-B/32, or ViT-L/14 for TMED. Its vectors are made before training.
     Clip,
 }
 

@@ -158,6 +158,18 @@ impl ClipText {
         width
     }
 
+    /// Width of a token.
+    pub fn token_width(&self) -> usize {
+        let [width, _] = self.text_projection.weight.shape().dims();
+        width
+    }
+
+    /// Tokens of each row up to its end token, which is counted.
+    pub(crate) fn lengths(&self, tokens: &TokenBatch) -> Vec<usize> {
+        let rows = tokens.ids.chunks_exact(tokens.width);
+        rows.map(|ids| 1 + end_place(ids, self.end_token)).collect()
+    }
+
     /// Longest row of tokens.
     pub fn context(&self) -> usize {
         self.context

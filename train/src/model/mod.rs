@@ -13,6 +13,7 @@ pub mod pose_net;
 pub mod position;
 pub mod skip;
 pub mod text;
+pub mod tmed;
 pub mod tmr;
 pub mod torch;
 pub mod transformer;

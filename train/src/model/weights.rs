@@ -253,7 +253,8 @@ impl Draw {
             ("Linear", "bias") => Values::Uniform((self.fan_in as f64).sqrt().recip()),
             ("Embedding", "weight")
             | ("SequenceEncoder", "tokens")
-            | ("MotionVae", "global_motion_token") => Values::Normal,
+            | ("MotionVae", "global_motion_token")
+            | ("Tmed", "sep_token") => Values::Normal,
             ("LearnedPositions", "pe") => Values::Unit,
             (layer, _) => {
                 let layer = layer.to_owned();

@@ -58,7 +58,7 @@ impl Streams {
 
 /// The composer's settings without those that thin or fix the training data for an ablation:
 /// validation data stay the same.
-fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
+pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     ComposeConfig {
         mcm_ratio: 1.0,
         annotated_ratio: 1.0,
@@ -77,6 +77,6 @@ fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
     }
 }
 
-fn create_dir(dir: &Path) -> Result<(), Error> {
+pub(crate) fn create_dir(dir: &Path) -> Result<(), Error> {
     std::fs::create_dir_all(dir).map_err(Error::io("create", dir))
 }

@@ -206,6 +206,44 @@ impl ClipEncoder {
         self.network.width()
     }
 
+    /// Identity of the encoder as one of tokens.
+    pub fn token_identity(&self) -> String {
+        format!("tokens-{}", self.identity)
+    }
+
+    /// Numbers of an encoded token.
+    pub fn token_width(&self) -> usize {
+        self.network.token_width()
+    }
+
+    /// Encodes every token of texts, start and end included, in one batch: the last hidden states.
+    ///
+    /// # Shapes
+    /// `N` texts give `N` lists of `[T, d]`, row-major.
+    ///
+    /// # Errors
+    /// A text cannot be cut into tokens.
+    ///
+    /// # Source
+    /// `last_hidden_state` of `CLIPTextModel`, without padding: a token does not see those after it.
+    pub fn encode_tokens(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
+        if texts.is_empty() {
+            return Ok(Vec::new());
+        }
+        let tokens = self.tokenizer.encode_batch(texts, self.network.context())?;
+        let hidden = self.network.hidden(&tokens, None).into_data();
+        let values: Vec<f32> = hidden
+            .try_into_vec_as()
+            .expect("a network of single precision gives single precision");
+        let width = self.token_width();
+        let rows = values.chunks_exact(tokens.width * width);
+        let lengths = self.network.lengths(&tokens);
+        Ok(rows
+            .zip(lengths)
+            .map(|(row, length)| row[..length * width].to_vec())
+            .collect())
+    }
+
     /// Encodes texts in one batch: pooled, projected and not normalised.
     ///
     /// # Shapes

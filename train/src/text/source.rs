@@ -21,13 +21,16 @@ pub struct TextEncoderSource {
     pub cache: Option<HubCache>,
 }
 
+/// Encodes texts, and tells how many of how many are done.
+type Compute<'a> =
+    fn(&ClipEncoder, Vec<&'a str>, &mut dyn FnMut(usize, usize)) -> Result<EmbeddingTable, Error>;
+
 impl TextEncoderSource {
-    /// Loads CLIP.
+    /// Loads a CLIP.
     ///
     /// # Errors
-    /// No place is known, a file is missing, or a file is damaged.
-    pub fn load(&self, device: &Device) -> Result<ClipEncoder, Error> {
-        let model = ClipModel::VitB32;
+    /// No place is known, a file is missing, damaged or of another CLIP.
+    pub fn load(&self, model: ClipModel, device: &Device) -> Result<ClipEncoder, Error> {
         let files = match (&self.folder, &self.cache) {
             (Some(folder), _) => ClipFiles::in_folder(folder)?,
             (None, Some(cache)) => {
@@ -40,7 +43,7 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Vectors of texts: those of the run folder if it holds all of them, else computed.
+    /// Vectors of texts of CLIP ViT-B/32: those of the run folder if it holds all of them, else computed.
     ///
     /// # Errors
     /// As [`Self::load`], or a text cannot be encoded.
@@ -50,6 +53,38 @@ impl TextEncoderSource {
         texts: &[String],
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
+        self.table(
+            run,
+            texts,
+            ClipModel::VitB32,
+            EmbeddingTable::compute,
+            session,
+        )
+    }
+
+    /// The last hidden states of the tokens of texts in CLIP ViT-L/14: those of the run folder if it holds
+    /// all of them, else computed.
+    ///
+    /// # Errors
+    /// As [`Self::load`], or a text cannot be encoded.
+    pub(crate) fn token_embeddings(
+        &self,
+        run: &Path,
+        texts: &[String],
+        session: &Session<'_>,
+    ) -> Result<EmbeddingTable, Error> {
+        let compute = EmbeddingTable::compute_tokens;
+        self.table(run, texts, ClipModel::VitL14, compute, session)
+    }
+
+    fn table<'a>(
+        &self,
+        run: &Path,
+        texts: &'a [String],
+        model: ClipModel,
+        compute: Compute<'a>,
+        session: &Session<'_>,
+    ) -> Result<EmbeddingTable, Error> {
         let path = run.join(EMBEDDINGS);
         if path.exists() {
             let table = EmbeddingTable::load(&path)?;
@@ -57,18 +92,15 @@ impl TextEncoderSource {
                 return Ok(table);
             }
         }
-        let encoder = self.load(session.device)?;
+        let encoder = self.load(model, session.device)?;
         let progress = session.progress;
         progress.begin("texts", Some(texts.len() as u64));
         let mut reported = 0;
-        let table = EmbeddingTable::compute(
-            &encoder,
-            texts.iter().map(String::as_str),
-            &mut |done, _| {
-                progress.advance((done - reported) as u64);
-                reported = done;
-            },
-        )?;
+        let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+        let table = compute(&encoder, texts, &mut |done, _| {
+            progress.advance((done - reported) as u64);
+            reported = done;
+        })?;
         progress.finish(&format!("{} texts encoded by CLIP", table.texts().len()));
         Ok(table)
     }

@@ -22,15 +22,18 @@ const FORMAT: u32 = 1;
 const METADATA_KEY: &str = "stance";
 const VECTORS: &str = "embeddings";
 const TEXTS: &str = "texts";
+const LENGTHS: &str = "lengths";
 
-/// The vectors of a set of texts.
+/// The vectors of a set of texts: one for each, or one for each of its tokens.
 ///
 /// # Shapes
-/// `[N, d]`, a row for each text in alphabetical order.
+/// `[N, d]`, a row for each text in alphabetical order, or the rows of its tokens.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmbeddingTable {
     encoder: String,
     texts: Vec<String>,
+    /// Row after the last of each text.
+    ends: Vec<usize>,
     width: usize,
     values: Vec<f32>,
 }
@@ -55,27 +58,56 @@ impl EmbeddingTable {
         texts: impl IntoIterator<Item = &'a str>,
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Self, Error> {
+        let (identity, width) = (encoder.identity().to_owned(), encoder.width());
+        let encode = |batch: &[&str]| {
+            let values = encoder.encode(batch)?;
+            Ok(values.chunks_exact(width).map(<[f32]>::to_vec).collect())
+        };
+        Self::of(identity, width, texts, encode, progress)
+    }
+
+    /// Encodes every token of texts, each text once.
+    ///
+    /// # Errors
+    /// A text cannot be encoded.
+    pub fn compute_tokens<'a>(
+        encoder: &ClipEncoder,
+        texts: impl IntoIterator<Item = &'a str>,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self, Error> {
+        let identity = encoder.token_identity();
+        let encode = |batch: &[&str]| encoder.encode_tokens(batch);
+        Self::of(identity, encoder.token_width(), texts, encode, progress)
+    }
+
+    fn of<'a>(
+        encoder: String,
+        width: usize,
+        texts: impl IntoIterator<Item = &'a str>,
+        encode: impl Fn(&[&str]) -> Result<Vec<Vec<f32>>, Error>,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self, Error> {
         let texts: Vec<&str> = BTreeSet::from_iter(texts).into_iter().collect();
-        let width = encoder.width();
-        let mut values = vec![0.0; texts.len() * width];
+        let mut vectors = vec![Vec::new(); texts.len()];
         // Batches of texts of about one length, because a row costs what the longest one costs.
         let mut order: Vec<usize> = (0..texts.len()).collect();
         order.sort_by_key(|&index| texts[index].len());
         let mut done = 0;
         for rows in order.chunks(BATCH_LEN) {
             let batch: Vec<&str> = rows.iter().map(|&row| texts[row]).collect();
-            let encoded = encoder.encode(&batch)?;
-            for (&row, vector) in rows.iter().zip(encoded.chunks_exact(width)) {
-                values[row * width..][..width].copy_from_slice(vector);
+            for (&row, encoded) in rows.iter().zip(encode(&batch)?) {
+                vectors[row] = encoded;
             }
             done += rows.len();
             progress(done, texts.len());
         }
+        let lengths = vectors.iter().map(|vector| vector.len() / width);
         Ok(Self {
-            encoder: encoder.identity().to_owned(),
+            encoder,
             texts: texts.into_iter().map(str::to_owned).collect(),
+            ends: ends_of(lengths),
             width,
-            values,
+            values: vectors.concat(),
         })
     }
 
@@ -94,25 +126,29 @@ impl EmbeddingTable {
         self.width
     }
 
-    /// The vector of a text, letter for letter.
+    /// The vector of a text, letter for letter; or those of its tokens.
     ///
     /// # Shapes
-    /// `[d]`
+    /// `[d]`, or `[T, d]` of `T` tokens.
     pub fn get(&self, text: &str) -> Option<&[f32]> {
         let row = self
             .texts
             .binary_search_by(|known| known.as_str().cmp(text))
             .ok()?;
-        Some(&self.values[row * self.width..][..self.width])
+        let first = row.checked_sub(1).map_or(0, |before| self.ends[before]);
+        Some(&self.values[first * self.width..self.ends[row] * self.width])
     }
 
-    /// The vectors of a batch of texts.
+    /// The vectors of a batch of texts, which must have one each.
     ///
     /// # Shapes
     /// `B` texts give `[B, d]`.
     ///
     /// # Errors
     /// A text is not in the table.
+    ///
+    /// # Panics
+    /// If the table holds tokens.
     pub fn batch(&self, texts: &[&str], device: &Device) -> Result<Tensor<2>, Error> {
         self.check_texts(texts.iter().copied())?;
         let values: Vec<f32> = texts
@@ -157,6 +193,9 @@ impl EmbeddingTable {
         hasher.update(&(texts.len() as u64).to_le_bytes());
         hasher.update(texts);
         hasher.update(&(self.width as u64).to_le_bytes());
+        if let Some(lengths) = self.lengths_document() {
+            hasher.update(&lengths);
+        }
         for value in &self.values {
             hasher.update(&value.to_le_bytes());
         }
@@ -167,8 +206,18 @@ impl EmbeddingTable {
         serde_json::to_vec(&self.texts).expect("a list of texts serialises")
     }
 
+    /// Tokens of each text as a JSON list; none where every text has one vector.
+    fn lengths_document(&self) -> Option<Vec<u8>> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let lengths: Vec<usize> = self.ends.iter().zip(starts).map(|(e, s)| e - s).collect();
+        lengths
+            .iter()
+            .any(|&length| length != 1)
+            .then(|| serde_json::to_vec(&lengths).expect("a list of numbers serialises"))
+    }
+
     /// Writes the table as one safetensors file: the vectors as `embeddings`, and as `texts` the
-    /// bytes of a JSON list. Equal tables give equal bytes.
+    /// bytes of a JSON list; of tokens, their numbers as `lengths`. Equal tables give equal bytes.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -181,11 +230,17 @@ impl EmbeddingTable {
         };
         let metadata = serde_json::to_string(&metadata).expect("plain text and numbers serialise");
         let metadata = HashMap::from([(METADATA_KEY.to_owned(), metadata)]);
-        let shape = vec![self.texts.len(), self.width];
-        let tensors = BTreeMap::from([
-            (VECTORS, StoredTensor::f32(shape, &self.values)),
+        let rows = self.ends.last().copied().unwrap_or(0);
+        let mut tensors = BTreeMap::from([
+            (
+                VECTORS,
+                StoredTensor::f32(vec![rows, self.width], &self.values),
+            ),
             (TEXTS, StoredTensor::bytes(texts)),
         ]);
+        if let Some(lengths) = self.lengths_document() {
+            tensors.insert(LENGTHS, StoredTensor::bytes(lengths));
+        }
         let bytes = safetensors::serialize(&tensors, Some(metadata))
             .map_err(|error| malformed(path, error))?;
         replace_file(path, &bytes).map_err(Error::io("write", path))
@@ -214,27 +269,49 @@ impl EmbeddingTable {
         let tensor = |name| file.tensor(name).map_err(|error| malformed(path, error));
         let (vectors, texts) = (tensor(VECTORS)?, tensor(TEXTS)?);
         let (numbers, _) = vectors.data().as_chunks::<4>();
+        let texts: Vec<String> =
+            serde_json::from_slice(texts.data()).map_err(|error| malformed(path, error))?;
+        let lengths: Vec<usize> = match file.tensor(LENGTHS) {
+            Ok(lengths) => {
+                serde_json::from_slice(lengths.data()).map_err(|error| malformed(path, error))?
+            }
+            Err(_) => vec![1; texts.len()],
+        };
         let table = Self {
             encoder: metadata.encoder,
-            texts: serde_json::from_slice(texts.data()).map_err(|error| malformed(path, error))?,
+            ends: ends_of(lengths),
+            texts,
             width: vectors.shape().last().copied().unwrap_or_default(),
             values: numbers
                 .iter()
                 .map(|item| f32::from_le_bytes(*item))
                 .collect(),
         };
-        let found = table.content_hash(texts.data());
+        let found = table.hash();
         if found != metadata.blake3 {
             let problem = format!("BLAKE3 {found}, recorded {}", metadata.blake3);
             return Err(malformed(path, problem));
         }
         // The hash vouches for what was written; these are what lookups rely on.
         let sorted = table.texts.is_sorted_by(|a, b| a < b);
-        if !sorted || vectors.shape() != [table.texts.len(), table.width] {
+        let rows = table.ends.last().copied().unwrap_or(0);
+        let belong = table.ends.len() == table.texts.len();
+        if !sorted || !belong || vectors.shape() != [rows, table.width] {
             return Err(malformed(path, "its rows and texts do not belong together"));
         }
         Ok(table)
     }
+}
+
+/// Running sums.
+fn ends_of(lengths: impl IntoIterator<Item = usize>) -> Vec<usize> {
+    let lengths = lengths.into_iter();
+    lengths
+        .scan(0, |end, length| {
+            *end += length;
+            Some(*end)
+        })
+        .collect()
 }
 
 fn malformed(path: &Path, detail: impl std::fmt::Display) -> Error {

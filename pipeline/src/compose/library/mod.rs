@@ -104,6 +104,17 @@ impl Library {
         self.pairs.len()
     }
 
+    /// A pair as it was captured: the instruction of the dataset and the motions before and after the
+    /// edit, which may differ in length.
+    ///
+    /// # Panics
+    /// If the index is not below [`Library::num_pairs`].
+    pub fn pair(&self, index: usize) -> (&str, [&Motion; 2]) {
+        let pair = &self.pairs[index];
+        let motions = [pair.captured, pair.target].map(|clip| &self.clips[clip].motion);
+        (&pair.instruction, motions)
+    }
+
     /// A clip by its index.
     pub(super) fn clip(&self, clip: usize) -> &Clip {
         &self.clips[clip]

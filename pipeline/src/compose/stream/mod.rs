@@ -176,6 +176,11 @@ impl Stream {
         self.num_items
     }
 
+    /// Annotated motions and pairs in use: the [`Stream::clip`]s of an epoch.
+    pub fn num_clips(&self) -> u64 {
+        self.targets.len() as u64
+    }
+
     pub(super) fn subjects_in_use(&self) -> impl Iterator<Item = Subject> + '_ {
         self.targets.iter().map(|target| target.subject)
     }
@@ -318,6 +323,14 @@ impl Stream {
         self.library.kind_of(self.target_of(item).0.subject)
     }
 
+    /// The pairing of a clip of an epoch, and its instruction.
+    pub(super) fn clip_pairing(&self, epoch: u64, number: u64) -> (Pairing, &str) {
+        let target = &self.targets[number as usize];
+        let seed = self.epoch_seed(epoch).derive(&["clip"]);
+        let pairing = self.draw_pairing(target, &mut seed.rng_of(number));
+        (pairing, target.wording(&pairing))
+    }
+
     fn order(&self, epoch: u64) -> Shuffle {
         let key = self.seed.draw_u64(&["epoch order", &epoch.to_string()]);
         Shuffle::new(self.num_items, key)
@@ -399,24 +412,20 @@ impl Stream {
                 )
             }
         };
-        let (side, wordings) = target.side_of(&pairing);
-        let wording = (pairing.wording * wordings.len() as f64) as usize;
         DrawnWindow {
             windows,
             under,
-            plan: side.map(|side| &side.plan),
+            plan: target.side_of(&pairing).0.map(|side| &side.plan),
             alpha: pairing.alpha,
             progress: shown.0 as f64 / library.len_of(shown.1) as f64,
-            instruction: &wordings[wording.min(wordings.len() - 1)],
+            instruction: target.wording(&pairing),
         }
     }
 
     /// The wording of a pairing.
     pub(super) fn instruction_of(&self, epoch: u64, place: u64, pairing: &Pairing) -> &str {
         let item = self.order(epoch).at(place);
-        let (_, wordings) = self.target_of(item).0.side_of(pairing);
-        let wording = (pairing.wording * wordings.len() as f64) as usize;
-        &wordings[wording.min(wordings.len() - 1)]
+        self.target_of(item).0.wording(pairing)
     }
 }
 

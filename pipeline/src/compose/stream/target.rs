@@ -73,4 +73,10 @@ impl Target {
         };
         (Some(side), &side.wordings)
     }
+    /// The wording of the instruction that a pairing draws.
+    pub(super) fn wording(&self, pairing: &Pairing) -> &str {
+        let (_, wordings) = self.side_of(pairing);
+        let wording = (pairing.wording * wordings.len() as f64) as usize;
+        &wordings[wording.min(wordings.len() - 1)]
+    }
 }

@@ -1,0 +1,226 @@
+//! The TMED denoiser.
+
+use burn::module::{Initializer, Module, Param};
+use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
+use burn::tensor::{Bool, Device, Int, Tensor, TensorData};
+
+use super::denoiser::IndexEmbedding;
+use super::dropout::drop_out;
+use super::motionrefit::TextSource;
+use super::position::positions;
+use super::transformer::Encoder;
+use crate::config::NetworkConfig;
+
+/// A transformer over one sequence: the diffusion step, the tokens of the instruction, the source, a
+/// separator and the noisy target. It predicts the clean target.
+///
+/// # Source
+/// Athanasiou et al. 2024 (MotionFix), Sec. 5; the layout is that of the released
+/// `tmed_denoiser.py`, whose parameters `feat_comb_coeff` and `first_pose_proj` are never used and
+/// left out.
+#[derive(Module, Debug)]
+pub struct Tmed {
+    sep_token: Param<Tensor<2>>,
+    pose_proj_in_source: Linear,
+    pose_proj_in_target: Linear,
+    pose_proj_out: Linear,
+    embed_timestep: IndexEmbedding,
+    emb_proj: Option<Linear>,
+    encoder: Encoder,
+    dropout: Dropout,
+}
+
+/// What targets are generated from. Tokens and frames past a row's length are hidden from the network.
+#[derive(Clone, Debug)]
+pub struct Condition {
+    /// Tokens of the instructions, `[B, N, text_width]`.
+    pub text: Tensor<3>,
+    /// Tokens of each instruction, `[B]`.
+    pub text_lengths: Vec<usize>,
+    /// Normalised source motions, `[B, S, F]`.
+    pub source: Tensor<3>,
+    /// Frames of each source that the network sees, `[B]`; 0 hides a source.
+    pub source_lengths: Vec<usize>,
+    /// Places in the position table.
+    pub places: Places,
+}
+
+/// Places in the position table: texts begin at 1, sources behind the room for texts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Places {
+    /// Places that are kept for a text, however long it is.
+    pub text: usize,
+    /// Frames of source after which the separator and the target follow, `[B]`.
+    pub source: Vec<usize>,
+}
+
+impl Places {
+    /// Place of each token of a row of `text` tokens, `source` and `target` frames.
+    fn of_row(
+        &self,
+        row: usize,
+        [text, source, target]: [usize; 3],
+    ) -> impl Iterator<Item = usize> {
+        let (first_frame, separator) = (1 + self.text, 1 + self.text + self.source[row]);
+        (0..=text)
+            .chain(first_frame..first_frame + source)
+            .chain(separator..=separator + target)
+    }
+}
+
+impl Tmed {
+    /// Builds the network for frames of `num_features` numbers. Tokens of text that have the network's own
+    /// width are not projected, as in the released code.
+    pub fn new(
+        config: &NetworkConfig,
+        text_width: usize,
+        num_features: usize,
+        device: &Device,
+    ) -> Self {
+        let width = config.width;
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        Self {
+            sep_token: Initializer::Zeros.init([1, width], device),
+            pose_proj_in_source: linear(num_features, width),
+            pose_proj_in_target: linear(num_features, width),
+            pose_proj_out: linear(width, num_features),
+            embed_timestep: IndexEmbedding::new(width, device),
+            emb_proj: (text_width != width).then(|| linear(text_width, width)),
+            encoder: Encoder::new(config, device),
+            dropout: DropoutConfig::new(config.dropout).init(),
+        }
+    }
+
+    /// Predicts clean targets; frames past a target's length are zero.
+    ///
+    /// # Shapes
+    /// `x` and the result `[B, T, F]`; `lengths` and `timesteps` `[B]`.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        lengths: &[usize],
+        timesteps: &[usize],
+        condition: &Condition,
+    ) -> Tensor<3> {
+        let [batch, frames, num_features] = x.dims();
+        let device = x.device();
+        let time = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
+        let [_, _, width] = time.dims();
+        let text = match &self.emb_proj {
+            Some(projection) => projection.forward(condition.text.clone()),
+            None => condition.text.clone(),
+        };
+        let source = self.embed_source(&condition.source);
+        let separator = self.sep_token.val().unsqueeze_dim::<3>(0);
+        let separator = separator.expand([batch, 1, width]);
+        let target = self.pose_proj_in_target.forward(x);
+        let parts = [text.dims()[1], source.dims()[1], frames];
+        let tokens = Tensor::cat(vec![time, text, source, separator, target], 1);
+        let tokens = tokens + place_table(&condition.places, batch, parts, width, &device);
+        let visible: Vec<[usize; 3]> = (0..batch)
+            .map(|row| {
+                let (text, source) = (&condition.text_lengths, &condition.source_lengths);
+                [text[row], source[row], lengths[row]]
+            })
+            .collect();
+        let padding = padding(&visible, parts, &device);
+        let tokens = self
+            .encoder
+            .forward(drop_out(&self.dropout, tokens), padding.as_ref());
+        let [_, length, _] = tokens.dims();
+        let out = self
+            .pose_proj_out
+            .forward(tokens.narrow(1, length - frames, frames));
+        if lengths.iter().all(|&length| length == frames) {
+            return out;
+        }
+        let past = super::transformer::padding_of(lengths, frames, &device);
+        let past = past
+            .unsqueeze_dim::<3>(2)
+            .expand([batch, frames, num_features]);
+        out.mask_fill(past, 0.0)
+    }
+
+    /// Tokens of source frames. A frame of zeros gives a token of zeros, not the bias.
+    fn embed_source(&self, source: &Tensor<3>) -> Tensor<3> {
+        let is_given = source.clone().abs().sum_dim(2).greater_elem(0.0).float();
+        self.pose_proj_in_source.forward(source.clone()) * is_given
+    }
+}
+
+/// The position table of a batch, `[B or 1, L, d]`: one row where all have the same places.
+fn place_table(
+    places: &Places,
+    batch: usize,
+    parts: [usize; 3],
+    width: usize,
+    device: &Device,
+) -> Tensor<3> {
+    let rows: Vec<Vec<usize>> = (0..batch)
+        .map(|row| places.of_row(row, parts).collect())
+        .collect();
+    let distinct = if rows.iter().all(|row| *row == rows[0]) {
+        &rows[..1]
+    } else {
+        &rows[..]
+    };
+    let length = distinct[0].len();
+    let end = 1 + distinct.iter().flatten().copied().max().unwrap_or(0);
+    let indices: Vec<i32> = distinct.iter().flatten().map(|&at| at as i32).collect();
+    let count = indices.len();
+    let indices = Tensor::<1, Int>::from_data(TensorData::new(indices, [count]), device);
+    positions(end, width, device)
+        .squeeze_dim::<2>(0)
+        .select(0, indices)
+        .reshape([distinct.len(), length, width])
+}
+
+/// The mask attention takes: true where a token is padding. None if no row has any.
+fn padding(visible: &[[usize; 3]], parts: [usize; 3], device: &Device) -> Option<Tensor<4, Bool>> {
+    if visible.iter().all(|row| *row == parts) {
+        return None;
+    }
+    let [text, source, target] = parts;
+    let length = 2 + text + source + target;
+    let mut padded = Vec::with_capacity(visible.len() * length);
+    for row in visible {
+        padded.push(false);
+        padded.extend((0..text).map(|token| token >= row[0]));
+        padded.extend((0..source).map(|frame| frame >= row[1]));
+        padded.push(false);
+        padded.extend((0..target).map(|frame| frame >= row[2]));
+    }
+    let shape = [visible.len(), 1, 1, length];
+    Some(Tensor::from_data(TensorData::new(padded, shape), device))
+}
+
+/// TMED: the denoiser together with the word vectors trained with it, where there are some.
+#[derive(Module, Debug)]
+pub struct TmedModel {
+    /// Predicts clean motions.
+    pub denoiser: Tmed,
+    /// Word vectors, unless a frozen encoder gives the tokens of texts.
+    pub words: Option<Embedding>,
+}
+
+impl TmedModel {
+    /// Builds the networks.
+    pub fn new(
+        config: &NetworkConfig,
+        text: TextSource,
+        num_features: usize,
+        device: &Device,
+    ) -> Self {
+        let (text_width, words) = match text {
+            TextSource::Learned(num_tokens) => (
+                config.width,
+                Some(EmbeddingConfig::new(num_tokens, config.width).init(device)),
+            ),
+            TextSource::Frozen(width) => (width, None),
+        };
+        Self {
+            denoiser: Tmed::new(config, text_width, num_features, device),
+            words,
+        }
+    }
+}

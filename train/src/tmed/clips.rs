@@ -1,0 +1,444 @@
+//! Whole clips before and after an edit, on their way to the network.
+
+use std::sync::Arc;
+
+use datasets_spec::{Fps, Motion, Seed, Skeleton};
+use pipeline::compose::{Library, Stream};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+
+use super::config::TmedConfig;
+use super::features::{FeatureFrame, FeatureStatistics, Moments, NUM_FEATURES, features_of_motion};
+use crate::Error;
+use crate::data::{Texts, Timesteps};
+use crate::vocabulary::{PADDING, TokenBatch};
+
+/// Clips of both splits that statistics are taken of; more hardly change them.
+const STATISTICS_CLIPS: u64 = 4_096;
+
+/// A motion, an instruction and the motion it leads to, which may have another length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClipEdit {
+    /// The instruction.
+    pub instruction: String,
+    /// The motion before the edit.
+    pub source: Motion,
+    /// The motion after it.
+    pub target: Motion,
+}
+
+/// Clips to train on, each the same whenever it is asked for.
+pub trait ClipSource: Sync {
+    /// Clips of an epoch.
+    fn num_clips(&self) -> u64;
+
+    /// A clip of an epoch.
+    fn clip(&self, epoch: u64, number: u64) -> ClipEdit;
+}
+
+impl ClipSource for Stream {
+    fn num_clips(&self) -> u64 {
+        Stream::num_clips(self)
+    }
+
+    fn clip(&self, epoch: u64, number: u64) -> ClipEdit {
+        let triplet = Stream::clip(self, epoch, number);
+        ClipEdit {
+            instruction: triplet.instruction,
+            source: triplet.original,
+            target: triplet.edited,
+        }
+    }
+}
+
+/// The pairs of a split as they were captured.
+#[derive(Clone, Debug)]
+pub struct CapturedPairs(pub Arc<Library>);
+
+impl ClipSource for CapturedPairs {
+    fn num_clips(&self) -> u64 {
+        self.0.num_pairs() as u64
+    }
+
+    fn clip(&self, _epoch: u64, number: u64) -> ClipEdit {
+        let (instruction, [source, target]) = self.0.pair(number as usize);
+        ClipEdit {
+            instruction: instruction.to_owned(),
+            source: source.clone(),
+            target: target.clone(),
+        }
+    }
+}
+
+/// Mean and standard deviation of the features of all motions of clips.
+///
+/// # Errors
+/// There is no clip, or a motion cannot be brought to the rate.
+pub(crate) fn statistics(
+    sources: &[&dyn ClipSource],
+    fps: Fps,
+    max_frames: usize,
+    skeleton: &Skeleton,
+) -> Result<FeatureStatistics, Error> {
+    let mut sum = Moments::none();
+    for source in sources {
+        let count = source.num_clips();
+        let taken = count.min(STATISTICS_CLIPS);
+        let moments = (0..taken)
+            .into_par_iter()
+            .map(|place| {
+                let clip = source.clip(0, place * count / taken);
+                let of = |motion: &Motion| -> Result<Moments, Error> {
+                    let features = features_of_motion(motion, fps, max_frames, skeleton);
+                    let features =
+                        features.map_err(|source| unusable(&clip.instruction, source))?;
+                    Ok(Moments::of(&features))
+                };
+                Ok(of(&clip.source)?.merge(&of(&clip.target)?))
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        sum = moments.iter().fold(sum, Moments::merge);
+    }
+    sum.statistics().ok_or(Error::Empty {
+        what: "training split of TMED",
+    })
+}
+
+fn unusable(instruction: &str, source: kinematics::Error) -> Error {
+    Error::Motion {
+        id: instruction.to_owned(),
+        source: source.into(),
+    }
+}
+
+/// Texts as the network is given them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TextTokens {
+    /// Numbers of words.
+    Words(TokenBatch),
+    /// Vectors of tokens, `[B, N, d]`, zero past the end of a text, and their numbers `[B]`.
+    Vectors {
+        /// `[B, N, d]`
+        values: Vec<f32>,
+        /// Tokens of each text, `[B]`.
+        lengths: Vec<usize>,
+    },
+}
+
+impl TextTokens {
+    /// The tokens of texts.
+    ///
+    /// # Errors
+    /// A text has no vectors.
+    pub fn of(texts: &Texts<'_>, asked: &[&str]) -> Result<Self, Error> {
+        let vectors = match texts {
+            Texts::Words(vocabulary) => {
+                let tokens = vocabulary.encode_batch(asked.iter().copied());
+                return Ok(Self::Words(tokens));
+            }
+            Texts::Vectors(vectors) => vectors,
+        };
+        let width = vectors.width();
+        let rows: Vec<&[f32]> = asked
+            .iter()
+            .map(|text| {
+                vectors.get(text).ok_or_else(|| Error::NotEmbedded {
+                    count: 1,
+                    examples: vec![(*text).to_owned()],
+                })
+            })
+            .collect::<Result<_, _>>()?;
+        let lengths: Vec<usize> = rows.iter().map(|row| row.len() / width).collect();
+        let longest = lengths.iter().copied().max().unwrap_or(0) * width;
+        let mut values = Vec::with_capacity(rows.len() * longest);
+        for row in rows {
+            let filled = values.len() + longest;
+            values.extend_from_slice(row);
+            values.resize(filled, 0.0);
+        }
+        Ok(Self::Vectors { values, lengths })
+    }
+
+    /// Tokens of each text, `[B]`.
+    pub fn lengths(&self) -> Vec<usize> {
+        match self {
+            Self::Words(tokens) => tokens
+                .ids
+                .chunks_exact(tokens.width)
+                .map(|row| row.iter().filter(|&&id| id != PADDING).count())
+                .collect(),
+            Self::Vectors { lengths, .. } => lengths.clone(),
+        }
+    }
+}
+
+/// `B` clips with everything a training step draws.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClipBatch {
+    /// Normalised source motions, `[B, S, 207]`, whose last frame is repeated behind their end.
+    pub source: Vec<f32>,
+    /// Frames of each source, `[B]`.
+    pub source_frames: Vec<usize>,
+    /// Whether the network sees each source, `[B]`.
+    pub source_is_shown: Vec<bool>,
+    /// Normalised target motions, `[B, T, 207]`, whose last frame is repeated behind their end.
+    pub target: Vec<f32>,
+    /// Frames of each target, `[B]`.
+    pub target_frames: Vec<usize>,
+    /// Standard normal noise, `[B, T, 207]`.
+    pub noise: Vec<f32>,
+    /// Diffusion step of each clip, `[B]`.
+    pub timesteps: Vec<usize>,
+    /// Instructions; a hidden one is the empty text.
+    pub texts: TextTokens,
+}
+
+impl ClipBatch {
+    /// Number of clips.
+    #[expect(clippy::len_without_is_empty, reason = "a batch is never empty")]
+    pub fn len(&self) -> usize {
+        self.timesteps.len()
+    }
+}
+
+/// Draws batches of clips. Everything drawn for a clip depends on the seed and its place in the run
+/// alone.
+#[derive(Clone, Copy)]
+pub(crate) struct ClipSampler<'a> {
+    pub(crate) source: &'a dyn ClipSource,
+    pub(crate) config: &'a TmedConfig,
+    pub(crate) statistics: &'a FeatureStatistics,
+    pub(crate) skeleton: &'a Skeleton,
+    pub(crate) texts: Texts<'a>,
+    pub(crate) seed: Seed,
+    pub(crate) timesteps: Timesteps,
+    /// Whether instructions and sources are hidden at random.
+    pub(crate) hides: bool,
+}
+
+/// A clip as drawn.
+struct Drawn {
+    instruction: String,
+    source: Vec<FeatureFrame>,
+    source_is_shown: bool,
+    target: Vec<FeatureFrame>,
+    noise: Vec<f32>,
+    timestep: usize,
+}
+
+impl ClipSampler<'_> {
+    /// The clips `first..first + count` of the run, epochs following one another.
+    pub(crate) fn draw(&self, first: u64, count: usize) -> Result<ClipBatch, Error> {
+        let num_clips = self.source.num_clips();
+        if num_clips == 0 {
+            return Err(Error::Empty {
+                what: "source of training clips",
+            });
+        }
+        let places = first..first + count as u64;
+        let epochs = places.start / num_clips..=(places.end - 1) / num_clips;
+        let orders: Vec<Vec<u64>> = epochs.clone().map(|epoch| self.order(epoch)).collect();
+        let drawn = places
+            .into_par_iter()
+            .map(|place| {
+                let epoch = place / num_clips;
+                let order = &orders[(epoch - epochs.start()) as usize];
+                self.draw_one(place, epoch, order[(place % num_clips) as usize])
+            })
+            .collect::<Result<Vec<Drawn>, Error>>()?;
+        let texts: Vec<&str> = drawn.iter().map(|clip| clip.instruction.as_str()).collect();
+        let (source, source_frames) = padded(drawn.iter().map(|clip| clip.source.as_slice()));
+        let (target, target_frames) = padded(drawn.iter().map(|clip| clip.target.as_slice()));
+        let frames = target.len() / (count * NUM_FEATURES);
+        let mut noise = vec![0.0; target.len()];
+        for (row, clip) in noise.chunks_exact_mut(frames * NUM_FEATURES).zip(&drawn) {
+            row[..clip.noise.len()].copy_from_slice(&clip.noise);
+        }
+        Ok(ClipBatch {
+            texts: TextTokens::of(&self.texts, &texts)?,
+            source,
+            source_frames,
+            source_is_shown: drawn.iter().map(|clip| clip.source_is_shown).collect(),
+            target,
+            target_frames,
+            noise,
+            timesteps: drawn.iter().map(|clip| clip.timestep).collect(),
+        })
+    }
+
+    /// The clips of an epoch in the order they are shown.
+    fn order(&self, epoch: u64) -> Vec<u64> {
+        let mut order: Vec<u64> = (0..self.source.num_clips()).collect();
+        order.shuffle(&mut self.seed.rng(&["epoch order", &epoch.to_string()]));
+        order
+    }
+
+    fn draw_one(&self, place: u64, epoch: u64, number: u64) -> Result<Drawn, Error> {
+        let Self {
+            config, skeleton, ..
+        } = *self;
+        let diffusion = &config.diffusion;
+        let clip = self.source.clip(epoch, number);
+        let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {
+            let features = features_of_motion(motion, config.fps, config.max_frames, skeleton);
+            let mut features = features.map_err(|source| unusable(&clip.instruction, source))?;
+            self.statistics.normalize(&mut features);
+            Ok(features)
+        };
+        let (source, target) = (features(&clip.source)?, features(&clip.target)?);
+        let mut rng = self.seed.rng(&["clip", &place.to_string()]);
+        let timestep = match self.timesteps {
+            Timesteps::Random => rng.random_range(0..diffusion.num_steps),
+            Timesteps::Spread(total) => {
+                let place = place as usize % total;
+                (2 * place + 1) * diffusion.num_steps / (2 * total)
+            }
+        };
+        let mut hides = |share: f64| self.hides && rng.random_bool(share);
+        let hides_source = hides(diffusion.source_dropout);
+        let hides_text = hides(diffusion.text_dropout);
+        let hides_both = hides(diffusion.both_dropout);
+        let noise = (0..target.len() * NUM_FEATURES)
+            .map(|_| rng.sample(StandardNormal))
+            .collect();
+        Ok(Drawn {
+            instruction: if hides_text || hides_both {
+                String::new()
+            } else {
+                clip.instruction
+            },
+            source,
+            source_is_shown: !(hides_source || hides_both),
+            target,
+            noise,
+            timestep,
+        })
+    }
+}
+
+/// Motions of different lengths as one array `[B, T, 207]`, the last frame of each repeated, and their
+/// lengths.
+fn padded<'a>(motions: impl Iterator<Item = &'a [FeatureFrame]> + Clone) -> (Vec<f32>, Vec<usize>) {
+    let lengths: Vec<usize> = motions.clone().map(<[FeatureFrame]>::len).collect();
+    let longest = lengths.iter().copied().max().unwrap_or(0);
+    let values = motions
+        .flat_map(|motion| (0..longest).map(move |frame| motion[frame.min(motion.len() - 1)]))
+        .flatten()
+        .collect();
+    (values, lengths)
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Pose;
+    use glam::DVec3;
+
+    use super::*;
+    use crate::config::Preset;
+    use crate::vocabulary::Vocabulary;
+
+    /// Clips of 4 and more frames, whose source and target differ in length.
+    struct Lines(u64);
+
+    fn line(frames: u64, speed: f64) -> Motion {
+        let poses: Vec<Pose> = (0..frames)
+            .map(|frame| Pose {
+                transl: DVec3::new(speed * frame as f64, 0.9, 0.0),
+                ..Pose::REST
+            })
+            .collect();
+        Motion::from_poses(Fps::MODEL, &poses).expect("finite")
+    }
+
+    impl ClipSource for Lines {
+        fn num_clips(&self) -> u64 {
+            self.0
+        }
+
+        fn clip(&self, epoch: u64, number: u64) -> ClipEdit {
+            ClipEdit {
+                instruction: format!("walk {number}"),
+                source: line(4 + number, 0.1),
+                target: line(6 + number, 0.2 + 0.1 * epoch as f64),
+            }
+        }
+    }
+
+    fn check(act: impl Fn(ClipSampler<'_>)) {
+        let source = Lines(5);
+        let mut config = TmedConfig::preset(Preset::Tiny);
+        config.diffusion.both_dropout = 0.5;
+        let skeleton = Skeleton::smplx_neutral();
+        let statistics =
+            statistics(&[&source], config.fps, config.max_frames, &skeleton).expect("clips");
+        let vocabulary = Vocabulary::build(["walk 0 1 2 3 4"], 1, 4).expect("valid");
+        act(ClipSampler {
+            source: &source,
+            config: &config,
+            statistics: &statistics,
+            skeleton: &skeleton,
+            texts: Texts::Words(&vocabulary),
+            seed: Seed(3),
+            timesteps: Timesteps::Random,
+            hides: true,
+        });
+    }
+
+    #[test]
+    fn an_epoch_has_every_clip_once_and_a_batch_is_its_parts() {
+        check(|sampler| {
+            let mut lengths = sampler.draw(0, 5).expect("drawn").source_frames;
+            lengths.sort_unstable();
+            assert_eq!(lengths, [4, 5, 6, 7, 8]);
+            let whole = sampler.draw(3, 4).expect("drawn");
+            for row in 0..4 {
+                let one = sampler.draw(3 + row as u64, 1).expect("drawn");
+                assert_eq!(one.timesteps[0], whole.timesteps[row]);
+                assert_eq!(one.source_is_shown[0], whole.source_is_shown[row]);
+                let frames = one.target_frames[0];
+                assert_eq!(frames, whole.target_frames[row]);
+                let stride = whole.target.len() / 4;
+                let own = |values: &[f32]| values[row * stride..][..frames * NUM_FEATURES].to_vec();
+                assert_eq!(one.target, own(&whole.target));
+                assert_eq!(one.noise, own(&whole.noise));
+                // The last frame is repeated.
+                let (row, width) = (&whole.target[row * stride..][..stride], NUM_FEATURES);
+                let last = &row[(frames - 1) * width..frames * width];
+                assert!(
+                    row.chunks_exact(width)
+                        .skip(frames)
+                        .all(|frame| frame == last)
+                );
+            }
+        });
+    }
+
+    #[test]
+    fn source_and_text_are_hidden_as_often_as_the_settings_say() {
+        check(|sampler| {
+            let batch = sampler.draw(0, 2_000).expect("drawn");
+            let share = |count: usize| count as f64 / batch.len() as f64;
+            let hidden = share(
+                batch
+                    .source_is_shown
+                    .iter()
+                    .filter(|shown| !**shown)
+                    .count(),
+            );
+            let silent = share(batch.texts.lengths().iter().filter(|&&n| n == 0).count());
+            // 1 - 0.95 * 0.5, within five standard deviations.
+            for found in [hidden, silent] {
+                assert!((found - 0.525).abs() < 0.056, "{found}");
+            }
+            let shown = ClipSampler {
+                hides: false,
+                ..sampler
+            };
+            let batch = shown.draw(0, 50).expect("drawn");
+            assert!(batch.source_is_shown.iter().all(|shown| *shown));
+            assert!(batch.texts.lengths().iter().all(|&count| count == 2));
+        });
+    }
+}

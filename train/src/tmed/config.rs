@@ -1,0 +1,302 @@
+//! Settings of TMED.
+
+use datasets_spec::Fps;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::config::{
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
+    WordsConfig, positive, share,
+};
+use crate::gaussian::{Respacing, SampleSteps};
+
+/// Settings of TMED.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmedConfig {
+    /// Sizes of the transformer.
+    pub model: NetworkConfig,
+    /// Text encoder: the tokens of CLIP ViT-L/14, or learned word vectors.
+    pub text: TextConfig,
+    /// Which clips it is trained on.
+    pub data: ClipData,
+    /// Frame rate of the motions.
+    pub fps: Fps,
+    /// Frames at that rate after which training clips are cut.
+    pub max_frames: usize,
+    /// Splits whose motions the features are normalised by.
+    pub statistics: StatisticsSplits,
+    /// Diffusion and guidance.
+    pub diffusion: TmedDiffusion,
+    /// Clips in a validation.
+    pub val_clips: usize,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+/// Clips that TMED is trained on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClipData {
+    /// The pairs of the dataset as they were captured, which may differ in length (released code).
+    Pairs,
+    /// Whole clips of the composer: MotionCutMix, or fixed pairs by the rule of SINC where its settings
+    /// say `fixed_pairs`.
+    Composed,
+}
+
+/// Splits whose motions the features are normalised by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StatisticsSplits {
+    /// The training split.
+    Train,
+    /// The validation split too (released code).
+    TrainAndVal,
+}
+
+/// Diffusion and guidance of TMED.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmedDiffusion {
+    /// Diffusion steps.
+    pub num_steps: usize,
+    /// Probability of hiding the instruction while training.
+    pub text_dropout: f64,
+    /// Probability of hiding the source.
+    pub source_dropout: f64,
+    /// Probability of hiding both, beside those. The released settings say 5 %, and its code makes it 15 %.
+    pub both_dropout: f64,
+    /// Guidance weight of the instruction.
+    pub guidance: f64,
+    /// Guidance weight of the source.
+    pub source_guidance: f64,
+    /// Where the target stands in the position table.
+    pub places: TargetPlaces,
+    /// What the network sees of the source where guidance asks what it does without one.
+    pub no_source: NoSource,
+    /// What an edit begins from.
+    pub start: EditStart,
+    /// Steps of an edit; those of training if not set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edit_steps: Option<usize>,
+    /// Which steps an edit makes where they are fewer than in training.
+    pub respacing: Respacing,
+}
+
+/// Where the target stands in the position table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TargetPlaces {
+    /// Behind the longest source of the batch, so that a target's places depend on what else is in the
+    /// batch (released code).
+    Padded,
+    /// Behind its own source, as while editing.
+    Own,
+}
+
+/// What the network sees of the source where it is asked what it does without one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NoSource {
+    /// Nothing, as in training.
+    Hidden,
+    /// Frames of zeros (released code).
+    Zeros,
+}
+
+/// What an edit begins from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EditStart {
+    /// Noise.
+    Noise,
+    /// The normalised source without noise, cut to the length of the edit or filled up with zeros
+    /// (`init_from=source` of the released code).
+    Source,
+}
+
+impl TmedConfig {
+    /// The named settings.
+    ///
+    /// # Source
+    /// `Official`: the released code, with its defects (`baselines` A1), and the guidance weights of its
+    /// README. `Paper`: the same network without them, on the composer's clips, for the 1,500 epochs all
+    /// systems of the MotionReFit paper are trained for. `Tiny`: our choice, for a few hundred clips and
+    /// two processor cores.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Official => Self {
+                model: NetworkConfig {
+                    width: 512,
+                    num_layers: 8,
+                    num_heads: 4,
+                    feed_forward: 1024,
+                    dropout: 0.1,
+                },
+                text: TextConfig {
+                    encoder: TextEncoder::Clip,
+                    words: WordsConfig {
+                        num_buckets: 64,
+                        max_words: 32,
+                    },
+                },
+                data: ClipData::Pairs,
+                fps: Fps::new(30.0).expect("a rate"),
+                max_frames: 300,
+                statistics: StatisticsSplits::TrainAndVal,
+                diffusion: TmedDiffusion {
+                    num_steps: 300,
+                    text_dropout: 0.05,
+                    source_dropout: 0.05,
+                    both_dropout: 0.15,
+                    guidance: 2.0,
+                    source_guidance: 2.0,
+                    places: TargetPlaces::Padded,
+                    no_source: NoSource::Zeros,
+                    start: EditStart::Noise,
+                    edit_steps: None,
+                    respacing: Respacing::Official,
+                },
+                val_clips: 256,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-4,
+                        decay: Decay::Constant,
+                        warmup_steps: 0,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size: 128,
+                    micro_batch_size: Some(32),
+                    length: RunLength {
+                        epochs: Some(1_001),
+                        steps: 800_000,
+                    },
+                    log_every: 20,
+                    val_every: 1_000,
+                    keep_epochs: 50,
+                    seed: 0,
+                },
+            },
+            Preset::Paper => {
+                let official = Self::preset(Preset::Official);
+                Self {
+                    data: ClipData::Composed,
+                    statistics: StatisticsSplits::Train,
+                    diffusion: TmedDiffusion {
+                        both_dropout: 0.05,
+                        places: TargetPlaces::Own,
+                        no_source: NoSource::Hidden,
+                        respacing: Respacing::Spread,
+                        ..official.diffusion
+                    },
+                    run: RunSettings {
+                        length: RunLength {
+                            epochs: Some(1_500),
+                            steps: 800_000,
+                        },
+                        ..official.run
+                    },
+                    ..official
+                }
+            }
+            Preset::Tiny => Self {
+                model: NetworkConfig {
+                    width: 128,
+                    num_layers: 3,
+                    num_heads: 4,
+                    feed_forward: 256,
+                    dropout: 0.0,
+                },
+                text: TextConfig {
+                    encoder: TextEncoder::Learned,
+                    words: WordsConfig {
+                        num_buckets: 16,
+                        max_words: 24,
+                    },
+                },
+                fps: Fps::MODEL,
+                max_frames: 60,
+                diffusion: TmedDiffusion {
+                    num_steps: 50,
+                    ..Self::preset(Preset::Paper).diffusion
+                },
+                val_clips: 64,
+                run: RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-3,
+                        decay: Decay::Linear,
+                        warmup_steps: 50,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: Some(0.99),
+                    },
+                    batch_size: 32,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(1_000),
+                    log_every: 20,
+                    val_every: 100,
+                    keep_epochs: 0,
+                    seed: 0,
+                },
+                ..Self::preset(Preset::Paper)
+            },
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.model.check()?;
+        self.run.check()?;
+        self.diffusion.check()?;
+        positive("max_frames", self.max_frames as u64)?;
+        positive("val_clips", self.val_clips as u64)?;
+        positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
+        positive("text.words.max_words", self.text.words.max_words as u64)
+    }
+
+    /// Places of the position table that are kept for a text.
+    pub(crate) fn text_places(&self) -> usize {
+        /// The context of CLIP.
+        const CLIP_TOKENS: usize = 77;
+        match self.text.encoder {
+            TextEncoder::Clip => CLIP_TOKENS,
+            TextEncoder::Learned => self.text.words.max_words,
+        }
+    }
+}
+
+impl TmedDiffusion {
+    fn check(&self) -> Result<(), Error> {
+        share("diffusion.text_dropout", self.text_dropout)?;
+        share("diffusion.source_dropout", self.source_dropout)?;
+        share("diffusion.both_dropout", self.both_dropout)?;
+        for (field, value) in [
+            ("diffusion.guidance", self.guidance),
+            ("diffusion.source_guidance", self.source_guidance),
+        ] {
+            if !value.is_finite() {
+                return Err(Error::Config {
+                    field,
+                    problem: format!("it is {value}"),
+                });
+            }
+        }
+        self.steps(self.edit_steps).map(|_| ())
+    }
+
+    /// The steps of an edit: so many, or else those of training.
+    ///
+    /// # Errors
+    /// There is no step, or there are more than in training.
+    pub(crate) fn steps(&self, edit_steps: Option<usize>) -> Result<SampleSteps, Error> {
+        let steps = edit_steps.unwrap_or(self.num_steps);
+        SampleSteps::new(self.num_steps, steps, self.respacing)
+    }
+}

@@ -1,0 +1,402 @@
+//! TMED as an editing system: a whole motion is generated at once.
+
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
+use kinematics::resample::interpolate_all;
+use rayon::prelude::*;
+
+use super::clips::TextTokens;
+use super::config::{ClipData, EditStart, NoSource, TmedConfig};
+use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from};
+use super::guidance::{Branch, branches, guided};
+use super::objective::{places, text_tokens};
+use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
+use crate::checkpoint::{self, RunRecord, check_skeleton, read_for_use, weights_hash};
+use crate::config::Preset;
+use crate::fit::TextRecord;
+use crate::gaussian::{SampleSteps, noise};
+use crate::model::tmed::{Condition, TmedModel};
+use crate::sample::EditTimes;
+use crate::system::{
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
+    SystemSource,
+};
+use crate::text::table::EmbeddingTable;
+use crate::{Error, Session};
+
+/// TMED as a system.
+struct TmedSystem {
+    model: TmedModel,
+    record: TmedRecord,
+    settings: TmedSettings,
+    identity: SystemIdentity,
+    skeleton: Skeleton,
+    source: SystemSource,
+    vectors: Option<EmbeddingTable>,
+    device: Device,
+}
+
+/// How motions are edited.
+struct TmedSettings {
+    steps: SampleSteps,
+    guidance: f64,
+    source_guidance: f64,
+    temperature: f64,
+    start: EditStart,
+    max_batch: usize,
+}
+
+/// Opens a run of TMED.
+pub(crate) fn open(
+    source: &SystemSource,
+    config: &EditConfig,
+    skeleton: &Skeleton,
+    device: &Device,
+) -> Result<Box<dyn EditSystem>, Error> {
+    check_skeleton(&source.run, "the editor", skeleton)?;
+    for (helper, what) in [
+        (&source.coordinator, "the coordinator"),
+        (&source.poses, "the pose network"),
+    ] {
+        if helper.is_some() {
+            return Err(Error::Misfit {
+                what,
+                problem: "TMED makes whole motions of rotations and uses no other network"
+                    .to_owned(),
+            });
+        }
+    }
+    let RunRecord { config: record, .. } =
+        checkpoint::read_record::<TmedRecord>(&source.run, KIND)?;
+    record.check()?;
+    let mut files = read_for_use(&source.run, source.slot, KIND)?;
+    let weights: Vec<&[u8]> = [DENOISER, WORDS]
+        .iter()
+        .filter_map(|&name| files.get(name).map(Vec::as_slice))
+        .collect();
+    let checkpoint_hash = weights_hash(&record, &weights);
+    let mut model = record.model(device);
+    load_weights(&mut model, &mut files, &source.run)?;
+    let trained = &record.train.diffusion;
+    let settings = TmedSettings {
+        steps: trained.steps(config.steps.or(trained.edit_steps))?,
+        guidance: config.guidance.unwrap_or(trained.guidance),
+        source_guidance: config.source_guidance.unwrap_or(trained.source_guidance),
+        temperature: config.temperature.unwrap_or(1.0),
+        start: if config.from_source {
+            EditStart::Source
+        } else {
+            trained.start
+        },
+        max_batch: config.max_batch,
+    };
+    let document = serde_json::json!({
+        "checkpoint": source.slot.name(),
+        "guidance": settings.guidance,
+        "source_guidance": settings.source_guidance,
+        "temperature": settings.temperature,
+        "start": settings.start,
+        "steps": settings.steps.timesteps().len(),
+        "respacing": trained.respacing,
+        "no_source": trained.no_source,
+        "fps": record.train.fps,
+    });
+    Ok(Box::new(TmedSystem {
+        identity: SystemIdentity {
+            name: config.name.clone().unwrap_or_else(|| system_name(&record)),
+            checkpoint_hash,
+            settings: document.to_string(),
+        },
+        model,
+        record,
+        settings,
+        skeleton: skeleton.clone(),
+        source: source.clone(),
+        vectors: None,
+        device: device.clone(),
+    }))
+}
+
+/// Name of the system in result tables where the user gives none.
+fn system_name(record: &TmedRecord) -> String {
+    let mut name = "TMED".to_owned();
+    if record.train.model == TmedConfig::preset(Preset::Tiny).model {
+        name += " tiny";
+    }
+    let is_mixed = record
+        .compose
+        .as_ref()
+        .is_some_and(|compose| !compose.config.fixed_pairs);
+    if record.train.data == ClipData::Composed && is_mixed {
+        name += " w/ MCM";
+    }
+    name
+}
+
+/// A motion to edit, as the network takes it.
+struct Question<'a> {
+    id: &'a str,
+    text: &'a str,
+    source: Vec<FeatureFrame>,
+    /// Where the edit begins.
+    first: Pose,
+    /// Frames of the edit at the network's rate.
+    frames: usize,
+    /// Places of the result's frames among them.
+    grid: Vec<(usize, f64)>,
+    fps: Fps,
+}
+
+impl TmedSystem {
+    fn question<'a>(&self, request: &EditRequest<'a>) -> Result<Question<'a>, Error> {
+        let EditRequest {
+            id,
+            motion,
+            instructions,
+            fps,
+            frames,
+            ..
+        } = *request;
+        let [asked] = instructions else {
+            return Err(Error::Item {
+                id: id.to_owned(),
+                problem: "asks for several edits of parts; TMED edits whole motions by one \
+                          instruction"
+                    .to_owned(),
+            });
+        };
+        if asked.frames != (0..motion.len()) {
+            return Err(Error::Item {
+                id: id.to_owned(),
+                problem: "asks for an edit of some frames alone; TMED edits whole motions"
+                    .to_owned(),
+            });
+        }
+        let own = self.record.train.fps;
+        let mut source = features_of_motion(motion, own, usize::MAX, &self.skeleton)
+            .map_err(motion_error(id))?;
+        self.record.statistics.normalize(&mut source);
+        let frames = match frames {
+            Some(frames) => frames.max(1),
+            None => {
+                ((motion.len() - 1) as f64 * fps.get() / motion.fps().get()).round() as usize + 1
+            }
+        };
+        let per_frame = own.get() / fps.get();
+        let last = ((frames - 1) as f64 * per_frame).ceil();
+        let grid = (0..frames)
+            .map(|frame| {
+                let at = (frame as f64 * per_frame).min(last);
+                (at.floor() as usize, at.fract())
+            })
+            .collect();
+        Ok(Question {
+            id,
+            text: &asked.text,
+            source,
+            first: motion.pose(0),
+            frames: last as usize + 1,
+            grid,
+            fps,
+        })
+    }
+
+    /// Tokens of texts.
+    fn tokens(&self, texts: &[&str]) -> Result<TextTokens, Error> {
+        let vectors = self.vectors.as_ref().map(|table| table as _);
+        TextTokens::of(&self.record.text.texts(vectors)?, texts)
+    }
+
+    /// Generates the edits of questions whose sources, edits and texts have one length each.
+    fn generate(
+        &self,
+        questions: &[&Question<'_>],
+        seed: Seed,
+    ) -> Result<Vec<FeatureFrame>, Error> {
+        let (settings, device) = (&self.settings, &self.device);
+        let batch = questions.len();
+        let frames = questions[0].frames;
+        let branches = branches(settings.guidance, settings.source_guidance);
+        let condition = self.condition(questions, &branches)?;
+        let lengths = vec![frames; batch];
+        let mut rngs: Vec<Rng> = questions
+            .iter()
+            .map(|question| seed.rng(&["edit", question.id]))
+            .collect();
+        let mut drawn =
+            || noise(&mut rngs, &lengths, NUM_FEATURES, device).mul_scalar(settings.temperature);
+        let start = match settings.start {
+            EditStart::Noise => drawn(),
+            EditStart::Source => {
+                let mut values = vec![0.0f32; batch * frames * NUM_FEATURES];
+                for (row, question) in values
+                    .chunks_exact_mut(frames * NUM_FEATURES)
+                    .zip(questions)
+                {
+                    let shared = frames.min(question.source.len());
+                    row[..shared * NUM_FEATURES]
+                        .copy_from_slice(question.source[..shared].as_flattened());
+                }
+                let data = TensorData::new(values, [batch, frames, NUM_FEATURES]);
+                Tensor::from_data(data, device)
+            }
+        };
+        let denoiser = &self.model.denoiser;
+        let clean = settings.steps.sample(
+            start,
+            |x, step| guided(denoiser, &branches, &condition, x, &lengths, step.timestep),
+            |_| drawn(),
+            |_, _| {},
+        );
+        let values: Vec<f32> = clean.into_data().try_into_vec_as().expect("floats");
+        Ok(values.as_chunks::<NUM_FEATURES>().0.to_vec())
+    }
+
+    /// What the network is given, the rows of a branch of guidance together.
+    fn condition(
+        &self,
+        questions: &[&Question<'_>],
+        branches: &[Branch],
+    ) -> Result<Condition, Error> {
+        let source_frames = questions[0].source.len();
+        let rows = questions.len() * branches.len();
+        let mut texts = Vec::with_capacity(rows);
+        let mut values = Vec::with_capacity(rows * source_frames * NUM_FEATURES);
+        let mut source_lengths = Vec::with_capacity(rows);
+        for branch in branches {
+            for question in questions {
+                texts.push(if branch.has_text { question.text } else { "" });
+                let is_seen =
+                    branch.has_source || self.record.train.diffusion.no_source == NoSource::Zeros;
+                source_lengths.push(if is_seen { source_frames } else { 0 });
+                let from = values.len();
+                values.extend_from_slice(question.source.as_flattened());
+                if !branch.has_source {
+                    values[from..].fill(0.0);
+                }
+            }
+        }
+        let texts = self.tokens(&texts)?;
+        let data = TensorData::new(values, [rows, source_frames, NUM_FEATURES]);
+        Ok(Condition {
+            text: text_tokens(&self.model, &texts, &self.device),
+            text_lengths: texts.lengths(),
+            source: Tensor::from_data(data, &self.device),
+            source_lengths,
+            places: places(
+                &self.record.train,
+                &vec![source_frames; rows],
+                source_frames,
+            ),
+        })
+    }
+}
+
+impl Question<'_> {
+    /// The motion of generated features, at the rate and of the length asked for.
+    fn motion(
+        &self,
+        record: &TmedRecord,
+        mut features: Vec<FeatureFrame>,
+    ) -> Result<Motion, Error> {
+        record.statistics.restore(&mut features);
+        let poses = poses_from(&features, &self.first);
+        Motion::from_poses(self.fps, &interpolate_all(&poses, &self.grid))
+            .map_err(motion_error(self.id))
+    }
+}
+
+impl EditSystem for TmedSystem {
+    fn identity(&self) -> &SystemIdentity {
+        &self.identity
+    }
+
+    fn fps(&self) -> Fps {
+        self.record.train.fps
+    }
+
+    fn guidance(&self) -> f64 {
+        self.settings.guidance
+    }
+
+    fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
+        let texts = texts.iter();
+        Remarks {
+            num_short: 0,
+            unknown_words: texts
+                .flat_map(|text| self.record.text.unknown_words(text))
+                .collect(),
+        }
+    }
+
+    fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
+        if let TextRecord::Frozen { .. } = self.record.text {
+            let texts = [texts, &[String::new()]].concat();
+            let (encoder, run) = (&self.source.text_encoder, &self.source.run);
+            let table = encoder.token_embeddings(run, &texts, session)?;
+            self.record.text.texts(Some(&table))?;
+            self.vectors = Some(table);
+        }
+        Ok(())
+    }
+
+    fn edit(
+        &self,
+        requests: &[EditRequest<'_>],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<EditedMotions, Error> {
+        let questions = requests
+            .par_iter()
+            .map(|request| self.question(request))
+            .collect::<Result<Vec<_>, Error>>()?;
+        // Nothing is padded for another request, so that a result does not depend on the others.
+        let mut groups: BTreeMap<[usize; 3], Vec<usize>> = BTreeMap::new();
+        for (index, question) in questions.iter().enumerate() {
+            let tokens = self.tokens(&[question.text])?.lengths()[0];
+            let key = [question.source.len(), question.frames, tokens];
+            groups.entry(key).or_default().push(index);
+        }
+        let begun = session.secs();
+        let mut times = EditTimes::default();
+        let mut motions = vec![None; questions.len()];
+        let progress = session.progress;
+        progress.begin("edit", Some(questions.len() as u64));
+        for (key, members) in &groups {
+            for chunk in members.chunks(self.settings.max_batch.max(1)) {
+                if session.is_stopped() {
+                    return Err(Error::Stopped { what: "editing" });
+                }
+                let asked: Vec<&Question<'_>> =
+                    chunk.iter().map(|&index| &questions[index]).collect();
+                let features = self.generate(&asked, seed)?;
+                for (&index, frames) in chunk.iter().zip(features.chunks_exact(key[1])) {
+                    let motion = questions[index].motion(&self.record, frames.to_vec())?;
+                    motions[index] = Some((motion, Misfit::default()));
+                }
+                times.num_windows += chunk.len();
+                times.num_batches += 1;
+                times.window = times.window.max(key[1]);
+                progress.advance(chunk.len() as u64);
+            }
+        }
+        times.diffusion_secs = session.secs() - begun;
+        progress.finish(&format!("{} motions edited", questions.len()));
+        let motions = motions
+            .into_iter()
+            .map(|made| made.expect("every request is in a group"));
+        Ok(EditedMotions {
+            motions: motions.collect(),
+            times,
+        })
+    }
+}
+
+fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
+    move |source| Error::Motion {
+        id: id.to_owned(),
+        source: source.into(),
+    }
+}

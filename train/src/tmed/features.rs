@@ -1,0 +1,389 @@
+//! The 207 features of TMED: made of a motion, and a motion made of them.
+
+use std::f64::consts::FRAC_PI_2;
+
+use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton};
+use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::{from_six_d_rows, to_six_d_rows};
+use kinematics::skeleton::NUM_BODY_JOINTS;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Numbers of a frame.
+pub const NUM_FEATURES: usize = 207;
+
+/// Features of one frame.
+pub type FeatureFrame = [f32; NUM_FEATURES];
+
+/// A group of features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FeatureGroup {
+    /// Its first feature.
+    pub start: usize,
+    /// Its features.
+    pub width: usize,
+    /// Whether it is a change since the frame before, which the first frame has not.
+    pub is_delta: bool,
+}
+
+const fn group(start: usize, width: usize, is_delta: bool) -> FeatureGroup {
+    FeatureGroup {
+        start,
+        width,
+        is_delta,
+    }
+}
+
+/// The groups: translation since the frame before in its root frame, root rotation without heading,
+/// heading since the frame before, 21 body rotations, and 22 joints relative to the pelvis without
+/// heading. Rotations are the first two rows of their matrix.
+pub const GROUPS: [FeatureGroup; 5] = [
+    group(0, 3, true),
+    group(3, 6, false),
+    group(9, 6, true),
+    group(15, 126, false),
+    group(141, 66, false),
+];
+
+/// Heading about +z: the rotation about z that is applied last (Euler angles "ZYX").
+fn heading(root: DQuat) -> DQuat {
+    let m = DMat3::from_quat(root);
+    DQuat::from_rotation_z(m.x_axis.y.atan2(m.x_axis.x))
+}
+
+/// Turns y up into z up.
+fn upright() -> DQuat {
+    DQuat::from_rotation_x(FRAC_PI_2)
+}
+
+fn six(rotation: DQuat) -> [f32; 6] {
+    to_six_d_rows(DMat3::from_quat(rotation)).map(|value| value as f32)
+}
+
+/// The features of consecutive frames, given with +z up, and the positions of their 22 joints.
+///
+/// # Shapes
+/// `[N]` poses and joints give `[N, 207]`.
+///
+/// # Source
+/// MotionFix, `data/features.py` (`algorithms` section 11). The first frame has no translation and no
+/// turn.
+pub fn features_of_poses(poses: &[Pose], joints: &[[DVec3; NUM_BODY_JOINTS]]) -> Vec<FeatureFrame> {
+    let mut before: Option<&Pose> = None;
+    poses
+        .iter()
+        .zip(joints)
+        .map(|(pose, joints)| {
+            let root = pose.rotations[0];
+            let turned = heading(root);
+            let (moved, turn) = match before {
+                None => (DVec3::ZERO, DQuat::IDENTITY),
+                Some(before) => (
+                    before.rotations[0].inverse() * (pose.transl - before.transl),
+                    heading(before.rotations[0]).inverse() * turned,
+                ),
+            };
+            before = Some(pose);
+            let back = turned.inverse();
+            let mut frame = [0.0; NUM_FEATURES];
+            frame[..3].copy_from_slice(&moved.as_vec3().to_array());
+            frame[3..9].copy_from_slice(&six(back * root));
+            frame[9..15].copy_from_slice(&six(turn));
+            for (slot, &rotation) in frame[15..141].chunks_exact_mut(6).zip(&pose.rotations[1..]) {
+                slot.copy_from_slice(&six(rotation));
+            }
+            for (slot, joint) in frame[141..].chunks_exact_mut(3).zip(joints) {
+                let at = back * (*joint - joints[0]);
+                slot.copy_from_slice(&at.as_vec3().to_array());
+            }
+            frame
+        })
+        .collect()
+}
+
+/// The poses, +z up, that features describe, from a first heading and translation on. Joint positions
+/// and the changes of the first frame are not used, and of a turn only its heading.
+///
+/// # Source
+/// MotionFix, `diffout2motion`.
+pub fn poses_of_features(
+    features: &[FeatureFrame],
+    first_heading: DQuat,
+    first_transl: DVec3,
+) -> Vec<Pose> {
+    let rotation = |values: &[f32]| {
+        let rows: [f64; 6] = std::array::from_fn(|index| f64::from(values[index]));
+        DQuat::from_mat3(&from_six_d_rows(rows)).normalize()
+    };
+    let (mut turned, mut transl) = (first_heading, first_transl);
+    let mut before: Option<DQuat> = None;
+    features
+        .iter()
+        .map(|frame| {
+            if let Some(before) = before {
+                let moved: [f64; 3] = std::array::from_fn(|axis| f64::from(frame[axis]));
+                transl += before * DVec3::from_array(moved);
+                turned = (turned * heading(rotation(&frame[9..15]))).normalize();
+            }
+            let mut pose = Pose {
+                transl,
+                ..Pose::REST
+            };
+            pose.rotations[0] = turned * rotation(&frame[3..9]);
+            for (slot, values) in pose.rotations[1..]
+                .iter_mut()
+                .zip(frame[15..141].chunks_exact(6))
+            {
+                *slot = rotation(values);
+            }
+            before = Some(pose.rotations[0]);
+            pose
+        })
+        .collect()
+}
+
+/// The features of a motion at a rate, of its first `max_frames` frames at most.
+///
+/// # Errors
+/// The motion cannot be brought to the rate.
+pub fn features_of_motion(
+    motion: &Motion,
+    fps: Fps,
+    max_frames: usize,
+    skeleton: &Skeleton,
+) -> Result<Vec<FeatureFrame>, kinematics::Error> {
+    let motion = Resample::Exact.apply(motion, fps)?;
+    let mut poses = motion.poses_in(0..motion.len().min(max_frames));
+    for pose in &mut poses {
+        pose.transl = upright() * pose.transl;
+        pose.rotations[0] = upright() * pose.rotations[0];
+    }
+    let joints = skeleton.points_of_poses::<NUM_BODY_JOINTS>(&poses);
+    Ok(features_of_poses(&poses, &joints))
+}
+
+/// The poses of a motion, +y up, that features describe. It begins where `first` stands, facing where it
+/// faces.
+pub fn poses_from(features: &[FeatureFrame], first: &Pose) -> Vec<Pose> {
+    let begin = upright() * first.transl;
+    let mut poses = poses_of_features(features, heading(upright() * first.rotations[0]), begin);
+    let back = upright().inverse();
+    for pose in &mut poses {
+        pose.transl = back * pose.transl;
+        pose.rotations[0] = back * pose.rotations[0];
+    }
+    poses
+}
+
+/// Added to standard deviations before they divide.
+const LEAST_SPREAD: f32 = 1e-5;
+
+/// Mean and standard deviation of every feature over the training motions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FeatureStatistics {
+    /// Means, `[207]`.
+    pub mean: Vec<f32>,
+    /// Standard deviations, `[207]`.
+    pub std: Vec<f32>,
+}
+
+/// Sums of which statistics are made; those of several motions can be merged.
+#[derive(Clone, Debug)]
+pub(crate) struct Moments {
+    count: f64,
+    mean: Vec<f64>,
+    /// Sums of squared deviations from the mean.
+    squares: Vec<f64>,
+}
+
+impl Moments {
+    pub(crate) fn none() -> Self {
+        Self {
+            count: 0.0,
+            mean: vec![0.0; NUM_FEATURES],
+            squares: vec![0.0; NUM_FEATURES],
+        }
+    }
+
+    pub(crate) fn of(frames: &[FeatureFrame]) -> Self {
+        let mut moments = Self::none();
+        for frame in frames {
+            moments.count += 1.0;
+            for ((mean, squares), &value) in
+                moments.mean.iter_mut().zip(&mut moments.squares).zip(frame)
+            {
+                let away = f64::from(value) - *mean;
+                *mean += away / moments.count;
+                *squares += away * (f64::from(value) - *mean);
+            }
+        }
+        moments
+    }
+
+    /// Moments of the frames of both.
+    ///
+    /// # Source
+    /// Chan, Golub and LeVeque 1983.
+    pub(crate) fn merge(mut self, other: &Self) -> Self {
+        let count = self.count + other.count;
+        if other.count == 0.0 {
+            return self;
+        }
+        let columns = self.mean.iter_mut().zip(&mut self.squares);
+        for ((mean, squares), (theirs, more)) in columns.zip(other.mean.iter().zip(&other.squares))
+        {
+            let apart = theirs - *mean;
+            *mean += apart * other.count / count;
+            *squares += more + apart * apart * self.count * other.count / count;
+        }
+        self.count = count;
+        self
+    }
+
+    /// The statistics; none if there was no frame.
+    pub(crate) fn statistics(&self) -> Option<FeatureStatistics> {
+        (self.count > 0.0).then(|| FeatureStatistics {
+            mean: self.mean.iter().map(|&mean| mean as f32).collect(),
+            std: self
+                .squares
+                .iter()
+                .map(|squares| (squares / self.count).sqrt() as f32)
+                .collect(),
+        })
+    }
+}
+
+impl FeatureStatistics {
+    /// Checks statistics that were read.
+    ///
+    /// # Errors
+    /// A number is missing, not finite or a negative deviation.
+    pub fn check(&self) -> Result<(), Error> {
+        let fits = |values: &[f32]| {
+            values.len() == NUM_FEATURES && values.iter().all(|value| value.is_finite())
+        };
+        if fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0) {
+            return Ok(());
+        }
+        Err(Error::Config {
+            field: "statistics",
+            problem: format!("they are not {NUM_FEATURES} finite means and standard deviations"),
+        })
+    }
+
+    /// `(x - mean) / (2 (std + 1e-5))`, as released.
+    pub fn normalize(&self, frames: &mut [FeatureFrame]) {
+        for frame in frames {
+            for ((value, mean), std) in frame.iter_mut().zip(&self.mean).zip(&self.std) {
+                *value = (*value - mean) / (2.0 * (std + LEAST_SPREAD));
+            }
+        }
+    }
+
+    /// The inverse of [`FeatureStatistics::normalize`].
+    pub fn restore(&self, frames: &mut [FeatureFrame]) {
+        for frame in frames {
+            for ((value, mean), std) in frame.iter_mut().zip(&self.mean).zip(&self.std) {
+                *value = *value * 2.0 * (std + LEAST_SPREAD) + mean;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn motion() -> Motion {
+        let poses: Vec<Pose> = (0..41)
+            .map(|frame| {
+                let t = f64::from(frame) / 20.0;
+                let mut pose = Pose {
+                    transl: DVec3::new(1.0 + 0.3 * t, 0.9 + 0.1 * t.sin(), 0.8 * t - 2.0),
+                    ..Pose::REST
+                };
+                pose.rotations[0] =
+                    DQuat::from_rotation_y(2.0 + 0.9 * t) * DQuat::from_rotation_x(0.4 * t.sin());
+                pose.rotations[16] = DQuat::from_rotation_z(t.sin());
+                pose.rotations[4] = DQuat::from_rotation_x(0.5 + 0.3 * t.cos());
+                pose
+            })
+            .collect();
+        Motion::from_poses(Fps::STORE, &poses).expect("finite")
+    }
+
+    #[test]
+    fn features_of_a_motion_give_it_back() {
+        let motion = motion();
+        let skeleton = Skeleton::smplx_neutral();
+        let features =
+            features_of_motion(&motion, Fps::STORE, 1_000, &skeleton).expect("resampled");
+        assert_eq!(features.len(), motion.len());
+        let back = poses_from(&features, &motion.pose(0));
+        for (back, pose) in back.iter().zip(motion.poses()) {
+            assert!((back.transl - pose.transl).length() < 1e-5);
+            for (back, rotation) in back.rotations.iter().zip(&pose.rotations) {
+                assert!(back.angle_between(*rotation) < 1e-3);
+            }
+        }
+        let first = features_of_motion(&motion, Fps::STORE, 7, &skeleton).expect("resampled");
+        assert_eq!(first, features[..7]);
+    }
+
+    #[test]
+    fn features_do_not_depend_on_place_and_heading() {
+        let skeleton = Skeleton::smplx_neutral();
+        let turn = DQuat::from_rotation_y(1.3);
+        let here = motion();
+        let there: Vec<Pose> = here
+            .poses()
+            .into_iter()
+            .map(|mut pose| {
+                pose.transl = turn * pose.transl + DVec3::new(3.0, 0.0, -1.0);
+                pose.rotations[0] = turn * pose.rotations[0];
+                pose
+            })
+            .collect();
+        let there = Motion::from_poses(Fps::STORE, &there).expect("finite");
+        let of = |motion: &Motion| {
+            features_of_motion(motion, Fps::new(30.0).expect("a rate"), 1_000, &skeleton)
+        };
+        let pairs = of(&here)
+            .expect("resampled")
+            .into_iter()
+            .zip(of(&there).expect("resampled"));
+        for (a, b) in pairs {
+            for (a, b) in a.iter().zip(b) {
+                assert!((a - b).abs() < 1e-4, "{a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn moments_of_parts_merge_to_those_of_the_whole() {
+        let motion = motion();
+        let frames = features_of_motion(&motion, Fps::STORE, 1_000, &Skeleton::smplx_neutral())
+            .expect("resampled");
+        let whole = Moments::of(&frames).statistics().expect("frames");
+        let parts = [&frames[..5], &frames[5..5], &frames[5..]]
+            .iter()
+            .fold(Moments::none(), |sum, part| sum.merge(&Moments::of(part)))
+            .statistics()
+            .expect("frames");
+        for (a, b) in whole.std.iter().zip(&parts.std) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+        whole.check().expect("usable");
+        let mut back = frames.clone();
+        whole.normalize(&mut back);
+        let spread: f32 = back.iter().map(|frame| frame[0].powi(2)).sum();
+        // Half a standard deviation is the unit.
+        assert!((spread / frames.len() as f32 - 0.25).abs() < 0.01);
+        whole.restore(&mut back);
+        for (a, b) in back.iter().flatten().zip(frames.iter().flatten()) {
+            assert!((a - b).abs() < 1e-5);
+        }
+    }
+}

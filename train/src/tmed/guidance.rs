@@ -1,0 +1,66 @@
+//! Guidance of TMED by the instruction and by the source.
+
+use burn::tensor::Tensor;
+
+use crate::model::tmed::{Condition, Tmed};
+
+/// A question to the network, and its weight in the estimate of the clean motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Branch {
+    /// Factor of its prediction.
+    pub weight: f64,
+    /// Whether it is given the instruction.
+    pub has_text: bool,
+    /// Whether it is given the source.
+    pub has_source: bool,
+}
+
+/// The branches of the estimate `u + s_m (m - u) + s_t (f - m)`, where `u` knows nothing, `m` the source
+/// and `f` both. Branches whose predictions cancel are left out: with equal weights that of the source
+/// alone, and with weights of 1 all but the last.
+///
+/// # Source
+/// MotionFix, `forward_with_guidance` ("3way"); Brooks et al. 2023, Eq. 3.
+pub fn branches(text: f64, source: f64) -> Vec<Branch> {
+    let branch = |weight, has_text, has_source| Branch {
+        weight,
+        has_text,
+        has_source,
+    };
+    let mut all = vec![
+        branch(1.0 - source, false, false),
+        branch(source - text, false, true),
+        branch(text, true, true),
+    ];
+    all.retain(|branch| branch.weight != 0.0);
+    all
+}
+
+/// The estimate of the clean motions of `x` at a diffusion step.
+///
+/// # Shapes
+/// `x` and the result `[B, T, F]`; `lengths` `[B]`; the condition has `B` rows for each branch, those
+/// of a branch together.
+pub fn guided(
+    denoiser: &Tmed,
+    branches: &[Branch],
+    condition: &Condition,
+    x: &Tensor<3>,
+    lengths: &[usize],
+    timestep: usize,
+) -> Tensor<3> {
+    let [batch, frames, num_features] = x.dims();
+    let count = branches.len();
+    let predicted = denoiser.forward(
+        x.clone().repeat_dim(0, count),
+        &lengths.repeat(count),
+        &vec![timestep; count * batch],
+        condition,
+    );
+    let mut sum = Tensor::zeros([batch, frames, num_features], &x.device());
+    for (index, branch) in branches.iter().enumerate() {
+        let rows = predicted.clone().narrow(0, index * batch, batch);
+        sum = sum + rows.mul_scalar(branch.weight);
+    }
+    sum
+}

@@ -1,0 +1,25 @@
+//! TMED: a diffusion over whole motions, given the motion before the edit and an instruction.
+//!
+//! # Source
+//! Athanasiou et al. 2024 (MotionFix). [`TmedConfig::preset`] names what differs from the released code.
+
+mod clips;
+mod config;
+mod edit;
+mod exchange;
+pub mod features;
+mod guidance;
+mod objective;
+mod stage;
+mod task;
+
+pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource, TextTokens};
+pub use self::config::{
+    ClipData, EditStart, NoSource, StatisticsSplits, TargetPlaces, TmedConfig, TmedDiffusion,
+};
+pub use self::exchange::{TmedImport, import_tmed, read_released_statistics};
+pub use self::guidance::{Branch, branches, guided};
+pub use self::objective::{group_loss, loss};
+pub(crate) use self::stage::MODEL;
+pub use self::stage::train_on_dataset;
+pub use self::task::{TmedCorpus, TmedRecord, train_tmed};

@@ -1,0 +1,123 @@
+//! The training loss of TMED.
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use super::clips::{ClipBatch, TextTokens};
+use super::config::{TargetPlaces, TmedConfig};
+use super::features::{GROUPS, NUM_FEATURES};
+use crate::model::text::token_tensor;
+use crate::model::tmed::{Condition, Places, TmedModel};
+use crate::schedule::Schedule;
+
+/// The squared error of each group of features over the frames of each motion, averaged over the groups.
+/// Changes since the frame before are not asked of the first frame.
+///
+/// # Shapes
+/// `predicted` and `target` `[B, T, 207]`; `frames` `[B]`; the results are one number, and `[5]`.
+///
+/// # Source
+/// MotionFix, `base_diffusion.py` (`baselines` A1).
+pub fn group_loss(
+    predicted: Tensor<3>,
+    target: Tensor<3>,
+    frames: &[usize],
+) -> (Tensor<1>, Tensor<1>) {
+    let [batch, length, _] = target.dims();
+    let device = target.device();
+    // The mask of frames, and the weights that make means of sums.
+    let mut weights = vec![0.0f32; batch * length * NUM_FEATURES];
+    for group in GROUPS {
+        let first = usize::from(group.is_delta);
+        let count: usize = frames
+            .iter()
+            .map(|frames| frames.saturating_sub(first))
+            .sum();
+        let weight = ((count * group.width).max(1) as f32).recip();
+        for (row, &frames) in frames.iter().enumerate() {
+            for frame in first..frames {
+                let at = (row * length + frame) * NUM_FEATURES + group.start;
+                weights[at..at + group.width].fill(weight);
+            }
+        }
+    }
+    let weights = TensorData::new(weights, [batch, length, NUM_FEATURES]);
+    let weights = Tensor::<3>::from_data(weights, &device);
+    let errors = (predicted - target).square() * weights;
+    let sums: Vec<Tensor<1>> = GROUPS
+        .iter()
+        .map(|group| errors.clone().narrow(2, group.start, group.width).sum())
+        .collect();
+    let groups = Tensor::cat(sums, 0);
+    (groups.clone().mean(), groups)
+}
+
+/// Tokens of texts as the network takes them.
+///
+/// # Shapes
+/// `[B, N, text_width]`
+///
+/// # Panics
+/// If words are given to a model without word vectors.
+pub(crate) fn text_tokens(model: &TmedModel, texts: &TextTokens, device: &Device) -> Tensor<3> {
+    match texts {
+        TextTokens::Words(tokens) => model
+            .words
+            .as_ref()
+            .expect("words are given to a model that learns them")
+            .forward(token_tensor(tokens, device)),
+        TextTokens::Vectors { values, lengths } => {
+            let longest = lengths.iter().copied().max().unwrap_or(0);
+            let width = values.len() / (lengths.len() * longest).max(1);
+            let data = TensorData::new(values.clone(), [lengths.len(), longest, width]);
+            Tensor::from_data(data, device)
+        }
+    }
+}
+
+/// Places in the position table for sources of so many frames, `padded` being the longest of them.
+pub(crate) fn places(config: &TmedConfig, source_frames: &[usize], padded: usize) -> Places {
+    Places {
+        text: config.text_places(),
+        source: match config.diffusion.places {
+            TargetPlaces::Own => source_frames.to_vec(),
+            TargetPlaces::Padded => vec![padded; source_frames.len()],
+        },
+    }
+}
+
+/// The training loss of a batch.
+///
+/// # Shapes
+/// The result is one number.
+pub fn loss(
+    model: &TmedModel,
+    batch: &ClipBatch,
+    config: &TmedConfig,
+    schedule: &Schedule,
+    device: &Device,
+) -> Tensor<1> {
+    let rows = batch.len();
+    let motions = |values: &[f32]| -> Tensor<3> {
+        let frames = values.len() / (rows * NUM_FEATURES);
+        let data = TensorData::new(values.to_vec(), [rows, frames, NUM_FEATURES]);
+        Tensor::from_data(data, device)
+    };
+    let source = motions(&batch.source);
+    let shown = batch.source_frames.iter().zip(&batch.source_is_shown);
+    let condition = Condition {
+        text: text_tokens(model, &batch.texts, device),
+        text_lengths: batch.texts.lengths(),
+        source_lengths: shown
+            .map(|(&frames, &is_shown)| if is_shown { frames } else { 0 })
+            .collect(),
+        places: places(config, &batch.source_frames, source.dims()[1]),
+        source,
+    };
+    let target = motions(&batch.target);
+    let noisy = schedule.q_sample(target.clone(), &batch.timesteps, motions(&batch.noise));
+    let predicted =
+        model
+            .denoiser
+            .forward(noisy, &batch.target_frames, &batch.timesteps, &condition);
+    group_loss(predicted, target, &batch.target_frames).0
+}

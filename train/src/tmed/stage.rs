@@ -1,0 +1,130 @@
+//! Training of TMED on a dataset.
+
+use std::path::Path;
+
+use datasets_spec::record::{MotionRow, PairRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Seed, Split};
+use pipeline::compose::{ComposeConfig, Stream};
+use pipeline::stage::{COMPOSED, library, train_stream};
+
+use super::clips::{CapturedPairs, ClipSource};
+use super::config::{ClipData, TmedConfig};
+use super::edit;
+use super::task::{KIND, TmedCorpus, train_tmed};
+use crate::checkpoint::Start;
+use crate::compose::ComposeRecord;
+use crate::config::TextEncoder;
+use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::stage::{create_dir, unthinned};
+use crate::text::source::{EMBEDDINGS, TextEncoderSource};
+use crate::trainer::TrainReport;
+use crate::{Error, Session};
+
+/// TMED.
+pub(crate) const MODEL: ModelKind = ModelKind {
+    name: KIND,
+    about: "TMED, a diffusion over whole motions, on composed clips or on captured pairs",
+    train,
+    open: Some(edit::open),
+};
+
+/// Trains TMED on the composer's whole clips or on the pairs of a dataset, as its settings say, or
+/// continues its run.
+///
+/// # Errors
+/// As [`train_tmed`], or the dataset or the text encoder cannot be read.
+pub fn train_on_dataset<'a>(
+    root: &Path,
+    start: impl Into<Start<'a>>,
+    config: &TmedConfig,
+    compose: &ComposeConfig,
+    text_encoder: &TextEncoderSource,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    let start = start.into();
+    let dataset = Dataset::open(root)?;
+    let skeleton = dataset.skeleton()?;
+    let seed = Seed(config.run.seed);
+    let record = ComposeRecord {
+        config: compose.clone(),
+        seed,
+    };
+    let ([(train, texts), (val, val_texts)], dataset_hash) = match config.data {
+        ClipData::Pairs => (
+            [
+                captured(&dataset, Split::Train)?,
+                captured(&dataset, Split::Val)?,
+            ],
+            dataset.content_hash(&[MotionRow::TABLE, PairRow::TABLE]),
+        ),
+        ClipData::Composed => (
+            composed(&dataset, compose, seed)?,
+            dataset.content_hash(&COMPOSED),
+        ),
+    };
+    let vectors = match config.text.encoder {
+        TextEncoder::Learned => None,
+        TextEncoder::Clip => {
+            let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
+            let table = text_encoder.token_embeddings(start.run, &all, session)?;
+            create_dir(start.run)?;
+            table.save(&start.run.join(EMBEDDINGS))?;
+            Some(table)
+        }
+    };
+    let corpus = TmedCorpus {
+        train: &*train,
+        val: &*val,
+        instructions: &texts,
+        vectors: vectors.as_ref().map(|table| table as _),
+        skeleton: &skeleton,
+        dataset_hash: &dataset_hash,
+        compose: (config.data == ClipData::Composed).then_some(&record),
+    };
+    train_tmed(start, config, corpus, session)
+}
+
+/// Clips of a split, and their instructions.
+type Clips = (Box<dyn ClipSource>, Vec<String>);
+
+/// The captured pairs of a split.
+fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
+    let library = library(dataset, split)?;
+    if library.num_pairs() == 0 {
+        return Err(Error::Config {
+            field: "data",
+            problem: format!("it is pairs, and the {split} split has none; set it to composed"),
+        });
+    }
+    let texts = (0..library.num_pairs()).map(|pair| library.pair(pair).0.to_owned());
+    let texts = texts.collect();
+    Ok((Box::new(CapturedPairs(library)), texts))
+}
+
+/// The composer's whole clips of the training and the validation split.
+fn composed(dataset: &Dataset, compose: &ComposeConfig, seed: Seed) -> Result<[Clips; 2], Error> {
+    let (train, normalizer) = train_stream(dataset, compose, seed, None)?;
+    let val = library(dataset, Split::Val)?;
+    let val = Stream::new(val, unthinned(compose), seed, &normalizer)
+        .map_err(|source| Error::Validation { source })?;
+    Ok([train, val].map(|stream| -> Clips {
+        let texts = stream.instructions();
+        (Box::new(stream), texts)
+    }))
+}
+
+/// Trains TMED as a command line asks for it.
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&TmedConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    let report = train_on_dataset(
+        request.dataset,
+        request.start,
+        &config,
+        request.compose,
+        request.text_encoder,
+        session,
+    )?;
+    Ok(Trained::from_report(report, request.start.run))
+}

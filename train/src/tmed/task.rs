@@ -1,0 +1,230 @@
+//! The training of TMED.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor};
+use datasets_spec::{Seed, Skeleton};
+use serde::{Deserialize, Serialize};
+
+use super::clips::{ClipBatch, ClipSampler, ClipSource, statistics};
+use super::config::{ClipData, StatisticsSplits, TmedConfig};
+use super::features::{FeatureStatistics, NUM_FEATURES};
+use super::objective;
+use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::compose::ComposeRecord;
+use crate::data::{TextVectors, Timesteps};
+use crate::fit::TextRecord;
+use crate::model::tmed::TmedModel;
+use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::schedule::Schedule;
+use crate::trainer::{Task, TrainReport, TrainerConfig, train};
+use crate::{Error, Session};
+
+/// Kind of run.
+pub(crate) const KIND: &str = "tmed";
+
+pub(crate) const DENOISER: &str = "denoiser.safetensors";
+pub(crate) const WORDS: &str = "words.safetensors";
+
+/// What TMED learns from.
+#[derive(Clone, Copy)]
+pub struct TmedCorpus<'a> {
+    /// Training clips.
+    pub train: &'a dyn ClipSource,
+    /// Validation clips.
+    pub val: &'a dyn ClipSource,
+    /// Instructions of the training split, whose words are the vocabulary of learned word vectors.
+    pub instructions: &'a [String],
+    /// Token vectors of the instructions of both splits and of the empty text, of a frozen encoder.
+    pub vectors: Option<&'a dyn TextVectors>,
+    /// The skeleton the motions drive.
+    pub skeleton: &'a Skeleton,
+    /// Hash of the tables the clips are made of.
+    pub dataset_hash: &'a str,
+    /// How the clips were composed; none of captured pairs.
+    pub compose: Option<&'a ComposeRecord>,
+}
+
+/// What is recorded of a run of TMED: its settings and what was fitted to the training split.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmedRecord {
+    /// The resolved settings.
+    pub train: TmedConfig,
+    /// What the features are normalised by.
+    pub statistics: FeatureStatistics,
+    /// What the network is told instructions by.
+    pub text: TextRecord,
+    /// How the clips were composed; none of captured pairs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compose: Option<ComposeRecord>,
+}
+
+impl TmedRecord {
+    /// Checks a record that was read.
+    ///
+    /// # Errors
+    /// A setting is out of range, or the statistics are unusable.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.train.check()?;
+        self.statistics.check()
+    }
+
+    /// The network of the record, with weights of no meaning.
+    pub(crate) fn model(&self, device: &Device) -> TmedModel {
+        TmedModel::new(&self.train.model, self.text.source(), NUM_FEATURES, device)
+    }
+}
+
+/// Trains TMED, or continues where the run folder left off, exactly as an uninterrupted run would.
+///
+/// # Errors
+/// The settings are unusable, the folder holds another run or a damaged checkpoint, a motion cannot be
+/// brought to the rate, a loss is not finite, or a file cannot be written.
+pub fn train_tmed<'a>(
+    start: impl Into<Start<'a>>,
+    config: &TmedConfig,
+    corpus: TmedCorpus<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    config.check()?;
+    if corpus.compose.is_some() != (config.data == ClipData::Composed) {
+        return Err(Error::Config {
+            field: "data",
+            problem: "composed clips come with the composer's settings, pairs with none".to_owned(),
+        });
+    }
+    let start = start.into();
+    let fitted: Option<TmedRecord> = start.fitted(KIND)?;
+    let (known_text, known_statistics) = match fitted {
+        Some(record) => (Some(record.text), Some(record.statistics)),
+        None => (None, None),
+    };
+    let statistics = match (known_statistics, config.statistics) {
+        (Some(known), _) => known,
+        (None, splits) => {
+            let both = [corpus.train, corpus.val];
+            let sources = match splits {
+                StatisticsSplits::Train => &both[..1],
+                StatisticsSplits::TrainAndVal => &both[..],
+            };
+            statistics(sources, config.fps, config.max_frames, corpus.skeleton)?
+        }
+    };
+    let instructions = corpus.instructions.iter().map(String::as_str);
+    let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
+    let record = TmedRecord {
+        train: config.clone(),
+        statistics,
+        text,
+        compose: corpus.compose.cloned(),
+    };
+    let run = Run::open(
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
+    )?;
+    let seed = Seed(config.run.seed);
+    let sampler = ClipSampler {
+        source: corpus.train,
+        config,
+        statistics: &record.statistics,
+        skeleton: corpus.skeleton,
+        texts: record.text.texts(corpus.vectors)?,
+        seed: seed.derive(&["train"]),
+        timesteps: Timesteps::Random,
+        hides: true,
+    };
+    let val_sampler = ClipSampler {
+        source: corpus.val,
+        seed: seed.derive(&["val"]),
+        timesteps: Timesteps::Spread(config.val_clips),
+        hides: false,
+        ..sampler
+    };
+    let part = config.run.micro_batch();
+    let val_batches = (0..config.val_clips)
+        .step_by(part)
+        .map(|first| val_sampler.draw(first as u64, part.min(config.val_clips - first)))
+        .collect::<Result<Vec<_>, _>>()?;
+    let device = session.device.clone().autodiff();
+    let model = draw(record.model(&device), seed.derive(&["weights"]))?;
+    let trainer = TrainerConfig {
+        kind: KIND,
+        samples: "clips",
+        run: config.run,
+        epoch_len: corpus.train.num_clips(),
+    };
+    let task = TmedTask {
+        config,
+        schedule: Schedule::cosine(config.diffusion.num_steps)?,
+        sampler,
+        val_batches,
+    };
+    let (_, report) = train(&task, model, &trainer, &run, session)?;
+    Ok(report)
+}
+
+struct TmedTask<'a> {
+    config: &'a TmedConfig,
+    schedule: Schedule,
+    sampler: ClipSampler<'a>,
+    val_batches: Vec<ClipBatch>,
+}
+
+impl Task for TmedTask<'_> {
+    type Model = TmedModel;
+    type Batch = ClipBatch;
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
+        let run = &self.config.run;
+        run.micro_batches(step)
+            .map(|(first, count)| {
+                let share = count as f64 / run.batch_size as f64;
+                Ok((share, self.sampler.draw(first, count)?))
+            })
+            .collect()
+    }
+
+    fn loss(&self, model: &TmedModel, batch: &ClipBatch, device: &Device) -> Tensor<1> {
+        objective::loss(model, batch, self.config, &self.schedule, device)
+    }
+
+    fn validate(&self, model: &TmedModel, device: &Device) -> f32 {
+        let mut sum = 0.0;
+        for batch in &self.val_batches {
+            let loss: f32 = self.loss(model, batch, device).into_scalar();
+            sum += f64::from(loss) * batch.len() as f64;
+        }
+        (sum / self.config.val_clips as f64) as f32
+    }
+
+    fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {
+        let denoiser = to_safetensors(&model.denoiser, run_dir)?;
+        let mut files: Files = [(DENOISER.to_owned(), denoiser)].into();
+        if let Some(words) = &model.words {
+            files.insert(WORDS.to_owned(), to_safetensors(words, run_dir)?);
+        }
+        Ok(files)
+    }
+
+    fn load(&self, model: &mut TmedModel, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        load_weights(model, files, run_dir)
+    }
+}
+
+/// Loads the networks of a run.
+pub(crate) fn load_weights(
+    model: &mut TmedModel,
+    files: &mut Files,
+    run_dir: &Path,
+) -> Result<(), Error> {
+    let bytes = take(files, DENOISER, run_dir)?;
+    from_safetensors(&mut model.denoiser, bytes, "", &run_dir.join(DENOISER))?;
+    match &mut model.words {
+        Some(words) => {
+            let bytes = take(files, WORDS, run_dir)?;
+            from_safetensors(words, bytes, "", &run_dir.join(WORDS))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,322 @@
+//! TMED: features, network, guidance, sampling and loss.
+
+use std::cell::Cell;
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor};
+use datasets_spec::Pose;
+use glam::{DQuat, DVec3};
+use kinematics::rotation::{from_axis_angle, from_six_d_rows};
+use safetensors::SafeTensors;
+use train::config::Preset;
+use train::fit::TextRecord;
+use train::gaussian::{Respacing, SampleSteps};
+use train::model::tmed::{Condition, Places, Tmed};
+use train::registry::open_system;
+use train::system::{EditConfig, SystemSource};
+use train::text::source::TextEncoderSource;
+use train::tmed::features::{
+    FeatureFrame, FeatureStatistics, GROUPS, NUM_FEATURES, features_of_poses, poses_of_features,
+};
+use train::tmed::{TmedConfig, TmedImport, branches, group_loss, guided, import_tmed};
+
+use super::{Golden, check, floats, max_difference};
+
+fn network(golden: &Golden) -> Tmed {
+    let config = golden.network("latent_dim", "ff_size");
+    let (text, features) = (golden.size("text_encoded_dim"), golden.size("nfeats"));
+    let mut network = Tmed::new(&config, text, features, &Device::flex());
+    golden.load(&mut network, "weights.");
+    network
+}
+
+/// Ones of each row of a mask, which begins with them.
+fn lengths(golden: &Golden, name: &str) -> Vec<usize> {
+    let (mask, shape) = golden.values(name);
+    mask.chunks_exact(shape[1])
+        .map(|row| row.iter().sum::<f64>() as usize)
+        .collect()
+}
+
+/// The condition of the case: the released network stands targets behind the padded sources.
+fn condition(golden: &Golden) -> Condition {
+    let text: Tensor<3> = golden.tensor("in.text");
+    let source = golden.tensor::<3>("in.source").swap_dims(0, 1);
+    let [rows, frames, _] = source.dims();
+    Condition {
+        text_lengths: lengths(golden, "in.text_mask"),
+        source_lengths: lengths(golden, "in.source_mask"),
+        places: Places {
+            text: text.dims()[1],
+            source: vec![frames; rows],
+        },
+        text,
+        source,
+    }
+}
+
+#[test]
+fn golden_tmed_denoiser() {
+    let Some(golden) = Golden::find("tmed_denoiser") else {
+        return;
+    };
+    let network = network(&golden);
+    let forward = |condition: &Condition| {
+        network.forward(
+            golden.tensor("in.x"),
+            &lengths(&golden, "in.target_mask"),
+            &golden.indices("in.t"),
+            condition,
+        )
+    };
+    let whole = condition(&golden);
+    check(forward(&whole), &golden, "out.x0", 5e-5);
+    let [rows, frames, _] = whole.source.dims();
+    let nothing = Condition {
+        source: whole.source.zeros_like(),
+        source_lengths: vec![frames; rows],
+        ..whole.clone()
+    };
+    check(forward(&nothing), &golden, "out.x0_zero_source", 5e-5);
+    // Texts may be cut to the longest of them: their places stay.
+    let longest = *whole.text_lengths.iter().max().expect("rows");
+    let cut = Condition {
+        text: whole.text.clone().narrow(1, 0, longest),
+        ..whole
+    };
+    check(forward(&cut), &golden, "out.x0", 5e-5);
+}
+
+/// The condition of the guided row, once for each branch. Where there is no source, the released code
+/// shows zeros.
+fn guided_condition(golden: &Golden, text: f64, source: f64) -> Condition {
+    let asked: [Tensor<3>; 2] =
+        ["in.guide.text_uncond", "in.guide.text_cond"].map(|name| golden.tensor(name));
+    let asked_lengths = ["in.guide.text_uncond_mask", "in.guide.text_cond_mask"]
+        .map(|name| lengths(golden, name)[0]);
+    let given = golden.tensor::<3>("in.guide.source").swap_dims(0, 1);
+    let seen = lengths(golden, "in.guide.source_mask")[0];
+    let [_, frames, _] = given.dims();
+    let all = branches(text, source);
+    let texts = all.iter().map(|branch| usize::from(branch.has_text));
+    let sources = all.iter().map(|branch| match branch.has_source {
+        true => (given.clone(), seen),
+        false => (given.zeros_like(), frames),
+    });
+    let (sources, source_lengths): (Vec<_>, Vec<_>) = sources.unzip();
+    Condition {
+        text: Tensor::cat(texts.clone().map(|at| asked[at].clone()).collect(), 0),
+        text_lengths: texts.map(|at| asked_lengths[at]).collect(),
+        source: Tensor::cat(sources, 0),
+        source_lengths,
+        places: Places {
+            text: asked[0].dims()[1],
+            source: vec![frames; all.len()],
+        },
+    }
+}
+
+#[test]
+fn golden_tmed_guidance() {
+    let Some(golden) = Golden::find("tmed_denoiser") else {
+        return;
+    };
+    let network = network(&golden);
+    let frames = lengths(&golden, "in.guide.target_mask");
+    for (text, source, name) in [
+        (2.0, 2.0, "out.guided_t2_m2"),
+        (2.5, 5.0, "out.guided_t2.5_m5"),
+    ] {
+        let condition = guided_condition(&golden, text, source);
+        let x = golden.tensor("in.guide.x");
+        let all = branches(text, source);
+        let found = guided(&network, &all, &condition, &x, &frames, 150);
+        check(found, &golden, name, 2e-4);
+    }
+}
+
+#[test]
+fn golden_tmed_sampling() {
+    let (Some(golden), Some(case)) = (
+        Golden::find("tmed_denoiser"),
+        Golden::find("tmed_diffusion"),
+    ) else {
+        return;
+    };
+    let network = network(&golden);
+    let frames = lengths(&golden, "in.guide.target_mask");
+    let condition = guided_condition(&golden, 2.0, 2.0);
+    let (noise, trace) = (case.tensor::<3>("in.noise"), case.tensor::<3>("out.trace"));
+    let count = trace.dims()[0];
+    let trained = case.values("out.T300.betas").1[0];
+    let steps = SampleSteps::new(trained, count, Respacing::Official).expect("steps");
+    let made = Cell::new(0);
+    let x = steps.sample(
+        case.tensor("in.init"),
+        |x, step| {
+            let all = branches(2.0, 2.0);
+            guided(&network, &all, &condition, x, &frames, step.timestep)
+        },
+        |step| noise.clone().narrow(0, count - 1 - step.index, 1),
+        |_, x| {
+            let expected = floats(&trace.clone().narrow(0, made.get(), 1));
+            let difference = max_difference(&floats(x), &expected);
+            assert!(difference <= 2e-3, "step {}: {difference}", made.get());
+            made.set(made.get() + 1);
+        },
+    );
+    assert_eq!(made.get(), count);
+    check(x, &case, "out.final_row3", 2e-3);
+}
+
+#[test]
+fn golden_tmed_loss() {
+    let Some(golden) = Golden::find("tmed_diffusion") else {
+        return;
+    };
+    let (total, groups) = group_loss(
+        golden.tensor("in.loss.output"),
+        golden.tensor("in.loss.target"),
+        &lengths(&golden, "in.loss.mask"),
+    );
+    check(total, &golden, "out.loss.total", 1e-5);
+    check(groups, &golden, "out.loss.per_group", 1e-5);
+}
+
+/// Rows of recorded features.
+fn feature_rows(golden: &Golden, name: &str) -> Vec<FeatureFrame> {
+    golden.f32s(name).as_chunks::<NUM_FEATURES>().0.to_vec()
+}
+
+#[test]
+fn golden_tmed_features() {
+    let golden = Golden::read("motionfix_features");
+    let (rotations, shape) = golden.values("in.rots");
+    let (translations, _) = golden.values("in.trans");
+    let (points, _) = golden.values("in.joint_positions");
+    let vector = |values: &[f64]| DVec3::new(values[0], values[1], values[2]);
+    let poses: Vec<Pose> = (0..shape[0])
+        .map(|frame| Pose {
+            transl: vector(&translations[3 * frame..]),
+            rotations: std::array::from_fn(|joint| {
+                from_axis_angle(vector(&rotations[66 * frame + 3 * joint..]))
+            }),
+        })
+        .collect();
+    let joints: Vec<[DVec3; 22]> = (0..shape[0])
+        .map(|frame| std::array::from_fn(|joint| vector(&points[66 * frame + 3 * joint..])))
+        .collect();
+    let mut features = features_of_poses(&poses, &joints);
+    let expected = feature_rows(&golden, "out.features207");
+    let difference = max_difference(features.as_flattened(), expected.as_flattened());
+    assert!(difference <= 5e-6, "{difference}");
+
+    let names = [
+        "body_transl_delta_pelv",
+        "body_orient_xy",
+        "z_orient_delta",
+        "body_pose",
+        "body_joints_local_wo_z_rot",
+    ];
+    let column = |of: &str| -> Vec<f32> {
+        let groups = names.iter().zip(GROUPS);
+        groups
+            .flat_map(|(name, group)| {
+                let values = golden.f32s(&format!("in.stats.{name}.{of}"));
+                assert_eq!(values.len(), group.width, "{name}");
+                values
+            })
+            .collect()
+    };
+    let statistics = FeatureStatistics {
+        mean: column("mean"),
+        std: column("std"),
+    };
+    statistics.normalize(&mut features);
+    let expected = feature_rows(&golden, "out.features207_norm");
+    let difference = max_difference(features.as_flattened(), expected.as_flattened());
+    assert!(difference <= 5e-6, "{difference}");
+
+    // The reference begins at the mean of the translations, facing nowhere in particular.
+    statistics.restore(&mut features);
+    let start = golden.values("in.stats.body_transl.mean").0;
+    let poses = poses_of_features(&features, DQuat::IDENTITY, vector(&start));
+    let (expected, shape) = golden.values("out.recovered135");
+    for (pose, row) in poses.iter().zip(expected.chunks_exact(shape[1])) {
+        let apart = pose.transl - vector(row);
+        assert!(apart.abs().max_element() <= 5e-5, "{apart}");
+        for (rotation, six) in pose.rotations.iter().zip(row[3..].chunks_exact(6)) {
+            let six: [f64; 6] = std::array::from_fn(|index| six[index]);
+            let wanted = DQuat::from_mat3(&from_six_d_rows(six));
+            assert!(rotation.angle_between(wanted) <= 5e-4);
+        }
+    }
+}
+
+#[test]
+fn golden_tmed_is_imported_as_an_editor() {
+    let Some(golden) = Golden::find("tmed_denoiser") else {
+        return;
+    };
+    let recorded = golden.bytes();
+    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+    let mut tensors: Vec<_> = reference
+        .tensors()
+        .into_iter()
+        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)))
+        .collect();
+    for unused in ["feat_comb_coeff", "first_pose_proj.weight"] {
+        assert!(tensors.iter().any(|(name, _)| name == unused), "{unused}");
+    }
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    let device = Device::flex();
+    let import = |tensors: &[(String, safetensors::tensor::TensorView<'_>)]| {
+        let bytes = safetensors::serialize(tensors.iter().cloned(), None).expect("serialises");
+        let import = TmedImport {
+            num_heads: golden.size("num_heads"),
+            statistics: FeatureStatistics {
+                mean: vec![0.0; NUM_FEATURES],
+                std: vec![1.0; NUM_FEATURES],
+            },
+            text: TextRecord::Frozen {
+                encoder_hash: "clip".to_owned(),
+                width: golden.size("text_encoded_dim"),
+            },
+        };
+        import_tmed(&run, import, bytes, Path::new("last.ckpt"), &device)
+    };
+    let fewer: Vec<_> = tensors
+        .iter()
+        .filter(|(name, _)| name != "pose_proj_out.bias")
+        .cloned()
+        .collect();
+    let problem = import(&fewer).expect_err("a tensor is missing").to_string();
+    assert!(
+        problem.ends_with("pose_proj_out.bias is missing"),
+        "{problem}"
+    );
+    let more = tensors[0].1.clone();
+    tensors.push(("encoder.final_norm".to_owned(), more));
+    let problem = import(&tensors).expect_err("an unknown tensor").to_string();
+    assert!(problem.contains("encoder.final_norm"), "{problem}");
+    tensors.pop();
+    import(&tensors).expect("imported");
+
+    let source = SystemSource::best(&run, TextEncoderSource::default());
+    let skeleton = datasets_spec::Skeleton::smplx_neutral();
+    let system = open_system(&source, &EditConfig::default(), &skeleton, &device);
+    let system = system.expect("an editor");
+    assert_eq!(system.identity().name, "TMED");
+    let official = TmedConfig::preset(Preset::Official);
+    assert_eq!(system.guidance(), official.diffusion.guidance);
+}
+
+/// The published size has the number of parameters that its parts add up to.
+#[test]
+fn the_official_network_has_the_published_size() {
+    use burn::module::Module;
+    let config = TmedConfig::preset(Preset::Official).model;
+    let network = Tmed::new(&config, 768, NUM_FEATURES, &Device::flex());
+    assert_eq!(network.num_params(), 18_061_007);
+}
