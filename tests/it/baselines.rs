@@ -93,5 +93,9 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
         arg(&out),
     ])
     .expect_code(1);
-    assert!(refused.stderr.contains("whole motions"), "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("whole motions"),
+        "{}",
+        refused.stderr
+    );
 }

@@ -1,4 +1,4 @@
-//! Training and sampling of the denoiser at the size of the paper.
+//! Training and sampling of the denoiser and of TMED at the sizes of their papers.
 //!
 //! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Times are to be read
 //! against the matrix products of the same run.
@@ -18,10 +18,14 @@ use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::Objective;
 use train::model::denoiser::Denoiser;
 use train::model::fused;
+use train::model::motionrefit::TextSource;
+use train::model::tmed::TmedModel;
 use train::model::weights::draw;
 use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
+use train::tmed::features::NUM_FEATURES;
+use train::tmed::{ClipBatch, TextTokens, TmedConfig, loss};
 
 /// Windows in a training step.
 const BATCH: usize = 64;
@@ -173,6 +177,53 @@ fn generate(bencher: Bencher, batch: usize) {
                 |_, _| {},
             )
             .into_data()
+    });
+}
+
+/// Clips in a training step of TMED, frames of a source or target, and tokens of a text.
+const CLIPS: usize = 8;
+const CLIP_FRAMES: usize = 120;
+const TOKENS: usize = 16;
+
+/// Forward, loss, backward and AdamW of eight clips of four seconds.
+#[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
+fn tmed_training_step(bencher: Bencher, dropout: f64) {
+    let device = Device::flex().autodiff();
+    let config = TmedConfig::preset(Preset::Paper);
+    let network = NetworkConfig {
+        dropout,
+        ..config.model
+    };
+    let text = TextSource::Frozen(768);
+    let model = TmedModel::new(&network, text, NUM_FEATURES, &device);
+    let mut model = Some(draw(model, Seed(1)).expect("known layers"));
+    let numbers = |count: usize| -> Vec<f32> {
+        let values = normal([1, count], &Device::flex()).into_data();
+        values.try_into_vec_as().expect("floats")
+    };
+    let motions = || numbers(CLIPS * CLIP_FRAMES * NUM_FEATURES);
+    let batch = ClipBatch {
+        source: motions(),
+        source_frames: vec![CLIP_FRAMES; CLIPS],
+        source_is_shown: vec![true; CLIPS],
+        target: motions(),
+        target_frames: vec![CLIP_FRAMES; CLIPS],
+        noise: motions(),
+        timesteps: (0..CLIPS).collect(),
+        texts: TextTokens::Vectors {
+            values: numbers(CLIPS * TOKENS * 768),
+            lengths: vec![TOKENS; CLIPS],
+        },
+    };
+    let schedule = Schedule::cosine(config.diffusion.num_steps).expect("steps");
+    let mut optimizer = adamw(0.01);
+    bencher.counter(ItemsCount::new(CLIPS)).bench_local(|| {
+        let network = model.take().expect("put back after every step");
+        let loss = loss(&network, &batch, &config, &schedule, &device);
+        let value: f32 = loss.clone().into_scalar();
+        let gradients = GradientsParams::from_grads(loss.backward(), &network);
+        model = Some(optimizer.step(1e-4, network, gradients));
+        value
     });
 }
 

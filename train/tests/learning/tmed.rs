@@ -238,9 +238,10 @@ fn edited(system: &dyn EditSystem, asked: &[(&Motion, &str, Option<usize>)]) -> 
 #[test]
 fn tmed_learns_and_its_edits_have_the_length_asked_for() {
     let dir = tempfile::tempdir().expect("a folder");
-    let mut config = config(150);
+    let mut config = config(300);
     config.model.dropout = 0.0;
-    config.run.val_every = 50;
+    config.model.width = 64;
+    config.run.val_every = 100;
     config.run.micro_batch_size = None;
     config.run.optimizer.learning_rate = 3e-3;
     train(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
@@ -257,23 +258,29 @@ fn tmed_learns_and_its_edits_have_the_length_asked_for() {
     };
     let system = open(|_| {});
     let (short, long) = (arm(12, 0.6, 0.0), arm(14, 0.7, 0.0));
+    let alike = arm(12, 0.9, 0.0);
     let [raise, lower] = INSTRUCTIONS;
     let all = [
         (&short, raise, Some(14)),
         (&long, lower, None),
         (&short, "lower it", None),
+        // It shares a batch with the first.
+        (&alike, "lower an arm", Some(14)),
     ];
     let motions = edited(&*system, &all);
     let lengths: Vec<usize> = motions.iter().map(Motion::len).collect();
-    assert_eq!(lengths, [14, 14, 12]);
+    assert_eq!(lengths, [14, 14, 12, 14]);
     for (made, (source, ..)) in motions.iter().zip(&all) {
         let apart = (made.pose(0).transl - source.pose(0).transl).length();
         assert!(apart < 1e-5, "an edit begins where its source stands");
     }
     // A request does not see the others, and the seed alone decides.
-    assert_eq!(edited(&*system, &all[1..2])[0], motions[1]);
+    for (one, motion) in all.iter().zip(&motions) {
+        assert_eq!(edited(&*system, std::slice::from_ref(one))[0], *motion);
+    }
     let angle = |motion: &Motion| motion.pose(6).rotations[16].z;
-    assert!(angle(&motions[0]) > angle(&motions[1]) + 0.2);
+    let (raised, lowered) = (angle(&motions[0]), angle(&motions[1]));
+    assert!(raised > lowered + 0.2, "{raised} {lowered}");
 
     let other = |change: fn(&mut EditConfig)| edited(&*open(change), &all[..1]).remove(0);
     let settings = |system: &dyn EditSystem| system.identity().settings_hash();
