@@ -318,7 +318,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         mean: numbers("Mean.npy")?,
         std: numbers("Std.npy")?,
     };
-    let clip = text_encoder(args.text_encoder.as_deref()).load(&device())?;
+    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
     let text = TextRecord::Frozen {
         encoder_hash: clip.identity().to_owned(),
         width: clip.width(),

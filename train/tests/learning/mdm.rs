@@ -216,6 +216,7 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
                 instructions,
                 fps,
                 joints,
+                frames: None,
             })
             .collect();
         let made = quietly(|session| system.edit(&requests, Seed(1), session)).expect("edits");

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::Device;
-use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
+use datasets_spec::{Fps, JointSet, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -228,6 +228,7 @@ fn edited(system: &dyn EditSystem, asked: &[(&Motion, &str, Option<usize>)]) -> 
             motion,
             instructions,
             fps: motion.fps(),
+            joints: JointSet::EMPTY,
             frames,
         })
         .collect();
