@@ -138,7 +138,7 @@ pub struct TimeEmbedding {
 #[derive(Module, Debug)]
 pub struct LatentDenoiser {
     time_embedding: TimeEmbedding,
-    emb_proj: Linear,
+    text_emb_proj: Linear,
     query_pos: LearnedPositions,
     encoder: SkipEncoder,
 }
@@ -158,7 +158,7 @@ impl LatentDenoiser {
                 linear_1: linear(text_width, config.width),
                 linear_2: linear(config.width, config.width),
             },
-            emb_proj: linear(text_width, config.width),
+            text_emb_proj: linear(text_width, config.width),
             query_pos: LearnedPositions::new(positions, config.width, device),
             encoder: SkipEncoder::encoder(config, device),
         }
@@ -175,7 +175,7 @@ impl LatentDenoiser {
         let time = embedding
             .linear_2
             .forward(silu(embedding.linear_1.forward(time)));
-        let text = self.emb_proj.forward(relu(text));
+        let text = self.text_emb_proj.forward(relu(text));
         let tokens = Tensor::stack::<3>(vec![z, time, text], 1);
         let [_, length, _] = tokens.dims();
         let tokens = tokens + self.query_pos.rows(length);

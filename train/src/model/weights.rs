@@ -65,8 +65,8 @@ const RENAMES: [(&str, &str, &str, &str); 10] = [
     ),
     (
         r"^emb_proj\.1\.",
-        "emb_proj.",
-        r"^emb_proj\.",
+        "text_emb_proj.",
+        r"^text_emb_proj\.",
         "emb_proj.1.",
     ),
 ];

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
-use kinematics::resample::interpolate_all;
+use kinematics::resample::{grid, interpolate_all};
 use rayon::prelude::*;
 
 use super::clips::TextTokens;
@@ -145,7 +145,7 @@ struct Question<'a> {
     /// Frames of the edit at the network's rate.
     frames: usize,
     /// Places of the result's frames among them.
-    grid: Vec<(usize, f64)>,
+    places: Vec<(usize, f64)>,
     fps: Fps,
 }
 
@@ -180,13 +180,11 @@ impl TmedSystem {
         self.record.statistics.normalize(&mut source);
         let frames = match frames {
             Some(frames) => frames.max(1),
-            None => {
-                ((motion.len() - 1) as f64 * fps.get() / motion.fps().get()).round() as usize + 1
-            }
+            None => grid(motion.len(), motion.fps(), fps).len(),
         };
         let per_frame = own.get() / fps.get();
         let last = ((frames - 1) as f64 * per_frame).ceil();
-        let grid = (0..frames)
+        let places = (0..frames)
             .map(|frame| {
                 let at = (frame as f64 * per_frame).min(last);
                 (at.floor() as usize, at.fract())
@@ -198,7 +196,7 @@ impl TmedSystem {
             source,
             first: motion.pose(0),
             frames: last as usize + 1,
-            grid,
+            places,
             fps,
         })
     }
@@ -303,7 +301,7 @@ impl Question<'_> {
     ) -> Result<Motion, Error> {
         record.statistics.restore(&mut features);
         let poses = poses_from(&features, &self.first);
-        Motion::from_poses(self.fps, &interpolate_all(&poses, &self.grid))
+        Motion::from_poses(self.fps, &interpolate_all(&poses, &self.places))
             .map_err(motion_error(self.id))
     }
 }
