@@ -24,6 +24,7 @@ use crate::annotation::masks::{MaskConfig, automatic_masks};
 use crate::annotation::pairs::{
     self, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
 };
+use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
 use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Stream, draw_items};
 use crate::ingest::IngestOptions;
@@ -461,6 +462,41 @@ pub fn commit_edits(
         tables: tables.into(),
         plan_hash: plan_hash.to_owned(),
         skeleton: skeleton.clone(),
+        ..Commit::default()
+    })?)
+}
+
+/// Commits candidate pairs and their motions as a dataset.
+/// `facts` tells how they were made.
+///
+/// # Errors
+/// The folder is locked or cannot be written.
+pub fn commit_candidates(
+    out: &Path,
+    candidates: &Candidates,
+    facts: BTreeMap<String, String>,
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    holder: &str,
+) -> Result<Dataset, Error> {
+    let transaction = Transaction::begin(out, holder)?;
+    let motion_split: fn(&MotionRow) -> Split = |row| row.split;
+    let pair_split: fn(&PairRow) -> Split = |row| row.split;
+    let tables = [
+        (
+            MotionRow::TABLE.to_owned(),
+            transaction.write_rows(&candidates.motions, Some(motion_split), skeleton, plan_hash)?,
+        ),
+        (
+            PairRow::TABLE.to_owned(),
+            transaction.write_rows(&candidates.pairs, Some(pair_split), skeleton, plan_hash)?,
+        ),
+    ];
+    Ok(transaction.commit(Commit {
+        tables: tables.into(),
+        plan_hash: plan_hash.to_owned(),
+        skeleton: skeleton.clone(),
+        facts,
         ..Commit::default()
     })?)
 }

@@ -24,4 +24,5 @@ pub(crate) mod run;
 pub(crate) mod stats;
 pub(crate) mod train;
 pub(crate) mod triplets;
+pub(crate) mod variants;
 pub(crate) mod verify;

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 26] = [
+const VERBS: [&str; 27] = [
     "demo",
     "run",
     "build",
@@ -24,6 +24,7 @@ const VERBS: [&str; 26] = [
     "triplets",
     "items",
     "train",
+    "variants",
     "model",
     "edit",
     "edits",
@@ -107,6 +108,7 @@ fn options_of_models_stand_where_a_model_runs() {
             "eval",
             "reproduce",
             "report",
+            "variants",
         ]
         .contains(&verb);
         let trains = ["demo", "run", "train", "reproduce"].contains(&verb);

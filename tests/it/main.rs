@@ -22,3 +22,4 @@ mod seams;
 mod tables;
 mod train;
 mod util;
+mod variants;

@@ -1,5 +1,6 @@
 //! Crops of captioned motions, as models of motions and captions are trained on them.
 
+use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::{Seed, Skeleton};
 use pipeline::feature::Statistics;
 use pipeline::feature::humanml3d::Features;
@@ -101,6 +102,26 @@ pub(crate) struct Crops<'a> {
     pub(crate) frames: usize,
     /// `[B]`
     pub(crate) captions: Vec<&'a str>,
+}
+
+impl Crops<'_> {
+    /// The features on a device, `[B, T, 263]`.
+    pub(crate) fn tensor(&self, device: &Device) -> Tensor<3> {
+        let rows = self.lengths.len();
+        let width = self.features.len() / (rows * self.frames);
+        let shape = [rows, self.frames, width];
+        Tensor::from_data(TensorData::new(self.features.clone(), shape), device)
+    }
+
+    /// 1 for the frames that are not padding, 0 for the others, `[B, T, 1]`.
+    pub(crate) fn valid(&self, device: &Device) -> Tensor<3> {
+        let frames = self.frames;
+        let valid = self.lengths.iter().flat_map(|&length| {
+            (0..frames).map(move |frame| if frame < length { 1.0f32 } else { 0.0 })
+        });
+        let shape = [self.lengths.len(), frames, 1];
+        Tensor::from_data(TensorData::new(valid.collect(), shape), device)
+    }
 }
 
 /// Samples crops of clips. What is drawn for a sample depends on the seed and the sample's place in the

@@ -195,11 +195,15 @@ impl Schedule {
 /// text. Weight 1 is the prediction with text.
 ///
 /// # Shapes
-/// All `[B, W, D]`.
+/// Any, the same.
 ///
 /// # Source
 /// Released code; the paper's `(1 + w) eps - w eps'` is this with `weight = 1 + w`.
-pub fn guide(with_text: Tensor<3>, without_text: Tensor<3>, weight: f64) -> Tensor<3> {
+pub fn guide<const D: usize>(
+    with_text: Tensor<D>,
+    without_text: Tensor<D>,
+    weight: f64,
+) -> Tensor<D> {
     without_text.clone() + (with_text - without_text).mul_scalar(weight)
 }
 

@@ -23,6 +23,7 @@ use crate::system::{
     EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource,
 };
+use crate::text::clip::ClipModel;
 use crate::{Error, Session};
 
 /// The MotionReFit editor as a system.
@@ -185,9 +186,12 @@ impl EditSystem for MotionRefitSystem {
             TextRecord::Learned(_) => Ok(()),
             TextRecord::Frozen { .. } => {
                 let source = &self.source;
-                let table = source
-                    .text_encoder
-                    .embeddings(&source.run, texts, session)?;
+                let table = source.text_encoder.embeddings(
+                    &source.run,
+                    texts,
+                    ClipModel::VitB32,
+                    session,
+                )?;
                 self.editor.set_vectors(Box::new(table))
             }
         }

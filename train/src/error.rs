@@ -65,6 +65,12 @@ pub enum Error {
         /// What can be done.
         remedy: &'static str,
     },
+    /// A folder to write holds another dataset.
+    #[error("{} holds another dataset; choose another folder", path.display())]
+    OtherDataset {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A model was trained on another skeleton than the motions are on.
     #[error(
         "{what} in {} was trained on skeleton {trained}, and the motions are on {asked}; train one \

@@ -134,7 +134,7 @@ impl SourceFeatures {
             .map_err(no_motion)?;
         let misfit = Misfit {
             fit_error_m: mean(&fitted.error_m),
-            bone_drift_m: mean(&bone_drifts(&joints)) * self.placement.scale as f32,
+            bone_drift_m: mean_bone_drift_m(&joints) * self.placement.scale as f32,
         };
         Ok((fitted.motion, misfit))
     }
@@ -165,16 +165,17 @@ impl SourceFeatures {
     }
 }
 
-/// How far each bone is from its length in the uniform skeleton, in metres.
-fn bone_drifts(joints: &[Joints]) -> Vec<f64> {
-    joints
+/// Mean distance in metres of the bones from their lengths in the uniform skeleton.
+pub(crate) fn mean_bone_drift_m(joints: &[Joints]) -> f32 {
+    let drifts: Vec<f64> = joints
         .iter()
         .flat_map(|points| {
             (1..NUM_BODY_JOINTS).map(|joint| {
                 (points[joint].distance(points[parent_of(joint)]) - UNIFORM_BONES[joint]).abs()
             })
         })
-        .collect()
+        .collect();
+    mean(&drifts)
 }
 
 fn mean(values: &[f64]) -> f32 {

@@ -23,6 +23,7 @@ use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
 use crate::model::weights::draw;
 use crate::schedule::Schedule;
+use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::{Error, Session};
 
@@ -30,6 +31,9 @@ use crate::{Error, Session};
 pub(crate) const KIND: &str = "mdm";
 
 pub(crate) const WEIGHTS: &str = "mdm.safetensors";
+
+/// The frozen text encoder.
+pub(crate) const CLIP: ClipModel = ClipModel::VitB32;
 
 /// Settings of MDM.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -16,7 +16,7 @@ use crate::data::TextVectors;
 use crate::diffusion::guide;
 use crate::fit::{TEXT, TextRecord};
 use crate::humanml3d::{SourceFeatures, feature_mask};
-use crate::mdm::{KIND, MdmConfig, MdmRecord, WEIGHTS};
+use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::{Mdm, PreparedMdm};
 use crate::sample::{EditTimes, covering};
@@ -382,7 +382,7 @@ impl EditSystem for MdmBpSystem {
             let source = &self.source;
             let table = source
                 .text_encoder
-                .embeddings(&source.run, texts, session)?;
+                .embeddings(&source.run, texts, CLIP, session)?;
             self.record.text.texts(Some(&table))?;
             self.vectors = Some(Box::new(table));
         }

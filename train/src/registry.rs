@@ -8,7 +8,7 @@ use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
 use crate::nearest;
-use crate::stage::{coordinator, editor, encoder, mdm, poses};
+use crate::stage::{coordinator, editor, encoder, mdm, mld, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 use crate::tmed;
 
@@ -19,6 +19,7 @@ pub const MODELS: &[ModelKind] = &[
     encoder::MODEL,
     poses::MODEL,
     mdm::MODEL,
+    mld::MODEL,
     nearest::MODEL,
     tmed::MODEL,
 ];

@@ -2,6 +2,8 @@
 
 #[path = "learning/mdm.rs"]
 mod mdm;
+#[path = "learning/mld.rs"]
+mod mld;
 #[path = "learning/tmed.rs"]
 mod tmed;
 

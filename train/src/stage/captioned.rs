@@ -7,6 +7,7 @@ use super::create_dir;
 use super::encoder::CaptionedClip;
 use crate::config::{TextConfig, TextEncoder};
 use crate::kind::TrainRequest;
+use crate::text::clip::ClipModel;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 use crate::tmr::CaptionedMotion;
@@ -88,7 +89,7 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
 /// # Errors
 /// The text encoder is missing or cannot encode a caption, or the table cannot be written.
 pub(super) fn caption_vectors(
-    text: &TextConfig,
+    (text, model): (&TextConfig, ClipModel),
     splits: &[&TimedClips],
     request: &TrainRequest<'_>,
     session: &Session<'_>,
@@ -99,7 +100,9 @@ pub(super) fn caption_vectors(
     let captions = splits.iter().flat_map(|clips| clips.captions());
     let captions: Vec<String> = captions.chain([String::new()]).collect();
     let run = request.start.run;
-    let table = request.text_encoder.embeddings(run, &captions, session)?;
+    let table = request
+        .text_encoder
+        .embeddings(run, &captions, model, session)?;
     create_dir(run)?;
     table.save(&run.join(EMBEDDINGS))?;
     Ok(Some(table))

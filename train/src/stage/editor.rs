@@ -16,6 +16,7 @@ use crate::config::{TextEncoder, TrainConfig};
 use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
 use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::text::clip::ClipModel;
 use crate::text::source::{EMBEDDINGS, TextEncoderSource};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -81,7 +82,10 @@ pub fn train_editor<'a>(
         TextEncoder::Learned => None,
         TextEncoder::Clip => {
             let all = [instructions.clone(), val.instructions()].concat();
-            let table = inputs.text_encoder.embeddings(start.run, &all, session)?;
+            let table =
+                inputs
+                    .text_encoder
+                    .embeddings(start.run, &all, ClipModel::VitB32, session)?;
             create_dir(start.run)?;
             table.save(&start.run.join(EMBEDDINGS))?;
             Some(table)

@@ -25,7 +25,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let dataset = Dataset::open(request.dataset)?;
     let train = TimedClips::read(&dataset, Split::Train)?;
     let val = TimedClips::read(&dataset, Split::Val)?;
-    let vectors = caption_vectors(&config.text, &[&train, &val], request, session)?;
+    let vectors = caption_vectors((&config.text, mdm::CLIP), &[&train, &val], request, session)?;
     let corpus = CaptionedCorpus {
         train: &train.views(),
         val: &val.views(),

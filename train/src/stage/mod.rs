@@ -6,7 +6,9 @@ pub mod coordinator;
 pub mod editor;
 pub mod encoder;
 pub(crate) mod mdm;
+pub(crate) mod mld;
 pub mod poses;
+pub mod variants;
 
 use std::path::Path;
 

@@ -43,7 +43,7 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Vectors of texts of CLIP ViT-B/32: those of the run folder if it holds all of them, else computed.
+    /// Vectors of texts of a CLIP: those of the run folder if it holds all of them, else computed.
     ///
     /// # Errors
     /// As [`Self::load`], or a text cannot be encoded.
@@ -51,15 +51,10 @@ impl TextEncoderSource {
         &self,
         run: &Path,
         texts: &[String],
+        model: ClipModel,
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
-        self.table(
-            run,
-            texts,
-            ClipModel::VitB32,
-            EmbeddingTable::compute,
-            session,
-        )
+        self.table(run, texts, model, EmbeddingTable::compute, session)
     }
 
     /// The last hidden states of the tokens of texts in CLIP ViT-L/14: those of the run folder if it holds

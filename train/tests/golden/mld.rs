@@ -1,7 +1,10 @@
 //! MLD against its released code.
 
 use burn::tensor::{Device, Tensor};
+use train::ddim::Ddim;
+use train::diffusion::guide;
 use train::model::mld::{LatentDenoiser, MotionVae, step_sinusoid};
+use train::schedule::Schedule;
 
 use super::{Golden, check};
 
@@ -49,4 +52,56 @@ fn golden_mld_denoiser() {
     let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
     let noise = denoiser(&golden).forward(single("in.x"), &timesteps, single("in.text"));
     check(noise.unsqueeze_dim::<3>(1), &golden, "out.eps", 5e-5);
+}
+
+#[test]
+fn golden_mld_schedule() {
+    let (Some(golden), Some(network)) =
+        (Golden::find("mld_schedule"), Golden::find("mld_denoiser"))
+    else {
+        return;
+    };
+    let trained = golden.values("out.betas").1[0];
+    let schedule = Schedule::scaled_linear(trained).expect("steps");
+    for (name, values) in [
+        ("out.betas", &schedule.betas),
+        ("out.alphas_cumprod", &schedule.alphas_cumprod),
+    ] {
+        let (expected, _) = golden.values(name);
+        for (value, expected) in values.iter().zip(&expected) {
+            assert!(
+                (value - expected).abs() <= 1e-5 * expected,
+                "{name}: {value} {expected}"
+            );
+        }
+    }
+    let noisy = schedule.q_sample(golden.tensor("in.x_t"), &[700], golden.tensor("in.eps"));
+    check(noisy, &golden, "out.add_noise", 2e-5);
+
+    let timesteps = golden.indices("out.timesteps");
+    let ddim = Ddim::new(schedule, timesteps.len()).expect("steps");
+    assert_eq!(ddim.timesteps(), timesteps);
+    let steps: Vec<Tensor<3>> = [981, 501, 1]
+        .into_iter()
+        .map(|timestep| ddim.step(golden.tensor("in.x_t"), golden.tensor("in.eps"), timestep))
+        .collect();
+    check(Tensor::cat(steps, 0), &golden, "out.ddim_step", 2e-5);
+
+    let denoiser = denoiser(&network);
+    let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
+    let mut trace = Vec::new();
+    ddim.sample(
+        single("in.init"),
+        |z, timestep| {
+            let predict = |text| denoiser.forward(z.clone(), &[timestep], single(text));
+            Ok(guide(
+                predict("in.text_cond"),
+                predict("in.text_uncond"),
+                7.5,
+            ))
+        },
+        |z| trace.push(z.clone().unsqueeze_dim::<3>(0)),
+    )
+    .expect("sampled");
+    check(Tensor::cat(trace, 0), &golden, "out.trace", 1e-3);
 }

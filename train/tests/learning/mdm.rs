@@ -17,7 +17,7 @@ use train::text::source::TextEncoderSource;
 use super::*;
 
 /// Walks of several speeds, in which every second has raised arms.
-fn clips(count: usize) -> Vec<(String, Motion, Vec<String>)> {
+pub(super) fn clips(count: usize) -> Vec<(String, Motion, Vec<String>)> {
     (0..count)
         .map(|index| {
             let mut motion = walk(41, 0.3 + 0.2 * index as f64, index as f64);
@@ -82,7 +82,7 @@ fn trained(
     train_mdm(run, config, corpus, &session).expect("trains")
 }
 
-fn features(motion: &Motion) -> Vec<Features> {
+pub(super) fn features(motion: &Motion) -> Vec<Features> {
     features_of_joints(&joints_of_motion(motion, &SKELETON)).expect("long enough")
 }
 

@@ -1,0 +1,189 @@
+//! `stance variants`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use datasets_spec::Split;
+use datasets_spec::record::PairRow;
+use datasets_spec::table::Row;
+use pipeline::annotation::variants::{VariantConfig, VariantCounts};
+use serde::Serialize;
+use train::mld::LatentNoise;
+use train::stage::variants::{
+    Instructions, MakeVariants, VariantReport, make_variants, pair_variants,
+};
+
+use crate::device::DeviceArgs;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+use crate::session::{text_encoder, with_session};
+
+/// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
+///
+/// A generator (`stance train mld`) samples a latent vector for every instruction and decodes variants
+/// of it with a little noise. Pairs that are identical, too different or broken are left out and
+/// counted. `stance annotate` shows the candidates of an instruction as one bundle. Without
+/// --generator, the motions of the dataset are the variants: those whose ids share a folder, as
+/// base/variant.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder: its captions are instructions; without --generator, its motions are the variants
+    dataset: PathBuf,
+    /// Run folder of the generator
+    #[arg(long, value_name = "RUN", requires = "instructions")]
+    generator: Option<PathBuf>,
+    /// What the motions show: `captions` for those of the dataset, or a file with a text on each line
+    #[arg(long, value_name = "FILE|captions", requires = "generator")]
+    instructions: Option<PathBuf>,
+    /// Most instructions, drawn by --seed [default: all]
+    #[arg(long, value_name = "N", requires = "generator")]
+    count: Option<usize>,
+    /// Variants of an instruction
+    #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, value_parser = clap::value_parser!(usize))]
+    variants: usize,
+    /// Standard deviation of the noise between variants, in units of the latent space
+    #[arg(
+        long,
+        value_name = "SIGMA",
+        default_value_t = 0.1,
+        conflicts_with = "relative_noise"
+    )]
+    noise: f64,
+    /// The same in standard deviations of the latent vectors of motions
+    #[arg(long, value_name = "SHARE")]
+    relative_noise: Option<f64>,
+    /// Root mean square distance in metres between joints below which variants are identical
+    #[arg(long, value_name = "M", default_value_t = VariantConfig::default().min_distance_m)]
+    min_distance: f64,
+    /// The distance above which they are different motions
+    #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_distance_m)]
+    max_distance: f64,
+    /// Maximum mean speed of planted feet in m/s
+    #[arg(long, value_name = "SPEED", default_value_t = VariantConfig::default().max_foot_skate)]
+    max_skate: f32,
+    /// Maximum mean distance of bones from their lengths in metres
+    #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_bone_drift_m)]
+    max_drift: f32,
+    /// Folder of the CLIP text encoder, for a generator that uses it [default: the hub's cache]
+    #[arg(long, value_name = "FOLDER")]
+    text_encoder: Option<PathBuf>,
+    /// Dataset folder to write
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// The `--json` document.
+#[derive(Serialize)]
+struct Document {
+    pairs: u64,
+    splits: Vec<(Split, u64)>,
+    counts: Option<VariantCounts>,
+    latent_std: Option<f32>,
+    root_hash: String,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.device.choose()?;
+    let filter = VariantConfig {
+        min_distance_m: args.min_distance,
+        max_distance_m: args.max_distance,
+        max_foot_skate: args.max_skate,
+        max_bone_drift_m: args.max_drift,
+    };
+    let holder = global.holder();
+    let made = match (&args.generator, &args.instructions) {
+        (Some(generator), Some(instructions)) => {
+            let instructions = read_instructions(instructions)?;
+            let config = MakeVariants {
+                count: args.count,
+                variants: args.variants,
+                noise: match args.relative_noise {
+                    Some(share) => LatentNoise::Relative(share),
+                    None => LatentNoise::Absolute(args.noise),
+                },
+                filter,
+            };
+            let folders = [&args.dataset, generator, &args.out].map(PathBuf::as_path);
+            let encoder = text_encoder(args.text_encoder.as_deref());
+            with_session(&global.bars(), |session| {
+                make_variants(
+                    folders,
+                    &instructions,
+                    &config,
+                    &encoder,
+                    global.seed(),
+                    &holder,
+                    session,
+                )
+            })?
+        }
+        _ => pair_variants(&args.dataset, &args.out, &filter, &holder)?,
+    };
+    print(&made, global)
+}
+
+fn read_instructions(file: &Path) -> anyhow::Result<Instructions> {
+    if file == Path::new("captions") {
+        return Ok(Instructions::Captions);
+    }
+    let text = std::fs::read_to_string(file)
+        .with_context(|| format!("cannot read the instructions in {}", file.display()))?;
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let texts: Vec<String> = lines.map(str::to_owned).collect();
+    if texts.is_empty() {
+        bail!(
+            "{} holds no instruction: write one on each line",
+            file.display()
+        );
+    }
+    Ok(Instructions::Texts(texts))
+}
+
+fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
+    let manifest = made.dataset.manifest();
+    let document = Document {
+        pairs: manifest.rows(PairRow::TABLE, None),
+        splits: Split::ALL
+            .into_iter()
+            .map(|split| (split, manifest.rows(PairRow::TABLE, Some(split))))
+            .collect(),
+        counts: made.counts,
+        latent_std: made.latent_std,
+        root_hash: manifest.root_hash.clone(),
+    };
+    if global.json {
+        report::json(&document)?;
+        return Ok(Exit::Done);
+    }
+    let mut lines = vec![format!("{} candidate pairs", document.pairs)];
+    if let Some(std) = document.latent_std {
+        lines.push(format!(
+            "standard deviation of the latent vectors: {std:.3}"
+        ));
+    }
+    match document.counts {
+        None => lines.push("they were there already".to_owned()),
+        Some(counts) => {
+            lines.push(format!(
+                "{} variants of {} motions, {} unpaired",
+                counts.variants, counts.bases, counts.unpaired
+            ));
+            let left_out = [
+                ("broken", counts.broken),
+                ("of different lengths", counts.lengths),
+                ("identical", counts.identical),
+                ("too different", counts.different),
+                ("sliding feet", counts.sliding),
+                ("bones of other lengths", counts.drifting),
+                ("off the floor", counts.floating),
+            ];
+            let left_out = left_out.iter().filter(|(_, count)| *count > 0);
+            lines.extend(left_out.map(|(reason, count)| format!("  {reason:<24} {count:>6}")));
+        }
+    }
+    report::text(&lines.join("\n"));
+    Ok(Exit::Done)
+}

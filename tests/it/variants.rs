@@ -1,0 +1,143 @@
+//! Candidates of fine-grained pairs: made by a generator or elsewhere, and shown to annotators.
+
+use std::fs;
+
+use annotate::store::{Claimed, open_sqlite};
+use annotate::wire::TaskKind;
+use datasets_spec::Dataset;
+use datasets_spec::record::{MotionRow, PairRow};
+use serde_json::Value;
+
+use crate::train::Workshop;
+use crate::util::{arg, stance};
+
+/// Settings of a generator that is trained in a second.
+const SMALL: &str = "
+    batch_size = 8
+    val_every = 3
+    diffusion_steps = 40
+    sampling_steps = 4
+    [model]
+    width = 32
+    num_layers = 3
+    num_heads = 4
+    feed_forward = 64
+    [autoencoder]
+    batch_size = 8
+    val_every = 3
+    [autoencoder.model]
+    width = 32
+    num_layers = 3
+    num_heads = 4
+    feed_forward = 64
+";
+
+/// Bounds that pairs of an untrained network keep.
+const ANY: [&str; 8] = [
+    "--min-distance",
+    "0",
+    "--max-distance",
+    "1000",
+    "--max-skate",
+    "1000",
+    "--max-drift",
+    "1000",
+];
+
+#[test]
+fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
+    let workshop = Workshop::open();
+    let settings = workshop.path("mld.toml");
+    fs::write(&settings, SMALL).expect("writes");
+    let small = ["--config", arg(&settings), "--steps", "3"];
+    workshop.train_with("mld", "mld", &small).expect_code(0);
+
+    let [run, out, again] = ["mld", "candidates", "again"].map(|name| workshop.path(name));
+    let dataset = workshop.dataset();
+    let made = |out: &std::path::Path, more: &[&str]| -> Value {
+        let args = [
+            "--json",
+            "variants",
+            arg(&dataset),
+            "--generator",
+            arg(&run),
+            "--instructions",
+            "captions",
+            "--count",
+            "3",
+            "--out",
+            arg(out),
+        ];
+        stance(&[&args[..], &ANY, more].concat())
+            .expect_code(0)
+            .json()
+    };
+    let first = made(&out, &[]);
+    let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
+    assert_eq!((count(&first, "bases"), count(&first, "variants")), (3, 48));
+    let left_out = [
+        "broken",
+        "lengths",
+        "identical",
+        "different",
+        "sliding",
+        "drifting",
+        "floating",
+    ];
+    let left_out: u64 = left_out.iter().map(|name| count(&first, name)).sum();
+    let kept = count(&first, "kept");
+    assert_eq!(kept + left_out, 24, "every pair is counted: {first}");
+    assert!(first["latent_std"].as_f64().is_some_and(|std| std > 0.0));
+    stance(&["verify", arg(&out)]).expect_code(0);
+
+    let folder = Dataset::open(&out).expect("a dataset");
+    let pairs: Vec<PairRow> = folder.read(None).expect("pairs");
+    let motions: Vec<MotionRow> = folder.read(None).expect("motions");
+    assert_eq!((pairs.len() as u64, motions.len()), (kept, 2 * pairs.len()));
+    for pair in &pairs {
+        let of = |id| {
+            motions
+                .iter()
+                .find(|row| row.id == id)
+                .expect("a motion of the pair")
+        };
+        let (source, target) = (of(pair.source_id.clone()), of(pair.target_id.clone()));
+        assert_eq!(source.n_frames, target.n_frames);
+        assert_eq!(source.captions[0].text, pair.instruction);
+        assert!(pair.source_id.as_str().starts_with("seed0/batch0000/"));
+    }
+
+    // The same command makes nothing anew; another folder gets the same bytes.
+    let repeated = made(&out, &[]);
+    assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
+    assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
+    let args = ["variants", arg(&out), "--out", arg(&again)];
+    let refused = stance(&args).expect_code(1);
+    assert!(
+        refused.stderr.contains("another dataset"),
+        "{}",
+        refused.stderr
+    );
+
+    // Variants that were made elsewhere are motions named base/variant.
+    let paired = workshop.path("paired");
+    let elsewhere = ["--json", "variants", arg(&out), "--out", arg(&paired)];
+    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat())
+        .expect_code(0)
+        .json();
+    assert_eq!(count(&elsewhere, "variants"), 2 * kept);
+    assert_eq!(elsewhere["pairs"], kept);
+
+    stance(&["annotate", arg(&out), "user", "add", "ann"]).expect_code(0);
+    stance(&["annotate", arg(&out), "import"]).expect_code(0);
+    let store = open_sqlite(&out.join("annotate").join("store.sqlite")).expect("a store");
+    let claimed = store.claim(1, TaskKind::Pair, 0, 0).expect("claimed");
+    let Claimed::Task { detail, .. } = claimed else {
+        panic!("the candidates are tasks");
+    };
+    let hint = detail.task.hint.as_deref();
+    let of_base = pairs.iter().filter(|pair| hint == Some(&pair.instruction));
+    let expected = of_base.count();
+    assert!((1..=8).contains(&expected), "{expected}");
+    assert_eq!(detail.bundle.len(), expected);
+}

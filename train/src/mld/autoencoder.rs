@@ -1,0 +1,236 @@
+//! The autoencoder of motions: training and use.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use super::config::AutoencoderConfig;
+use super::joints::recovered_joints;
+use crate::captioned::{CaptionedCorpus, CaptionedRows, CropSampler, Crops, grouped_stats};
+use crate::checkpoint::{
+    self, Files, Run, RunRecord, Slot, read_for_use, read_record, take, weights_hash,
+};
+use crate::config::Loss;
+use crate::features::FeatureStats;
+use crate::model::mld::{MAX_POSITIONS, MotionVae};
+use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::{Error, Session};
+
+/// Kind of run.
+const KIND: &str = "mld-autoencoder";
+
+const WEIGHTS: &str = "autoencoder.safetensors";
+
+/// Record of a run of the autoencoder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AutoencoderRecord {
+    train: AutoencoderConfig,
+    features: FeatureStats,
+}
+
+impl AutoencoderRecord {
+    fn network(&self, device: &Device) -> MotionVae {
+        let width = self.features.recipe.width();
+        MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
+    }
+}
+
+/// The folder of the autoencoder in that of the latent diffusion.
+fn folder(run: &Path) -> PathBuf {
+    run.join("autoencoder")
+}
+
+/// Trains the autoencoder, or continues where its folder left off.
+///
+/// # Errors
+/// As [`super::train_mld`].
+pub(super) fn train(
+    run: &Path,
+    config: &AutoencoderConfig,
+    splits: [&[CaptionedRows]; 2],
+    corpus: &CaptionedCorpus<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    let [clips, val] = splits;
+    let record = AutoencoderRecord {
+        train: config.clone(),
+        features: grouped_stats(clips),
+    };
+    let run = Run::open(
+        &folder(run),
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
+    )?;
+    let device = session.device.clone().autodiff();
+    let seed = Seed(config.run.seed);
+    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
+    let sampler = |clips, name| CropSampler {
+        clips,
+        stats: &record.features,
+        max_frames: config.max_frames,
+        pads_to_max: false,
+        seed: seed.derive(&[name]),
+    };
+    let val = sampler(val, "val").whole(config.run.micro_batch());
+    let task = AutoencoderTask {
+        record: &record,
+        sampler: sampler(clips, "train"),
+        // A validation takes the mean latent vectors.
+        val: val.into_iter().map(|crops| (crops, None)).collect(),
+    };
+    let trainer = TrainerConfig {
+        kind: KIND,
+        samples: "motions",
+        run: config.run,
+        epoch_len: clips.len() as u64,
+    };
+    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    Ok(report)
+}
+
+/// Crops, and the noise of their latent vectors, `[B, d]`.
+type NoisyCrops<'a> = (Crops<'a>, Option<Vec<f32>>);
+
+struct AutoencoderTask<'a> {
+    record: &'a AutoencoderRecord,
+    sampler: CropSampler<'a>,
+    val: Vec<NoisyCrops<'a>>,
+}
+
+impl<'a> Task for AutoencoderTask<'a> {
+    type Model = MotionVae;
+    type Batch = NoisyCrops<'a>;
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
+        let config = &self.record.train;
+        let batches = config.run.micro_batches(step).map(|(first, count)| {
+            let noise = latent_noise(self.sampler.seed, first, count, config.model.width);
+            let share = count as f64 / config.run.batch_size as f64;
+            (share, (self.sampler.draw(first, count), Some(noise)))
+        });
+        Ok(batches.collect())
+    }
+
+    /// Errors of features and joints, and the divergence of the latent vectors from the standard normal
+    /// distribution.
+    ///
+    /// # Source
+    /// Chen et al. 2023, Eq. 2 with the released weights; joints past the end of a motion are left out
+    /// here.
+    fn loss(&self, model: &MotionVae, batch: &Self::Batch, device: &Device) -> Tensor<1> {
+        let (crops, noise) = batch;
+        let AutoencoderRecord {
+            train: config,
+            features: stats,
+        } = self.record;
+        let features = crops.tensor(device);
+        let encoded = model.encode(features.clone(), &crops.lengths);
+        let latent = match noise {
+            Some(noise) => {
+                let shape = encoded.mu.dims();
+                let noise = TensorData::new(noise.clone(), shape);
+                encoded.sample(Tensor::from_data(noise, device))
+            }
+            None => encoded.mu.clone(),
+        };
+        let decoded = model.decode(latent, &crops.lengths, crops.frames);
+        let kl = encoded.kl(&encoded.standard());
+        let mut loss = Loss::SmoothL1.mean(decoded.clone(), features.clone())
+            + kl.mul_scalar(config.kl_weight);
+        if config.joints_weight > 0.0 {
+            let column = |values: &[f32]| -> Tensor<3> {
+                let data = TensorData::new(values.to_vec(), [1, 1, values.len()]);
+                Tensor::from_data(data, device)
+            };
+            let (mean, std) = (column(&stats.mean), column(&stats.std));
+            let valid = crops.valid(device);
+            let joints = |features: Tensor<3>| {
+                recovered_joints(features * std.clone() + mean.clone()) * valid.clone()
+            };
+            let error = Loss::SmoothL1.mean(joints(decoded), joints(features));
+            loss = loss + error.mul_scalar(config.joints_weight);
+        }
+        loss
+    }
+
+    fn validate(&self, model: &MotionVae, device: &Device) -> f32 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for batch in &self.val {
+            let loss: f32 = self.loss(model, batch, device).into_scalar();
+            let rows = batch.0.lengths.len() as f64;
+            sum += f64::from(loss) * rows;
+            count += rows;
+        }
+        (sum / count) as f32
+    }
+
+    fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
+    }
+
+    fn load(&self, model: &mut MotionVae, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        let bytes = take(files, WEIGHTS, run_dir)?;
+        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
+    }
+}
+
+/// Standard normal noise for the latent vectors of the samples from `first` on, `[count, width]`. It
+/// depends on the seed and the sample alone.
+pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -> Vec<f32> {
+    (first..first + count as u64)
+        .flat_map(|sample| {
+            let mut rng = seed.rng(&["latent", &sample.to_string()]);
+            (0..width)
+                .map(|_| rng.sample(StandardNormal))
+                .collect::<Vec<f32>>()
+        })
+        .collect()
+}
+
+/// A trained autoencoder.
+#[derive(Debug)]
+pub struct Autoencoder {
+    pub(super) network: MotionVae,
+    pub(super) stats: FeatureStats,
+    /// Longest motion it was trained on, in frames.
+    pub(super) max_frames: usize,
+    pub(super) hash: String,
+}
+
+impl Autoencoder {
+    /// Loads the autoencoder in the run folder of a latent diffusion.
+    ///
+    /// # Errors
+    /// There is none, or its checkpoint is missing or damaged.
+    pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
+        let dir = folder(run);
+        let record: RunRecord<AutoencoderRecord> = read_record(&dir, KIND)?;
+        record.config.train.check()?;
+        let mut files = read_for_use(&dir, Slot::Best, KIND)?;
+        let bytes = checkpoint::take(&mut files, WEIGHTS, &dir)?;
+        let hash = weights_hash(&record.config, &[&bytes]);
+        let mut network = record.config.network(device);
+        from_safetensors(&mut network, bytes, "", &dir.join(WEIGHTS))?;
+        Ok(Self {
+            network,
+            max_frames: record.config.train.max_frames,
+            stats: record.config.features,
+            hash,
+        })
+    }
+
+    /// The latent vectors of crops: samples of their distributions, by the noise that is given.
+    ///
+    /// # Shapes
+    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the autoencoder's device.
+    pub(super) fn latents(&self, crops: &Crops<'_>, noise: &[f32], device: &Device) -> Tensor<2> {
+        let encoded = self.network.encode(crops.tensor(device), &crops.lengths);
+        let noise = TensorData::new(noise.to_vec(), encoded.mu.dims());
+        encoded.sample(Tensor::from_data(noise, device))
+    }
+}

@@ -1,0 +1,253 @@
+//! Settings of MLD.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::config::{
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
+    WordsConfig, positive, share,
+};
+use crate::model::mld::MAX_POSITIONS;
+
+/// Settings of the autoencoder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AutoencoderConfig {
+    /// Sizes of its two transformers, whose width is that of a latent vector. The number of layers is odd.
+    pub model: NetworkConfig,
+    /// Shortest motion trained on, in frames at 20 fps.
+    pub min_frames: usize,
+    /// Longest crop trained on, in frames at 20 fps.
+    pub max_frames: usize,
+    /// Weight of the loss on the positions of joints beside that on features.
+    pub joints_weight: f64,
+    /// Weight of the divergence of the latent vectors from standard normal ones.
+    pub kl_weight: f64,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+/// Settings of MLD.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MldConfig {
+    /// The autoencoder, which is trained first.
+    pub autoencoder: AutoencoderConfig,
+    /// Sizes of the denoiser. Its width is that of a latent vector, and the number of layers is odd.
+    pub model: NetworkConfig,
+    /// Text encoder.
+    pub text: TextConfig,
+    /// Steps of the diffusion in training.
+    pub diffusion_steps: usize,
+    /// Steps of sampling.
+    pub sampling_steps: usize,
+    /// Guidance weight of the text.
+    pub guidance: f64,
+    /// Probability of training a motion with the empty text.
+    pub text_dropout: f64,
+    /// Settings that every training run has.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+impl MldConfig {
+    /// The named settings.
+    ///
+    /// # Source
+    /// `Paper` and `Official`: the released configuration for HumanML3D (`algorithms` section 14), its
+    /// epochs limited to ten million steps. `Tiny`: our choice for two processor cores and a few minutes.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Paper | Preset::Official => {
+                let model = NetworkConfig {
+                    width: 256,
+                    num_layers: 9,
+                    num_heads: 4,
+                    feed_forward: 1024,
+                    dropout: 0.1,
+                };
+                let run = |batch_size, epochs| RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-4,
+                        decay: Decay::Constant,
+                        warmup_steps: 0,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: None,
+                    },
+                    batch_size,
+                    micro_batch_size: None,
+                    length: RunLength {
+                        epochs: Some(epochs),
+                        steps: 10_000_000,
+                    },
+                    log_every: 100,
+                    val_every: 5_000,
+                    keep_epochs: 0,
+                    seed: 0,
+                };
+                Self {
+                    autoencoder: AutoencoderConfig {
+                        model,
+                        min_frames: 40,
+                        max_frames: 196,
+                        joints_weight: 1.0,
+                        kl_weight: 1e-4,
+                        run: run(128, 6_000),
+                    },
+                    model,
+                    text: TextConfig {
+                        encoder: TextEncoder::Clip,
+                        words: WordsConfig {
+                            num_buckets: 64,
+                            max_words: 32,
+                        },
+                    },
+                    diffusion_steps: 1_000,
+                    sampling_steps: 50,
+                    guidance: 7.5,
+                    text_dropout: 0.1,
+                    run: run(64, 2_000),
+                }
+            }
+            Preset::Tiny => {
+                let model = NetworkConfig {
+                    width: 64,
+                    num_layers: 3,
+                    num_heads: 4,
+                    feed_forward: 128,
+                    dropout: 0.0,
+                };
+                let run = |steps| RunSettings {
+                    optimizer: OptimizerConfig {
+                        learning_rate: 1e-3,
+                        decay: Decay::Linear,
+                        warmup_steps: 50,
+                        weight_decay: 0.01,
+                        max_gradient_norm: None,
+                        ema_decay: Some(0.99),
+                    },
+                    batch_size: 32,
+                    micro_batch_size: None,
+                    length: RunLength::of_steps(steps),
+                    log_every: 20,
+                    val_every: 100,
+                    keep_epochs: 0,
+                    seed: 0,
+                };
+                let official = Self::preset(Preset::Official);
+                Self {
+                    autoencoder: AutoencoderConfig {
+                        model,
+                        min_frames: 16,
+                        run: run(2_000),
+                        ..official.autoencoder
+                    },
+                    model,
+                    text: TextConfig {
+                        encoder: TextEncoder::Learned,
+                        words: WordsConfig {
+                            num_buckets: 16,
+                            max_words: 24,
+                        },
+                    },
+                    // The vocabulary is learned, and strong guidance leaves what was seen.
+                    guidance: 2.0,
+                    run: run(2_000),
+                    ..official
+                }
+            }
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.autoencoder.check()?;
+        check_layers("model.num_layers", &self.model)?;
+        self.run.check()?;
+        share("text_dropout", self.text_dropout)?;
+        if self.model.width != self.autoencoder.model.width {
+            return Err(Error::Config {
+                field: "model.width",
+                problem: format!(
+                    "it is {}, and latent vectors have {} numbers",
+                    self.model.width, self.autoencoder.model.width
+                ),
+            });
+        }
+        Ok(())
+    }
+}
+
+impl AutoencoderConfig {
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        check_layers("autoencoder.model.num_layers", &self.model)?;
+        self.run.check()?;
+        positive("autoencoder.min_frames", self.min_frames as u64)?;
+        // Two learned tokens stand before the frames.
+        if !(self.min_frames..=MAX_POSITIONS - 2).contains(&self.max_frames) {
+            return Err(Error::Config {
+                field: "autoencoder.max_frames",
+                problem: format!(
+                    "it is {}, and must be from min_frames {} to {}",
+                    self.max_frames,
+                    self.min_frames,
+                    MAX_POSITIONS - 2
+                ),
+            });
+        }
+        for (field, weight) in [
+            ("autoencoder.joints_weight", self.joints_weight),
+            ("autoencoder.kl_weight", self.kl_weight),
+        ] {
+            if !(weight.is_finite() && weight >= 0.0) {
+                return Err(Error::Config {
+                    field,
+                    problem: format!("it is {weight}, and must be finite and not negative"),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Skip connections join layers in pairs around a middle one.
+fn check_layers(field: &'static str, model: &NetworkConfig) -> Result<(), Error> {
+    model.check()?;
+    if model.num_layers.is_multiple_of(2) {
+        return Err(Error::Config {
+            field,
+            problem: format!("it is {}, and must be odd", model.num_layers),
+        });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_usable_and_an_even_number_of_layers_is_not() {
+        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+            MldConfig::preset(preset).check().expect("usable");
+        }
+        let mut config = MldConfig::preset(Preset::Tiny);
+        config.model.num_layers = 4;
+        assert!(matches!(
+            config.check(),
+            Err(Error::Config {
+                field: "model.num_layers",
+                ..
+            })
+        ));
+    }
+}

@@ -1,0 +1,293 @@
+//! The diffusion of latent vectors: training.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use super::KIND;
+use super::autoencoder::{self, Autoencoder, latent_noise};
+use super::config::MldConfig;
+use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows};
+use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::data::{TextBatch, Texts};
+use crate::fit::TextRecord;
+use crate::model::conditioned::Conditioned;
+use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
+use crate::model::weights::draw;
+use crate::schedule::Schedule;
+use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::{Error, Session};
+
+pub(super) const WEIGHTS: &str = "denoiser.safetensors";
+
+/// Record of a run of the latent diffusion.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MldRecord {
+    /// The resolved settings.
+    pub train: MldConfig,
+    /// What the network is told captions by.
+    pub text: TextRecord,
+    /// What identifies the autoencoder: BLAKE3, hexadecimal.
+    pub autoencoder: String,
+    /// Standard deviation of the latent vectors of the training split, over all their numbers.
+    pub latent_std: f32,
+}
+
+impl MldRecord {
+    /// Builds the networks.
+    pub(super) fn network(&self, device: &Device) -> Conditioned<LatentDenoiser> {
+        let config = &self.train.model;
+        Conditioned::new(self.text.source(), config.width, device, |text_width| {
+            LatentDenoiser::new(config, text_width, MAX_POSITIONS, device)
+        })
+    }
+}
+
+/// Trains the autoencoder and then the diffusion of its latent vectors, or continues where the run folder
+/// left off. The autoencoder is a run of its own in the folder `autoencoder` of the run. Clips shorter
+/// than its `min_frames` are left out. Returns the report of the part that was trained last.
+///
+/// # Errors
+/// The settings are unusable, a split has no clip that is long enough, a clip has no caption, the text
+/// encoder is missing, the folder holds another run or a damaged checkpoint, the run is to begin with
+/// the weights of another or to be extended, a loss is not finite, or a file cannot be written.
+pub fn train_mld<'a>(
+    start: impl Into<Start<'a>>,
+    config: &MldConfig,
+    corpus: CaptionedCorpus<'_>,
+    session: &Session<'_>,
+) -> Result<TrainReport, Error> {
+    config.check()?;
+    let start = start.into();
+    if start.extend || start.init.is_some() {
+        return Err(Error::NotARun {
+            path: start.run.to_owned(),
+            kind: KIND.to_owned(),
+            reason: "it consists of two runs; --extend and --init are for one".to_owned(),
+        });
+    }
+    let rows = |clips, what| captioned_rows(clips, config.autoencoder.min_frames, what);
+    let train = rows(corpus.train, "training split of MLD")?;
+    let val = rows(corpus.val, "validation split of MLD")?;
+    let autoencoder = &config.autoencoder;
+    let report = autoencoder::train(start.run, autoencoder, [&train, &val], &corpus, session)?;
+    if !report.is_complete {
+        return Ok(report);
+    }
+    let autoencoder = Autoencoder::load(start.run, session.device)?;
+    let seed = Seed(config.run.seed);
+    let sampler = |clips, name| CropSampler {
+        clips,
+        stats: &autoencoder.stats,
+        max_frames: autoencoder.max_frames,
+        pads_to_max: false,
+        seed: seed.derive(&[name]),
+    };
+    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
+    let record = MldRecord {
+        train: config.clone(),
+        text: TextRecord::chosen(
+            &config.text,
+            None,
+            captions.map(String::as_str),
+            corpus.vectors,
+        )?,
+        autoencoder: autoencoder.hash.clone(),
+        latent_std: latent_std(
+            &autoencoder,
+            &sampler(&train, "std"),
+            config,
+            session.device,
+        ),
+    };
+    let run = Run::open(
+        start,
+        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
+    )?;
+    let device = session.device.clone().autodiff();
+    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
+    let mut task = DiffusionTask {
+        record: &record,
+        autoencoder: &autoencoder,
+        device: session.device,
+        schedule: Schedule::scaled_linear(config.diffusion_steps)?,
+        sampler: sampler(&train, "train"),
+        texts: record.text.texts(corpus.vectors)?,
+        val: Vec::new(),
+    };
+    let held_out = sampler(&val, "val");
+    let mut first = 0;
+    for crops in held_out.whole(config.run.micro_batch()) {
+        let count = crops.lengths.len();
+        // Steps spread evenly make validations comparable.
+        let timesteps = (first..first + count)
+            .map(|sample| (2 * sample + 1) * config.diffusion_steps / (2 * val.len()))
+            .collect();
+        let batch = task.noisy(&crops, held_out.seed, first as u64, 0.0)?;
+        task.val.push(LatentBatch { timesteps, ..batch });
+        first += count;
+    }
+    let trainer = TrainerConfig {
+        kind: KIND,
+        samples: "motions",
+        run: config.run,
+        epoch_len: train.len() as u64,
+    };
+    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    Ok(report)
+}
+
+/// The standard deviation of the latent vectors of clips: the root of the mean variance of their numbers.
+fn latent_std(
+    autoencoder: &Autoencoder,
+    sampler: &CropSampler<'_>,
+    config: &MldConfig,
+    device: &Device,
+) -> f32 {
+    let width = config.model.width;
+    let (mut count, mut sums, mut squares) = (0.0, vec![0.0f64; width], vec![0.0f64; width]);
+    for crops in sampler.whole(config.run.micro_batch()) {
+        let rows = crops.lengths.len();
+        let noise = latent_noise(sampler.seed, count as u64, rows, width);
+        let latents = autoencoder.latents(&crops, &noise, device).into_data();
+        let values: Vec<f32> = latents
+            .try_into_vec_as()
+            .expect("a float tensor gives floats");
+        for row in values.chunks_exact(width) {
+            for ((sum, square), &value) in sums.iter_mut().zip(&mut squares).zip(row) {
+                *sum += f64::from(value);
+                *square += f64::from(value) * f64::from(value);
+            }
+        }
+        count += rows as f64;
+    }
+    let variances = sums
+        .iter()
+        .zip(&squares)
+        .map(|(sum, square)| square / count - (sum / count).powi(2));
+    (variances.sum::<f64>() / width as f64).max(0.0).sqrt() as f32
+}
+
+/// Latent vectors of motions with their captions, with everything a training step draws.
+struct LatentBatch {
+    /// `[B, d]`
+    latents: Vec<f32>,
+    /// Standard normal noise, `[B, d]`.
+    noise: Vec<f32>,
+    /// Diffusion steps, `[B]`.
+    timesteps: Vec<usize>,
+    texts: TextBatch,
+}
+
+struct DiffusionTask<'a> {
+    record: &'a MldRecord,
+    autoencoder: &'a Autoencoder,
+    /// Where the autoencoder computes.
+    device: &'a Device,
+    schedule: Schedule,
+    sampler: CropSampler<'a>,
+    texts: Texts<'a>,
+    val: Vec<LatentBatch>,
+}
+
+impl DiffusionTask<'_> {
+    /// Draws latent vectors, noise, diffusion steps and dropped captions of crops, the first of which is
+    /// the sample `first` of the run.
+    fn noisy(
+        &self,
+        crops: &Crops<'_>,
+        seed: Seed,
+        first: u64,
+        text_dropout: f64,
+    ) -> Result<LatentBatch, Error> {
+        let (count, width) = (crops.lengths.len(), self.record.train.model.width);
+        let spread = latent_noise(seed, first, count, width);
+        let latents = self.autoencoder.latents(crops, &spread, self.device);
+        let mut noise = Vec::with_capacity(count * width);
+        let (mut timesteps, mut captions) = (Vec::new(), Vec::new());
+        for (index, &caption) in crops.captions.iter().enumerate() {
+            let sample = first + index as u64;
+            let mut rng = seed.rng(&["noise", &sample.to_string()]);
+            timesteps.push(rng.random_range(0..self.schedule.len()));
+            let is_dropped = rng.random_bool(text_dropout);
+            captions.push(if is_dropped { "" } else { caption });
+            noise.extend((0..width).map(|_| rng.sample::<f32, _>(StandardNormal)));
+        }
+        Ok(LatentBatch {
+            latents: latents
+                .into_data()
+                .try_into_vec_as()
+                .expect("a float tensor gives floats"),
+            noise,
+            timesteps,
+            texts: self.texts.batch(captions.into_iter())?,
+        })
+    }
+}
+
+impl Task for DiffusionTask<'_> {
+    type Model = Conditioned<LatentDenoiser>;
+    type Batch = LatentBatch;
+
+    fn draw(&self, step: u64) -> Result<Vec<(f64, LatentBatch)>, Error> {
+        let run = &self.record.train.run;
+        let text_dropout = self.record.train.text_dropout;
+        run.micro_batches(step)
+            .map(|(first, count)| {
+                let crops = self.sampler.draw(first, count);
+                let share = count as f64 / run.batch_size as f64;
+                let batch = self.noisy(&crops, self.sampler.seed, first, text_dropout)?;
+                Ok((share, batch))
+            })
+            .collect()
+    }
+
+    /// The squared error of the predicted noise.
+    ///
+    /// # Source
+    /// Chen et al. 2023, Eq. 4.
+    fn loss(&self, model: &Self::Model, batch: &LatentBatch, device: &Device) -> Tensor<1> {
+        let rows = batch.timesteps.len();
+        let latents = |values: &[f32]| -> Tensor<3> {
+            let shape = [rows, 1, values.len() / rows];
+            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+        };
+        let noise = latents(&batch.noise);
+        let z_t = self
+            .schedule
+            .q_sample(latents(&batch.latents), &batch.timesteps, noise.clone());
+        let text = model.text_vectors(&batch.texts, rows, device);
+        let flat = |x: Tensor<3>| x.squeeze_dim::<2>(1);
+        let predicted = model.network.forward(flat(z_t), &batch.timesteps, text);
+        (predicted - flat(noise)).square().mean()
+    }
+
+    fn validate(&self, model: &Self::Model, device: &Device) -> f32 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for batch in &self.val {
+            let loss: f32 = self.loss(model, batch, device).into_scalar();
+            let rows = batch.timesteps.len() as f64;
+            sum += f64::from(loss) * rows;
+            count += rows;
+        }
+        (sum / count) as f32
+    }
+
+    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {
+        model.save(WEIGHTS, run_dir)
+    }
+
+    fn load(
+        &self,
+        model: &mut Self::Model,
+        files: &mut Files,
+        run_dir: &Path,
+    ) -> Result<(), Error> {
+        model.load(WEIGHTS, files, run_dir)
+    }
+}

@@ -1,0 +1,239 @@
+//! A trained MLD at work: motions of captions, and variants of them.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use pipeline::feature::humanml3d::Features;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use serde::Serialize;
+
+use super::autoencoder::Autoencoder;
+use super::diffusion::{MldRecord, WEIGHTS};
+use super::{CLIP, KIND};
+use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
+use crate::data::TextVectors;
+use crate::ddim::Ddim;
+use crate::diffusion::guide;
+use crate::fit::{TEXT, TextRecord};
+use crate::model::conditioned::Conditioned;
+use crate::model::mld::LatentDenoiser;
+use crate::schedule::Schedule;
+use crate::text::source::TextEncoderSource;
+use crate::{Error, Session};
+
+/// A motion to generate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Base {
+    /// Names it, and with the seed decides its noise.
+    pub id: String,
+    /// What it shows.
+    pub text: String,
+    /// Its frames at 20 fps.
+    pub frames: usize,
+}
+
+/// Standard deviation of the noise between the latent vectors of variants.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LatentNoise {
+    /// In units of the latent space, as published.
+    Absolute(f64),
+    /// In standard deviations of the latent vectors of motions, because the autoencoder is only lightly
+    /// held to the standard normal distribution.
+    Relative(f64),
+}
+
+/// A trained generator of motions from captions.
+#[derive(Debug)]
+pub struct Generator {
+    model: Conditioned<LatentDenoiser>,
+    autoencoder: Autoencoder,
+    record: MldRecord,
+    ddim: Ddim,
+    vectors: Option<Box<dyn TextVectors + Send>>,
+    hash: String,
+    device: Device,
+}
+
+impl Generator {
+    /// Loads a generator from its run folder.
+    ///
+    /// # Errors
+    /// The folder is no such run, its autoencoder is not the one the diffusion was trained with, or a
+    /// checkpoint is missing or damaged.
+    pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
+        let RunRecord { config: record, .. } = read_record::<MldRecord>(run, KIND)?;
+        record.train.check()?;
+        let autoencoder = Autoencoder::load(run, device)?;
+        if autoencoder.hash != record.autoencoder {
+            return Err(Error::Misfit {
+                what: "the autoencoder",
+                problem:
+                    "it was trained again after the diffusion of its latent vectors; train MLD \
+                          into another folder"
+                        .to_owned(),
+            });
+        }
+        let mut files = read_for_use(run, Slot::Best, KIND)?;
+        let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
+            .iter()
+            .filter_map(|&name| files.get(name).map(Vec::as_slice))
+            .collect();
+        let hash = weights_hash(&record, &weights);
+        let mut model = record.network(device);
+        model.load(WEIGHTS, &mut files, run)?;
+        let schedule = Schedule::scaled_linear(record.train.diffusion_steps)?;
+        Ok(Self {
+            ddim: Ddim::new(schedule, record.train.sampling_steps)?,
+            model,
+            autoencoder,
+            record,
+            vectors: None,
+            hash,
+            device: device.clone(),
+        })
+    }
+
+    /// What identifies the weights of both networks: BLAKE3, hexadecimal.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// Standard deviation of the latent vectors of the motions it was trained on.
+    pub fn latent_std(&self) -> f32 {
+        self.record.latent_std
+    }
+
+    /// Fewest and most frames of the motions it was trained on.
+    pub fn frames(&self) -> [usize; 2] {
+        let config = &self.record.train.autoencoder;
+        [config.min_frames, config.max_frames]
+    }
+
+    /// Prepares the generator for texts. Called before [`Generator::variants`].
+    ///
+    /// # Errors
+    /// The text encoder is missing or cannot encode a text.
+    pub fn prepare(
+        &mut self,
+        run: &Path,
+        texts: &[String],
+        source: &TextEncoderSource,
+        session: &Session<'_>,
+    ) -> Result<(), Error> {
+        if let TextRecord::Frozen { .. } = self.record.text {
+            let mut texts = texts.to_vec();
+            texts.push(String::new());
+            let table = source.embeddings(run, &texts, CLIP, session)?;
+            self.record.text.texts(Some(&table))?;
+            self.vectors = Some(Box::new(table));
+        }
+        Ok(())
+    }
+
+    /// Features of `count` variants of each base motion: a latent vector is sampled by the text, and each
+    /// variant adds noise of its own to it. All variants of a base are as long as it.
+    ///
+    /// # Shapes
+    /// `[bases][count][frames]`.
+    ///
+    /// # Errors
+    /// A text has no vector, or the session is stopped.
+    ///
+    /// # Source
+    /// MotionReFit, Sec. 4.1 and App. D.3.
+    pub fn variants(
+        &self,
+        bases: &[Base],
+        count: usize,
+        noise: LatentNoise,
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<Vec<Vec<Vec<Features>>>, Error> {
+        let sigma = match noise {
+            LatentNoise::Absolute(sigma) => sigma,
+            LatentNoise::Relative(share) => share * f64::from(self.latent_std()),
+        } as f32;
+        let latents = self.latents(bases, seed, session)?;
+        let width = self.record.train.model.width;
+        bases
+            .iter()
+            .zip(latents.chunks_exact(width))
+            .map(|(base, latent)| {
+                if session.is_stopped() {
+                    return Err(Error::Stopped { what: "generating" });
+                }
+                let values: Vec<f32> = (0..count)
+                    .flat_map(|variant| {
+                        let mut rng = seed.rng(&["variant", &base.id, &variant.to_string()]);
+                        latent
+                            .iter()
+                            .map(|value| value + sigma * rng.sample::<f32, _>(StandardNormal))
+                            .collect::<Vec<f32>>()
+                    })
+                    .collect();
+                Ok(self.decoded(values, count, base.frames))
+            })
+            .collect()
+    }
+
+    /// Samples latent vectors by texts, row by row.
+    fn latents(
+        &self,
+        bases: &[Base],
+        seed: Seed,
+        session: &Session<'_>,
+    ) -> Result<Vec<f32>, Error> {
+        let (rows, width) = (bases.len(), self.record.train.model.width);
+        let start: Vec<f32> = bases
+            .iter()
+            .flat_map(|base| {
+                let mut rng = seed.rng(&["base", &base.id]);
+                (0..width)
+                    .map(|_| rng.sample(StandardNormal))
+                    .collect::<Vec<f32>>()
+            })
+            .collect();
+        let start = Tensor::<2>::from_data(TensorData::new(start, [rows, width]), &self.device);
+        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
+        let texts = self.record.text.texts(vectors)?;
+        let none = std::iter::repeat_n("", rows);
+        let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
+        let text = self.model.text_vectors(&texts, 2 * rows, &self.device);
+        let latents = self.ddim.sample(
+            start,
+            |z, timestep| {
+                if session.is_stopped() {
+                    return Err(Error::Stopped { what: "generating" });
+                }
+                let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
+                let timesteps = vec![timestep; 2 * rows];
+                let both = self.model.network.forward(both, &timesteps, text.clone());
+                let half = |index: usize| both.clone().narrow(0, index * rows, rows);
+                Ok(guide(half(0), half(1), self.record.train.guidance))
+            },
+            |_| {},
+        )?;
+        Ok(latents
+            .into_data()
+            .try_into_vec_as()
+            .expect("a float tensor gives floats"))
+    }
+
+    /// The motions of latent vectors, all as long as one another.
+    fn decoded(&self, latents: Vec<f32>, rows: usize, frames: usize) -> Vec<Vec<Features>> {
+        let data = TensorData::new(latents, [rows, self.record.train.model.width]);
+        let latents = Tensor::<2>::from_data(data, &self.device);
+        let network = &self.autoencoder.network;
+        let decoded = network.decode(latents, &vec![frames; rows], frames);
+        let values: Vec<f32> = decoded
+            .into_data()
+            .try_into_vec_as()
+            .expect("a float tensor gives floats");
+        let restored = self.autoencoder.stats.restored(&values);
+        let (features, _) = restored.as_chunks();
+        features.chunks_exact(frames).map(<[_]>::to_vec).collect()
+    }
+}

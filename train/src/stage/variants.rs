@@ -1,0 +1,304 @@
+//! Candidates of fine-grained pairs: variants that MLD makes of captions or of a list of instructions.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::manifest::plan_hash;
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Fps, MotionId, Seed, Skeleton, Split};
+use pipeline::annotation::variants::{
+    Candidates, Variant, VariantConfig, VariantCounts, VariantGroup, candidates, generated_row,
+    groups_of_motions,
+};
+use pipeline::feature::humanml3d::{Features, recover_joints};
+use pipeline::feature::motion_of_joints;
+use pipeline::stage::commit_candidates;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::humanml3d::mean_bone_drift_m;
+use crate::mld::{Base, Generator, LatentNoise};
+use crate::text::source::TextEncoderSource;
+use crate::{Error, Session};
+
+/// Motions whose latent vectors are sampled together.
+const BATCH: usize = 32;
+
+/// Lengths of generated motions are multiples of this number of frames.
+const LENGTH_UNIT: usize = 4;
+
+/// What variants are made of.
+#[derive(Clone, Debug)]
+pub enum Instructions {
+    /// The captions of the dataset's clips, each once, as long as its clip.
+    Captions,
+    /// Texts; lengths are drawn.
+    Texts(Vec<String>),
+}
+
+/// How variants are made.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MakeVariants {
+    /// Maximum number of instructions, drawn by the seed; `None` for all.
+    pub count: Option<usize>,
+    /// Variants of an instruction.
+    pub variants: usize,
+    /// Noise between them.
+    pub noise: LatentNoise,
+    /// Bounds of a candidate pair.
+    pub filter: VariantConfig,
+}
+
+impl Default for MakeVariants {
+    /// As published: 16 variants with noise of 0.1.
+    fn default() -> Self {
+        Self {
+            count: None,
+            variants: 16,
+            noise: LatentNoise::Absolute(0.1),
+            filter: VariantConfig::default(),
+        }
+    }
+}
+
+/// Result of [`make_variants`] and [`pair_variants`].
+#[derive(Clone, Debug)]
+pub struct VariantReport {
+    /// The dataset of candidates.
+    pub dataset: Dataset,
+    /// What became of the variants; none where the dataset was there already.
+    pub counts: Option<VariantCounts>,
+    /// Standard deviation of the generator's latent vectors; none for motions made elsewhere.
+    pub latent_std: Option<f32>,
+}
+
+/// Makes variants of instructions with a trained generator, pairs them and commits the candidates as a
+/// dataset. A dataset made by the same plan is kept.
+///
+/// An id names the seed, the batch and the place of a base in it. Captions keep the split of their clip;
+/// the split of other texts is drawn.
+///
+/// # Errors
+/// The generator or the dataset cannot be loaded, there is no instruction, a text cannot be encoded, a
+/// generated motion is not finite, the session is stopped, or the folder holds another dataset or cannot be
+/// written.
+///
+/// # Source
+/// MotionReFit, Sec. 4.1 and App. D.3.
+pub fn make_variants(
+    [root, run, out]: [&Path; 3],
+    instructions: &Instructions,
+    config: &MakeVariants,
+    text_encoder: &TextEncoderSource,
+    seed: Seed,
+    holder: &str,
+    session: &Session<'_>,
+) -> Result<VariantReport, Error> {
+    let dataset = Dataset::open(root)?;
+    let skeleton = dataset.skeleton()?;
+    let mut generator = Generator::load(run, session.device)?;
+    let bases = bases(&dataset, instructions, config, generator.frames(), seed)?;
+    let texts: Vec<String> = bases.iter().map(|(base, _)| base.text.clone()).collect();
+    let plan = plan_hash("variants-1", &(generator.hash(), &texts, config, seed));
+    let latent_std = Some(generator.latent_std());
+    if let Some(dataset) = made_before(out, &plan)? {
+        return Ok(VariantReport {
+            dataset,
+            counts: None,
+            latent_std,
+        });
+    }
+    generator.prepare(run, &texts, text_encoder, session)?;
+    let progress = session.progress;
+    progress.begin("variants", Some(bases.len() as u64));
+    let mut groups = Vec::with_capacity(bases.len());
+    for batch in bases.chunks(BATCH) {
+        let of_batch: Vec<Base> = batch.iter().map(|(base, _)| base.clone()).collect();
+        let noise = config.noise;
+        let features = generator.variants(&of_batch, config.variants, noise, seed, session)?;
+        for ((base, split), variants) in batch.iter().zip(features) {
+            groups.push(group(base, *split, &variants, &generator, &skeleton)?);
+            progress.advance(1);
+        }
+    }
+    let made = candidates(groups, &config.filter, &skeleton)?;
+    progress.finish(&format!("{} candidate pairs", made.pairs.len()));
+    let facts = BTreeMap::from([
+        ("generator".to_owned(), generator.hash().to_owned()),
+        ("generator_seed".to_owned(), seed.0.to_string()),
+        (
+            "variants".to_owned(),
+            serde_json::to_string(config).expect("plain numbers serialise"),
+        ),
+    ]);
+    let dataset = commit_candidates(out, &made, facts, &skeleton, &plan, holder)?;
+    Ok(VariantReport {
+        dataset,
+        counts: Some(made.counts),
+        latent_std,
+    })
+}
+
+/// Pairs variants that were made elsewhere: motions of a dataset whose ids share a folder, as
+/// `base/variant`.
+///
+/// # Errors
+/// The dataset cannot be read, no folder of it has two motions, or `out` holds another dataset or cannot be
+/// written.
+pub fn pair_variants(
+    root: &Path,
+    out: &Path,
+    config: &VariantConfig,
+    holder: &str,
+) -> Result<VariantReport, Error> {
+    let dataset = Dataset::open(root)?;
+    let skeleton = dataset.skeleton()?;
+    let plan = plan_hash(
+        "variants-1",
+        &(dataset.manifest().plan(MotionRow::TABLE), config),
+    );
+    if let Some(dataset) = made_before(out, &plan)? {
+        return Ok(VariantReport {
+            dataset,
+            counts: None,
+            latent_std: None,
+        });
+    }
+    let groups = groups_of_motions(dataset.read(None)?);
+    if groups.is_empty() {
+        return Err(Error::Empty {
+            what: "dataset of variants (motions named base/variant)",
+        });
+    }
+    let made: Candidates = candidates(groups, config, &skeleton)?;
+    let dataset = commit_candidates(out, &made, BTreeMap::new(), &skeleton, &plan, holder)?;
+    Ok(VariantReport {
+        dataset,
+        counts: Some(made.counts),
+        latent_std: None,
+    })
+}
+
+/// The dataset of candidates, if it was made by the plan. Another dataset is not replaced, because people may
+/// have described its pairs.
+fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
+    match Dataset::open_unverified(out) {
+        Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
+        Ok(_) => Err(Error::OtherDataset {
+            path: out.to_owned(),
+        }),
+        Err(_) => Ok(None),
+    }
+}
+
+/// A text to make variants of.
+struct Instruction {
+    text: String,
+    /// Frames at 20 fps and split of the clip it is a caption of.
+    clip: Option<(usize, Split)>,
+}
+
+/// The motions to make variants of.
+fn bases(
+    dataset: &Dataset,
+    instructions: &Instructions,
+    config: &MakeVariants,
+    [min_frames, max_frames]: [usize; 2],
+    seed: Seed,
+) -> Result<Vec<(Base, Split)>, Error> {
+    let mut texts: Vec<Instruction> = match instructions {
+        Instructions::Captions => captions(dataset)?,
+        Instructions::Texts(texts) => {
+            let mut known = BTreeSet::new();
+            let texts = texts.iter().filter(|text| known.insert(text.as_str()));
+            texts
+                .map(|text| Instruction {
+                    text: text.clone(),
+                    clip: None,
+                })
+                .collect()
+        }
+    };
+    if let Some(count) = config.count {
+        texts.shuffle(&mut seed.rng(&["instructions"]));
+        texts.truncate(count);
+    }
+    if texts.is_empty() {
+        return Err(Error::Empty {
+            what: "list of instructions",
+        });
+    }
+    let bases = texts.into_iter().enumerate().map(|(place, instruction)| {
+        let (batch, place) = (place / BATCH, place % BATCH);
+        let id = format!("seed{}/batch{batch:04}/{place:02}", seed.0);
+        let (frames, split) = instruction.clip.unwrap_or_else(|| {
+            let frames = seed
+                .rng(&["length", &id])
+                .random_range(min_frames..=max_frames);
+            (frames, Split::assign(&id, seed))
+        });
+        let frames = frames.clamp(min_frames, max_frames) / LENGTH_UNIT * LENGTH_UNIT;
+        let frames = frames.max(LENGTH_UNIT);
+        let text = instruction.text;
+        (Base { id, text, frames }, split)
+    });
+    Ok(bases.collect())
+}
+
+/// The captions of whole clips, each once, with the frames at 20 fps and the split of its clip.
+fn captions(dataset: &Dataset) -> Result<Vec<Instruction>, Error> {
+    let mut known = BTreeSet::new();
+    let mut texts = Vec::new();
+    let rows: Vec<MotionRow> = dataset.read(None)?;
+    for row in &rows {
+        let frames = f64::from(row.n_frames) * Fps::STORE.get() / f64::from(row.fps);
+        for caption in &row.captions {
+            let is_whole = caption.from_s == 0.0 && caption.to_s == 0.0;
+            if is_whole && known.insert(caption.text.clone()) {
+                texts.push(Instruction {
+                    text: caption.text.clone(),
+                    clip: Some((frames as usize, row.split)),
+                });
+            }
+        }
+    }
+    Ok(texts)
+}
+
+/// The variants of a base as motions on a body.
+fn group(
+    base: &Base,
+    split: Split,
+    variants: &[Vec<Features>],
+    generator: &Generator,
+    skeleton: &Skeleton,
+) -> Result<VariantGroup, Error> {
+    let variants = variants
+        .par_iter()
+        .enumerate()
+        .map(|(number, features)| {
+            let id = format!("{}/{number:02}", base.id);
+            let joints = recover_joints(features);
+            let posed = motion_of_joints(&joints, Fps::STORE, skeleton);
+            let (motion, fit_error_m) = posed.map_err(|error| Error::Item {
+                id: id.clone(),
+                problem: format!("cannot be posed: {error}"),
+            })?;
+            let by = ["mld", generator.hash()];
+            let id = MotionId::parse(&id)?;
+            let row = generated_row(id, split, &motion, &base.text, fit_error_m, by, skeleton);
+            Ok(Variant {
+                row: row.ok(),
+                bone_drift_m: mean_bone_drift_m(&joints),
+            })
+        })
+        .collect::<Result<_, Error>>()?;
+    Ok(VariantGroup {
+        base: base.id.clone(),
+        text: base.text.clone(),
+        variants,
+    })
+}

@@ -1,0 +1,248 @@
+//! MLD learns, continues, and makes variants.
+
+use burn::tensor::TensorData;
+use pipeline::feature::Statistics;
+use pipeline::feature::humanml3d::Features;
+use train::captioned::CaptionedCorpus;
+use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
+use train::model::mld::{LatentDenoiser, MotionVae};
+
+use super::mdm::{clips, features};
+use super::*;
+
+fn config(steps: [u64; 2]) -> MldConfig {
+    let mut config = MldConfig::preset(Preset::Tiny);
+    let model = NetworkConfig {
+        width: 128,
+        num_layers: 3,
+        num_heads: 4,
+        feed_forward: 64,
+        dropout: 0.0,
+    };
+    (config.model, config.autoencoder.model) = (model, model);
+    config.autoencoder.max_frames = 40;
+    config.diffusion_steps = 40;
+    config.sampling_steps = 10;
+    for (run, steps) in [&mut config.autoencoder.run, &mut config.run]
+        .into_iter()
+        .zip(steps)
+    {
+        run.batch_size = 4;
+        run.length = RunLength::of_steps(steps);
+        run.log_every = 1;
+        run.val_every = 3;
+    }
+    config
+}
+
+/// Trains on clips and validates on the same.
+fn trained(
+    run: &Path,
+    config: &MldConfig,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> TrainReport {
+    let clips = clips(6);
+    let corpus = CaptionedCorpus {
+        train: &views(&clips),
+        val: &views(&clips),
+        vectors: None,
+        skeleton: &SKELETON,
+        dataset_hash: "0",
+    };
+    let session = Session {
+        device: &Device::flex(),
+        more_devices: &[],
+        progress,
+        stop,
+        clock: &|| Duration::ZERO,
+    };
+    train_mld(run, config, corpus, &session).expect("trains")
+}
+
+fn best_loss(run: &Path) -> f64 {
+    let metrics = train::metrics::read(run).expect("metrics");
+    let losses = metrics.val_loss.iter().map(|&(_, loss)| loss);
+    losses.fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn the_first_losses_of_mld_are_those_of_untrained_networks() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = config([1, 1]);
+    config.autoencoder.joints_weight = 0.0;
+    config.autoencoder.kl_weight = 0.0;
+    config.autoencoder.run.optimizer.learning_rate = 0.0;
+    config.run.optimizer.learning_rate = 0.0;
+    trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
+
+    let all: Vec<Vec<Features>> = clips(6)
+        .iter()
+        .map(|(_, motion, _)| features(motion))
+        .collect();
+    let mut statistics = Statistics::default();
+    for clip in &all {
+        statistics.take(clip);
+    }
+    let (mean, std) = (statistics.mean(), statistics.group_std());
+    let mut rng = Seed(1).rng(&["predictions"]);
+    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width.
+    let losses: Vec<f64> = all
+        .iter()
+        .flatten()
+        .flat_map(|frame| {
+            let differences: Vec<f64> = (0..frame.len())
+                .map(|column| {
+                    let value = (frame[column] - mean[column]) / std[column].max(1e-3);
+                    let predicted: f64 = rng.sample(StandardNormal);
+                    f64::from(value) - (1.0f64 / 3.0).sqrt() * predicted
+                })
+                .collect();
+            differences
+        })
+        .map(|difference| {
+            let size = difference.abs();
+            if size < 1.0 {
+                0.5 * size * size
+            } else {
+                size - 0.5
+            }
+        })
+        .collect();
+    let expected = losses.iter().sum::<f64>() / losses.len() as f64;
+    let found = best_loss(&dir.path().join("autoencoder"));
+    assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
+    // The denoiser ends in a norm: noise of unit variance, and a prediction of unit variance that knows
+    // nothing of it. Six vectors of 128 numbers leave a standard deviation of five per cent.
+    let found = best_loss(dir.path());
+    assert!((found / 2.0 - 1.0).abs() < 0.15, "{found}");
+}
+
+/// The first and the last loss of so many steps of training.
+fn overfitted<M: burn::module::Module>(
+    mut model: M,
+    steps: u32,
+    loss: impl Fn(&M) -> Tensor<1>,
+) -> [f32; 2] {
+    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let mut losses = Vec::new();
+    for step in 0..steps {
+        let loss = loss(&model);
+        losses.push(loss.clone().into_scalar::<f32>());
+        let gradients = GradientsParams::from_grads(loss.backward(), &model);
+        let rate = 2e-3 * (1.0 - f64::from(step) / f64::from(steps));
+        model = optimizer.step(rate, model, gradients);
+    }
+    [losses[0], losses[steps as usize - 1]]
+}
+
+#[test]
+fn one_batch_of_mld_is_overfitted() {
+    let device = Device::flex().autodiff();
+    let network = config([1, 1]).model;
+    let mut rng = Seed(4).rng(&["overfit"]);
+    let mut normal = |shape: [usize; 3]| -> Tensor<3> {
+        let values: Vec<f32> = (0..shape.iter().product())
+            .map(|_| rng.sample(StandardNormal))
+            .collect();
+        Tensor::from_data(TensorData::new(values, shape), &device)
+    };
+    let motions = normal([2, 6, 12]);
+    let vae = draw(MotionVae::new(&network, 12, 16, &device), Seed(5)).expect("known layers");
+    let [first, last] = overfitted(vae, 200, |vae| {
+        let latent = vae.encode(motions.clone(), &[6, 6]).mu;
+        let decoded = vae.decode(latent, &[6, 6], 6);
+        (decoded - motions.clone()).square().mean()
+    });
+    assert!(last < 0.01 * first, "autoencoder: {first} fell to {last}");
+
+    let flat = |x: Tensor<3>| x.squeeze_dim::<2>(1);
+    let (z, noise) = (flat(normal([3, 1, 128])), flat(normal([3, 1, 128])));
+    let text = flat(normal([3, 1, 16]));
+    let denoiser = LatentDenoiser::new(&network, 16, 8, &device);
+    let denoiser = draw(denoiser, Seed(6)).expect("known layers");
+    let [first, last] = overfitted(denoiser, 200, |denoiser| {
+        let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone());
+        (predicted - noise.clone()).square().mean()
+    });
+    assert!(last < 0.01 * first, "denoiser: {first} fell to {last}");
+}
+
+#[test]
+fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
+    let mut config = config([4, 6]);
+    (config.model.dropout, config.autoencoder.model.dropout) = (0.1, 0.1);
+    let stop = AtomicBool::new(false);
+    let whole = tempfile::tempdir().expect("a folder");
+    trained(whole.path(), &config, &NoProgress, &stop);
+    let parts = tempfile::tempdir().expect("a folder");
+    // After two steps of the autoencoder; then after its other two and three of the diffusion, where the
+    // two that were made are counted again.
+    for (steps, done) in [(2, 2), (2 + 2 + 3, 3)] {
+        let interrupt = StopAfter {
+            stop: &stop,
+            steps: AtomicU64::new(steps),
+        };
+        let report = trained(parts.path(), &config, &interrupt, &stop);
+        assert!(!report.is_complete && report.steps == done, "{report:?}");
+        stop.store(false, Ordering::Relaxed);
+    }
+    assert!(trained(parts.path(), &config, &NoProgress, &stop).is_complete);
+    for part in ["", "autoencoder"] {
+        let [whole, parts] = [&whole, &parts].map(|dir| dir.path().join(part));
+        assert_eq!(logged_losses(&parts), logged_losses(&whole));
+        let files = match part {
+            "" => &["denoiser.safetensors", "ema-text.safetensors"][..],
+            _ => &["autoencoder.safetensors"],
+        };
+        for name in files {
+            let bytes = |run: &Path| {
+                std::fs::read(run.join("checkpoint/last").join(name)).expect("a checkpoint")
+            };
+            assert!(bytes(&parts) == bytes(&whole), "{name}");
+        }
+    }
+}
+
+#[test]
+fn variants_of_a_base_differ_by_their_noise_alone() {
+    let dir = tempfile::tempdir().expect("a folder");
+    trained(
+        dir.path(),
+        &config([4, 4]),
+        &NoProgress,
+        &AtomicBool::new(false),
+    );
+    let generator = Generator::load(dir.path(), &Device::flex()).expect("loads");
+    assert_eq!(generator.frames(), [16, 40]);
+    let bases: Vec<Base> = [("a", "walk", 20), ("b", "walk with raised arms", 33)]
+        .map(|(id, text, frames)| Base {
+            id: id.to_owned(),
+            text: text.to_owned(),
+            frames,
+        })
+        .to_vec();
+    let made = |bases: &[Base], noise: LatentNoise| {
+        quietly(|session| generator.variants(bases, 3, noise, Seed(7), session)).expect("made")
+    };
+    let all = made(&bases, LatentNoise::Absolute(0.1));
+    let lengths: Vec<usize> = all.iter().flatten().map(Vec::len).collect();
+    assert_eq!(lengths, [20, 20, 20, 33, 33, 33]);
+    let apart = |a: &[Features], b: &[Features]| {
+        let pairs = a.as_flattened().iter().zip(b.as_flattened());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    assert!(apart(&all[0][0], &all[0][1]) > 1e-3 && apart(&all[0][1], &all[0][2]) > 1e-3);
+    // Sums in another order, as the batch is smaller.
+    assert!(
+        apart(
+            &all[1][2],
+            &made(&bases[1..], LatentNoise::Absolute(0.1))[0][2]
+        ) < 1e-3
+    );
+    let same = made(&bases, LatentNoise::Absolute(0.0));
+    assert!(apart(&same[0][0], &same[0][2]) < 1e-6);
+    let share = 0.1 / f64::from(generator.latent_std());
+    let relative = made(&bases, LatentNoise::Relative(share));
+    assert!(apart(&all[0][1], &relative[0][1]) < 1e-3);
+}
