@@ -1,42 +1,15 @@
-//! Self-attention of short sequences, from the joint projection of queries, keys and values.
+//! Self-attention, from the joint projection of queries, keys and values: here that of short sequences.
 
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
-use crate::rows::{Mask, exp};
+pub use crate::heads::Heads;
+use crate::heads::soften;
+use crate::long_attention;
+use crate::rows::Mask;
 
-/// Sizes of an attention.
-#[derive(Clone, Copy, Debug)]
-pub struct Heads<'a> {
-    /// Tokens of a sequence.
-    pub length: usize,
-    /// Width of a token.
-    pub width: usize,
-    /// Heads.
-    pub count: usize,
-    /// True where a token is padding, `[B, T]`.
-    pub padding: Option<&'a [bool]>,
-}
-
-impl Heads<'_> {
-    fn head(&self) -> usize {
-        self.width / self.count
-    }
-
-    /// Weights of a sequence.
-    fn weights(&self) -> usize {
-        self.count * self.length * self.length
-    }
-
-    fn scale(&self) -> f32 {
-        (self.head() as f32).sqrt().recip()
-    }
-
-    fn padding_of(&self, sequence: usize) -> Option<&[bool]> {
-        self.padding
-            .map(|padding| &padding[sequence * self.length..][..self.length])
-    }
-}
+/// Tokens from which a sequence is attended by products of whole matrices.
+const LONG: usize = 64;
 
 /// Rows of a small product that are computed together.
 const ROWS: usize = 4;
@@ -132,28 +105,23 @@ fn sum_block<const COLUMNS: usize>(
     }
 }
 
-/// Reduces whole blocks of numbers: blocks into lanes, then lanes in halves.
-#[inline(always)]
-fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
-    let mut lanes = [start; LANES];
-    for block in values.as_chunks::<LANES>().0 {
-        for (lane, &value) in lanes.iter_mut().zip(block) {
-            *lane = join(*lane, value);
-        }
-    }
-    let mut half = LANES / 2;
-    while half > 0 {
-        for lane in 0..half {
-            lanes[lane] = join(lanes[lane], lanes[lane + half]);
-        }
-        half /= 2;
-    }
-    lanes[0]
-}
-
 /// Attends: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
 /// before dropout, `[B, heads, T, T]`.
 pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32], out: &mut [f32]) {
+    if heads.length < LONG {
+        forward_short(heads, joint, mask, weights, out);
+    } else {
+        long_attention::forward(heads, joint, mask, weights, out);
+    }
+}
+
+fn forward_short(
+    heads: Heads<'_>,
+    joint: &[f32],
+    mask: Mask,
+    weights: &mut [f32],
+    out: &mut [f32],
+) {
     struct Sequence<'a> {
         heads: Heads<'a>,
         index: usize,
@@ -192,24 +160,7 @@ pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32],
                 for query in 0..length {
                     // Columns beyond the keys count as padding, so that all blocks are whole.
                     let scores = scores.row_mut(query);
-                    scores[length..].fill(f32::NEG_INFINITY);
-                    for (key, score) in scores[..length].iter_mut().enumerate() {
-                        *score *= scale;
-                        if padding.is_some_and(|padding| padding[key]) {
-                            *score = f32::NEG_INFINITY;
-                        }
-                    }
-                    let largest = by_halves(scores, f32::NEG_INFINITY, f32::max);
-                    for score in scores.iter_mut() {
-                        // Padding has weight zero.
-                        let is_padding = *score == f32::NEG_INFINITY;
-                        let weight = exp(*score - largest);
-                        *score = if is_padding { 0.0 } else { weight };
-                    }
-                    let scale = by_halves(scores, 0.0, |a, b| a + b).recip();
-                    for score in scores.iter_mut() {
-                        *score *= scale;
-                    }
+                    soften(scores, length, scale, padding);
                     let scores = &mut scores[..length];
                     let row = (at * length + query) * length;
                     self.weights[row..row + length].copy_from_slice(scores);
@@ -246,6 +197,20 @@ pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32],
 
 /// The backward pass of [`forward`]: the gradient of `joint` from that of `out`.
 pub fn backward(
+    heads: Heads<'_>,
+    joint: &[f32],
+    mask: Mask,
+    weights: &[f32],
+    grad: &[f32],
+) -> Vec<f32> {
+    if heads.length < LONG {
+        backward_short(heads, joint, mask, weights, grad)
+    } else {
+        long_attention::backward(heads, joint, mask, weights, grad)
+    }
+}
+
+fn backward_short(
     heads: Heads<'_>,
     joint: &[f32],
     mask: Mask,
@@ -348,4 +313,61 @@ pub fn backward(
             });
         });
     of_joint
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check_close(found: &[f32], expected: &[f32]) {
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 2e-5, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn long_sequences_are_attended_as_short_ones() {
+        const SEQUENCES: usize = 3;
+        let (length, width, count) = (LONG + 7, 24, 3);
+        let numbers = |count: usize, step: f32| -> Vec<f32> {
+            (0..count).map(|at| (at as f32 * step).sin()).collect()
+        };
+        let joint = numbers(SEQUENCES * length * 3 * width, 0.37);
+        let grad = numbers(SEQUENCES * length * width, 0.53);
+        // Rows of 70, 60 and 50 tokens.
+        let padding: Vec<bool> = (0..SEQUENCES * length)
+            .map(|at| at % length >= 70 - 10 * (at / length))
+            .collect();
+        for (padding, prob) in [
+            (None, 0.0),
+            (Some(&padding[..]), 0.0),
+            (Some(&padding[..]), 0.2),
+        ] {
+            let heads = Heads {
+                length,
+                width,
+                count,
+                padding,
+            };
+            let mask = Mask::new(prob, 5);
+            let run = |forward: fn(Heads<'_>, &[f32], Mask, &mut [f32], &mut [f32])| {
+                let mut weights = vec![0.0; SEQUENCES * count * length * length];
+                let mut out = vec![0.0; SEQUENCES * length * width];
+                forward(heads, &joint, mask, &mut weights, &mut out);
+                (weights, out)
+            };
+            let (weights, out) = run(forward);
+            let (weights_short, out_short) = run(forward_short);
+            check_close(&weights, &weights_short);
+            check_close(&out, &out_short);
+            let on_one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+            let alone = on_one_thread.expect("a pool").install(|| run(forward));
+            assert!(alone == (weights.clone(), out), "threads do not matter");
+            check_close(
+                &backward(heads, &joint, mask, &weights, &grad),
+                &backward_short(heads, &joint, mask, &weights_short, &grad),
+            );
+        }
+    }
 }

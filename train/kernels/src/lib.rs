@@ -9,6 +9,8 @@
 
 pub mod adamw;
 pub mod attention;
+mod heads;
+mod long_attention;
 pub mod product;
 pub mod rows;
 

@@ -84,6 +84,24 @@ pub fn multiply(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], write: Write) {
     matmul(out, accumulate, a.view(), b.view(), 1.0, Par::rayon(0));
 }
 
+/// Some columns of a matrix.
+pub(crate) type Columns<'a> = MatRef<'a, f32>;
+
+/// The `count` columns from `first` on of row-major numbers with `stride` in a row.
+pub(crate) fn columns(values: &[f32], stride: usize, first: usize, count: usize) -> Columns<'_> {
+    let rows = values.len() / stride;
+    MatRef::from_row_major_slice_with_stride(&values[first..], rows, count, stride)
+}
+
+/// The product `a b`, written to `out`, row-major, on this thread alone.
+///
+/// # Panics
+/// If the sizes disagree.
+pub(crate) fn multiply_alone(a: Columns<'_>, b: Columns<'_>, out: &mut [f32]) {
+    let out = MatMut::from_row_major_slice_mut(out, a.nrows(), b.ncols());
+    matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,0 +1,81 @@
+//! Sizes of an attention, and attention weights of scores.
+
+use kinematics::simd::lanes::LANES;
+
+use crate::rows::exp;
+
+/// Sizes of an attention.
+#[derive(Clone, Copy, Debug)]
+pub struct Heads<'a> {
+    /// Tokens of a sequence.
+    pub length: usize,
+    /// Width of a token.
+    pub width: usize,
+    /// Heads.
+    pub count: usize,
+    /// True where a token is padding, `[B, T]`.
+    pub padding: Option<&'a [bool]>,
+}
+
+impl Heads<'_> {
+    pub(crate) fn head(&self) -> usize {
+        self.width / self.count
+    }
+
+    /// Weights of a sequence.
+    pub(crate) fn weights(&self) -> usize {
+        self.count * self.length * self.length
+    }
+
+    pub(crate) fn scale(&self) -> f32 {
+        (self.head() as f32).sqrt().recip()
+    }
+
+    pub(crate) fn padding_of(&self, sequence: usize) -> Option<&[bool]> {
+        self.padding
+            .map(|padding| &padding[sequence * self.length..][..self.length])
+    }
+}
+
+/// Reduces whole blocks of numbers: blocks into lanes, then lanes in halves.
+#[inline(always)]
+fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut lanes = [start; LANES];
+    for block in values.as_chunks::<LANES>().0 {
+        for (lane, &value) in lanes.iter_mut().zip(block) {
+            *lane = join(*lane, value);
+        }
+    }
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] = join(lanes[lane], lanes[lane + half]);
+        }
+        half /= 2;
+    }
+    lanes[0]
+}
+
+/// Makes attention weights of the scores of a query: whole blocks of numbers, of which the first `length`
+/// are scores. Padding gets weight zero.
+#[inline(always)]
+pub(crate) fn soften(scores: &mut [f32], length: usize, scale: f32, padding: Option<&[bool]>) {
+    // Columns beyond the keys count as padding, so that all blocks are whole.
+    scores[length..].fill(f32::NEG_INFINITY);
+    for (key, score) in scores[..length].iter_mut().enumerate() {
+        *score *= scale;
+        if padding.is_some_and(|padding| padding[key]) {
+            *score = f32::NEG_INFINITY;
+        }
+    }
+    let largest = by_halves(scores, f32::NEG_INFINITY, f32::max);
+    for score in scores.iter_mut() {
+        let is_padding = *score == f32::NEG_INFINITY;
+        let weight = exp(*score - largest);
+        *score = if is_padding { 0.0 } else { weight };
+    }
+    let scale = by_halves(scores, 0.0, |a, b| a + b).recip();
+    for score in scores.iter_mut() {
+        *score *= scale;
+    }
+}
