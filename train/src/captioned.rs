@@ -1,16 +1,16 @@
 //! Crops of captioned motions, as models of motions and captions are trained on them.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Seed, Skeleton};
-use pipeline::feature::Statistics;
-use pipeline::feature::humanml3d::Features;
+use datasets_spec::{Fps, Resample, Seed, Skeleton};
+use pipeline::feature::humanml3d::{Features, features_of_joints, joints_of_motion};
+use pipeline::feature::{Statistics, smpl_body};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::data::TextVectors;
-use crate::features::{FeatureRecipe, FeatureStats, Prepared};
+use crate::features::{FeatureRecipe, FeatureStats};
 use crate::tmr::CaptionedMotion;
 
 /// What a model of motions and captions learns from.
@@ -34,15 +34,18 @@ pub(crate) struct CaptionedRows {
     captions: Vec<String>,
 }
 
-/// The features of the clips that have at least `min_frames` of them.
+/// The features of the clips that have at least `min_frames` of them, on HumanML3D's body with the bone
+/// lengths of a skeleton.
 ///
 /// # Errors
 /// No clip is long enough, one has no caption, or one has no features.
 pub(crate) fn captioned_rows(
     clips: &[CaptionedMotion<'_>],
+    skeleton: &Skeleton,
     min_frames: usize,
     what: &'static str,
 ) -> Result<Vec<CaptionedRows>, Error> {
+    let body = smpl_body(skeleton);
     let rows: Vec<Option<CaptionedRows>> = clips
         .par_iter()
         .map(|clip| {
@@ -52,14 +55,23 @@ pub(crate) fn captioned_rows(
                     problem: "has no caption".to_owned(),
                 });
             }
-            if clip.motion.len() <= min_frames {
+            let motion = Resample::Exact
+                .apply(clip.motion, Fps::STORE)
+                .map_err(|source| Error::Motion {
+                    id: clip.id.to_owned(),
+                    source: source.into(),
+                })?;
+            // Velocities need the next frame.
+            if motion.len() <= min_frames {
                 return Ok(None);
             }
-            let clip_rows = Prepared::new(clip.motion, FeatureRecipe::HumanMl3d, 1, clip.id)?;
-            let rows = clip_rows.features(0..clip_rows.len());
-            let (rows, _) = rows.as_chunks();
-            Ok((rows.len() >= min_frames).then(|| CaptionedRows {
-                rows: rows.to_vec(),
+            let rows = features_of_joints(&joints_of_motion(&motion, &body));
+            let rows = rows.map_err(|error| Error::Item {
+                id: clip.id.to_owned(),
+                problem: format!("has no HumanML3D features: {error}"),
+            })?;
+            Ok(Some(CaptionedRows {
+                rows,
                 captions: clip.captions.to_vec(),
             }))
         })

@@ -9,6 +9,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 use pipeline::feature::humanml3d::{
     FeatureError, Features, Joints, UNIFORM_BONES, features_of_joints, recover_joints,
 };
+use pipeline::feature::smpl_body;
 
 use crate::system::Misfit;
 
@@ -51,6 +52,8 @@ pub struct SourceFeatures {
     pub features: Vec<Features>,
     poses: Vec<Pose>,
     placement: Placement,
+    /// The body whose joints the features are of: that of HumanML3D with the bone lengths of the source's.
+    body: Skeleton,
 }
 
 /// From the uniform skeleton of the features, which begins at the origin and faces +z, to a source.
@@ -95,7 +98,8 @@ impl SourceFeatures {
     /// # Errors
     /// There are fewer than two poses, or a bone without a direction.
     pub fn new(poses: Vec<Pose>, skeleton: &Skeleton) -> Result<Self, FeatureError> {
-        let mut joints: Vec<Joints> = skeleton.points_of_poses(&poses);
+        let body = smpl_body(skeleton);
+        let mut joints: Vec<Joints> = body.points_of_poses(&poses);
         let [.., before, last] = joints[..] else {
             return Err(FeatureError::TooShort {
                 frames: poses.len(),
@@ -110,27 +114,23 @@ impl SourceFeatures {
             features,
             poses,
             placement,
+            body,
         })
     }
 
     /// Other features as a motion at 20 fps that begins where the source does, and how far their points
-    /// are from a body. Bones have the lengths of the skeleton; twists that no joint shows are those of
-    /// the source.
+    /// are from a body. Bones have the lengths of the source's; twists that no joint shows are its own.
     ///
     /// # Errors
     /// There are more features than poses of the source, or a number is not finite.
-    pub fn motion(
-        &self,
-        features: &[Features],
-        skeleton: &Skeleton,
-    ) -> Result<(Motion, Misfit), FeatureError> {
+    pub fn motion(&self, features: &[Features]) -> Result<(Motion, Misfit), FeatureError> {
         let joints = recover_joints(features);
-        let frames = self.targets(&joints, skeleton)?;
+        let frames = self.targets(&joints)?;
         let no_motion = |error: kinematics::Error| FeatureError::NoMotion {
             reason: error.to_string(),
         };
         let options = FitOptions::body_joints();
-        let fitted = fit_motion_from(skeleton, &frames, &self.poses, Fps::STORE, &options)
+        let fitted = fit_motion_from(&self.body, &frames, &self.poses, Fps::STORE, &options)
             .map_err(no_motion)?;
         let misfit = Misfit {
             fit_error_m: mean(&fitted.error_m),
@@ -140,11 +140,7 @@ impl SourceFeatures {
     }
 
     /// Joints of the uniform skeleton where they lie on the body and in the place of the source.
-    fn targets(
-        &self,
-        joints: &[Joints],
-        skeleton: &Skeleton,
-    ) -> Result<Vec<KeypointFrame>, FeatureError> {
+    fn targets(&self, joints: &[Joints]) -> Result<Vec<KeypointFrame>, FeatureError> {
         let Placement { turn, scale, shift } = self.placement;
         joints
             .iter()
@@ -157,7 +153,7 @@ impl SourceFeatures {
                         .try_normalize()
                         .ok_or(FeatureError::NoDirection { joint, frame })?;
                     target[joint] = target[parent_of(joint)]
-                        + turn * direction * skeleton.offset(joint).length();
+                        + turn * direction * self.body.offset(joint).length();
                 }
                 Ok(target)
             })
@@ -210,9 +206,7 @@ mod tests {
         let (poses, skeleton) = (poses(), Skeleton::smplx_neutral());
         let source = SourceFeatures::new(poses.clone(), &skeleton).expect("long enough");
         assert_eq!(source.features.len(), poses.len());
-        let (motion, misfit) = source
-            .motion(&source.features, &skeleton)
-            .expect("a motion");
+        let (motion, misfit) = source.motion(&source.features).expect("a motion");
         let wanted: Vec<Joints> = skeleton.points_of_poses(&poses);
         let found: Vec<Joints> = skeleton.points_of_poses(&motion.poses());
         for (wanted, found) in wanted.iter().flatten().zip(found.iter().flatten()) {

@@ -135,7 +135,7 @@ impl MdmConfig {
                         max_gradient_norm: None,
                         ema_decay: Some(0.99),
                     },
-                    batch_size: 32,
+                    batch_size: 16,
                     micro_batch_size: None,
                     length: RunLength::of_steps(1_000),
                     log_every: 20,
@@ -221,7 +221,7 @@ pub fn train_mdm<'a>(
         captions.map(String::as_str),
         corpus.vectors,
     )?;
-    let rows = |clips, what| captioned_rows(clips, config.min_frames, what);
+    let rows = |clips, what| captioned_rows(clips, corpus.skeleton, config.min_frames, what);
     let train = rows(corpus.train, "training split of MDM")?;
     let val = rows(corpus.val, "validation split of MDM")?;
     let record = MdmRecord {

@@ -239,14 +239,10 @@ impl<'a> Item<'a> {
     }
 
     /// Generated features as a motion of the rate and length that is asked for.
-    fn motion(
-        &self,
-        features: &[Features],
-        skeleton: &Skeleton,
-    ) -> Result<(Motion, Misfit), Error> {
+    fn motion(&self, features: &[Features]) -> Result<(Motion, Misfit), Error> {
         let (motion, misfit) = self
             .source
-            .motion(features, skeleton)
+            .motion(features)
             .map_err(|error| refused(self.request, error))?;
         let EditRequest {
             id,
@@ -434,7 +430,7 @@ impl EditSystem for MdmBpSystem {
             .par_iter()
             .zip(&generated)
             .map(|(item, features)| {
-                let made = item.motion(features, &self.skeleton)?;
+                let made = item.motion(features)?;
                 progress.advance(1);
                 Ok(made)
             })

@@ -128,7 +128,7 @@ impl MldConfig {
                         max_gradient_norm: None,
                         ema_decay: Some(0.99),
                     },
-                    batch_size: 32,
+                    batch_size: 16,
                     micro_batch_size: None,
                     length: RunLength::of_steps(steps),
                     log_every: 20,
@@ -141,7 +141,7 @@ impl MldConfig {
                     autoencoder: AutoencoderConfig {
                         model,
                         min_frames: 16,
-                        run: run(2_000),
+                        run: run(1_500),
                         ..official.autoencoder
                     },
                     model,
@@ -154,7 +154,7 @@ impl MldConfig {
                     },
                     // The vocabulary is learned, and strong guidance leaves what was seen.
                     guidance: 2.0,
-                    run: run(2_000),
+                    run: run(1_500),
                     ..official
                 }
             }

@@ -71,7 +71,8 @@ pub fn train_mld<'a>(
             reason: "it consists of two runs; --extend and --init are for one".to_owned(),
         });
     }
-    let rows = |clips, what| captioned_rows(clips, config.autoencoder.min_frames, what);
+    let min_frames = config.autoencoder.min_frames;
+    let rows = |clips, what| captioned_rows(clips, corpus.skeleton, min_frames, what);
     let train = rows(corpus.train, "training split of MLD")?;
     let val = rows(corpus.val, "validation split of MLD")?;
     let autoencoder = &config.autoencoder;

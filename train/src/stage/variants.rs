@@ -102,7 +102,12 @@ pub fn make_variants(
     let mut generator = Generator::load(run, session.device)?;
     let bases = bases(&dataset, instructions, config, generator.frames(), seed)?;
     let texts: Vec<String> = bases.iter().map(|(base, _)| base.text.clone()).collect();
-    let plan = plan_hash("variants-1", &(generator.hash(), &texts, config, seed));
+    let made_of: Vec<(&str, usize, Split)> = bases
+        .iter()
+        .map(|(base, split)| (base.text.as_str(), base.frames, *split))
+        .collect();
+    let inputs = (generator.hash(), made_of, config, seed, skeleton.hash());
+    let plan = plan_hash("variants-1", &inputs);
     let latent_std = Some(generator.latent_std());
     if let Some(dataset) = made_before(out, &plan)? {
         return Ok(VariantReport {

@@ -3,8 +3,8 @@
 use burn::tensor::TensorData;
 use datasets_spec::JointSet;
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use pipeline::feature::Statistics;
 use pipeline::feature::humanml3d::{Features, features_of_joints, joints_of_motion};
+use pipeline::feature::{Statistics, smpl_body};
 use train::captioned::CaptionedCorpus;
 use train::mdm::{MdmConfig, masked_l2, train_mdm};
 use train::model::conditioned::Conditioned;
@@ -83,7 +83,7 @@ fn trained(
 }
 
 pub(super) fn features(motion: &Motion) -> Vec<Features> {
-    features_of_joints(&joints_of_motion(motion, &SKELETON)).expect("long enough")
+    features_of_joints(&joints_of_motion(motion, &smpl_body(&SKELETON))).expect("long enough")
 }
 
 #[test]
