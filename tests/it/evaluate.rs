@@ -439,6 +439,29 @@ fn items_that_are_short_for_one_window_count_at_none() {
 }
 
 #[test]
+fn convergence_scores_the_kept_checkpoints_of_one_training() {
+    let bench = Bench::open();
+    let plan = write_plan(
+        &bench,
+        "[[system]]\nname = \"ours\"\n\
+         train = { keep_epochs = 1, length = { epochs = 2, steps = 500 } }\n\
+         [[figure]]\nname = \"convergence\"\nkey = \"epoch\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
+    );
+    let made: Value = stance(&["--json", "reproduce", arg(&plan)])
+        .expect_code(0)
+        .json();
+    let points = made["figures"][0]["points"].as_array().expect("points");
+    let names: Vec<&str> = points
+        .iter()
+        .map(|point| point["point"].as_str().expect("a name"))
+        .collect();
+    assert_eq!(names, ["epoch = 1", "epoch = 2"]);
+    assert_ne!(points[0]["scores"], points[1]["scores"]);
+    let runs = bench.workshop.path("made/runs");
+    assert_eq!(fs::read_dir(runs).expect("runs").count(), 1);
+}
+
+#[test]
 fn plans_of_the_program_can_be_followed() {
     let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
         .expect_code(0)
