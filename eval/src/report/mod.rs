@@ -384,7 +384,7 @@ mod tests {
         check_nesting(&empty);
         assert!(!empty.contains("<section") && !empty.contains("<nav"));
         let full = hostile().to_html();
-        assert_eq!(full.matches("<section").count(), 8);
+        assert_eq!(full.matches("<section").count(), 9);
         for section in full.split("<a href=\"#").skip(1) {
             let anchor = section.split('"').next().expect("an anchor");
             assert!(
