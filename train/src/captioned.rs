@@ -153,7 +153,7 @@ pub(crate) struct CropSampler<'a> {
 const CROP_UNIT: usize = 4;
 
 impl<'a> CropSampler<'a> {
-    /// The samples `first..first + count` of the run, epochs following one another.
+    /// The samples `first..first + count` of the run. The count goes on from one epoch to the next.
     ///
     /// A crop is as long as its clip, rounded down to a multiple of four frames, and in a third of the
     /// cases four frames shorter.

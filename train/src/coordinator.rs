@@ -302,7 +302,7 @@ struct SegmentSampler<'a> {
 }
 
 impl SegmentSampler<'_> {
-    /// The segments `first..first + count` of the run, epochs following one another.
+    /// The segments `first..first + count` of the run. The count goes on from one epoch to the next.
     fn draw(&self, first: u64, count: usize) -> SegmentBatch {
         let epoch_len = self.source.epoch_len();
         let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;

@@ -213,7 +213,7 @@ pub(crate) struct WindowSampler<'a> {
 }
 
 impl WindowSampler<'_> {
-    /// The windows `first..first + num_windows` of the run, epochs following one another.
+    /// The windows `first..first + num_windows` of the run. The count goes on from one epoch to the next.
     pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
         let windows = self.windows(first, num_windows)?;
         let window_len = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;

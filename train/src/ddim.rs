@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use crate::Error;
 use crate::schedule::Schedule;
 
-/// Steps that sampling begins after the first one of each stride (`steps_offset` of MLD).
+/// Added to every sampled timestep, so that they are 1, 21, 41 and so on (`steps_offset` of MLD's scheduler).
 const OFFSET: usize = 1;
 
 /// Steps from noise to a clean sample without noise of their own.

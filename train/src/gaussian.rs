@@ -114,8 +114,8 @@ impl SampleSteps {
     }
 }
 
-/// Standard normal noise for sequences of different lengths, each from a generator of its own, so that
-/// it does not depend on the other sequences. It is zero past the end of a sequence.
+/// Standard normal noise for a batch of sequences. Each sequence has its own generator, so its noise does not depend
+/// on the batch. Frames past the end of a sequence are zero.
 ///
 /// # Shapes
 /// `B` generators and lengths give `[B, T, width]`, `T` being the largest length.

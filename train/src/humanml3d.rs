@@ -16,7 +16,7 @@ use crate::system::Misfit;
 /// Joints that decide where the body goes: pelvis and legs.
 const LOWER_BODY: JointSet = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
 
-/// Knee and ankle of the right leg, whose bones measure the size of a body in the recipe.
+/// Right knee and ankle. The recipe scales a body by the length of the two bones that end in them.
 const LEG: [usize; 2] = [5, 8];
 
 /// Places of features that some joints decide. Each joint has its position, rotation and velocity; the
@@ -65,8 +65,8 @@ struct Placement {
 }
 
 impl Placement {
-    /// The placement of a source whose first frame is the given one of the uniform skeleton. The recipe
-    /// keeps the direction of every bone and scales the path of the root.
+    /// The placement of a source motion. `source` and `uniform` are its first frame on its own skeleton and on the
+    /// uniform one. Between the two, bone directions are equal and the root path is scaled.
     fn new(source: &Joints, uniform: &Joints) -> Self {
         let leg: f64 = LEG
             .iter()

@@ -198,9 +198,10 @@ impl MdmRecord {
 /// from the weights of another keeps its words and feature statistics.
 ///
 /// # Errors
-/// The settings are unusable, a split has no clip that is long enough, a clip has no caption, the text
-/// encoder is missing, the folder holds another run or a damaged checkpoint, a loss is not finite, or a
-/// file cannot be written.
+/// - The settings are unusable, or the text encoder is missing.
+/// - A split has no clip that is long enough, or a clip has no caption.
+/// - The folder holds another run or a damaged checkpoint, or a file cannot be written.
+/// - A loss is not finite.
 pub fn train_mdm<'a>(
     start: impl Into<Start<'a>>,
     config: &MdmConfig,

@@ -225,7 +225,7 @@ impl Nearest {
         Motion::from_poses(request.fps, &poses).map_err(|error| failed(error.into()))
     }
 
-    /// Moves and turns a motion so that it starts where another one does. Heights stay.
+    /// Places a motion on the ground position and heading of another motion's first pose. Heights do not change.
     fn move_to(&self, poses: &mut [Pose], start: &Pose) {
         canonicalise(poses, Anchor::Pelvis, &self.skeleton);
         let placement = world_from_segment(start, Anchor::Pelvis, &self.skeleton);
@@ -240,10 +240,10 @@ impl Nearest {
     }
 }
 
-/// Instructions as bags of words, weighted by how few instructions have a word.
+/// The training instructions as bags of words with TF-IDF weights: rare words count more.
 struct Instructions {
     texts: Vec<(String, BTreeSet<String>)>,
-    /// `ln(1 + N / n)` of a word that n of the N instructions have.
+    /// Inverse document frequency of each word: `ln(1 + N / n)` if n of the N instructions contain it.
     weights: BTreeMap<String, f64>,
 }
 

@@ -37,7 +37,8 @@ impl Heads<'_> {
     }
 }
 
-/// Reduces whole blocks of numbers: blocks into lanes, then lanes in halves.
+/// Reduces `values`, whose number is a multiple of [`LANES`], with `join`: lane by lane over the blocks, then the lanes
+/// pairwise.
 #[inline(always)]
 fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [start; LANES];
@@ -56,8 +57,8 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
     lanes[0]
 }
 
-/// Makes attention weights of the scores of a query: whole blocks of numbers, of which the first `length`
-/// are scores. Padding gets weight zero.
+/// Replaces the attention scores of one query by their softmax. The first `length` numbers are scores, the rest fill the
+/// last block. Padding gets weight zero.
 #[inline(always)]
 pub(crate) fn soften(scores: &mut [f32], length: usize, scale: f32, padding: Option<&[bool]>) {
     // Columns beyond the keys count as padding, so that all blocks are whole.

@@ -138,7 +138,7 @@ fn join(
         });
 }
 
-/// Makes attention weights of the scores of a head, and returns them after dropout, if there is any.
+/// Replaces the scores of a head by their softmax. Returns a copy of it with dropout applied; none without dropout.
 struct Soften<'a> {
     length: usize,
     scale: f32,
@@ -172,8 +172,8 @@ impl Kernel for Soften<'_> {
     }
 }
 
-/// Makes gradients of scores of those of the weights after dropout, and returns these weights, if any
-/// were dropped.
+/// Turns gradients of a head's weights after dropout into gradients of its scores, in place. Returns the weights after
+/// dropout; none without dropout.
 struct Differentiate<'a> {
     length: usize,
     scale: f32,
@@ -209,7 +209,7 @@ impl Kernel for Differentiate<'_> {
     }
 }
 
-/// The sum of products, in blocks of lanes.
+/// Dot product, summed lane by lane.
 #[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();

@@ -203,7 +203,7 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
-    /// Loads the autoencoder in the run folder of a latent diffusion.
+    /// Loads the autoencoder of a generator. `run` is the run folder of `stance train mld`.
     ///
     /// # Errors
     /// There is none, or its checkpoint is missing or damaged.

@@ -53,9 +53,11 @@ impl MldRecord {
 /// than its `min_frames` are left out. Returns the report of the part that was trained last.
 ///
 /// # Errors
-/// The settings are unusable, a split has no clip that is long enough, a clip has no caption, the text
-/// encoder is missing, the folder holds another run or a damaged checkpoint, the run is to begin with
-/// the weights of another or to be extended, a loss is not finite, or a file cannot be written.
+/// - The settings are unusable, or the text encoder is missing.
+/// - A split has no clip that is long enough, or a clip has no caption.
+/// - The folder holds another run or a damaged checkpoint, or a file cannot be written.
+/// - `start` asks to extend a run or to begin with the weights of another one.
+/// - A loss is not finite.
 pub fn train_mld<'a>(
     start: impl Into<Start<'a>>,
     config: &MldConfig,

@@ -20,7 +20,7 @@ use crate::fit::TEXT;
 pub struct Conditioned<N: Module> {
     /// The network.
     pub network: N,
-    /// Turns texts into vectors, unless a frozen encoder does.
+    /// The learned text encoder; none if the vectors come from a frozen encoder.
     pub text: Option<LearnedText>,
 }
 

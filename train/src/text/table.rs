@@ -24,10 +24,10 @@ const VECTORS: &str = "embeddings";
 const TEXTS: &str = "texts";
 const LENGTHS: &str = "lengths";
 
-/// The vectors of a set of texts: one for each, or one for each of its tokens.
+/// Text embeddings: one vector for each text, or one for each token of a text.
 ///
 /// # Shapes
-/// `[N, d]`, a row for each text in alphabetical order, or the rows of its tokens.
+/// `[N, d]`. Texts are in alphabetical order. N counts the texts, or the tokens of all texts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmbeddingTable {
     encoder: String,

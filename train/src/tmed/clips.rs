@@ -229,7 +229,7 @@ struct Drawn {
 }
 
 impl ClipSampler<'_> {
-    /// The clips `first..first + count` of the run, epochs following one another.
+    /// The clips `first..first + count` of the run. The count goes on from one epoch to the next.
     pub(crate) fn draw(&self, first: u64, count: usize) -> Result<ClipBatch, Error> {
         let num_clips = self.source.num_clips();
         if num_clips == 0 {
