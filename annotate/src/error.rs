@@ -37,9 +37,9 @@ pub enum Error {
         source: postgres::Error,
     },
     /// The store accepts no writes.
-    #[error("the store accepts no writes: {reason}; free disk space and send the request again")]
+    #[error("the store accepts no writes: {reason}")]
     ReadOnly {
-        /// Why.
+        /// Why, and what to do.
         reason: String,
     },
     /// The writer has stopped.
@@ -104,6 +104,17 @@ impl Error {
             path,
             source,
         }
+    }
+
+    /// The error with its causes, in one line.
+    pub(crate) fn full(&self) -> String {
+        let mut text = self.to_string();
+        let mut cause = std::error::Error::source(self);
+        while let Some(error) = cause {
+            text += &format!(": {error}");
+            cause = error.source();
+        }
+        text
     }
 
     /// A refusal.

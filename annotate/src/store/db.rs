@@ -165,6 +165,9 @@ pub(crate) trait Tx {
     /// Runs a query.
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error>;
 
+    /// Runs statements that define tables, each database with its own word for what `schema.sql` writes once.
+    fn define(&mut self, sql: &str) -> Result<(), Error>;
+
     /// Runs a query with at most one row.
     fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>, Error> {
         Ok(self.query(sql, params)?.into_iter().next())
@@ -185,6 +188,8 @@ pub(crate) trait Database: Send + Sync {
     fn write(&self, work: Work) -> Result<(), Error>;
     /// Runs read-only work on a consistent snapshot.
     fn read(&self, work: Work) -> Result<(), Error>;
+    /// The database as it is now, whatever is written later.
+    fn snapshot(&self) -> Result<Box<dyn Database>, Error>;
     /// Writes a backup to a new file without blocking others.
     fn backup(&self, path: &std::path::Path) -> Result<(), Error>;
     /// Checks that the store accepts writes.
@@ -220,21 +225,6 @@ fn with_value<T: Send + 'static>(
     receiver.try_recv().map_err(|_| Error::Closed)
 }
 
-/// Runs work that writes, rolls it back, and returns its value.
-pub(crate) fn rehearse<T: Send + 'static>(
-    db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-) -> Result<T, Error> {
-    let (sender, receiver) = std::sync::mpsc::channel();
-    let outcome = db.write(Box::new(move |tx| {
-        // The receiver lives until the transaction has ended, so sending cannot fail.
-        let _sent = sender.send(work(tx)?);
-        Err(Error::Closed)
-    }));
-    receiver
-        .try_recv()
-        .map_err(|_| outcome.err().unwrap_or(Error::Closed))
-}
 /// Bytes of the write test: larger than any answer, so that a nearly full disk fails the test.
 const TRIED: usize = 64 * 1024;
 

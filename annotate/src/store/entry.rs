@@ -1,6 +1,7 @@
 //! Log entries: their kinds, and how they are stored.
 
-use serde::{Deserialize, Serialize};
+use serde::de::{DeserializeOwned, Error as _};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::db::Row;
 use super::records::Millis;
@@ -29,6 +30,34 @@ pub(crate) struct LoggedTask {
     pub(crate) gold: Option<Answer>,
     pub(crate) extra: Option<serde_json::Value>,
     pub(crate) accepted: Option<Answer>,
+}
+
+/// Reads a value that another version of this program may have stored: missing fields get their default values,
+/// unknown ones are left out.
+pub(super) fn stored<'de, T, D>(from: D) -> Result<T, D::Error>
+where
+    T: Default + Serialize + DeserializeOwned,
+    D: Deserializer<'de>,
+{
+    let mut found = serde_json::Map::deserialize(from)?;
+    let mut full = serde_json::to_value(T::default()).map_err(D::Error::custom)?;
+    for (name, value) in full.as_object_mut().into_iter().flatten() {
+        if let Some(kept) = found.remove(name) {
+            *value = kept;
+        }
+    }
+    serde_json::from_value(full).map_err(D::Error::custom)
+}
+
+/// [`stored`] for a column of JSON.
+pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T, Error>
+where
+    T: Default + Serialize + DeserializeOwned,
+{
+    stored(&mut serde_json::Deserializer::from_str(text)).map_err(|error| Error::Row {
+        table,
+        problem: error.to_string(),
+    })
 }
 
 /// Body of an entry. `request` is a hash of the request; it shows whether a repeated key repeats the request.
@@ -118,6 +147,7 @@ pub(crate) enum Body {
         active: bool,
     },
     SettingsChanged {
+        #[serde(deserialize_with = "stored")]
         settings: Box<Settings>,
     },
     Exported {

@@ -103,7 +103,10 @@ fn write_group(writer: &mut impl Writer, group: Vec<Job>) {
     }
     let failure = outcome.err().map(|error| match error {
         Error::ReadOnly { reason } => reason,
-        other => format!("{other:#}"),
+        other => format!(
+            "{}; nothing was written, send the request again",
+            other.full()
+        ),
     });
     for (done, answer) in answers {
         let answer = match &failure {
@@ -131,14 +134,17 @@ fn run_group(
     let mut jobs = group.into_iter();
     for job in jobs.by_ref() {
         let outcome = writer.run(job.work);
-        answers.push((job.done, outcome));
         if !writer.is_open() {
-            // The database rolled the whole transaction back, most likely because the disk is full.
+            // The database rolled the whole transaction back.
+            let reason = match outcome {
+                Ok(()) => Error::Closed,
+                Err(error) => error,
+            };
+            answers.push((job.done, Ok(())));
             answers.extend(jobs.map(|job| (job.done, Ok(()))));
-            return Err(Error::ReadOnly {
-                reason: "the disk is full or fails, or the database is gone".to_owned(),
-            });
+            return Err(reason);
         }
+        answers.push((job.done, outcome));
     }
     writer.commit()
 }

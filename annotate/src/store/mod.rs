@@ -17,6 +17,7 @@ mod entry;
 mod group;
 mod import;
 mod log;
+mod migrate;
 mod people;
 #[cfg(feature = "postgres")]
 mod postgres;
@@ -40,6 +41,7 @@ use std::sync::Arc;
 
 use crate::Error;
 
+pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Imported, IssuedToken, KeyRange, Label,
     Millis, MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed,
@@ -47,21 +49,25 @@ pub use records::{
 };
 pub use store::Store;
 
-/// Opens the store of a file, creating it if needed.
+/// Opens the store of a file, creating it if needed. A store of an older version is upgraded after a copy of it was
+/// made ([`Store::upgrade`]).
 ///
 /// # Errors
-/// The file cannot be opened, is of another version, or lies on a network file system.
+/// The file cannot be opened, is of a newer version, or lies on a network file system.
 pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
-    Ok(Arc::new(Store::new(Box::new(sqlite::Sqlite::open(path)?))))
+    let db = sqlite::Sqlite::open(path)?;
+    let upgrade = db.upgrade();
+    Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
-/// Opens a store on PostgreSQL, creating its tables in the schema if needed.
+/// Opens a store on PostgreSQL, creating its tables in the schema if needed. A store of an older version is upgraded
+/// after a copy of it was made ([`Store::upgrade`]).
 ///
 /// # Errors
-/// The server cannot be reached, or its tables are of another version.
+/// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
 pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>, Error> {
-    Ok(Arc::new(Store::new(Box::new(postgres::Postgres::open(
-        url, schema,
-    )?))))
+    let db = postgres::Postgres::open(url, schema)?;
+    let upgrade = db.upgrade();
+    Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

@@ -25,14 +25,19 @@ pub(super) fn hash(token: &str) -> String {
     hex(&Sha256::digest(token.trim().as_bytes()))
 }
 
-fn new_token() -> Result<String, Error> {
-    let mut bytes = [0; TOKEN_BYTES];
+/// Random bytes, hexadecimal.
+pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
+    let mut bytes = [0; BYTES];
     getrandom::fill(&mut bytes).map_err(|error| Error::Io {
         action: "read random bytes from",
         path: "the operating system".into(),
         source: std::io::Error::other(error.to_string()),
     })?;
-    Ok(format!("ann_{}", hex(&bytes)))
+    Ok(hex(&bytes))
+}
+
+fn new_token() -> Result<String, Error> {
+    Ok(format!("ann_{}", random::<TOKEN_BYTES>()?))
 }
 
 fn read_user(row: &Row) -> Result<User, Error> {

@@ -11,16 +11,16 @@ use std::path::Path;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, NoTls, Statement};
 
-use super::db::{Database, Row, Tx, Value, Work};
+use super::db::{Database, Row, Tx, Value, Work, params};
 use super::group::{Writer, WriterThread, caught};
-use super::readers::Readers;
+use super::migrate::{self, Plan, Upgrade};
+use super::readers::{Readers, Snapshot};
 use crate::Error;
 
 /// Key of the advisory lock that serialises writers: the letters of "annotate".
 const TURN: i64 = 0x616e_6e6f_7461_7465;
-const SCHEMA: &str = include_str!("schema.sql");
-/// Version of the tables.
-const VERSION: i64 = 1;
+/// Begins a transaction that reads one point in time.
+const READ: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
 /// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
 CREATE FUNCTION event_only_grows() RETURNS trigger LANGUAGE plpgsql AS $$
@@ -44,18 +44,23 @@ struct Address {
 /// A store in a schema of a database.
 pub(crate) struct Postgres {
     address: Address,
+    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
 
 fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     move |source| {
-        let full = source
-            .code()
-            .is_some_and(|code| matches!(code.code(), "53100" | "25006"));
-        if full {
+        let reason = match source.code().map(postgres::error::SqlState::code) {
+            Some("53100") => Some(
+                "the disk of the database is full; free space there and send the request again",
+            ),
+            Some("25006") => Some("the database is read-only; connect to its primary server"),
+            _ => None,
+        };
+        if let Some(reason) = reason {
             return Error::ReadOnly {
-                reason: "the database is full or read-only".to_owned(),
+                reason: reason.to_owned(),
             };
         }
         Error::Postgres { action, source }
@@ -78,43 +83,7 @@ impl Postgres {
             schema: schema.to_owned(),
         };
         let mut first = address.connect()?;
-        let make = failed("make its tables");
-        let mut tx = first.client.transaction().map_err(&make)?;
-        tx.execute("SELECT pg_advisory_xact_lock($1)", &[&TURN])
-            .map_err(&make)?;
-        tx.batch_execute(&format!("CREATE SCHEMA IF NOT EXISTS {schema}"))
-            .map_err(&make)?;
-        let there = tx
-            .query_one(
-                "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = $1 AND table_name = 'version'",
-                &[&schema],
-            )
-            .map_err(&make)?
-            .get::<_, i64>(0);
-        if there == 0 {
-            // Order keys by bytes, whatever the collation of the database.
-            let schema = SCHEMA.replace(
-                "key TEXT NOT NULL UNIQUE",
-                "key TEXT COLLATE \"C\" NOT NULL UNIQUE",
-            );
-            tx.batch_execute(&schema).map_err(&make)?;
-            tx.batch_execute(TRIGGERS).map_err(&make)?;
-            tx.execute("INSERT INTO version (number) VALUES ($1)", &[&VERSION])
-                .map_err(&make)?;
-        }
-        let version: i64 = tx
-            .query_one("SELECT number FROM version", &[])
-            .map_err(&make)?
-            .get(0);
-        if version != VERSION {
-            return Err(Error::Open {
-                path: address.place(),
-                reason: format!(
-                    "its tables are of version {version}, this program knows {VERSION}"
-                ),
-            });
-        }
-        tx.commit().map_err(&make)?;
+        let upgrade = prepare(&mut first, &address)?;
         let readers = Readers::open(|| address.connect())?;
         let writer = PostgresWriter {
             address: address.clone(),
@@ -127,10 +96,84 @@ impl Postgres {
         })?;
         Ok(Self {
             address,
+            upgrade,
             writer,
             readers,
         })
     }
+
+    /// The upgrade that opening made.
+    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
+        self.upgrade.clone()
+    }
+}
+
+/// Creates the tables of a new store, or upgrades those of an older version after a copy.
+fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgrade>, Error> {
+    let make = failed("make its tables");
+    let schema = address.schema.as_str();
+    let begin = format!(
+        "BEGIN; SELECT pg_advisory_xact_lock({TURN}); CREATE SCHEMA IF NOT EXISTS {schema}"
+    );
+    // After an error the connection is dropped, which rolls all of it back.
+    connection.client.batch_execute(&begin).map_err(&make)?;
+    let mut tx = PostgresTx(connection);
+    let there = tx.number(
+        "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'",
+        params![schema],
+    )?;
+    let found = if there == 0 {
+        0
+    } else {
+        tx.number("SELECT number FROM version", &[])?
+    };
+    let plan = migrate::plan(&address.place(), found)?;
+    let mut upgrade = None;
+    if let Plan::Upgrade(from) = plan {
+        upgrade = Some(Upgrade {
+            from,
+            to: migrate::VERSION,
+            copy: copy_schema(&mut tx, schema, from)?,
+        });
+    }
+    migrate::apply(&mut tx, plan)?;
+    if plan == Plan::Create {
+        tx.define(TRIGGERS)?;
+        tx.execute("INSERT INTO version (number) VALUES (0)", &[])?;
+    }
+    tx.execute("UPDATE version SET number = ?1", params![migrate::VERSION])?;
+    connection.client.batch_execute("COMMIT").map_err(&make)?;
+    // Plans prepared for tables that were dropped are of no use.
+    connection.statements.clear();
+    Ok(upgrade)
+}
+
+/// Copies all tables into a new schema and returns its name.
+fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<String, Error> {
+    let mut copy = format!("{schema}_version_{version}");
+    let mut number = 1;
+    while tx.number(
+        "SELECT COUNT(*) FROM information_schema.schemata WHERE schema_name = ?1",
+        params![&copy],
+    )? > 0
+    {
+        number += 1;
+        copy = format!("{schema}_version_{version}_{number}");
+    }
+    tx.define(&format!("CREATE SCHEMA {copy}"))?;
+    let tables = tx.query(
+        "SELECT table_name::text FROM information_schema.tables WHERE table_schema = ?1 AND table_type = 'BASE TABLE'
+         ORDER BY table_name",
+        params![schema],
+    )?;
+    for table in tables {
+        let table = table.text(0)?;
+        tx.define(&format!(
+            "CREATE TABLE {copy}.{table} (LIKE {schema}.{table} INCLUDING ALL);
+             INSERT INTO {copy}.{table} SELECT * FROM {schema}.{table}"
+        ))?;
+    }
+    Ok(format!("schema {copy} of the same database"))
 }
 
 impl Address {
@@ -311,6 +354,18 @@ impl Tx for PostgresTx<'_> {
             .map_err(failed("write"))
     }
 
+    fn define(&mut self, sql: &str) -> Result<(), Error> {
+        // Order keys by bytes, whatever the collation of the database.
+        let sql = sql.replace(
+            "key TEXT NOT NULL UNIQUE",
+            "key TEXT COLLATE \"C\" NOT NULL UNIQUE",
+        );
+        self.0
+            .client
+            .batch_execute(&sql)
+            .map_err(failed("make its tables"))
+    }
+
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
         let statement = self.statement(sql)?;
         let rows = self
@@ -340,8 +395,7 @@ impl Database for Postgres {
                 if reader.client.is_closed() {
                     *reader = self.address.connect()?;
                 }
-                let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-                reader.client.batch_execute(begin).map_err(failed("read"))?;
+                reader.client.batch_execute(READ).map_err(failed("read"))?;
                 work(&mut PostgresTx(reader))
             },
             |reader| {
@@ -359,6 +413,16 @@ impl Database for Postgres {
                 self.address.schema
             ),
         })
+    }
+
+    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+        let mut reader = self.address.connect()?;
+        reader.client.batch_execute(READ).map_err(failed("read"))?;
+        // The first read fixes the point in time.
+        PostgresTx(&mut reader).number("SELECT COUNT(*) FROM setting", &[])?;
+        Ok(Box::new(Snapshot::new(reader, |reader, work| {
+            work(&mut PostgresTx(reader))
+        })))
     }
 
     fn check(&self) -> Result<(), Error> {

@@ -1,7 +1,7 @@
 //! Settings, preferences, motions, suggestions and jobs.
 
 use super::db::{Row, Tx, params};
-use super::entry::{Body, Entry};
+use super::entry::{Body, Entry, read_stored};
 use super::log;
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use crate::Error;
@@ -24,7 +24,7 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
         "SELECT body FROM setting WHERE name = ?1",
         params![SETTINGS],
     )? {
-        Some(row) => row.json(0),
+        Some(row) => read_stored("setting", row.text(0)?),
         None => Ok(Settings::default()),
     }
 }
@@ -123,7 +123,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
 
 pub(super) fn prefs(tx: &mut dyn Tx, user: i64) -> Result<Prefs, Error> {
     match tx.one("SELECT body FROM pref WHERE usr = ?1", params![user])? {
-        Some(row) => row.json(0),
+        Some(row) => read_stored("pref", row.text(0)?),
         None => Ok(Prefs::default()),
     }
 }
@@ -410,7 +410,7 @@ pub(super) fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>, Error> {
         params![JOBS],
     )?
     .iter()
-    .map(|row| row.json(0))
+    .map(|row| read_stored("job", row.text(0)?))
     .collect()
 }
 

@@ -1,7 +1,8 @@
-//! Pool of read connections, used beside the writer thread.
+//! Read connections, used beside the writer thread: a pool, and snapshots.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
+use super::db::{Database, Work};
 use super::group::caught;
 use crate::Error;
 use crate::lock::lock;
@@ -48,5 +49,51 @@ impl<C> Readers<C> {
         lock(&self.free).push(connection);
         self.returned.notify_one();
         outcome
+    }
+}
+
+/// A database as it was when the snapshot was taken: one transaction on a connection of its own.
+pub(crate) struct Snapshot<C, R> {
+    connection: Mutex<C>,
+    run: R,
+}
+
+impl<C, R> Snapshot<C, R> {
+    /// Takes a connection with an open transaction, and how work runs on it.
+    pub(crate) fn new(connection: C, run: R) -> Self
+    where
+        R: Fn(&mut C, Work) -> Result<(), Error>,
+    {
+        Self {
+            connection: Mutex::new(connection),
+            run,
+        }
+    }
+}
+
+impl<C, R> Database for Snapshot<C, R>
+where
+    C: Send,
+    R: Fn(&mut C, Work) -> Result<(), Error> + Send + Sync,
+{
+    fn write(&self, _: Work) -> Result<(), Error> {
+        Err(Error::Closed)
+    }
+
+    fn read(&self, work: Work) -> Result<(), Error> {
+        let mut connection = lock(&self.connection);
+        caught(|| (self.run)(&mut connection, work))
+    }
+
+    fn backup(&self, _: &std::path::Path) -> Result<(), Error> {
+        Err(Error::Closed)
+    }
+
+    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+        Err(Error::Closed)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        Err(Error::Closed)
     }
 }

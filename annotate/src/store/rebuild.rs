@@ -1,78 +1,222 @@
-//! Rebuilds the projections from the log, and checks them.
+//! Derives the projections from the log again, to check and to repair them.
+//!
+//! Neither stops writers: the log is read from a snapshot and applied to a scratch database, which is compared with
+//! the snapshot. Only tasks whose rows differ are written, a few in a transaction.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
 
 use super::apply::apply;
-use super::db::{Tx, params};
-use super::entry::{ENTRY_COLUMNS, read_entry};
+use super::db::{self, Database, Row, Tx, Value, params};
+use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
+use super::migrate;
+use super::sqlite::Scratch;
 use crate::Error;
+use crate::lock::lock;
 
-/// The projections and their sort columns.
-const PROJECTIONS: [(&str, &str); 8] = [
-    ("task", "id"),
-    ("lease", "id"),
-    ("revision", "task, author"),
-    ("review", "seq"),
-    ("accepted", "task"),
-    ("skip", "task, usr"),
-    ("suggestion_use", "seq"),
-    ("gold_score", "task, usr"),
+/// A projection.
+pub(super) struct Projection {
+    pub(super) table: &'static str,
+    /// Column of the task that a row belongs to.
+    task: &'static str,
+    /// Sort columns.
+    order: &'static str,
+}
+
+const fn projection(table: &'static str, task: &'static str, order: &'static str) -> Projection {
+    Projection { table, task, order }
+}
+
+/// The projections.
+pub(super) const PROJECTIONS: [Projection; 8] = [
+    projection("task", "id", "id"),
+    projection("lease", "task", "id"),
+    projection("revision", "task", "task, author"),
+    projection("review", "task", "seq"),
+    projection("accepted", "task", "task"),
+    projection("skip", "task", "task, usr"),
+    projection("suggestion_use", "task", "seq"),
+    projection("gold_score", "task", "task, usr"),
 ];
 
 /// Entries read at a time.
 const BATCH: i64 = 1000;
+/// Tasks compared at a time.
+const COMPARED: i64 = 1000;
+/// Tasks repaired in a transaction: as much as claiming two bundles writes.
+const REPAIRED: usize = 16;
 
-/// Rebuilds the projections and returns the names of those that changed.
-pub(crate) fn rebuild(tx: &mut dyn Tx) -> Result<Vec<&'static str>, Error> {
-    let before = digests(tx)?;
-    for (table, _) in PROJECTIONS {
-        tx.execute(&format!("DELETE FROM {table}"), &[])?;
-    }
+/// Entries of the log after a sequence number, up to [`BATCH`].
+fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>, Error> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
+    tx.query(&sql, params![after, BATCH])?
+        .iter()
+        .map(read_entry)
+        .collect()
+}
+
+/// Fills the empty projections of a store from its log.
+pub(super) fn derive(tx: &mut dyn Tx) -> Result<(), Error> {
     let mut last = 0;
     loop {
-        let rows = tx.query(&sql, params![last, BATCH])?;
-        if rows.is_empty() {
-            break;
+        let some = entries(tx, last)?;
+        if some.is_empty() {
+            return Ok(());
         }
-        for row in rows {
-            let (seq, entry) = read_entry(&row)?;
+        for (seq, entry) in some {
             apply(tx, seq, &entry)?;
             last = seq;
         }
     }
-    let after = digests(tx)?;
-    Ok(PROJECTIONS
-        .iter()
-        .zip(before.iter().zip(&after))
-        .filter(|(_, (before, after))| before != after)
-        .map(|((table, _), _)| *table)
-        .collect())
 }
 
-/// A hash of each projection.
-fn digests(tx: &mut dyn Tx) -> Result<Vec<blake3::Hash>, Error> {
-    const ROWS: i64 = 5000;
-    let mut digests = Vec::new();
-    for (table, order) in PROJECTIONS {
-        let mut hasher = blake3::Hasher::new();
-        let mut offset = 0;
-        loop {
-            let sql = format!("SELECT * FROM {table} ORDER BY {order} LIMIT ?1 OFFSET ?2");
-            let rows = tx.query(&sql, params![ROWS, offset])?;
-            for row in &rows {
-                hasher.update(format!("{row:?}\n").as_bytes());
-            }
-            if (rows.len() as i64) < ROWS {
-                break;
-            }
-            offset += ROWS;
-        }
-        digests.push(hasher.finalize());
+/// What follows from the log up to an entry.
+struct Derived {
+    scratch: Scratch,
+    last: i64,
+}
+
+impl Derived {
+    fn new() -> Result<Self, Error> {
+        let scratch = Scratch::new()?;
+        migrate::define_projections(&mut scratch.tx())?;
+        Ok(Self { scratch, last: 0 })
     }
-    Ok(digests)
+
+    /// Applies the entries of a log that came since.
+    fn catch_up(&mut self, log: &mut dyn Tx) -> Result<(), Error> {
+        loop {
+            let some = entries(log, self.last)?;
+            if some.is_empty() {
+                return Ok(());
+            }
+            for (seq, entry) in some {
+                apply(&mut self.scratch.tx(), seq, &entry)?;
+                self.last = seq;
+            }
+        }
+    }
+
+    /// Replaces the rows of a task by those that follow from the log.
+    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+        for Projection {
+            table,
+            task: column,
+            order,
+        } in &PROJECTIONS
+        {
+            tx.execute(
+                &format!("DELETE FROM {table} WHERE {column} = ?1"),
+                params![task],
+            )?;
+            let sql = format!("SELECT * FROM {table} WHERE {column} = ?1 ORDER BY {order}");
+            for row in self.scratch.tx().query(&sql, params![task])? {
+                let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
+                let sql = format!("INSERT INTO {table} VALUES ({})", places.join(", "));
+                tx.execute(&sql, &row.0)?;
+            }
+        }
+        Ok(())
+    }
 }
 
-/// Findings about the log and the projections; rebuilds the projections.
-pub(crate) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
+/// Tasks whose rows differ from what follows from the log, by table.
+type Differing = BTreeMap<&'static str, BTreeSet<i64>>;
+
+/// Rows of a projection for tasks above `after` and up to `up_to`, with their task before their columns.
+fn rows_of(
+    tx: &mut dyn Tx,
+    projection: &Projection,
+    after: i64,
+    up_to: i64,
+) -> Result<Vec<Row>, Error> {
+    let Projection { table, task, order } = projection;
+    tx.query(
+        &format!("SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"),
+        params![after, up_to],
+    )
+}
+
+fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>, Error> {
+    let mut tasks: BTreeMap<i64, Vec<Vec<Value>>> = BTreeMap::new();
+    for row in rows {
+        tasks.entry(row.int(0)?).or_default().push(row.0);
+    }
+    Ok(tasks)
+}
+
+/// Compares the projections of two databases.
+fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Error> {
+    let mut end = 0;
+    for Projection { table, task, .. } in &PROJECTIONS {
+        let sql = format!("SELECT COALESCE(MAX({task}), 0) FROM {table}");
+        end = end
+            .max(store.number(&sql, &[])?)
+            .max(derived.number(&sql, &[])?);
+    }
+    let mut found = Differing::new();
+    for after in (0..end).step_by(COMPARED as usize) {
+        for projection in &PROJECTIONS {
+            let range = (after, after + COMPARED);
+            let is = rows_of(store, projection, range.0, range.1)?;
+            let should = rows_of(derived, projection, range.0, range.1)?;
+            if is == should {
+                continue;
+            }
+            let (is, should) = (by_task(is)?, by_task(should)?);
+            let tasks = found.entry(projection.table).or_default();
+            tasks.extend(
+                is.keys()
+                    .chain(should.keys())
+                    .filter(|task| is.get(task) != should.get(task)),
+            );
+        }
+    }
+    Ok(found)
+}
+
+/// Derives the projections from the log and compares them with those of the store.
+fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing), Error> {
+    let mut derived = Derived::new()?;
+    derived.catch_up(tx)?;
+    let found = differing(tx, &mut derived.scratch.tx())?;
+    Ok((derived, found))
+}
+
+/// Repairs the projections and returns the names of those that differed.
+pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> {
+    let snapshot = store.snapshot()?;
+    let (mut derived, found) = db::read(snapshot.as_ref(), compare)?;
+    drop(snapshot);
+    if found.is_empty() {
+        return Ok(Vec::new());
+    }
+    // Most of what was written meanwhile is applied before writers have to wait for the rest.
+    derived = db::read(store, move |tx| {
+        derived.catch_up(tx)?;
+        Ok(derived)
+    })?;
+    let derived = Arc::new(Mutex::new(derived));
+    let tasks: Vec<i64> = found
+        .values()
+        .flatten()
+        .copied()
+        .collect::<BTreeSet<_>>()
+        .into_iter()
+        .collect();
+    for some in tasks.chunks(REPAIRED) {
+        let (some, derived) = (some.to_vec(), Arc::clone(&derived));
+        db::write(store, move |tx| {
+            let mut derived = lock(&derived);
+            derived.catch_up(tx)?;
+            some.iter().try_for_each(|task| derived.repair(tx, *task))
+        })?;
+    }
+    Ok(found.into_keys().collect())
+}
+
+/// Findings about the log and the projections.
+pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
     let mut findings = Vec::new();
     let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
     if let Some(row) = row
@@ -93,10 +237,137 @@ pub(crate) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
             "{over} tasks have more answers and leases than wanted"
         ));
     }
+    let (_, found) = compare(tx)?;
     findings.extend(
-        rebuild(tx)?
-            .into_iter()
+        found
+            .into_keys()
             .map(|table| format!("table {table} does not follow from the log")),
     );
     Ok(findings)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::super::db::Work;
+    use super::super::records::NewTask;
+    use super::super::sqlite::Sqlite;
+    use super::super::store::Store;
+    use super::*;
+
+    /// A database that counts its writes, and the statements of the longest one.
+    struct Counting {
+        inner: Sqlite,
+        writes: Arc<AtomicUsize>,
+        longest: Arc<AtomicUsize>,
+    }
+
+    struct CountingTx<'a> {
+        inner: &'a mut dyn Tx,
+        statements: usize,
+    }
+
+    impl Tx for CountingTx<'_> {
+        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+            self.statements += 1;
+            self.inner.execute(sql, params)
+        }
+
+        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+            self.statements += 1;
+            self.inner.query(sql, params)
+        }
+
+        fn define(&mut self, sql: &str) -> Result<(), Error> {
+            self.inner.define(sql)
+        }
+    }
+
+    impl Database for Counting {
+        fn write(&self, work: Work) -> Result<(), Error> {
+            let (writes, longest) = (Arc::clone(&self.writes), Arc::clone(&self.longest));
+            self.inner.write(Box::new(move |tx| {
+                let mut counting = CountingTx {
+                    inner: tx,
+                    statements: 0,
+                };
+                let outcome = work(&mut counting);
+                writes.fetch_add(1, Ordering::Relaxed);
+                longest.fetch_max(counting.statements, Ordering::Relaxed);
+                outcome
+            }))
+        }
+
+        fn read(&self, work: Work) -> Result<(), Error> {
+            self.inner.read(work)
+        }
+
+        fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+            self.inner.snapshot()
+        }
+
+        fn backup(&self, path: &std::path::Path) -> Result<(), Error> {
+            self.inner.backup(path)
+        }
+
+        fn check(&self) -> Result<(), Error> {
+            self.inner.check()
+        }
+    }
+
+    fn task(number: usize) -> NewTask {
+        serde_json::from_value(serde_json::json!({
+            "key": format!("task{number:05}"), "kind": "mask_text", "source": "hash", "split": "train",
+            "bundle_index": 0, "priority": 0, "suggestions": [],
+        }))
+        .expect("a task")
+    }
+
+    #[test]
+    fn neither_a_check_nor_a_rebuild_stops_writers_for_longer_than_a_claim() {
+        const TASKS: usize = 1500;
+        let folder = tempfile::tempdir().expect("a folder");
+        let inner = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
+        let (writes, longest) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let database = Counting {
+            inner,
+            writes: Arc::clone(&writes),
+            longest: Arc::clone(&longest),
+        };
+        let store = Store::new(Box::new(database), None);
+        store
+            .import(None, (0..TASKS).map(task).collect(), 0)
+            .expect("tasks");
+        let damage = |sql: &'static str| {
+            let damaged = store.damage(sql).expect("a damaged table");
+            assert!(damaged > 0, "{sql}");
+            writes.store(0, Ordering::Relaxed);
+            longest.store(0, Ordering::Relaxed);
+        };
+        damage("UPDATE task SET state = 'dropped', claimable = 0");
+        assert_eq!(
+            store.verify().expect("checks"),
+            ["table task does not follow from the log"]
+        );
+        assert_eq!(writes.load(Ordering::Relaxed), 0, "a check writes nothing");
+        assert_eq!(store.rebuild().expect("repairs"), ["task"]);
+        assert!(writes.load(Ordering::Relaxed) >= TASKS / REPAIRED);
+        let longest_one = longest.load(Ordering::Relaxed);
+        assert!(
+            longest_one <= REPAIRED * 10 + 10,
+            "{longest_one} statements"
+        );
+        assert!(store.verify().expect("checks").is_empty());
+        damage("DELETE FROM task WHERE id > 1490");
+        assert_eq!(store.rebuild().expect("repairs"), ["task"]);
+        assert_eq!(writes.load(Ordering::Relaxed), 1);
+        damage("UPDATE setting SET body = body");
+        assert!(store.rebuild().expect("repairs").is_empty());
+        assert_eq!(
+            writes.load(Ordering::Relaxed),
+            0,
+            "nothing had to be repaired"
+        );
+    }
 }

@@ -1,5 +1,6 @@
--- Tables of the annotation store, for SQLite and PostgreSQL alike. Times are milliseconds since the
--- epoch. `event` is the truth; the tables marked (p) are projections of it and can be rebuilt.
+-- Tables of the annotation store that are not derived, for SQLite and PostgreSQL alike: the log (`event`) and
+-- what is not part of it. Times are milliseconds since the epoch. `projections.sql` has the tables derived from
+-- the log; `migrate.rs` says how to change either.
 
 CREATE TABLE event (
   seq BIGINT PRIMARY KEY,
@@ -17,122 +18,6 @@ CREATE TABLE event (
 CREATE INDEX event_task ON event (task, seq);
 CREATE INDEX event_actor ON event (actor, seq);
 CREATE INDEX event_kind ON event (kind, seq);
-
--- (p) A task.
-CREATE TABLE task (
-  id BIGINT PRIMARY KEY,
-  key TEXT NOT NULL UNIQUE,
-  kind TEXT NOT NULL,
-  source TEXT NOT NULL,
-  target TEXT,
-  split TEXT NOT NULL,
-  bundle BIGINT,
-  bundle_index BIGINT NOT NULL,
-  category TEXT,
-  hint TEXT,
-  style TEXT,
-  priority BIGINT NOT NULL,
-  shuffle BIGINT NOT NULL,
-  wanted BIGINT NOT NULL,
-  gold TEXT,
-  extra TEXT,
-  state TEXT NOT NULL,
-  submitted BIGINT NOT NULL,
-  leases BIGINT NOT NULL,
-  epoch BIGINT NOT NULL,
-  claimable BIGINT NOT NULL,
-  came_back BIGINT NOT NULL,
-  distance DOUBLE PRECISION
-);
-CREATE INDEX task_claim ON task (kind, priority DESC, id) WHERE claimable = 1;
-CREATE INDEX task_state ON task (kind, state);
-CREATE INDEX task_review ON task (state, id);
-CREATE INDEX task_bundle ON task (bundle, bundle_index);
-CREATE INDEX task_gold ON task (kind, id) WHERE gold IS NOT NULL;
-
--- (p) A lease on a task: to answer it, to review it, or reserved for an author whose answer was returned.
-CREATE TABLE lease (
-  id BIGINT PRIMARY KEY,
-  task BIGINT NOT NULL,
-  usr BIGINT NOT NULL,
-  epoch BIGINT NOT NULL,
-  expires BIGINT NOT NULL,
-  purpose TEXT NOT NULL,
-  blind BIGINT NOT NULL,
-  UNIQUE (task, usr)
-);
-CREATE INDEX lease_expires ON lease (expires);
-CREATE INDEX lease_usr ON lease (usr, purpose);
-
--- (p) The current answer of an author.
-CREATE TABLE revision (
-  task BIGINT NOT NULL,
-  author BIGINT NOT NULL,
-  rev BIGINT NOT NULL,
-  state TEXT NOT NULL,
-  answer TEXT NOT NULL,
-  at BIGINT NOT NULL,
-  secs DOUBLE PRECISION NOT NULL,
-  blind BIGINT NOT NULL,
-  verdict TEXT,
-  edit_type TEXT,
-  PRIMARY KEY (task, author)
-);
-CREATE INDEX revision_author ON revision (author, state, at);
-CREATE INDEX revision_at ON revision (state, at);
-
--- (p) A decision.
-CREATE TABLE review (
-  seq BIGINT PRIMARY KEY,
-  task BIGINT NOT NULL,
-  reviewer BIGINT NOT NULL,
-  decision TEXT NOT NULL,
-  author BIGINT,
-  comment TEXT NOT NULL,
-  at BIGINT NOT NULL
-);
-CREATE INDEX review_task ON review (task, seq);
-
--- (p) The accepted answer.
-CREATE TABLE accepted (
-  task BIGINT PRIMARY KEY,
-  author BIGINT NOT NULL,
-  reviewer BIGINT NOT NULL,
-  answer TEXT NOT NULL,
-  merged BIGINT NOT NULL,
-  at BIGINT NOT NULL,
-  seq BIGINT NOT NULL
-);
-CREATE INDEX accepted_seq ON accepted (seq);
-
--- (p) Skipped and postponed tasks by user.
-CREATE TABLE skip (
-  task BIGINT NOT NULL,
-  usr BIGINT NOT NULL,
-  postponed BIGINT NOT NULL,
-  reason TEXT,
-  note TEXT NOT NULL,
-  at BIGINT NOT NULL,
-  PRIMARY KEY (task, usr)
-);
-
--- (p) Use of suggestions.
-CREATE TABLE suggestion_use (
-  seq BIGINT PRIMARY KEY,
-  task BIGINT NOT NULL,
-  usr BIGINT NOT NULL,
-  suggestion BIGINT NOT NULL,
-  used TEXT NOT NULL
-);
-
--- (p) Scores of answers to gold tasks.
-CREATE TABLE gold_score (
-  task BIGINT NOT NULL,
-  usr BIGINT NOT NULL,
-  score DOUBLE PRECISION NOT NULL,
-  at BIGINT NOT NULL,
-  PRIMARY KEY (task, usr)
-);
 
 CREATE TABLE suggestion (
   id BIGINT PRIMARY KEY,

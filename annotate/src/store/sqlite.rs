@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::types::{ToSqlOutput, ValueRef};
-use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, params_from_iter};
+use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
 
 use super::db::{Database, Row, Tx, Value, Work};
 use super::group::{Writer, WriterThread, caught};
-use super::readers::Readers;
+use super::migrate::{self, Plan, Upgrade};
+use super::readers::{Readers, Snapshot};
 use crate::Error;
 
 /// Prepared statements cached per connection.
@@ -20,9 +21,6 @@ const WRITER_CACHE_KB: usize = 64 * 1024;
 /// Timeout for a lock that another process, such as `sqlite3`, holds on the file.
 const BUSY: Duration = Duration::from_secs(10);
 
-const SCHEMA: &str = include_str!("schema.sql");
-/// Version of the tables.
-const VERSION: i64 = 1;
 /// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
 CREATE TRIGGER event_no_update BEFORE UPDATE ON event
@@ -33,6 +31,7 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 /// A store in one file.
 pub(crate) struct Sqlite {
     path: PathBuf,
+    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
@@ -49,7 +48,7 @@ impl Sqlite {
                 ),
             });
         }
-        let writer = open_writer(path)?;
+        let (writer, upgrade) = open_writer(path)?;
         let readers = Readers::open(|| open_reader(path))?;
         let writer = WriterThread::start(writer).map_err(|source| Error::Io {
             action: "start the writer of",
@@ -58,22 +57,29 @@ impl Sqlite {
         })?;
         Ok(Self {
             path: path.to_owned(),
+            upgrade,
             writer,
             readers,
         })
+    }
+
+    /// The upgrade that opening made.
+    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
+        self.upgrade.clone()
     }
 }
 
 fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
     move |source| match source.sqlite_error_code() {
         Some(ErrorCode::DiskFull) => Error::ReadOnly {
-            reason: "the disk is full".to_owned(),
+            reason: "the disk is full; free disk space and send the request again".to_owned(),
         },
         Some(ErrorCode::ReadOnly) => Error::ReadOnly {
-            reason: "the file or its folder is read-only".to_owned(),
+            reason: "the file or its folder is read-only; make both writable for this program"
+                .to_owned(),
         },
         Some(ErrorCode::SystemIoFailure) => Error::ReadOnly {
-            reason: format!("the disk reports an error ({source})"),
+            reason: format!("the disk reports an error ({source}); check the disk"),
         },
         _ => Error::Sqlite { action, source },
     }
@@ -86,7 +92,7 @@ fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
     }
 }
 
-fn open_writer(path: &Path) -> Result<Connection, Error> {
+fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
     let refuse = |error: rusqlite::Error| open_error(path, error);
     let mut db = Connection::open(path).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
@@ -105,27 +111,85 @@ fn open_writer(path: &Path) -> Result<Connection, Error> {
          PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
     ))
     .map_err(refuse)?;
-    let version: i64 = db
-        .query_row("PRAGMA user_version", [], |row| row.get(0))
-        .map_err(refuse)?;
-    if version == 0 {
-        let tx = db.transaction().map_err(refuse)?;
-        // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
-        let schema = SCHEMA.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
-        tx.execute_batch(&schema).map_err(refuse)?;
-        tx.execute_batch(TRIGGERS).map_err(refuse)?;
-        tx.pragma_update(None, "user_version", VERSION)
-            .map_err(refuse)?;
-        tx.commit().map_err(refuse)?;
-    } else if version != VERSION {
-        return Err(open_error(
-            path,
-            format!(
-                "its tables have version {version}, this program needs {VERSION}; use the version of stance that wrote it"
-            ),
-        ));
+    let upgrade = prepare(&mut db, path)?;
+    Ok((db, upgrade))
+}
+
+fn version(db: &Connection) -> Result<i64, Error> {
+    db.query_row("PRAGMA user_version", [], |row| row.get(0))
+        .map_err(failed("read its version"))
+}
+
+/// Creates the tables of a new store, or upgrades those of an older version after a copy.
+fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>, Error> {
+    let place = path.display().to_string();
+    let copy = match migrate::plan(&place, version(db)?)? {
+        Plan::Nothing => return Ok(None),
+        Plan::Create => None,
+        Plan::Upgrade(from) => {
+            let copy = unused(path, from);
+            copy_to(db, &copy)?;
+            Some(copy)
+        }
+    };
+    let make = failed("make its tables");
+    let tx = db
+        .transaction_with_behavior(TransactionBehavior::Immediate)
+        .map_err(&make)?;
+    // Another process may have done it meanwhile.
+    let plan = migrate::plan(&place, version(&tx)?)?;
+    migrate::apply(&mut SqliteTx { db: &tx }, plan)?;
+    if plan == Plan::Create {
+        tx.execute_batch(TRIGGERS).map_err(&make)?;
     }
-    Ok(db)
+    tx.pragma_update(None, "user_version", migrate::VERSION)
+        .map_err(&make)?;
+    tx.commit().map_err(&make)?;
+    Ok(match (plan, copy) {
+        (Plan::Upgrade(from), Some(copy)) => Some(Upgrade {
+            from,
+            to: migrate::VERSION,
+            copy: copy.display().to_string(),
+        }),
+        _ => None,
+    })
+}
+
+/// An unused name for the copy of a store before its upgrade, beside it.
+fn unused(path: &Path, version: i64) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = |number: u32| match number {
+        1 => format!("{stem}.version-{version}.sqlite"),
+        _ => format!("{stem}.version-{version}-{number}.sqlite"),
+    };
+    let mut number = 1;
+    while path.with_file_name(name(number)).exists() {
+        number += 1;
+    }
+    path.with_file_name(name(number))
+}
+
+/// Copies a database to a new file, which appears whole and on the disk or not at all.
+fn copy_to(db: &Connection, path: &Path) -> Result<(), Error> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+    let copied = (|| {
+        let text = temporary.to_string_lossy();
+        // One read transaction copies everything; writers continue.
+        db.execute("VACUUM INTO ?1", [text.as_ref()])
+            .map_err(failed("copy itself"))?;
+        let sync = |path: &Path| std::fs::File::open(path).and_then(|file| file.sync_all());
+        sync(&temporary).map_err(Error::io("write", &temporary))?;
+        std::fs::rename(&temporary, path).map_err(Error::io("rename", path))?;
+        let folder = path.parent().filter(|folder| *folder != Path::new(""));
+        let folder = folder.unwrap_or(Path::new("."));
+        sync(folder).map_err(Error::io("write folder", folder))
+    })();
+    if copied.is_err() {
+        // What is left of a failed copy only uses space.
+        let _removed = std::fs::remove_file(&temporary);
+    }
+    copied
 }
 
 fn open_reader(path: &Path) -> Result<Connection, Error> {
@@ -148,13 +212,17 @@ impl Writer for Connection {
 
     fn run(&mut self, work: Work) -> Result<(), Error> {
         let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
-        match caught(|| work(&mut SqliteTx { db: &savepoint })) {
-            Ok(()) => savepoint.commit().map_err(failed("commit")),
-            Err(error) => {
-                savepoint.rollback().map_err(failed("roll back"))?;
-                Err(error)
-            }
+        let error = match caught(|| work(&mut SqliteTx { db: &savepoint })) {
+            Ok(()) => return savepoint.commit().map_err(failed("commit")),
+            Err(error) => error,
+        };
+        let undone = savepoint.rollback();
+        drop(savepoint);
+        if undone.is_err() {
+            // SQLite has rolled everything back, as it does when the disk is full; if not, it must be.
+            self.roll_back();
         }
+        Err(error)
     }
 
     fn is_open(&self) -> bool {
@@ -176,8 +244,27 @@ impl Writer for Connection {
     }
 }
 
-struct SqliteTx<'a> {
+pub(crate) struct SqliteTx<'a> {
     db: &'a Connection,
+}
+
+/// A database for one computation, gone with it. SQLite keeps it in memory until it is large.
+pub(crate) struct Scratch(Connection);
+
+impl Scratch {
+    pub(crate) fn new() -> Result<Self, Error> {
+        let make = failed("make a scratch database");
+        let db = Connection::open("").map_err(&make)?;
+        db.set_prepared_statement_cache_capacity(STATEMENTS);
+        // It needs no protection from a crash.
+        db.execute_batch("PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; BEGIN")
+            .map_err(&make)?;
+        Ok(Self(db))
+    }
+
+    pub(crate) fn tx(&self) -> SqliteTx<'_> {
+        SqliteTx { db: &self.0 }
+    }
 }
 
 impl ToSql for Value {
@@ -197,6 +284,14 @@ impl Tx for SqliteTx<'_> {
         let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
         let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
         Ok(changed as u64)
+    }
+
+    fn define(&mut self, sql: &str) -> Result<(), Error> {
+        // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
+        let sql = sql.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
+        self.db
+            .execute_batch(&sql)
+            .map_err(failed("make its tables"))
     }
 
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
@@ -249,12 +344,17 @@ impl Database for Sqlite {
         reader
             .execute_batch("PRAGMA query_only=OFF")
             .map_err(failed("copy itself"))?;
-        // One read transaction copies the whole store; writers continue.
-        let text = path.to_string_lossy();
-        reader
-            .execute("VACUUM INTO ?1", [text.as_ref()])
-            .map_err(failed("copy itself"))?;
-        Ok(())
+        copy_to(&reader, path)
+    }
+
+    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+        let reader = open_reader(&self.path)?;
+        reader.execute_batch("BEGIN").map_err(failed("read"))?;
+        // The first read fixes the point in time.
+        SqliteTx { db: &reader }.number("SELECT COUNT(*) FROM setting", &[])?;
+        Ok(Box::new(Snapshot::new(reader, |reader, work| {
+            work(&mut SqliteTx { db: reader })
+        })))
     }
 
     fn check(&self) -> Result<(), Error> {
@@ -325,10 +425,13 @@ mod tests {
 
     fn names(store: &Sqlite) -> Vec<String> {
         db::read(store, |tx| {
-            tx.query("SELECT name FROM setting ORDER BY name", &[])?
-                .iter()
-                .map(|row| row.string(0))
-                .collect()
+            tx.query(
+                "SELECT name FROM setting WHERE name <> 'id' ORDER BY name",
+                &[],
+            )?
+            .iter()
+            .map(|row| row.string(0))
+            .collect()
         })
         .expect("reads")
     }
@@ -398,6 +501,7 @@ mod tests {
             }
         };
         assert!(matches!(refused, Error::ReadOnly { .. }), "{refused}");
+        assert!(refused.to_string().contains("free disk space"), "{refused}");
         assert!(!written.is_empty());
         assert_eq!(names(&store), written, "what was acknowledged can be read");
         assert!(matches!(
@@ -408,6 +512,32 @@ mod tests {
         put_much(&store, "later").expect("there is room again");
         written.push("later".to_owned());
         assert_eq!(names(&store), written);
+    }
+
+    #[test]
+    fn disk_space_is_named_only_when_it_is_the_matter() {
+        let (dir, store) = store();
+        // Another program, such as `sqlite3`, holds the file for longer than a writer waits.
+        pragma(&store, "PRAGMA busy_timeout=0");
+        let other = Connection::open(dir.path().join("s.sqlite")).expect("a second connection");
+        other.execute_batch("BEGIN IMMEDIATE").expect("a lock");
+        let refused = db::write(&store, put("new"))
+            .expect_err("the file is locked")
+            .to_string();
+        assert!(
+            refused.contains("locked") && refused.contains("send the request again"),
+            "{refused}"
+        );
+        other.execute_batch("ROLLBACK").expect("unlocks");
+        db::write(&store, put("new")).expect("writes again");
+        pragma(&store, "PRAGMA query_only=ON");
+        let read_only = db::write(&store, put("more"))
+            .expect_err("it is read-only")
+            .to_string();
+        assert!(read_only.contains("make both writable"), "{read_only}");
+        for text in [refused, read_only] {
+            assert!(!text.contains("disk space"), "{text}");
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use super::db::{self, Database, Tx, params};
 use super::entry::{Body, Entry};
+use super::migrate::{self, Upgrade};
 use super::records::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
     MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ShelfFilter,
@@ -27,15 +28,30 @@ const IMPORT_GROUP: usize = 500;
 /// The caller passes the time: a store has no clock.
 pub struct Store {
     db: Box<dyn Database>,
+    upgrade: Option<Upgrade>,
     known: Mutex<people::Known>,
 }
 
 impl Store {
-    pub(super) fn new(db: Box<dyn Database>) -> Self {
+    pub(super) fn new(db: Box<dyn Database>, upgrade: Option<Upgrade>) -> Self {
         Self {
             db,
+            upgrade,
             known: Mutex::default(),
         }
+    }
+
+    /// The upgrade that opening the store made, if its tables were of an older version.
+    pub fn upgrade(&self) -> Option<&Upgrade> {
+        self.upgrade.as_ref()
+    }
+
+    /// The id of the store, drawn when it was created; its copies share it.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn id(&self) -> Result<String, Error> {
+        self.read(migrate::id)
     }
 
     fn known(&self) -> MutexGuard<'_, people::Known> {
@@ -639,20 +655,36 @@ impl Store {
         })
     }
 
-    /// Rebuilds the projections from the log and returns the names of the tables that changed.
+    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that did.
+    /// Writers wait for no longer than they do for each other.
     ///
     /// # Errors
     /// The store fails, or an entry of the log cannot be read.
     pub fn rebuild(&self) -> Result<Vec<&'static str>, Error> {
-        self.write(rebuild::rebuild)
+        rebuild::rebuild(self.db.as_ref())
     }
 
-    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it.
+    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it. Writers do
+    /// not wait for it.
     ///
     /// # Errors
     /// The store fails.
     pub fn verify(&self) -> Result<Vec<String>, Error> {
-        db::rehearse(self.db.as_ref(), rebuild::verify)
+        db::read(self.db.snapshot()?.as_ref(), rebuild::verify)
+    }
+
+    /// Changes rows past the log, for tests of what notices it.
+    #[cfg(test)]
+    pub(super) fn damage(&self, sql: &'static str) -> Result<u64, Error> {
+        self.write(move |tx| tx.execute(sql, &[]))
+    }
+
+    /// The store as it is now, for reading alone: what is written later does not appear in it.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn snapshot(&self) -> Result<Self, Error> {
+        Ok(Self::new(self.db.snapshot()?, None))
     }
 
     /// Writes a backup of the store to a new file.

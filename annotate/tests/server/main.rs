@@ -7,3 +7,4 @@ mod model;
 mod store;
 mod support;
 mod transfer;
+mod versions;

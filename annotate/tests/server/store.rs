@@ -42,7 +42,7 @@ fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
     skipped(test);
 }
 
-fn skipped(test: &str) {
+pub(crate) fn skipped(test: &str) {
     use std::io::Write;
     // Write to the terminal past the test runner's capture, so that the skipped database is visible.
     let _said = writeln!(

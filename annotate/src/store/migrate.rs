@@ -1,0 +1,117 @@
+//! Versions of the tables, and the upgrade of a store of an older version.
+//!
+//! # To change the tables
+//!
+//! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
+//!    store gets. A new projection also has a line in [`rebuild::PROJECTIONS`].
+//! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
+//!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
+//!    projections, creates them anew and derives them from the log.
+//! 3. The log itself is never rewritten. A new field of an entry's body needs `#[serde(default)]`. A new setting
+//!    needs no step: a stored value without it gets the one of `Settings::default`.
+//!
+//! Test `a_store_of_each_older_version_is_upgraded_after_a_copy` opens stores of older versions
+//! (`tests/stores`) and compares their tables with those of a new store.
+
+use super::db::{Tx, params};
+use super::{people, rebuild};
+use crate::Error;
+
+const SCHEMA: &str = include_str!("schema.sql");
+const PROJECTIONS: &str = include_str!("projections.sql");
+
+/// Changes of `schema.sql`, from version 1 on.
+const STEPS: &[&str] = &[
+    // 2: a store has an id, which every upgrade gives to a store without one.
+    "",
+];
+
+/// Version of the tables of this program.
+pub(super) const VERSION: i64 = 1 + STEPS.len() as i64;
+
+/// Name of the setting that holds the id.
+const ID: &str = "id";
+/// Bytes of the id.
+const ID_BYTES: usize = 8;
+
+/// An upgrade that opening a store made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Upgrade {
+    /// Version of its tables before.
+    pub from: i64,
+    /// Version now.
+    pub to: i64,
+    /// Where the copy of the store from before is.
+    pub copy: String,
+}
+
+/// What opening a store has to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Plan {
+    /// Create all tables.
+    Create,
+    /// Upgrade the tables of this version.
+    Upgrade(i64),
+    /// Nothing.
+    Nothing,
+}
+
+/// Compares the version of a store's tables with that of this program; 0 is a store without tables.
+pub(super) fn plan(place: &str, found: i64) -> Result<Plan, Error> {
+    match found {
+        0 => Ok(Plan::Create),
+        VERSION => Ok(Plan::Nothing),
+        older if (1..VERSION).contains(&older) => Ok(Plan::Upgrade(older)),
+        newer => Err(Error::Open {
+            path: place.to_owned(),
+            reason: format!(
+                "its tables have version {newer}, this program knows versions up to {VERSION}; use the stance that \
+                 wrote it, or a newer one"
+            ),
+        }),
+    }
+}
+
+/// Creates all tables, or upgrades them.
+pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<(), Error> {
+    match plan {
+        Plan::Nothing => return Ok(()),
+        Plan::Create => {
+            tx.define(SCHEMA)?;
+            define_projections(tx)?;
+        }
+        Plan::Upgrade(from) => {
+            let done = usize::try_from(from - 1).unwrap_or(0);
+            for step in STEPS.iter().skip(done) {
+                tx.define(step)?;
+            }
+            for projection in &rebuild::PROJECTIONS {
+                tx.define(&format!("DROP TABLE IF EXISTS {}", projection.table))?;
+            }
+            define_projections(tx)?;
+            rebuild::derive(tx)?;
+        }
+    }
+    identify(tx)
+}
+
+/// Creates the projections.
+pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<(), Error> {
+    tx.define(PROJECTIONS)
+}
+
+/// Gives the store an id, if it has none.
+fn identify(tx: &mut dyn Tx) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING",
+        params![ID, people::random::<ID_BYTES>()?],
+    )?;
+    Ok(())
+}
+
+/// The id of the store, which its copies share.
+pub(super) fn id(tx: &mut dyn Tx) -> Result<String, Error> {
+    tx.one("SELECT body FROM setting WHERE name = ?1", params![ID])?
+        .ok_or(Error::Closed)?
+        .string(0)
+}

@@ -1,0 +1,201 @@
+//! Stores of older versions, as `tests/stores` keeps them: the tables and rows that a release wrote.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use annotate::store::{Claimed, Store, open_sqlite};
+use annotate::wire::{Answer, EventKind, Settings, TaskKind, TaskState};
+use rusqlite::Connection;
+
+use crate::support::{START, all_keys, event, masks};
+
+/// Versions with a folder in `tests/stores`.
+const VERSIONS: [i64; 1] = [1];
+/// Triggers that version 1 added to its schema on SQLite.
+const TRIGGERS: &str = "
+CREATE TRIGGER event_no_update BEFORE UPDATE ON event
+BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;
+CREATE TRIGGER event_no_delete BEFORE DELETE ON event
+BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
+
+fn kept(version: i64, name: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stores");
+    std::fs::read_to_string(folder.join(version.to_string()).join(name)).expect("a kept store")
+}
+
+/// Writes the store of an older version into a file.
+fn old_sqlite(folder: &Path, version: i64) -> PathBuf {
+    let path = folder.join(format!("old{version}.sqlite"));
+    let db = Connection::open(&path).expect("a file");
+    let schema = kept(version, "schema.sql").replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
+    db.execute_batch(&format!(
+        "PRAGMA journal_mode=WAL; BEGIN; {schema} {} {TRIGGERS} PRAGMA user_version={version}; COMMIT",
+        kept(version, "rows.sql")
+    ))
+    .expect("tables and rows");
+    path
+}
+
+/// Definitions of all tables and indices.
+fn definitions(path: &Path) -> Vec<String> {
+    let db = Connection::open(path).expect("a file");
+    let mut rows = db
+        .prepare("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY type, name")
+        .expect("a query");
+    let all = rows.query_map([], |row| row.get(0)).expect("rows");
+    all.map(|row| row.expect("a row")).collect()
+}
+
+fn user_version(path: &Path) -> i64 {
+    let db = Connection::open(path).expect("a file");
+    db.query_row("PRAGMA user_version", [], |row| row.get(0))
+        .expect("a number")
+}
+
+/// What holds of every kept store once it is open.
+fn check_upgraded(store: &Arc<Store>, version: i64) {
+    let upgrade = store.upgrade().expect("an upgrade");
+    assert_eq!(upgrade.from, version);
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    let accepted = store.accepted(&all_keys()).expect("answers");
+    assert_eq!(accepted.len(), 2);
+    assert!(
+        accepted
+            .iter()
+            .all(|one| matches!(&one.answer, Answer::MaskText { masks, .. } if masks.len() == 2))
+    );
+    let names: Vec<String> = store
+        .users()
+        .expect("users")
+        .into_iter()
+        .map(|user| user.name)
+        .collect();
+    assert_eq!(names, ["root", "ann", "eve"]);
+    assert_eq!(store.id().expect("an id").len(), 16);
+    // The returned answer is still with its author, and work goes on.
+    let ann = store.users().expect("users")[1].id;
+    let Claimed::Task { detail, .. } = store
+        .claim(ann, TaskKind::MaskText, 0, START)
+        .expect("claims")
+    else {
+        panic!("a returned task");
+    };
+    assert_eq!(detail.comment.as_deref(), Some("which arm?"));
+    let lease = detail.lease.expect("a lease");
+    let rev = detail.mine.expect("the answer").rev;
+    let sent = event(EventKind::Submit, lease.epoch, rev, Some(masks("waving")));
+    let results = store
+        .append(ann, detail.task.id, vec![sent], START)
+        .expect("takes events");
+    assert_eq!(results[0].state, Some(TaskState::Submitted));
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+}
+
+#[test]
+fn a_store_of_each_older_version_is_upgraded_after_a_copy() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let new = folder.path().join("new.sqlite");
+    drop(open_sqlite(&new).expect("a store"));
+    for version in VERSIONS {
+        let path = old_sqlite(folder.path(), version);
+        let store = open_sqlite(&path).expect("opens");
+        check_upgraded(&store, version);
+        let copy = PathBuf::from(&store.upgrade().expect("an upgrade").copy);
+        assert_eq!(
+            user_version(&copy),
+            version,
+            "the copy is the store from before"
+        );
+        drop(store);
+        assert_eq!(definitions(&path), definitions(&new), "version {version}");
+        let again = open_sqlite(&path).expect("opens");
+        assert_eq!(again.upgrade(), None, "an upgrade is made once");
+        drop(again);
+        // The copy is a store like any other, and its own copy gets a name of its own.
+        drop(open_sqlite(&copy).expect("opens"));
+    }
+}
+
+#[cfg(feature = "postgres")]
+#[test]
+fn a_store_on_postgresql_is_upgraded_after_a_copy() {
+    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
+        crate::store::skipped("a_store_on_postgresql_is_upgraded_after_a_copy");
+        return;
+    };
+    for version in VERSIONS {
+        let schema = format!("old{version}_{}", std::process::id());
+        let mut client = postgres::Client::connect(&url, postgres::NoTls).expect("a server");
+        let tables = kept(version, "schema.sql").replace(
+            "key TEXT NOT NULL UNIQUE",
+            "key TEXT COLLATE \"C\" NOT NULL UNIQUE",
+        );
+        client
+            .batch_execute(&format!(
+                "CREATE SCHEMA {schema}; SET search_path TO {schema}; {tables} {}
+                 CREATE TABLE version (number BIGINT NOT NULL); INSERT INTO version VALUES ({version});",
+                kept(version, "rows.sql")
+            ))
+            .expect("tables and rows");
+        let store = annotate::store::open_postgres(&url, &schema).expect("opens");
+        check_upgraded(&store, version);
+        let before = format!("SELECT number FROM {schema}_version_{version}.version");
+        let number: i64 = client.query_one(&before, &[]).expect("a copy").get(0);
+        assert_eq!(number, version);
+    }
+}
+
+#[test]
+fn a_store_of_a_newer_version_is_left_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("store.sqlite");
+    drop(open_sqlite(&path).expect("a store"));
+    let db = Connection::open(&path).expect("a file");
+    db.execute_batch("PRAGMA user_version=1000")
+        .expect("a number");
+    drop(db);
+    let refused = open_sqlite(&path).err().expect("refused").to_string();
+    assert!(
+        refused.contains("version 1000") && refused.contains("newer one"),
+        "{refused}"
+    );
+    assert_eq!(user_version(&path), 1000);
+    assert_eq!(
+        std::fs::read_dir(folder.path()).expect("a folder").count(),
+        1
+    );
+}
+
+#[test]
+fn stored_settings_without_a_field_get_its_default() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("store.sqlite");
+    drop(open_sqlite(&path).expect("a store"));
+    let db = Connection::open(&path).expect("a file");
+    let mut stored = serde_json::to_value(Settings {
+        quota: 7,
+        ..Settings::default()
+    })
+    .expect("JSON");
+    let fields = stored.as_object_mut().expect("an object");
+    fields.remove("lease_minutes");
+    fields.insert("of_a_newer_version".to_owned(), true.into());
+    for sql in [
+        "INSERT INTO setting (name, body) VALUES ('settings', ?1)",
+        "INSERT INTO event (seq, at, kind, body, version)
+         VALUES (1, 0, 'settings_changed', json_object('event', 'settings_changed', 'settings', json(?1)), 1)",
+    ] {
+        db.execute(sql, [stored.to_string()]).expect("a row");
+    }
+    drop(db);
+    let store = open_sqlite(&path).expect("opens");
+    let expected = Settings {
+        quota: 7,
+        ..Settings::default()
+    };
+    assert_eq!(store.settings().expect("settings"), expected);
+    assert_eq!(
+        store.rebuild().expect("an old entry is read"),
+        Vec::<&str>::new()
+    );
+}
