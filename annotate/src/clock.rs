@@ -1,8 +1,65 @@
-//! Clock passed to the server by its caller.
+//! Clock passed to the server by its caller, and the days of a project.
 
 use std::sync::Arc;
 
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+
 use crate::store::Millis;
+
+const DAY: Millis = 24 * 60 * 60 * 1000;
 
 /// Returns the current time in milliseconds since the epoch.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
+
+/// Whether this is the name of a time zone, such as `Europe/Berlin`.
+pub(crate) fn is_zone(name: &str) -> bool {
+    TimeZone::get(name).is_ok()
+}
+
+/// The beginning of the present day in a time zone; of the day in UTC if the zone has lost its name since it was set.
+pub(crate) fn midnight(zone: &str, now: Millis) -> Millis {
+    let begun = TimeZone::get(zone).and_then(|zone| {
+        Timestamp::from_millisecond(now)?
+            .to_zoned(zone)
+            .start_of_day()
+    });
+    begun.map_or(now - now.rem_euclid(DAY), |begun| {
+        begun.timestamp().as_millisecond()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DAY, is_zone, midnight};
+
+    const HOUR: i64 = 60 * 60 * 1000;
+    /// 2026-03-29 00:00 UTC.
+    const SUMMER_TIME_DAY: i64 = 1_774_742_400_000;
+
+    #[test]
+    fn a_day_begins_at_the_midnight_of_the_place() {
+        let noon = SUMMER_TIME_DAY + 12 * HOUR;
+        assert_eq!(midnight("UTC", noon), SUMMER_TIME_DAY);
+        assert_eq!(midnight("Europe/Berlin", noon), SUMMER_TIME_DAY - HOUR);
+        assert_eq!(midnight("Asia/Tokyo", noon), SUMMER_TIME_DAY - 9 * HOUR);
+        assert_eq!(
+            midnight("Asia/Tokyo", SUMMER_TIME_DAY + 16 * HOUR),
+            SUMMER_TIME_DAY + 15 * HOUR,
+            "the next day has begun there"
+        );
+        // Summer time begins on this day, which has 23 hours.
+        let next = midnight("Europe/Berlin", noon + DAY);
+        assert_eq!(next - midnight("Europe/Berlin", noon), 23 * HOUR);
+    }
+
+    #[test]
+    fn only_names_of_zones_are_zones() {
+        assert!(is_zone("UTC") && is_zone("America/New_York"));
+        assert!(!is_zone("") && !is_zone("Mars/Olympus"));
+        assert_eq!(
+            midnight("Mars/Olympus", SUMMER_TIME_DAY + 1),
+            SUMMER_TIME_DAY
+        );
+    }
+}

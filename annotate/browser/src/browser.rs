@@ -74,6 +74,11 @@ impl Drop for Browser {
 impl Browser {
     /// Starts a driver and a browser of 1280 by 800 pixels.
     pub async fn start(graphics: Graphics) -> Self {
+        Self::start_with(graphics, &[]).await
+    }
+
+    /// Starts a browser with more command-line arguments, for settings of its user's system.
+    pub async fn start_with(graphics: Graphics, more: &[&str]) -> Self {
         let mut driver = Command::new("chromedriver")
             .arg("--port=0")
             .stdin(Stdio::null())
@@ -91,10 +96,13 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
             "--window-size=1280,900",
+            // A host that is not this machine, for the page over plain HTTP.
+            "--host-resolver-rules=MAP annotate.test 127.0.0.1",
             // Expose heap size and garbage collection.
             "--js-flags=--expose-gc",
             "--enable-precise-memory-info",
         ];
+        args.extend(more);
         match graphics {
             Graphics::Software => {
                 args.extend(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);

@@ -172,6 +172,13 @@ impl Server {
         self.child = Some(child);
     }
 
+    /// Serves another dataset from now on, on the same port.
+    pub async fn switch_to(&mut self, dataset: &Dataset) {
+        self.down().await;
+        self.dataset = dataset.path();
+        self.up().await;
+    }
+
     /// Kills it without warning, like a power cut.
     pub async fn down(&mut self) {
         if let Some(mut child) = self.child.take() {
@@ -182,6 +189,11 @@ impl Server {
     /// The address of a page.
     pub fn page(&self, path: &str) -> String {
         format!("http://127.0.0.1:{}/{path}", self.port)
+    }
+
+    /// The address of a page by the name of a host that browsers do not trust without TLS.
+    pub fn page_from_afar(&self, path: &str) -> String {
+        format!("http://annotate.test:{}/{path}", self.port)
     }
 
     /// The token in the last printed address: an admin's one-time login token.

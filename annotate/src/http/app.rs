@@ -124,6 +124,7 @@ impl std::fmt::Debug for ServerConfig {
 /// State shared by all requests.
 pub(crate) struct App {
     pub(crate) store: Arc<Store>,
+    pub(crate) store_id: String,
     pub(crate) motions: Arc<MotionLibrary>,
     pub(crate) config: ServerConfig,
     pub(crate) limiter: Limiter,
@@ -140,12 +141,10 @@ impl App {
         (self.config.clock)()
     }
 
-    pub(super) fn cookie_name(&self) -> &'static str {
-        if self.config.secure {
-            "__Host-annotate"
-        } else {
-            "annotate"
-        }
+    /// Name of the session's cookie. Browsers share cookies between all ports of a host, so each store has its own.
+    pub(super) fn cookie_name(&self) -> String {
+        let prefix = if self.config.secure { "__Host-" } else { "" };
+        format!("{prefix}annotate-{}", self.store_id)
     }
 }
 

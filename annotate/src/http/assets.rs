@@ -3,6 +3,10 @@
 /// Names and contents of the committed build, so that `cargo build` needs no Node.
 static FILES: &[(&str, &[u8])] = &[
     (
+        "LICENSE-lit.txt",
+        include_bytes!("../../web/dist/LICENSE-lit.txt"),
+    ),
+    (
         "LICENSE-three.txt",
         include_bytes!("../../web/dist/LICENSE-three.txt"),
     ),

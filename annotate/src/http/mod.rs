@@ -84,8 +84,10 @@ impl Server {
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let (last_seq, _) = tokio::sync::watch::channel(store.last_seq()?);
+        let store_id = store.id()?;
         let app = Arc::new(App {
             store,
+            store_id,
             motions,
             config,
             limiter: Limiter::default(),
@@ -365,7 +367,7 @@ fn admit(
         Access::Role(role) => role,
     };
     let now = app.now();
-    let who = match (bearer, cookie(headers, app.cookie_name())) {
+    let who = match (bearer, cookie(headers, &app.cookie_name())) {
         (Some(token), _) => app.store.authenticate(token, &[TokenUse::Token], now)?,
         (None, Some(token)) => app.store.authenticate(&token, &[TokenUse::Session], now)?,
         (None, None) => {

@@ -18,6 +18,15 @@ use crate::wire::{
 /// Maximum working time that one event can report.
 const MAX_SECS: f64 = 3600.0;
 
+/// Working time as it is logged.
+pub(super) fn working(secs: f64) -> f64 {
+    if secs.is_finite() {
+        secs.clamp(0.0, MAX_SECS)
+    } else {
+        0.0
+    }
+}
+
 /// Context of an event: its author, its task, the settings and the time.
 struct Taking {
     user: i64,
@@ -170,11 +179,7 @@ impl Taking {
             answer::check_submission(&answer, self.task.kind, &self.settings)?;
         }
         let rev = mine.as_ref().map_or(0, |mine| mine.rev);
-        let secs = if event.secs.is_finite() {
-            event.secs.clamp(0.0, MAX_SECS)
-        } else {
-            0.0
-        };
+        let secs = working(event.secs);
         let held = rows::lease_of(tx, self.task.id, self.user)?.filter(|held| {
             held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
         });
@@ -210,8 +215,10 @@ impl Taking {
             });
             let detail = if handed_in {
                 "your answer is submitted; undo the submission before changing it"
-            } else {
+            } else if self.taken(tx)? {
                 "your lease on this task expired and somebody else has the task; your text is kept as a draft"
+            } else {
+                "your lease on this task expired; your text is kept as a draft, claim the task again to go on"
             };
             let body = Body::DraftSaved {
                 answer,
@@ -259,6 +266,19 @@ impl Taking {
             log::note(tx, &self.entry(None, Body::GoldScored { score }))?;
         }
         Ok(result)
+    }
+
+    /// Whether somebody else holds the task, or it wants no more answers.
+    fn taken(&self, tx: &mut dyn Tx) -> Result<bool, Error> {
+        let others = tx.number(
+            "SELECT COUNT(*) FROM lease WHERE task = ?1 AND usr <> ?2",
+            params![self.task.id, self.user],
+        )?;
+        let free = tx.number(
+            "SELECT claimable FROM task WHERE id = ?1",
+            params![self.task.id],
+        )?;
+        Ok(others > 0 && free == 0)
     }
 
     /// Checks that the suggestions an answer names belong to its task.
@@ -313,6 +333,7 @@ impl Taking {
             postponed,
             reason: event.reason.filter(|_| !postponed),
             note: event.note.trim().to_owned(),
+            secs: working(event.secs),
             request,
         };
         self.log(

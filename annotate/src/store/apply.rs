@@ -31,6 +31,13 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
     let before = state_of(tx, task)?;
     let kind = entry.body.kind();
     change(tx, seq, entry, task)?;
+    let secs = entry.body.secs();
+    if secs > 0.0 {
+        tx.execute(
+            "INSERT INTO work (seq, task, usr, at, secs) VALUES (?1, ?2, ?3, ?4, ?5)",
+            params![seq, task, entry.actor.unwrap_or(0), entry.at, secs],
+        )?;
+    }
     let after = state_of(tx, task)?;
     if targets(before, kind).contains(&after) {
         return Ok(());

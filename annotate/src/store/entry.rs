@@ -101,26 +101,36 @@ pub(crate) enum Body {
         postponed: bool,
         reason: Option<SkipReason>,
         note: String,
+        #[serde(default)]
+        secs: f64,
         request: String,
     },
     Returned {
         authors: Vec<i64>,
         comment: String,
         until: Millis,
+        #[serde(default)]
+        secs: f64,
         request: String,
     },
     Accepted {
         author: i64,
         comment: String,
+        #[serde(default)]
+        secs: f64,
         request: String,
     },
     Merged {
         answer: Answer,
         comment: String,
+        #[serde(default)]
+        secs: f64,
         request: String,
     },
     Dropped {
         comment: String,
+        #[serde(default)]
+        secs: f64,
         request: String,
     },
     Reopened {
@@ -176,6 +186,20 @@ impl Body {
             Self::RoleChanged { .. } => LogKind::RoleChanged,
             Self::SettingsChanged { .. } => LogKind::SettingsChanged,
             Self::Exported { .. } => LogKind::Exported,
+        }
+    }
+
+    /// Seconds of work that the entry reports: on answers, skips and reviews. 0 where an older log has none.
+    pub(crate) fn secs(&self) -> f64 {
+        match self {
+            Self::DraftSaved { secs, .. }
+            | Self::Submitted { secs, .. }
+            | Self::Skipped { secs, .. }
+            | Self::Returned { secs, .. }
+            | Self::Accepted { secs, .. }
+            | Self::Merged { secs, .. }
+            | Self::Dropped { secs, .. } => *secs,
+            _ => 0.0,
         }
     }
 

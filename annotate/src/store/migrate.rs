@@ -23,7 +23,8 @@ const PROJECTIONS: &str = include_str!("projections.sql");
 /// Changes of `schema.sql`, from version 1 on.
 const STEPS: &[&str] = &[
     // 2: a store has an id, which every upgrade gives to a store without one.
-    "",
+    // 3: the projection `work`, which every upgrade derives.
+    "", "",
 ];
 
 /// Version of the tables of this program.

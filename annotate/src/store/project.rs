@@ -5,7 +5,7 @@ use super::entry::{Body, Entry, read_stored};
 use super::log;
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use crate::Error;
-use crate::wire::{Job, Prefs, Settings, Suggestion, SuggestionSource};
+use crate::wire::{Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource};
 
 /// Key of the settings.
 const SETTINGS: &str = "settings";
@@ -112,6 +112,15 @@ fn check(settings: &Settings) -> Result<(), Error> {
             ));
         }
     }
+    if !crate::clock::is_zone(&settings.time_zone) {
+        return Err(Error::invalid(
+            "time_zone",
+            format!(
+                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
+                settings.time_zone
+            ),
+        ));
+    }
     if settings.guide.chars().count() > MAX_GUIDE {
         return Err(Error::invalid(
             "guide",
@@ -149,14 +158,14 @@ fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
         }
         for key in keys {
             let mut rest = key.as_str();
-            for modifier in ["Ctrl+", "Alt+", "Shift+"] {
+            for modifier in KEY_MODIFIERS {
                 rest = rest.strip_prefix(modifier).unwrap_or(rest);
             }
-            if !is_key(rest) {
+            if !KEY_CODES.contains(&rest) {
                 return Err(Error::invalid(
                     "keys",
                     format!(
-                        "{key:?} is not a key; write Ctrl+, Alt+ and Shift+ in this order before a KeyboardEvent.code"
+                        "{key:?} is not a key; write Ctrl+ and Shift+ in this order before a KeyboardEvent.code"
                     ),
                 ));
             }
@@ -168,57 +177,6 @@ fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
         return Err(Error::invalid("speed", "0.1 to 2 will do"));
     }
     Ok(())
-}
-
-fn is_key(code: &str) -> bool {
-    const NAMED: [&str; 31] = [
-        "Space",
-        "Enter",
-        "Escape",
-        "Tab",
-        "Backspace",
-        "Delete",
-        "Insert",
-        "Home",
-        "End",
-        "PageUp",
-        "PageDown",
-        "ArrowLeft",
-        "ArrowRight",
-        "ArrowUp",
-        "ArrowDown",
-        "Minus",
-        "Equal",
-        "BracketLeft",
-        "BracketRight",
-        "Backslash",
-        "Semicolon",
-        "Quote",
-        "Backquote",
-        "Comma",
-        "Period",
-        "Slash",
-        "IntlBackslash",
-        "IntlRo",
-        "IntlYen",
-        "NumpadEnter",
-        "NumpadAdd",
-    ];
-    let one = |prefix: &str, allowed: fn(char) -> bool| {
-        code.strip_prefix(prefix).is_some_and(|rest| {
-            let mut chars = rest.chars();
-            chars.next().is_some_and(allowed) && chars.next().is_none()
-        })
-    };
-    let function = code
-        .strip_prefix('F')
-        .and_then(|number| number.parse::<u8>().ok())
-        .is_some_and(|number| (1..=24).contains(&number) && code == format!("F{number}"));
-    NAMED.contains(&code)
-        || one("Key", |c| c.is_ascii_uppercase())
-        || one("Digit", |c| c.is_ascii_digit())
-        || one("Numpad", |c| c.is_ascii_digit())
-        || function
 }
 
 pub(super) fn put_motions(tx: &mut dyn Tx, motions: &[MotionRecord]) -> Result<(), Error> {
@@ -425,6 +383,7 @@ mod tests {
             "Digit1",
             "Space",
             "F12",
+            "F24",
             "Ctrl+Shift+KeyZ",
             "Numpad5",
             "Shift+Tab",
@@ -445,6 +404,8 @@ mod tests {
             "javascript:x",
             "Shift+Ctrl+KeyZ",
             "Meta+KeyA",
+            "Alt+KeyA",
+            "NumpadEnter",
         ] {
             let prefs = Prefs {
                 keys: [(crate::wire::Action::Undo, vec![bad.to_owned()])].into(),

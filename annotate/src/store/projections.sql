@@ -117,3 +117,14 @@ CREATE TABLE gold_score (
   at BIGINT NOT NULL,
   PRIMARY KEY (task, usr)
 );
+
+-- Seconds of work that entries of the log report: on answers, skips and reviews.
+CREATE TABLE work (
+  seq BIGINT PRIMARY KEY,
+  task BIGINT NOT NULL,
+  usr BIGINT NOT NULL,
+  at BIGINT NOT NULL,
+  secs DOUBLE PRECISION NOT NULL
+);
+CREATE INDEX work_usr ON work (usr, at);
+CREATE INDEX work_task ON work (task);

@@ -11,13 +11,12 @@ use super::rows;
 use super::rows::NUM_TASK_COLUMNS;
 use super::{people, project};
 use crate::Error;
+use crate::clock;
 use crate::state::Purpose;
 use crate::wire::{
     Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, TaskKind,
     TaskState, Verdict,
 };
-
-const DAY: Millis = 24 * 60 * 60 * 1000;
 
 pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
     let held = rows::lease_of(tx, task, user)?.is_some();
@@ -93,7 +92,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
 }
 
 pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Error> {
-    let midnight = now - now.rem_euclid(DAY);
+    let midnight = clock::midnight(&project::settings(tx)?.time_zone, now);
     let mut queues = Vec::new();
     for &kind in TaskKind::ALL {
         let name = kind.as_str();
@@ -177,10 +176,20 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         returned,
         held,
         today: secs.len() as i64,
+        today_secs: worked(tx, user, midnight)?,
         median_secs: quantile::median(&mut secs),
         agreement: None,
         today_all,
     })
+}
+
+/// Seconds of work that a user reported since a time.
+fn worked(tx: &mut dyn Tx, user: i64, since: Millis) -> Result<f64, Error> {
+    let row = tx.one(
+        "SELECT COALESCE(SUM(secs), 0.0) FROM work WHERE usr = ?1 AND at >= ?2",
+        params![user, since],
+    )?;
+    row.map_or(Ok(0.0), |row| row.real(0))
 }
 
 fn like(text: &str) -> String {

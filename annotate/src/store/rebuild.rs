@@ -28,7 +28,7 @@ const fn projection(table: &'static str, task: &'static str, order: &'static str
 }
 
 /// The projections.
-pub(super) const PROJECTIONS: [Projection; 8] = [
+pub(super) const PROJECTIONS: [Projection; 9] = [
     projection("task", "id", "id"),
     projection("lease", "task", "id"),
     projection("revision", "task", "task, author"),
@@ -37,6 +37,7 @@ pub(super) const PROJECTIONS: [Projection; 8] = [
     projection("skip", "task", "task, usr"),
     projection("suggestion_use", "task", "seq"),
     projection("gold_score", "task", "task, usr"),
+    projection("work", "task", "seq"),
 ];
 
 /// Entries read at a time.

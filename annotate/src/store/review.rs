@@ -1,5 +1,6 @@
 //! Reviews: claiming a task to review, and decisions.
 
+use super::append::working;
 use super::claim::{MINUTE, expire, lease_end, prolong, take};
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, Reply};
@@ -197,11 +198,13 @@ pub(super) fn review(
             ));
         }
     };
+    let secs = working(review.secs);
     let body = match review.decision {
         Decision::Accept => match chosen.as_slice() {
             [author] => Body::Accepted {
                 author: *author,
                 comment,
+                secs,
                 request,
             },
             _ => {
@@ -220,6 +223,7 @@ pub(super) fn review(
             Body::Merged {
                 answer,
                 comment,
+                secs,
                 request,
             }
         }
@@ -227,9 +231,14 @@ pub(super) fn review(
             authors: chosen,
             comment,
             until: now + Millis::from(settings.returned_days) * DAY,
+            secs,
             request,
         },
-        Decision::Drop => Body::Dropped { comment, request },
+        Decision::Drop => Body::Dropped {
+            comment,
+            secs,
+            request,
+        },
         Decision::Reopen => Body::Reopened { comment, request },
     };
     let entry = Entry {

@@ -6,6 +6,7 @@ use super::names::{CountReason, EditType, Extent, RevisionState, SuggestionSourc
 
 /// One mask of an answer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct MaskAnswer {
     /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
@@ -26,6 +27,7 @@ pub(super) fn yes() -> bool {
 
 /// An answer. Which fields count depends on the kind of the task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Answer {
     /// To a task `mask_text`.
@@ -86,6 +88,7 @@ pub enum Answer {
 
 /// The current answer of a user to a task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Revision {
     /// Task.
@@ -106,6 +109,7 @@ pub struct Revision {
 
 /// A proposal by a program or the source; never an answer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Suggestion {
     /// Id.

@@ -9,6 +9,7 @@ use super::task::{Lease, Task};
 
 /// `GET home`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Home {
     /// One queue for each kind.
@@ -17,8 +18,10 @@ pub struct Home {
     pub returned: Vec<ReturnedTask>,
     /// Tasks I hold leases on, the one last renewed first.
     pub held: Vec<Lease>,
-    /// Answers I submitted today (UTC, by the server's clock).
+    /// Answers I submitted today, which begins at midnight in the project's time zone.
     pub today: i64,
+    /// Seconds I worked today: on answers, skips and reviews.
+    pub today_secs: f64,
     /// Median seconds of my answers today.
     pub median_secs: Option<f64>,
     /// My agreement with others; `null` below 30 shared items.
@@ -29,6 +32,7 @@ pub struct Home {
 
 /// A queue as I see it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct QueueInfo {
     /// Kind.
@@ -45,6 +49,7 @@ pub struct QueueInfo {
 
 /// A returned task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReturnedTask {
     /// Task.
@@ -59,6 +64,7 @@ pub struct ReturnedTask {
 
 /// `GET shelf`: accepted answers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Shelf {
     /// Newest first.
@@ -69,6 +75,7 @@ pub struct Shelf {
 
 /// An accepted answer.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ShelfItem {
     /// Its task.

@@ -8,6 +8,7 @@ use super::names::ExportFormat;
 
 /// `POST exports`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ExportRequest {
     /// Layout.
@@ -22,6 +23,7 @@ pub struct ExportRequest {
 
 /// `GET jobs/{id}`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Job {
     /// Id.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct AuditEntry {
     /// Sequence number in the log.
@@ -19,11 +20,13 @@ pub struct AuditEntry {
     /// Task.
     pub task: Option<i64>,
     /// Body of the entry.
+    #[cfg_attr(test, ts(type = "unknown"))]
     pub body: serde_json::Value,
 }
 
 /// `GET audit`: newest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Audit {
     /// Entries.
@@ -34,6 +37,7 @@ pub struct Audit {
 
 /// An entry of `GET stream` (event `change`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Change {
     /// Sequence number in the log.
@@ -48,6 +52,7 @@ pub struct Change {
 
 /// `GET guide`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Guide {
     /// Plain text.

@@ -13,6 +13,8 @@ mod problem;
 mod review;
 mod stats;
 mod task;
+#[cfg(test)]
+mod typescript;
 
 pub use answer::{Answer, MaskAnswer, Revision, Suggestion};
 pub use home::{Home, QueueInfo, ReturnedTask, Shelf, ShelfItem};
@@ -51,3 +53,19 @@ pub const MAX_IMPORT_BYTES: usize = 64 * 1024 * 1024;
 pub const MAX_MASKS: usize = 16;
 /// Maximum pairs of a bundle.
 pub const BUNDLE: usize = 8;
+/// Modifiers of a key, in the order in which they are written. Alt belongs to browsers and keyboard layouts.
+pub const KEY_MODIFIERS: [&str; 2] = ["Ctrl+", "Shift+"];
+/// Keys that can be bound, by `KeyboardEvent.code`. The page reports `NumpadEnter` as `Enter`.
+#[rustfmt::skip]
+pub const KEY_CODES: [&str; 100] = [
+    "KeyA", "KeyB", "KeyC", "KeyD", "KeyE", "KeyF", "KeyG", "KeyH", "KeyI", "KeyJ", "KeyK", "KeyL", "KeyM",
+    "KeyN", "KeyO", "KeyP", "KeyQ", "KeyR", "KeyS", "KeyT", "KeyU", "KeyV", "KeyW", "KeyX", "KeyY", "KeyZ",
+    "Digit0", "Digit1", "Digit2", "Digit3", "Digit4", "Digit5", "Digit6", "Digit7", "Digit8", "Digit9",
+    "Numpad0", "Numpad1", "Numpad2", "Numpad3", "Numpad4", "Numpad5", "Numpad6", "Numpad7", "Numpad8", "Numpad9",
+    "F1", "F2", "F3", "F4", "F5", "F6", "F7", "F8", "F9", "F10", "F11", "F12",
+    "F13", "F14", "F15", "F16", "F17", "F18", "F19", "F20", "F21", "F22", "F23", "F24",
+    "Space", "Enter", "Escape", "Tab", "Backspace", "Delete", "Insert", "Home", "End",
+    "PageUp", "PageDown", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Minus", "Equal",
+    "BracketLeft", "BracketRight", "Backslash", "Semicolon", "Quote", "Backquote", "Comma",
+    "Period", "Slash", "IntlBackslash", "IntlRo", "IntlYen", "NumpadAdd",
+];

@@ -8,6 +8,7 @@ use super::names::{Action, Role};
 
 /// `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Login {
     /// The token as it was printed.
@@ -16,6 +17,7 @@ pub struct Login {
 
 /// A user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct User {
     /// Id.
@@ -30,6 +32,7 @@ pub struct User {
 
 /// `GET me`, and the answer to `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Me {
     /// Who is logged in.
@@ -46,10 +49,13 @@ pub struct Me {
     pub read_only: Option<String>,
     /// Version of the server.
     pub version: String,
+    /// Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
+    pub store: String,
 }
 
 /// Bounds of what can be sent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Characters of a text.
@@ -68,6 +74,7 @@ pub struct Limits {
 
 /// The part of the settings that annotators see.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Project {
     /// Name of the project.
@@ -84,6 +91,7 @@ pub struct Project {
 
 /// `GET`/`PUT settings`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Name of the project.
@@ -114,10 +122,13 @@ pub struct Settings {
     pub quota: u32,
     /// The guide, plain text.
     pub guide: String,
+    /// Name of the time zone in which days begin, such as `Europe/Berlin`.
+    pub time_zone: String,
 }
 
-/// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Shift+`, `Ctrl+` or `Alt+` before.
+/// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields, default)]
 pub struct Prefs {
     /// Keys that differ from the defaults.
@@ -134,6 +145,7 @@ pub struct Prefs {
 
 /// `POST users`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct NewUser {
     /// Name, unique: 1 to 64 characters.
@@ -144,6 +156,7 @@ pub struct NewUser {
 
 /// `PATCH users/{id}`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct UserChange {
     /// New role.
@@ -156,6 +169,7 @@ pub struct UserChange {
 
 /// `POST users/{id}/tokens`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct NewToken {
     /// Days until it ends, 1 to 365.
@@ -164,6 +178,7 @@ pub struct NewToken {
 
 /// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct TokenShown {
     /// Whose it is.
@@ -178,6 +193,7 @@ pub struct TokenShown {
 
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct TokenInfo {
     /// Id.
@@ -226,6 +242,7 @@ impl Default for Settings {
             ]),
             quota: 0,
             guide: include_str!("../guide.txt").to_owned(),
+            time_zone: "UTC".to_owned(),
         }
     }
 }

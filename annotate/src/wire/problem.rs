@@ -7,6 +7,7 @@ use super::names::Code;
 
 /// A problem (RFC 9457), as `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Problem {
     /// `/problems/` and the code.

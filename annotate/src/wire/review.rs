@@ -8,6 +8,7 @@ use super::task::{Lease, Task};
 
 /// `POST review/next`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReviewRequest {
     /// Queue.
@@ -19,6 +20,7 @@ pub struct ReviewRequest {
 
 /// Answer to `POST review/next`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReviewNext {
     /// The task and its answers.
@@ -29,6 +31,7 @@ pub struct ReviewNext {
 
 /// Why there is nothing to review.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReviewEmpty {
     /// Submitted tasks of the queue.
@@ -41,6 +44,7 @@ pub struct ReviewEmpty {
 
 /// A task to review.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReviewView {
     /// The task.
@@ -57,6 +61,7 @@ pub struct ReviewView {
 
 /// An answer to review.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Candidate {
     /// The answer.
@@ -69,8 +74,18 @@ pub struct Candidate {
     pub draft_distance: Option<f64>,
 }
 
+/// Requests without seconds keep the hash they had before there was this field.
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn none(secs: &f64) -> bool {
+    *secs == 0.0
+}
+
 /// `POST reviews`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct NewReview {
     /// Unique key made by the browser.
@@ -91,10 +106,14 @@ pub struct NewReview {
     /// Required for `return`, `drop` and `reopen`.
     #[serde(default)]
     pub comment: String,
+    /// Seconds of work on the review.
+    #[serde(default, skip_serializing_if = "none")]
+    pub secs: f64,
 }
 
 /// Answer to `POST reviews`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct ReviewDone {
     /// Its sequence number in the log.

@@ -9,6 +9,7 @@ use super::people::User;
 
 /// A figure with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Estimate {
     /// The value.
@@ -23,6 +24,7 @@ pub struct Estimate {
 
 /// `GET stats/funnel`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Funnel {
     /// Tasks by kind and state.
@@ -33,6 +35,7 @@ pub struct Funnel {
 
 /// A week of work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Week {
     /// Its Monday, midnight UTC.
@@ -49,6 +52,7 @@ pub struct Week {
 
 /// `GET stats/people`: one for each person.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Person {
     /// Who.
@@ -77,6 +81,7 @@ pub struct Person {
 
 /// `GET stats/agreement`. Figures are `null` below 30 shared items.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Agreement {
     /// One for each of the release's parts, and `overall` of their decisions together.
@@ -99,6 +104,7 @@ pub struct Agreement {
 
 /// Agreement on one decision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct PartAgreement {
     /// Name of the part.
@@ -119,6 +125,7 @@ pub struct PartAgreement {
 
 /// `GET stats/quota`: one for each category and edit type.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct QuotaRow {
     /// Category; empty where the source gives none.

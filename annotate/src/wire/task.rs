@@ -10,6 +10,7 @@ use super::problem::Problem;
 
 /// `GET skeleton`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct SkeletonInfo {
     /// Names of the 28 keypoints, in the order of the binaries.
@@ -29,6 +30,7 @@ pub struct SkeletonInfo {
 
 /// A body part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct PartInfo {
     /// Name in the release's spelling.
@@ -45,6 +47,7 @@ pub struct PartInfo {
 
 /// A motion, without its frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct MotionInfo {
     /// Content hash; identifies the motion in URLs.
@@ -65,6 +68,7 @@ pub struct MotionInfo {
 
 /// A task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Task {
     /// Id.
@@ -91,6 +95,7 @@ pub struct Task {
 
 /// Pairs that are leased together and submitted one by one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Bundle {
     /// Id.
@@ -101,6 +106,7 @@ pub struct Bundle {
 
 /// A task of a bundle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct BundleItem {
     /// Task.
@@ -115,6 +121,7 @@ pub struct BundleItem {
 
 /// A lease: the right to work on a task for a limited time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Lease {
     /// Id.
@@ -131,6 +138,7 @@ pub struct Lease {
 
 /// A held lease, as the dashboard lists it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct HeldLease {
     /// The lease.
@@ -145,6 +153,7 @@ pub struct HeldLease {
 
 /// `GET tasks/{id}`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct TaskView {
     /// The task.
@@ -163,6 +172,7 @@ pub struct TaskView {
 
 /// `POST queue/next`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct NextRequest {
     /// Kind of task.
@@ -171,6 +181,7 @@ pub struct NextRequest {
 
 /// Answer to `POST queue/next`: a task, or why there is none.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Next {
     /// The task and the lease on it.
@@ -183,6 +194,7 @@ pub struct Next {
 
 /// Why a queue is empty. Counts are tasks of the kind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Empty {
     /// All tasks.
@@ -203,6 +215,7 @@ pub struct Empty {
 
 /// `POST tasks/{id}/events`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct EventBatch {
     /// In the order they happened.
@@ -211,6 +224,7 @@ pub struct EventBatch {
 
 /// An event of a task in the browser.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct NewEvent {
     /// Unique key made by the browser: 8 to 64 letters, digits and dashes.
@@ -245,6 +259,7 @@ pub struct NewEvent {
 
 /// Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct EventResults {
     /// Results in the order of the events. Events after the first failed one are not processed and have no
@@ -254,6 +269,7 @@ pub struct EventResults {
 
 /// Result of an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct EventResult {
     /// Key of the event.
@@ -274,6 +290,7 @@ pub struct EventResult {
 
 /// `POST blend`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct BlendRequest {
     /// Hash of the edited motion.
@@ -291,6 +308,7 @@ pub struct BlendRequest {
 
 /// `POST tasks/{id}/suggest`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct SuggestRequest {
     /// Parts that the text shall describe.

@@ -113,6 +113,33 @@ fn log_in(site: &Site, client: &Client) -> String {
 }
 
 #[test]
+fn a_session_belongs_to_one_store() {
+    let one = Site::new();
+    let two = Site::new();
+    let ann = one.person("ann", Role::Annotator);
+    let cookie = log_in(&one, &ann);
+    let of_two = log_in(&two, &two.person("ann", Role::Annotator));
+    let name = |cookie: &str| cookie.split('=').next().unwrap_or("").to_owned();
+    assert_ne!(
+        name(&cookie),
+        name(&of_two),
+        "browsers send cookies of one host to all its ports"
+    );
+    let both = format!("{of_two}; {cookie}");
+    for site in [&one, &two] {
+        let me: Me = send(
+            &agent(),
+            "GET",
+            &site.url("/api/v1/me"),
+            &[("cookie", &both)],
+            None,
+        )
+        .ok();
+        assert_eq!(me.store, site.store.id().expect("an id"));
+    }
+}
+
+#[test]
 fn requests_of_another_site_change_nothing() {
     let site = Site::new();
     let ann = site.person("ann", Role::Annotator);

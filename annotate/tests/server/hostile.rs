@@ -116,6 +116,7 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
     let site = Site::new();
     let ann = site.person("ann", Role::Annotator);
     let bearer = format!("Bearer {}", ann.token);
+    let cookie = format!("annotate-{}=x", site.store.id().expect("an id"));
     for (url, headers) in [
         (format!("/api/v1/me?token={}", ann.token), vec![]),
         (
@@ -129,7 +130,7 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
                 ("authorization", "Bearer x"),
             ],
         ),
-        ("/api/v1/me".to_owned(), vec![("cookie", "annotate=x")]),
+        ("/api/v1/me".to_owned(), vec![("cookie", cookie.as_str())]),
     ] {
         assert_eq!(
             send(&agent(), "GET", &site.url(&url), &headers, None).status,

@@ -159,6 +159,7 @@ impl Fixture {
             author: None,
             answer: (decision == Decision::Merge).then(|| masks("merged")),
             comment: "because".to_owned(),
+            secs: 40.0,
         };
         match self.store.review(self.eve.id, review, now) {
             Ok(done) => Ok(done.state),
@@ -879,6 +880,7 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
                             author: author.filter(|_| decision != Decision::Merge),
                             answer: None,
                             comment: "walk".to_owned(),
+                            secs: 3.0,
                         };
                         if decision == Decision::Merge {
                             review.answer = Some(match detail.task.kind {
@@ -971,5 +973,86 @@ fn keys_are_paged_in_the_order_of_their_bytes() {
             after = range.up_to;
         }
         assert!(store.next_keys(&after, 2).expect("keys").is_none());
+    });
+}
+
+#[test]
+fn a_store_keeps_its_id_and_no_other_has_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("one.sqlite");
+    let id = open_sqlite(&path).expect("a store").id().expect("an id");
+    assert!(id.len() == 16 && id.chars().all(|c| c.is_ascii_hexdigit()));
+    let again = open_sqlite(&path).expect("a store");
+    assert_eq!(again.id().expect("an id"), id);
+    on_each("ids", |other| {
+        let own = other.id().expect("an id");
+        assert_ne!(own, id);
+        assert_eq!(other.id().expect("an id"), own);
+    });
+}
+
+#[test]
+fn skips_and_reviews_count_as_work_and_days_begin_in_the_time_zone_of_the_project() {
+    on_each("work", |store| {
+        let site = fixture(store, mask_tasks(3));
+        let worked = |user: i64, now: i64| {
+            let home = site.store.home(user, now).expect("a home");
+            (home.today, home.today_secs)
+        };
+        // 22:13 UTC is 7:13 of the next day in Tokyo.
+        assert_eq!(worked(site.ann, START), (0, 0.0));
+        let task = site.answer(site.ann, "one", START);
+        let second = site.claim(site.ann, START).expect("a task");
+        let mut skip = event(EventKind::Skip, site.epoch(site.ann, second), 0, None);
+        skip.reason = Some(SkipReason::CannotTell);
+        assert_eq!(site.send(site.ann, second, skip, START).status, 200);
+        assert_eq!(worked(site.ann, START), (1, 25.0));
+        let (reviewed, epoch) = site.review(START);
+        assert_eq!(reviewed, task);
+        let state = site.decide(task, epoch, Decision::Accept, START);
+        assert_eq!(state, Ok(TaskState::Accepted));
+        assert_eq!(worked(site.eve.id, START), (0, 40.0));
+
+        let next_day = START + 120 * MINUTE;
+        assert_eq!(worked(site.ann, next_day), (0, 0.0), "0:13 UTC");
+        let admin = site.store.users().expect("users")[0].id;
+        let settings = |zone: &str| Settings {
+            time_zone: zone.to_owned(),
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(admin, settings("Asia/Tokyo"), next_day)
+            .expect("a time zone");
+        assert_eq!(worked(site.ann, next_day), (1, 25.0), "9:13 in Tokyo");
+        let refused = site
+            .store
+            .put_settings(admin, settings("Mars/Olympus"), next_day)
+            .expect_err("no time zone");
+        assert_eq!(refused.problem().code, Code::Invalid);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_task_that_nobody_took_is_not_said_to_be_taken() {
+    on_each("nobody", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let epoch = site.epoch(site.ann, task);
+        let later = START + 16 * MINUTE;
+        // Any claim ends leases that ran out; this one is for another kind of task.
+        assert_eq!(site.claim_kind(site.bob, TaskKind::Style, later), None);
+        let say = |base: i64, text: &str, now: i64| {
+            let late = event(EventKind::Draft, epoch, base, Some(masks(text)));
+            let result = site.send(site.ann, task, late, now);
+            assert_eq!(problem(&result), Code::LeaseLost);
+            result.problem.expect("a problem").detail
+        };
+        let detail = say(0, "late", later);
+        assert!(!detail.contains("somebody else"), "{detail}");
+        assert_eq!(site.claim(site.bob, later), Some(task));
+        let detail = say(1, "later", later);
+        assert!(detail.contains("somebody else has the task"), "{detail}");
+        site.whole();
     });
 }

@@ -1,6 +1,6 @@
 /** Requests. After a 401 a request waits for login and is then repeated. */
 
-import type { Problem } from "./wire";
+import type { EventKind, NewEvent, Problem } from "./wire";
 
 export class ApiError extends Error {
   constructor(readonly problem: Problem) {
@@ -102,9 +102,32 @@ function littleEndian(bytes: ArrayBuffer): Float32Array {
   return Float32Array.from({ length: bytes.byteLength / 4 }, (_, index) => view.getFloat32(index * 4, true));
 }
 
-/** A new idempotency key; repetitions send the same key. */
-export function idemKey(): string {
-  return crypto.randomUUID();
+/** Whether the same request may succeed later. */
+export function transient(error: ApiError | Problem): boolean {
+  const { status } = error instanceof ApiError ? error.problem : error;
+  return status >= 500 || status === 429 || status === 408 || status === 401;
+}
+
+/** A random name of 32 digits. `crypto.randomUUID` is missing on pages opened over plain HTTP. */
+export function randomName(): string {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+/** An event with a new idempotency key; repetitions send the same key. */
+export function newEvent(kind: EventKind, fields: Partial<NewEvent> = {}): NewEvent {
+  return {
+    idem_key: randomName(),
+    kind,
+    lease_epoch: 0,
+    base_rev: 0,
+    answer: null,
+    reason: null,
+    note: "",
+    suggestion: null,
+    used: null,
+    secs: 0,
+    ...fields,
+  };
 }
 
 /** Message for the user about a failure. */

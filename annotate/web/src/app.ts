@@ -1,10 +1,13 @@
 /** State shared by all screens: the user, requests, keys, the outbox, and the page frame. */
 
-import { Api, ApiError, Unreachable, reason } from "./api";
+import { Api, ApiError, Unreachable, randomName, reason } from "./api";
+import { ConflictBox, type Version } from "./components/conflict-box";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
+import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
 import { KeyMap, chordOf, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
+import { adoptUnsent } from "./legacy";
 import { Motions } from "./motions";
 import { Outbox, type OutboxStatus, type Outcome } from "./outbox";
 import { Parts } from "./parts";
@@ -27,8 +30,23 @@ export interface Screen {
   /** Element focused while no text is typed. */
   readonly focusTarget: HTMLElement | null;
   draw?(nowMs: number): void;
+  /** The user pressed a key or the pointer. */
+  active?(): void;
   leave?(): void;
 }
+
+/** The box that shows two versions of an answer. */
+export interface ConflictView {
+  /** Shows a newer version of the other window. */
+  show(theirs: readonly string[]): void;
+  /** Shows this page's answer as it is now. */
+  refresh(): void;
+  /** Moves the focus into the box. */
+  enter(): void;
+  close(): void;
+}
+
+export type { Version };
 
 /** The task in work, as the page frame sees it. */
 export interface OpenSession {
@@ -48,6 +66,11 @@ interface Route {
   /** Whether the navigation shows it. */
   listed: boolean;
 }
+
+/** How the login dialog opens: on its own page, over the page unasked, or over the page because the user asked. */
+export type Opening = "page" | "unasked" | "asked";
+
+type ShowLogin = (app: App, opening: Opening) => Promise<Me>;
 
 const RANK: Readonly<Record<Role, number>> = { annotator: 0, reviewer: 1, admin: 2 };
 
@@ -70,6 +93,13 @@ export class App {
   private readonly chip = h("output", { class: "chip", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
   private readonly stuck = h("button", { class: "stuck", attrs: { type: "button" }, on: { click: () => void this.showStuck() } });
   private readonly banner = h("div", { class: "banner", attrs: { role: "alert" } });
+  /** Says that the session has ended, without taking the focus from a text. */
+  private readonly ended = h("div", { class: "banner", attrs: { role: "alert" }, data: { region: "session" } });
+  private readonly disk = new DiskWatch({
+    ask: async () => ((await (await this.api.once("GET", "me")).json()) as Me).read_only,
+    show: (why) => this.showReadOnly(why),
+    after: (ms, run) => window.setTimeout(run, ms),
+  });
   private readonly header: HTMLElement;
   private readonly tab: string;
   /** Number of navigations, so that a slow one does not replace a newer one. */
@@ -77,27 +107,29 @@ export class App {
 
   constructor(
     private readonly routes: Readonly<Record<string, Route>>,
-    private readonly showLogin: (app: App, over: boolean) => Promise<Me>,
+    private readonly showLogin: ShowLogin,
   ) {
     const known = sessionStorage.getItem("tab");
-    this.tab = known ?? crypto.randomUUID().slice(0, 8);
+    this.tab = known ?? randomName().slice(0, 8);
     sessionStorage.setItem("tab", this.tab);
     this.stuck.hidden = true;
     this.banner.hidden = true;
+    this.ended.hidden = true;
     this.header = h("header", { class: "top" });
     this.header.hidden = true;
     this.api.onUnauthenticated = () => this.requireLogin();
   }
 
   /** Logs in, fetches constant data, and shows the screen of the URL. */
-  async start(): Promise<void> {
-    document.body.append(this.banner, this.header, this.main, this.toasts.element);
+  async start(token: string | null): Promise<void> {
+    document.body.append(this.ended, this.banner, this.header, this.main, this.toasts.element);
     // Pasting a login URL over this page changes only the fragment and does not reload it.
     window.addEventListener("hashchange", () => {
       if (window.location.hash.startsWith("#token=")) window.location.reload();
     });
-    this.store = await BrowserStore.open().catch(() => new MemoryStore() as KeyValue);
-    this.me = await this.firstLogin();
+    this.me = await this.firstLogin(token);
+    this.store = await BrowserStore.open(`annotate-${this.me.store}`).catch(() => new MemoryStore() as KeyValue);
+    await adoptUnsent(this.store).catch(() => undefined);
     const [skeleton] = await Promise.all([this.api.get<SkeletonInfo>("skeleton"), this.prepareWebgl(), this.keys.learnLayout()]);
     if (skeleton.parents.join() !== PARENTS.join()) {
       throw new Error("the server draws another skeleton than this page; reload the page");
@@ -108,7 +140,7 @@ export class App {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
       sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
-      alone: (action) => alone("annotate-outbox", action),
+      alone: (action) => alone(`annotate-outbox-${this.me.store}`, action),
       status: (status) => {
         this.status = status;
         this.refreshChip();
@@ -116,9 +148,10 @@ export class App {
       outcome: (outcome) => void this.heard(outcome),
     });
     await this.outbox.open();
-    void this.outbox.flush();
     this.buildHeader();
     this.listen();
+    // What an earlier page left unsent is part of the tasks: a task opened before it is sent would be an old one.
+    await this.outbox.drained();
     await this.route();
     const frame = (now: number): void => {
       this.screen?.draw?.(now);
@@ -129,7 +162,12 @@ export class App {
 
   /** Chain name of a task's edits in this tab. */
   chain(task: number): string {
-    return `${this.me.user.id}:${task}:${this.tab}`;
+    return `${this.me.store}:${this.me.user.id}:${task}:${this.tab}`;
+  }
+
+  /** Key of this person's local data in the browser's storage. */
+  keep(name: string): string {
+    return `annotate:${this.me.store}:${this.me.user.id}:${name}`;
   }
 
   may(role: Role): boolean {
@@ -163,16 +201,51 @@ export class App {
     return link;
   }
 
+  /** Shows two versions of an answer over the screen, until it is closed or the screen is left. */
+  showConflict(mine: () => readonly string[], theirs: readonly string[], choose: (version: Version) => void): ConflictView {
+    const box = new ConflictBox(mine, theirs, choose);
+    this.main.append(box);
+    return {
+      show: (newer) => box.show(newer),
+      refresh: () => box.requestUpdate(),
+      enter: () => box.enter(),
+      close: () => box.remove(),
+    };
+  }
+
+  /** The screen takes no input until `work` is done. `null` if another screen was opened meanwhile. */
+  async waitFor<T>(work: Promise<T>): Promise<T | null> {
+    const turn = this.opening;
+    const focused = document.activeElement;
+    this.main.inert = true;
+    this.main.setAttribute("aria-busy", "true");
+    try {
+      const done = await work;
+      return turn === this.opening ? done : null;
+    } finally {
+      if (turn === this.opening) {
+        this.free();
+        if (focused instanceof HTMLElement) focused.focus({ preventScroll: true });
+      }
+    }
+  }
+
+  private free(): void {
+    this.main.inert = false;
+    this.main.removeAttribute("aria-busy");
+  }
+
   focusStage(): void {
     this.screen?.focusTarget?.focus({ preventScroll: true });
   }
 
   /** Opens the login dialog over the page; waiting requests continue after login. */
   requireLogin(): Promise<void> {
-    this.login ??= this.showLogin(this, true)
+    this.login ??= this.idle()
+      .then((opening) => this.showLogin(this, opening))
       .then((me) => {
-        // Another user logged in: do not send the previous user's events.
-        if (this.me && me.user.id !== this.me.user.id) window.location.reload();
+        // Another user or another project: do not send the events of the previous one.
+        if (this.me && (me.user.id !== this.me.user.id || me.store !== this.me.store)) window.location.reload();
         this.me = me;
         void this.outbox?.flush();
       })
@@ -180,6 +253,28 @@ export class App {
         this.login = null;
       });
     return this.login;
+  }
+
+  /** Resolves when nobody is typing a text of the page, or the user asks to log in. */
+  private idle(): Promise<Opening> {
+    const typing = (): boolean => isTextField(document.activeElement);
+    if (!typing()) return Promise.resolve("unasked");
+    return new Promise((resolve) => {
+      const done = (opening: Opening): void => {
+        document.removeEventListener("focusout", left);
+        this.ended.hidden = true;
+        resolve(opening);
+      };
+      // The next element has the focus only after the event.
+      const left = (): void => void window.setTimeout(() => (typing() || this.ended.contains(document.activeElement) ? undefined : done("unasked")));
+      document.addEventListener("focusout", left);
+      fill(
+        this.ended,
+        "Your session has ended. Go on typing: what you write is kept in this browser. ",
+        h("button", { attrs: { type: "button" }, on: { click: () => done("asked") } }, "Log in"),
+      );
+      this.ended.hidden = false;
+    });
   }
 
   async savePrefs(change: Partial<Prefs>): Promise<void> {
@@ -191,7 +286,8 @@ export class App {
     }
   }
 
-  setReadOnly(why: string | null): void {
+  private showReadOnly(why: string | null): void {
+    this.me.read_only = why;
     this.banner.hidden = why === null;
     fill(this.banner, why === null ? null : `Nothing can be saved on the server: ${why}. What you write is kept in this browser.`);
   }
@@ -206,14 +302,10 @@ export class App {
     this.chip.title = trouble ?? "";
     this.stuck.hidden = stuck === 0;
     this.stuck.textContent = `${stuck} not taken`;
-    if (phase === "idle" && waiting === 0) this.setReadOnly(this.me?.read_only ?? null);
   }
 
-  private async firstLogin(): Promise<Me> {
-    const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
+  private async firstLogin(token: string | null): Promise<Me> {
     if (token) {
-      // First remove the token from the address bar and the history.
-      window.history.replaceState(null, "", window.location.pathname);
       try {
         const response = await this.api.once("POST", "session", { token });
         return (await response.json()) as Me;
@@ -225,7 +317,7 @@ export class App {
       const response = await this.api.once("GET", "me");
       return (await response.json()) as Me;
     } catch (error) {
-      if (error instanceof ApiError || error instanceof Unreachable) return this.showLogin(this, false);
+      if (error instanceof ApiError || error instanceof Unreachable) return this.showLogin(this, "page");
       throw error;
     }
   }
@@ -246,12 +338,13 @@ export class App {
     try {
       const response = await this.api.once("POST", `tasks/${task}/events`, { events });
       const body = (await response.json()) as { results: EventResult[] };
-      this.setReadOnly(null);
+      // A stored event is the proof that the disk takes writes.
+      if (body.results.some((result) => result.seq !== null)) this.disk.set(null);
       return body.results;
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       const { problem } = error;
-      if (problem.code === "read_only") this.setReadOnly(problem.detail);
+      if (problem.code === "read_only") this.disk.set(problem.detail);
       if (problem.status >= 500 || problem.status === 429 || problem.status === 401) throw error;
       // The whole batch was refused: report it for the first event.
       const first = events[0] as NewEvent;
@@ -296,7 +389,7 @@ export class App {
     );
     this.header.hidden = false;
     this.refreshChip();
-    if (this.me.read_only) this.setReadOnly(this.me.read_only);
+    if (this.me.read_only) this.disk.set(this.me.read_only);
   }
 
   private async logOut(): Promise<void> {
@@ -311,6 +404,7 @@ export class App {
     const route = known && this.may(known.role) ? known : this.routes.home;
     if (!route) return;
     const turn = ++this.opening;
+    this.free();
     this.leave();
     this.main.setAttribute("aria-busy", "true");
     for (const link of this.nav.querySelectorAll("a")) {
@@ -363,16 +457,23 @@ export class App {
       const target = event.target instanceof Element ? event.target.closest("button, summary") : null;
       if (event.detail > 0 && target && !target.closest("dialog") && document.activeElement === target) this.focusStage();
     });
-    document.addEventListener("pointerdown", () => {
+    const active = (): void => {
       for (const session of this.sessions) session.active();
-    });
+      this.screen?.active?.();
+    };
+    document.addEventListener("pointerdown", active);
+    document.addEventListener("keydown", active, true);
     document.addEventListener("keydown", (event) => this.key(event));
   }
 
   private key(event: KeyboardEvent): void {
     if (event.isComposing || event.defaultPrevented) return;
     if (document.querySelector("dialog[open]")) return;
-    for (const session of this.sessions) session.active();
+    // Keys pressed while the page waits for the server were not meant for the next task.
+    if (this.main.inert && document.activeElement === document.body) {
+      event.preventDefault();
+      return;
+    }
     const chord = chordOf(event);
     if (chord === null || !this.screen) return;
     const found = this.keys.find(chord, ["global", ...this.screen.scopes], focusOf(event.target));
@@ -393,7 +494,8 @@ export class App {
 
   /** Moves the focus to the next region: navigation, stage, panel, playback. */
   private nextRegion(): void {
-    const regions = [this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")].filter(
+    const bar = this.ended.hidden ? null : this.ended;
+    const regions = [bar, this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")].filter(
       (region): region is HTMLElement => region !== null,
     );
     const targets = regions.map((region) => (region.matches("a, button, [tabindex]") ? region : firstFocusable(region))).filter((target) => target !== null);

@@ -1,9 +1,8 @@
 /**
- * Storage in the browser (IndexedDB). Edits are stored here before they are sent, and removed only after the
- * server has acknowledged them.
+ * Storage in the browser (IndexedDB), one database for each project: addresses and ports are used again. Edits are
+ * stored here before they are sent, and removed only after the server has acknowledged them.
  */
 
-const NAME = "annotate";
 const VERSION = 1;
 const STORES = ["outbox", "chains"] as const;
 
@@ -41,9 +40,9 @@ export class MemoryStore implements KeyValue {
 export class BrowserStore implements KeyValue {
   private constructor(private readonly database: IDBDatabase) {}
 
-  static open(): Promise<BrowserStore> {
+  static open(name: string): Promise<BrowserStore> {
     return new Promise((resolve, reject) => {
-      const request = indexedDB.open(NAME, VERSION);
+      const request = indexedDB.open(name, VERSION);
       request.onupgradeneeded = () => {
         for (const name of STORES) {
           if (!request.result.objectStoreNames.contains(name)) request.result.createObjectStore(name);
@@ -52,6 +51,10 @@ export class BrowserStore implements KeyValue {
       request.onsuccess = () => resolve(new BrowserStore(request.result));
       request.onerror = () => reject(request.error ?? new Error("the browser's store cannot be opened"));
     });
+  }
+
+  close(): void {
+    this.database.close();
   }
 
   all<T>(store: StoreName): Promise<T[]> {

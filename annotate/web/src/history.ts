@@ -104,7 +104,11 @@ function canonical(value: unknown): string {
 
 /** Lifetime of the history of a task that is never submitted. */
 const KEPT_MS = 30 * 24 * 3600 * 1000;
-const PREFIX = "annotate:history:";
+/** What marks the keys of histories among those of this page. */
+const MARK = ":history:";
+
+/** `chain` begins with the id of the project. */
+const keyOf = (chain: string): string => `annotate${MARK}${chain}`;
 
 interface Saved<T> {
   at: number;
@@ -118,7 +122,7 @@ interface Saved<T> {
 export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
   const store = (past: T[]): void => {
     const saved: Saved<T> = { at: Date.now(), data: { ...data, past } };
-    localStorage.setItem(PREFIX + chain, JSON.stringify(saved));
+    localStorage.setItem(keyOf(chain), JSON.stringify(saved));
   };
   try {
     store(data.past);
@@ -136,7 +140,7 @@ export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
 export function loadHistory<T>(chain: string): HistoryData<T> | null {
   prune(KEPT_MS, chain);
   try {
-    const text = localStorage.getItem(PREFIX + chain);
+    const text = localStorage.getItem(keyOf(chain));
     return text === null ? null : (JSON.parse(text) as Saved<T>).data;
   } catch {
     return null;
@@ -144,13 +148,13 @@ export function loadHistory<T>(chain: string): HistoryData<T> | null {
 }
 
 export function forgetHistory(chain: string): void {
-  localStorage.removeItem(PREFIX + chain);
+  localStorage.removeItem(keyOf(chain));
 }
 
 /** Removes histories of other tasks that are older than this. */
 function prune(olderMs: number, except: string): void {
   for (const key of Object.keys(localStorage)) {
-    if (!key.startsWith(PREFIX) || key === PREFIX + except) continue;
+    if (!key.startsWith("annotate:") || !key.includes(MARK) || key === keyOf(except)) continue;
     try {
       const saved = JSON.parse(localStorage.getItem(key) ?? "") as Saved<unknown>;
       if (Date.now() - saved.at < olderMs) continue;

@@ -4,6 +4,8 @@
  * with Ctrl work everywhere, except that undo in a text field is the field's own.
  */
 
+import { KEY_CODES, KEY_MODIFIERS, type Action as WireAction } from "./wire";
+
 export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "review";
 
 export interface Action {
@@ -14,7 +16,6 @@ export interface Action {
   chords: readonly string[];
 }
 
-/** Names are those of `wire::Action`, which the server uses for remapped keys. */
 const ACTIONS = [
   ["key_sheet", "Key sheet", "global", ["Shift+Slash"]],
   ["next_region", "Next region of the page", "global", ["F6"]],
@@ -80,7 +81,7 @@ const ACTIONS = [
   ["candidate_2", "Second answer", "review", ["Digit2"]],
   ["candidate_3", "Third answer", "review", ["Digit3"]],
   ["candidate_4", "Fourth answer", "review", ["Digit4"]],
-] as const satisfies readonly (readonly [string, string, Scope, readonly string[]])[];
+] as const satisfies readonly (readonly [WireAction, string, Scope, readonly string[]])[];
 
 /** Scopes that are active together: on the screens for masks, pairs and reviews. */
 export const TOGETHER: readonly (readonly Scope[])[] = [
@@ -90,6 +91,10 @@ export const TOGETHER: readonly (readonly Scope[])[] = [
 ];
 
 export type ActionId = (typeof ACTIONS)[number][0];
+
+/** Does not compile if the server knows an action that has no key here. */
+const ALL_ACTIONS_HAVE_KEYS: [Exclude<WireAction, ActionId>] extends [never] ? true : never = true;
+void ALL_ACTIONS_HAVE_KEYS;
 
 export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope, chords]) => ({
   id,
@@ -113,20 +118,12 @@ export interface Found {
   ten: boolean;
 }
 
-/** Key positions that can be bound. */
-const CODE =
-  /^(Key[A-Z]|Digit[0-9]|F([1-9]|1[0-2])|Space|Enter|Escape|Tab|Comma|Period|Slash|Semicolon|Quote|BracketLeft|BracketRight|Backslash|Backquote|Minus|Equal|IntlBackslash|Arrow(Left|Right|Up|Down)|Home|End|PageUp|PageDown|Delete|Insert|Numpad[0-9])$/;
+const CODES: ReadonlySet<string> = new Set(KEY_CODES);
 
-/** Normalised spelling of a chord, or `null` if invalid. */
+/** The chord if the server would take it too, else `null`: modifiers in order, then a key. */
 export function parseChord(text: string): string | null {
-  const pieces = text.split("+");
-  const code = pieces.pop() ?? "";
-  if (!CODE.test(code)) return null;
-  const ctrl = pieces.includes("Ctrl");
-  const shift = pieces.includes("Shift");
-  const known = pieces.every((piece) => piece === "Ctrl" || piece === "Shift");
-  if (!known || pieces.length !== Number(ctrl) + Number(shift)) return null;
-  return `${ctrl ? "Ctrl+" : ""}${shift ? "Shift+" : ""}${code}`;
+  const code = KEY_MODIFIERS.reduce((rest, modifier) => (rest.startsWith(modifier) ? rest.slice(modifier.length) : rest), text);
+  return CODES.has(code) ? text : null;
 }
 
 /** Fields of a key event that the map uses. */

@@ -2,15 +2,14 @@
  * Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right.
  */
 
+import { MAX_TEXT_CHARS } from "./wire";
+
 export type LintCode = "side" | "limb" | "empty" | "long" | "same_text" | "same_mask" | "draft_unchanged";
 
 export interface Lint {
   code: LintCode;
   message: string;
 }
-
-/** Maximum length of a text, as on the server. */
-export const TEXT_LIMIT = 2000;
 
 type Side = "left" | "right";
 type Limb = "arm" | "leg";
@@ -72,8 +71,8 @@ export function lintText(text: string, parts: readonly string[]): Lint[] {
   if (trimmed === "") {
     return [{ code: "empty", message: "The description is empty." }];
   }
-  if ([...text].length > TEXT_LIMIT) {
-    found.push({ code: "long", message: `The description is longer than ${TEXT_LIMIT} characters.` });
+  if ([...text].length > MAX_TEXT_CHARS) {
+    found.push({ code: "long", message: `The description is longer than ${MAX_TEXT_CHARS} characters.` });
   }
   const sided = parts.length > 0 && parts.every((part) => SIDES[part] !== undefined);
   const maskSides = union(parts, SIDES);

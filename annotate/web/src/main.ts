@@ -27,6 +27,10 @@ const app = new App(
   showLogin,
 );
 
-app.start().catch((error: unknown) => {
+// The token leaves the address bar and the history before anything can fail.
+const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
+if (token !== null) window.history.replaceState(null, "", window.location.pathname);
+
+app.start(token).catch((error: unknown) => {
   fill(document.body, h("main", { class: "page" }, h("h1", {}, "The page could not be started"), h("p", {}, reason(error))));
 });

@@ -1,9 +1,8 @@
-/** Merges two versions of an answer: this page's, and one from another tab or machine. */
+/** Compares and merges versions of an answer. */
 
-import { h } from "./dom";
 import type { Parts } from "./parts";
-import { ask } from "./ui";
-import type { Answer } from "./wire";
+import { bits } from "./stage/body";
+import type { Answer, Candidate } from "./wire";
 
 /** An answer in words, for comparison. */
 export function describe(parts: Parts, answer: Answer): string[] {
@@ -23,6 +22,14 @@ export function describe(parts: Parts, answer: Answer): string[] {
   return lines;
 }
 
+/** Joints that some answers select and others do not. */
+export function differing(candidates: readonly Candidate[]): number {
+  const sets = candidates.map((candidate) => bits(candidate.joints));
+  const union = sets.reduce((a, b) => a | b, 0);
+  const common = sets.reduce((a, b) => a & b, sets[0] ?? 0);
+  return union & ~common;
+}
+
 /** Concatenates both versions: the masks of both, or both texts. */
 export function both<A extends Answer>(mine: A, theirs: A): A {
   if (mine.kind === "mask_text" && theirs.kind === "mask_text") {
@@ -35,24 +42,4 @@ export function both<A extends Answer>(mine: A, theirs: A): A {
     return { ...mine, text: [...new Set(texts)].join("\n") };
   }
   return mine;
-}
-
-/** Shows both and lets the person choose. Without a choice, this page's version stays. */
-export async function mergeAnswers<A extends Answer>(parts: Parts, mine: A, theirs: A): Promise<A> {
-  const column = (title: string, answer: A): HTMLElement =>
-    h("section", { class: "merge-column" }, h("h3", {}, title), h("ul", {}, ...describe(parts, answer).map((line) => h("li", {}, line))));
-  const choice = await ask(
-    "This task was changed in another window",
-    [
-      h("p", {}, "Both versions are kept in the log. Which one do you go on with?"),
-      h("div", { class: "merge" }, column("In this window", mine), column("In the other window", theirs)),
-    ],
-    [
-      { label: "Keep mine", value: "mine" as const, kind: "primary", code: "Digit1", hint: "1" },
-      { label: "Take theirs", value: "theirs" as const, code: "Digit2", hint: "2" },
-      { label: "Keep both and edit", value: "both" as const, code: "Digit3", hint: "3" },
-    ],
-  );
-  if (choice === "theirs") return theirs;
-  return choice === "both" ? both(mine, theirs) : mine;
 }

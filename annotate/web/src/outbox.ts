@@ -9,7 +9,7 @@
  * Two tabs are two chains; the second to write gets a conflict.
  */
 
-import { ApiError, Unreachable } from "./api";
+import { ApiError, Unreachable, transient } from "./api";
 import type { KeyValue } from "./db";
 import type { Answer, EventResult, NewEvent, Problem, Revision } from "./wire";
 
@@ -68,9 +68,9 @@ export interface OutboxHooks {
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 5_000;
 
-/** Statuses and codes of transient failures. */
-function mayPass(problem: Problem): boolean {
-  return problem.status >= 500 || problem.status === 429 || problem.status === 408;
+/** Events stored by earlier versions of the page lack empty fields. */
+function hasAnswer(item: OutboxItem): boolean {
+  return (item.event.answer ?? null) !== null;
 }
 
 export class Outbox {
@@ -80,6 +80,7 @@ export class Outbox {
   private phase: Phase = "idle";
   private trouble: string | null = null;
   private wake: (() => void) | null = null;
+  private waiters: { done: () => boolean; resolve: () => void }[] = [];
   private readonly inFlight = new Set<string>();
   /** Keys of events being stored. */
   private readonly writing = new Set<string>();
@@ -108,7 +109,7 @@ export class Outbox {
 
   /** The latest answer of a chain that the server has not confirmed. */
   pendingAnswer(chain: string): Answer | null {
-    const own = this.items.filter((item) => item.chain === chain && item.event.answer !== undefined);
+    const own = this.items.filter((item) => item.chain === chain && hasAnswer(item));
     return own.at(-1)?.event.answer ?? null;
   }
 
@@ -131,9 +132,12 @@ export class Outbox {
       (old) =>
         old.chain === chain &&
         !this.inFlight.has(old.key) &&
-        event.answer !== undefined &&
-        (old.problem !== null ? old.event.answer !== undefined : old.event.kind === "draft" && !old.sent),
+        hasAnswer(item) &&
+        (old.problem !== null ? hasAnswer(old) : old.event.kind === "draft" && !old.sent),
     );
+    // The working time of a replaced draft would be lost with it.
+    const secs = replaced.reduce((sum, old) => sum + (old.event.secs ?? 0), event.secs);
+    item.event = { ...event, secs: Math.round(secs * 10) / 10 };
     this.items = [...this.items.filter((old) => !replaced.includes(old)), item];
     this.writing.add(item.key);
     this.report();
@@ -170,15 +174,22 @@ export class Outbox {
     return this.running;
   }
 
-  /** Resolves to true when no event of the task waits any more, or to false after `ms`. */
-  async settled(task: number, ms: number): Promise<boolean> {
-    const deadline = Date.now() + ms;
-    for (;;) {
-      void this.flush();
-      if (!this.items.some((item) => item.task === task && item.problem === null)) return true;
-      if (Date.now() >= deadline) return false;
-      await this.hooks.sleep(20);
-    }
+  /** Resolves when no event of the task waits to be sent: each is acknowledged or refused. */
+  settled(task: number): Promise<void> {
+    return this.when(() => !this.items.some((item) => item.task === task && item.problem === null));
+  }
+
+  /** Resolves when no event waits to be sent, or the server does not answer. */
+  drained(): Promise<void> {
+    return this.when(() => this.phase === "offline" || this.items.every((item) => item.problem !== null));
+  }
+
+  private when(done: () => boolean): Promise<void> {
+    void this.flush();
+    return new Promise((resolve) => {
+      this.waiters.push({ done, resolve });
+      this.report();
+    });
   }
 
   private async run(): Promise<void> {
@@ -240,11 +251,10 @@ export class Outbox {
 
   private async settle(item: OutboxItem, result: EventResult): Promise<void> {
     const problem = result.problem;
-    if (problem && mayPass(problem)) throw new ApiError(problem);
-    if (problem && problem.status === 401) throw new ApiError(problem);
+    if (problem && transient(problem)) throw new ApiError(problem);
     // After a lost lease the server keeps the text as a draft, which acknowledges it. A refused event without an
     // answer, such as undo, has nothing to lose.
-    if (problem && problem.code !== "lease_lost" && item.event.answer !== undefined) {
+    if (problem && problem.code !== "lease_lost" && hasAnswer(item)) {
       item.problem = problem;
       await this.store.put("outbox", item.key, item);
     } else {
@@ -285,6 +295,9 @@ export class Outbox {
 
   private report(): void {
     this.hooks.status(this.status);
+    const ready = this.waiters.filter((waiter) => waiter.done());
+    this.waiters = this.waiters.filter((waiter) => !ready.includes(waiter));
+    for (const { resolve } of ready) resolve();
   }
 }
 

@@ -2,34 +2,41 @@
  * Work on one task: the answer with undo, sending of drafts, the lease, and working time.
  */
 
-import { ApiError, idemKey, reason } from "./api";
-import type { App, OpenSession } from "./app";
+import { ApiError, newEvent, reason, transient } from "./api";
+import type { App, ConflictView, OpenSession, Version } from "./app";
 import { History, forgetHistory, loadHistory, same, saveHistory } from "./history";
 import type { Outcome } from "./outbox";
 import { conflictOf } from "./outbox";
-import { mergeAnswers } from "./merge";
-import type { Answer, EventKind, Lease, NewEvent, SkipReason, SuggestionUse, TaskView } from "./wire";
+import { both, describe } from "./merge";
+import type { Answer, EventKind, Lease, NewEvent, Revision, SkipReason, SuggestionUse, TaskView } from "./wire";
+import { WorkClock } from "./work";
 
 /** Pause in typing after which a draft is sent. */
 const DRAFT_AFTER_MS = 600;
-/** Longer pauses do not count as work. */
-const IDLE_SECS = 30;
 
-/** How long to wait for the acknowledgement of a submission before telling the user. */
-const ACK_MS = 4000;
+/** What became of the last event of a task. */
+export type Ending = "done" | "refused";
+
+/** Events whose working time the server counts. */
+const TIMED: ReadonlySet<EventKind> = new Set<EventKind>(["draft", "submit", "skip", "postpone"]);
 
 export class TaskSession<A extends Answer> implements OpenSession {
   private history: History<A>;
   private draftTimer: number | null = null;
   private heartbeat: number | null = null;
   private lease: Lease | null;
-  private secs = 0;
-  private lastActive = performance.now();
+  private readonly work = new WorkClock();
   private submitted = false;
+  /** Whether the last event that should end the task was refused. */
+  private refused = false;
   /** Whether the user has been idle for so long that the lease is not renewed. */
   private resting = false;
   /** The latest revision known to this editor. */
   private rev: number;
+  /** A version from another window, until the user has chosen. */
+  private conflict: { theirs: Revision; box: ConflictView } | null = null;
+  /** A claim in progress after the lease was lost. */
+  private claiming: Promise<boolean> | null = null;
   readonly chain: string;
   readonly task: number;
 
@@ -86,13 +93,14 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   get isEditing(): boolean {
-    return this.draftTimer !== null;
+    return this.draftTimer !== null || this.conflict !== null;
   }
 
   /** Sets the answer; edits of the same `kind`, such as typing in one text, form one undo step. */
   change(answer: A, kind: string | null = null): void {
     this.active();
     this.history.push(answer, kind);
+    this.conflict?.box.refresh();
     this.schedule();
   }
 
@@ -109,12 +117,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.arrive(this.history.redo());
   }
 
-  /** Adds the seconds since the last activity to the working time, unless they were a pause. */
   active(): void {
-    const now = performance.now();
-    const passed = (now - this.lastActive) / 1000;
-    if (passed < IDLE_SECS) this.secs += passed;
-    this.lastActive = now;
+    this.work.active();
     if (this.resting) {
       this.resting = false;
       void this.renew();
@@ -129,32 +133,43 @@ export class TaskSession<A extends Answer> implements OpenSession {
     await this.send("draft", { answer: this.history.present });
   }
 
-  /** Submits the answer. True once the server has it; false if it is stuck or still waits. */
-  async submit(answer: A): Promise<"done" | "waiting" | "refused"> {
+  /** Whether the user has to choose between two versions before the task can be ended. */
+  mustChoose(): boolean {
+    if (this.conflict === null) return false;
+    this.app.toasts.show("First choose between the two versions of this task.", { id: "conflict", kind: "error" });
+    this.conflict.box.enter();
+    return true;
+  }
+
+  /** Submits the answer, and waits until the server has taken or refused it. */
+  async submit(answer: A): Promise<Ending> {
     this.cancelDraft();
+    this.refused = false;
     this.submitted = true;
     await this.send("submit", { answer });
-    return this.outcome();
+    return this.ending();
   }
 
-  async skip(why: SkipReason, note: string): Promise<"done" | "waiting" | "refused"> {
+  async skip(why: SkipReason, note: string): Promise<Ending> {
     this.cancelDraft();
+    this.refused = false;
     this.submitted = true;
     await this.send("skip", { reason: why, note });
-    return this.outcome();
+    return this.ending();
   }
 
-  async postpone(): Promise<"done" | "waiting" | "refused"> {
+  async postpone(): Promise<Ending> {
     await this.flushDraft();
+    this.refused = false;
     await this.send("postpone", {});
-    return this.outcome();
+    return this.ending();
   }
 
   /** Withdraws a submitted answer; the caller reopens the task. */
   static async takeBack(app: App, task: number): Promise<boolean> {
     const chain = app.chain(task);
-    await app.outbox.add(task, chain, { idem_key: idemKey(), kind: "undo", lease_epoch: 0, base_rev: 0 });
-    if (!(await app.outbox.settled(task, ACK_MS))) return false;
+    await app.outbox.add(task, chain, newEvent("undo"));
+    await app.outbox.settled(task);
     const view = await app.api.get<TaskView>(`tasks/${task}`);
     return view.lease !== null;
   }
@@ -174,27 +189,31 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
     const conflict = conflictOf(outcome);
     if (conflict) {
-      const merged = await mergeAnswers(this.app.parts, conflict.mine as A, conflict.theirs.answer as A);
-      this.rev = conflict.theirs.rev;
-      await this.app.outbox.discard(this.chain);
-      await this.app.outbox.setRev(this.chain, this.rev);
-      this.submitted = false;
-      this.history.push(merged);
-      this.onReplaced(merged);
-      await this.send("draft", { answer: merged });
+      this.refuse();
+      await this.meet(conflict.theirs);
       return;
     }
     if (result.problem.code === "lease_lost") {
       this.rev = Math.max(this.rev, result.rev);
-      this.submitted = false;
-      await this.claimAgain();
+      const { answer } = item.event;
+      const again = item.event.kind === "submit" && answer !== null;
+      if (!again) this.refuse();
+      const held = await this.claimAgain();
+      // The answer was kept as a draft only because the lease had run out.
+      if (again && held) await this.send("submit", { answer });
+      else this.refuse();
       return;
     }
-    if (item.event.kind === "submit" || item.event.kind === "skip") this.submitted = false;
+    if (item.event.kind !== "draft" && item.event.kind !== "suggestion_used") this.refuse();
     this.app.toasts.show(`Not taken: ${result.problem.detail}`, { id: `refused-${this.task}`, kind: "error", ms: 15_000 });
   }
 
   dispose(): void {
+    if (this.conflict) {
+      this.conflict.box.close();
+      this.conflict = null;
+      this.schedule();
+    }
     void this.flushDraft();
     if (this.heartbeat !== null) window.clearInterval(this.heartbeat);
     this.app.sessions.delete(this);
@@ -209,15 +228,62 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return true;
   }
 
-  private async outcome(): Promise<"done" | "waiting" | "refused"> {
-    const settled = await this.app.outbox.settled(this.task, ACK_MS);
-    if (!settled) return "waiting";
-    if (!this.submitted) return "refused";
-    const stuck = this.app.outbox.waiting.some((item) => item.chain === this.chain && item.problem !== null);
-    return stuck ? "refused" : "done";
+  private refuse(): void {
+    this.refused = true;
+    this.submitted = false;
+  }
+
+  /** Waits as long as the server takes, and for a lease to be taken again. */
+  private async ending(): Promise<Ending> {
+    const { outbox } = this.app;
+    await outbox.settled(this.task);
+    while (this.claiming) {
+      await this.claiming;
+      await outbox.settled(this.task);
+    }
+    const stuck = outbox.waiting.some((item) => item.chain === this.chain && item.problem !== null);
+    return stuck || this.refused ? "refused" : "done";
+  }
+
+  /** Lets the user choose between this page's answer and one from another window, without disturbing them. */
+  private async meet(theirs: Revision): Promise<void> {
+    this.cancelDraft();
+    if (same(theirs.answer, this.history.present)) return this.resolve("theirs", theirs);
+    const lines = describe(this.app.parts, theirs.answer);
+    if (this.conflict) {
+      this.conflict.theirs = theirs;
+      this.conflict.box.show(lines);
+      return;
+    }
+    const box = this.app.showConflict(
+      () => describe(this.app.parts, this.history.present),
+      lines,
+      (version) => void (this.conflict && this.resolve(version, this.conflict.theirs)),
+    );
+    this.conflict = { theirs, box };
+    this.app.refreshChip();
+  }
+
+  /** Goes on with the chosen version. `mine` is what this page shows now, not what was sent. */
+  private async resolve(version: Version, theirs: Revision): Promise<void> {
+    this.conflict?.box.close();
+    this.conflict = null;
+    this.app.refreshChip();
+    const mine = this.history.present;
+    const other = theirs.answer as A;
+    const chosen = version === "mine" ? mine : version === "theirs" ? other : both(mine, other);
+    this.rev = theirs.rev;
+    this.history.seal();
+    this.history.push(chosen);
+    if (!same(chosen, mine)) this.onReplaced(chosen);
+    await this.app.outbox.discard(this.chain);
+    await this.app.outbox.setRev(this.chain, theirs.rev);
+    if (!same(this.history.present, other)) this.schedule();
   }
 
   private schedule(): void {
+    // While two versions stand against each other, what is typed is kept in the history.
+    if (this.conflict) return;
     if (this.draftTimer !== null) window.clearTimeout(this.draftTimer);
     this.draftTimer = window.setTimeout(() => {
       this.draftTimer = null;
@@ -233,18 +299,12 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   private async send(kind: EventKind, rest: Partial<NewEvent>): Promise<void> {
     this.active();
-    const secs = Math.round(this.secs * 10) / 10;
-    this.secs = 0;
+    const secs = TIMED.has(kind) ? this.work.take() : 0;
     try {
-      await this.app.outbox.add(this.task, this.chain, {
-        idem_key: idemKey(),
-        kind,
-        lease_epoch: this.lease?.epoch ?? 0,
-        base_rev: this.rev,
-        secs,
-        ...rest,
-      });
+      const event = newEvent(kind, { lease_epoch: this.lease?.epoch ?? 0, base_rev: this.rev, secs, ...rest });
+      await this.app.outbox.add(this.task, this.chain, event);
     } catch (error) {
+      this.work.giveBack(secs);
       this.app.toasts.show(`This browser could not keep the change: ${reason(error)}`, { kind: "error", ms: 15_000 });
     }
   }
@@ -255,10 +315,14 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   private async renew(): Promise<void> {
-    if (!this.lease || this.submitted) return;
+    if (this.submitted) return;
     // The lease of an idle user expires, and is claimed again when they return.
-    this.resting = performance.now() - this.lastActive > this.app.me.limits.lease_secs * 1000;
+    this.resting = this.work.idleMs > this.app.me.limits.lease_secs * 1000;
     if (this.resting) return;
+    if (!this.lease) {
+      await this.claimAgain();
+      return;
+    }
     try {
       const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
       this.lease = (await response.json()) as Lease;
@@ -273,18 +337,37 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
   }
 
-  /** Handles an expired lease: the text is kept, and the task is claimed again if possible. */
-  private async claimAgain(): Promise<void> {
+  /** Claims the task again after its lease was lost; true if this person has it. */
+  private claimAgain(): Promise<boolean> {
+    this.claiming ??= this.claim().finally(() => {
+      this.claiming = null;
+    });
+    return this.claiming;
+  }
+
+  private async claim(): Promise<boolean> {
     try {
       const view = await this.app.api.post<TaskView>(`tasks/${this.task}/claim`);
       this.lease = view.lease;
       this.rev = Math.max(this.rev, view.mine?.rev ?? 0);
-      this.app.toasts.show("Your time on this task had expired. You have it again; nothing is lost.");
+      this.app.toasts.show("Your time on this task had expired. You have it again; nothing is lost.", { id: "lease" });
+      return true;
     } catch (error) {
-      this.app.toasts.show(
-        `Your time on this task has expired and somebody else has it. Your text is kept as your draft. (${reason(error)})`,
-        { kind: "error", ms: 20_000 },
-      );
+      this.lease = null;
+      if (error instanceof ApiError && !transient(error)) {
+        this.app.toasts.show(`This task is no longer yours: ${reason(error)}. Your text is kept as your draft.`, {
+          id: "lease",
+          kind: "error",
+          ms: 20_000,
+        });
+      } else {
+        // Nobody said that the task is taken: the next heartbeat asks again.
+        this.app.toasts.show(`The server does not answer (${reason(error)}). Your text is kept; the page goes on asking.`, {
+          id: "lease",
+          kind: "error",
+        });
+      }
+      return false;
     }
   }
 }

@@ -35,6 +35,25 @@ export class Toasts {
   }
 }
 
+/** Milliseconds without a key after which keys are meant for what is on the page now. */
+const DEAF_MS = 1000;
+
+/** Ignores keys until none was pressed for a second, then calls `after`: a box has opened by itself. */
+export function deaf(after: () => void): void {
+  const hear = (): void => {
+    window.removeEventListener("keydown", ignore, true);
+    after();
+  };
+  let timer = window.setTimeout(hear, DEAF_MS);
+  const ignore = (event: KeyboardEvent): void => {
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    window.clearTimeout(timer);
+    timer = window.setTimeout(hear, DEAF_MS);
+  };
+  window.addEventListener("keydown", ignore, true);
+}
+
 export interface Choice<T> {
   label: string;
   value: T;
@@ -175,7 +194,9 @@ export function estimate(figure: Estimate | null): string {
 
 export function seconds(value: number | null): string {
   if (value === null) return "n/a";
-  return value < 120 ? `${Math.round(value)} s` : `${Math.round(value / 60)} min`;
+  if (value < 120) return `${Math.round(value)} s`;
+  const minutes = Math.round(value / 60);
+  return minutes < 120 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
 export function when(ms: number | null): string {

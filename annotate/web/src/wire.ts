@@ -1,447 +1,1683 @@
-/** Types of the HTTP API, as declared in `annotate/src/wire`. */
+/**
+ * Types of the HTTP API. Generated from `annotate/src/wire`; do not edit. After a change there run
+ * `STANCE_WRITE_WIRE=1 cargo test --release -p annotate --lib wire`.
+ */
 
-export type Role = "annotator" | "reviewer" | "admin";
-export type TaskKind = "mask_text" | "pair" | "style";
-export type TaskState = "open" | "leased" | "submitted" | "in_review" | "accepted" | "returned" | "dropped";
-export type RevisionState = "draft" | "submitted" | "accepted" | "returned" | "superseded";
-export type Verdict = "keep" | "unnatural" | "unclear" | "identical";
-export type EditType = "amplitude" | "speed" | "force" | "spatial" | "timing" | "other";
-export type Extent = "lower" | "upper" | "whole";
-export type SkipReason = "broken_motion" | "cannot_tell" | "wrong_caption" | "not_for_me" | "other";
+export const MAX_TEXT_CHARS = 2000;
+export const MAX_EVENTS = 64;
+export const MAX_BODY_BYTES = 262144;
+export const MAX_MASKS = 16;
+export const BUNDLE = 8;
+export const KEY_MODIFIERS: readonly string[] = [
+  "Ctrl+", "Shift+",
+];
+export const KEY_CODES: readonly string[] = [
+  "KeyA", "KeyB", "KeyC", "KeyD", "KeyE", "KeyF", "KeyG", "KeyH", "KeyI", "KeyJ", "KeyK", "KeyL", "KeyM",
+  "KeyN", "KeyO", "KeyP", "KeyQ", "KeyR", "KeyS", "KeyT", "KeyU", "KeyV", "KeyW", "KeyX", "KeyY", "KeyZ",
+  "Digit0", "Digit1", "Digit2", "Digit3", "Digit4", "Digit5", "Digit6", "Digit7", "Digit8", "Digit9",
+  "Numpad0", "Numpad1", "Numpad2", "Numpad3", "Numpad4", "Numpad5", "Numpad6", "Numpad7", "Numpad8", "Numpad9",
+  "F1", "F2", "F3", "F4", "F5", "F6", "F7", "F8", "F9", "F10", "F11", "F12", "F13", "F14", "F15", "F16", "F17",
+  "F18", "F19", "F20", "F21", "F22", "F23", "F24", "Space", "Enter", "Escape", "Tab", "Backspace", "Delete",
+  "Insert", "Home", "End", "PageUp", "PageDown", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Minus",
+  "Equal", "BracketLeft", "BracketRight", "Backslash", "Semicolon", "Quote", "Backquote", "Comma", "Period",
+  "Slash", "IntlBackslash", "IntlRo", "IntlYen", "NumpadAdd",
+];
+
+/**
+ * Actions that can be bound to keys.
+ */
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region";
+export const ACTIONS: readonly Action[] = [
+  "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
+  "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
+  "card_previous", "preview", "preview_partner", "accept_heat", "unnatural", "unclear", "identical",
+  "side_by_side", "swap", "largest_difference", "text", "stage", "submit", "undo", "redo", "skip", "postpone",
+  "review_accept", "review_return", "review_merge", "key_sheet", "camera_front", "camera_side", "camera_top",
+  "camera_follow", "mask_delete", "draft_use", "edit_type", "template", "style", "extent", "align",
+  "bundle_next", "bundle_previous", "candidate_1", "candidate_2", "candidate_3", "candidate_4", "review_drop",
+  "next_region",
+];
+
+/**
+ * The code of a problem. Codes are stable; texts are not.
+ */
+export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
+export const CODES: readonly Code[] = [
+  "unauthenticated", "forbidden", "csrf", "wrong_origin", "own_work", "not_found", "method_not_allowed",
+  "bad_request", "too_large", "invalid", "mask_count", "stale_revision", "lease_lost", "task_full",
+  "wrong_state", "key_reused", "rate_limited", "no_model", "model_failed", "timeout", "read_only", "internal",
+];
+
+/**
+ * Reason for fewer or more masks than the project wants.
+ */
 export type CountReason = "single_action" | "many_actions" | "too_short" | "other";
-export type EventKind = "draft" | "submit" | "skip" | "postpone" | "undo" | "suggestion_used";
-export type SuggestionUse = "used" | "edited" | "discarded";
-export type SuggestionSource = "heat" | "import" | "llm";
-export type ReviewQueue = "disagreement" | "sample" | "returned";
+export const COUNT_REASONS: readonly CountReason[] = [
+  "single_action", "many_actions", "too_short", "other",
+];
+
+/**
+ * Decisions of a reviewer.
+ */
 export type Decision = "accept" | "merge" | "return" | "drop" | "reopen";
+export const DECISIONS: readonly Decision[] = [
+  "accept", "merge", "return", "drop", "reopen",
+];
+
+/**
+ * What a fine-grained edit changes.
+ */
+export type EditType = "amplitude" | "speed" | "force" | "spatial" | "timing" | "other";
+export const EDIT_TYPES: readonly EditType[] = [
+  "amplitude", "speed", "force", "spatial", "timing", "other",
+];
+
+/**
+ * Kinds of events that the browser sends.
+ */
+export type EventKind = "draft" | "submit" | "skip" | "postpone" | "undo" | "suggestion_used";
+export const EVENT_KINDS: readonly EventKind[] = [
+  "draft", "submit", "skip", "postpone", "undo", "suggestion_used",
+];
+
+/**
+ * Layouts of an export.
+ */
 export type ExportFormat = "dataset" | "parquet" | "stance" | "csv";
+export const EXPORT_FORMATS: readonly ExportFormat[] = [
+  "dataset", "parquet", "stance", "csv",
+];
+
+/**
+ * How much of the body a style shows in.
+ */
+export type Extent = "lower" | "upper" | "whole";
+export const EXTENTS: readonly Extent[] = [
+  "lower", "upper", "whole",
+];
+
+/**
+ * Layouts of an import.
+ */
 export type ImportFormat = "dataset" | "stance" | "annotations";
-
-export const EDIT_TYPES: readonly EditType[] = ["amplitude", "speed", "force", "spatial", "timing", "other"];
-export const EXTENTS: readonly Extent[] = ["lower", "upper", "whole"];
-export const SKIP_REASONS: readonly (readonly [SkipReason, string])[] = [
-  ["broken_motion", "The motion is damaged"],
-  ["cannot_tell", "The action cannot be recognised"],
-  ["wrong_caption", "The caption contradicts the motion"],
-  ["not_for_me", "Not a task for me"],
-  ["other", "Something else (say what)"],
-];
-export const COUNT_REASONS: readonly (readonly [CountReason, string])[] = [
-  ["single_action", "Only one part acts"],
-  ["many_actions", "More parts act independently"],
-  ["too_short", "The clip is too short for more"],
-  ["other", "Something else (say what)"],
+export const IMPORT_FORMATS: readonly ImportFormat[] = [
+  "dataset", "stance", "annotations",
 ];
 
-export interface Problem {
-  type: string;
-  title: string;
-  status: number;
-  code: string;
-  detail: string;
-  field?: string;
-  retry_after_secs?: number;
-  theirs?: Revision;
-}
+/**
+ * Review queues.
+ */
+export type ReviewQueue = "disagreement" | "sample" | "returned";
+export const REVIEW_QUEUES: readonly ReviewQueue[] = [
+  "disagreement", "sample", "returned",
+];
 
-export interface User {
-  id: number;
-  name: string;
-  role: Role;
-  active: boolean;
-}
+/**
+ * State of an answer.
+ */
+export type RevisionState = "draft" | "submitted" | "accepted" | "returned" | "superseded";
+export const REVISION_STATES: readonly RevisionState[] = [
+  "draft", "submitted", "accepted", "returned", "superseded",
+];
 
-export interface Project {
-  name: string;
-  min_masks: number;
-  max_masks: number;
-  styles: string[];
-  templates: string[];
-}
+/**
+ * Roles. Each includes the rights of those before it.
+ */
+export type Role = "annotator" | "reviewer" | "admin";
+export const ROLES: readonly Role[] = [
+  "annotator", "reviewer", "admin",
+];
 
-export interface Limits {
-  text_chars: number;
-  events: number;
-  body_bytes: number;
-  suggestions_per_minute: number;
-  lease_secs: number;
-  heartbeat_secs: number;
-}
+/**
+ * Reason for skipping a task.
+ */
+export type SkipReason = "broken_motion" | "cannot_tell" | "wrong_caption" | "not_for_me" | "other";
+export const SKIP_REASONS: readonly SkipReason[] = [
+  "broken_motion", "cannot_tell", "wrong_caption", "not_for_me", "other",
+];
 
-export interface Prefs {
-  keys: Record<string, string[]>;
-  speed: number | null;
-  follow_root: boolean | null;
-  ghost: boolean | null;
-  soft_ring: boolean | null;
-}
+/**
+ * Origin of a suggestion.
+ */
+export type SuggestionSource = "heat" | "import" | "llm";
+export const SUGGESTION_SOURCES: readonly SuggestionSource[] = [
+  "heat", "import", "llm",
+];
 
-export interface Me {
-  user: User;
-  limits: Limits;
-  project: Project;
-  prefs: Prefs;
-  model: string | null;
-  read_only: string | null;
-  version: string;
-}
+/**
+ * Use of a suggestion.
+ */
+export type SuggestionUse = "used" | "edited" | "discarded";
+export const SUGGESTION_USES: readonly SuggestionUse[] = [
+  "used", "edited", "discarded",
+];
 
-export interface PartInfo {
-  name: string;
-  phrase: string;
-  release: boolean;
-  hard: number[];
-  soft: number[];
-}
+/**
+ * Kind of task.
+ */
+export type TaskKind = "mask_text" | "pair" | "style";
+export const TASK_KINDS: readonly TaskKind[] = [
+  "mask_text", "pair", "style",
+];
 
-export interface SkeletonInfo {
-  joints: string[];
-  parents: number[];
-  sides: string[];
-  body_joint: number[];
-  parts: PartInfo[];
-  mask_def_version: number;
-}
+/**
+ * State of a task. `state::MOVES` has the transitions.
+ */
+export type TaskState = "open" | "leased" | "submitted" | "in_review" | "accepted" | "returned" | "dropped";
+export const TASK_STATES: readonly TaskState[] = [
+  "open", "leased", "submitted", "in_review", "accepted", "returned", "dropped",
+];
 
-export interface MotionInfo {
-  hash: string;
-  id: string;
-  frames: number;
-  fps: number;
-  split: string;
-  captions: string[];
-  style: string | null;
-}
+/**
+ * Verdict on a pair.
+ */
+export type Verdict = "keep" | "unnatural" | "unclear" | "identical";
+export const VERDICTS: readonly Verdict[] = [
+  "keep", "unnatural", "unclear", "identical",
+];
 
-export interface BundleItem {
-  task: number;
-  mine: RevisionState | null;
-  verdict: Verdict | null;
-  leased: boolean;
-}
+/**
+ * `GET stats/agreement`. Figures are `null` below 30 shared items.
+ */
+export type Agreement = { 
+/**
+ * One for each of the release's parts, and `overall` of their decisions together.
+ */
+parts: Array<PartAgreement>, 
+/**
+ * Mean Jaccard index of joint sets.
+ */
+jaccard: Estimate | null, 
+/**
+ * Krippendorff's alpha of masks with the MASI distance.
+ */
+alpha_masi: Estimate | null, 
+/**
+ * Figures of pair verdicts.
+ */
+verdicts: PartAgreement | null, 
+/**
+ * Tasks with two answers or more.
+ */
+shared_items: number, 
+/**
+ * Share of answers that reviewers accepted unchanged.
+ */
+accepted_share: Estimate | null, 
+/**
+ * Edit distance from the draft, with drafts shown and with drafts withheld.
+ */
+draft_distance: number | null, 
+/**
+ * Seconds per answer with drafts and without.
+ */
+secs_with_and_without_draft: [number, number] | null, };
 
-export interface Task {
-  id: number;
-  kind: TaskKind;
-  state: TaskState;
-  motions: MotionInfo[];
-  category: string | null;
-  hint: string | null;
-  style: string | null;
-  wanted: number;
-  submitted: number;
-  bundle: { id: number; tasks: BundleItem[] } | null;
-}
+/**
+ * An answer. Which fields count depends on the kind of the task.
+ */
+export type Answer = { "kind": "mask_text", 
+/**
+ * The masks.
+ */
+masks: Array<MaskAnswer>, 
+/**
+ * Reason for fewer or more masks than the project wants.
+ */
+count_reason: CountReason | null, 
+/**
+ * Note.
+ */
+note: string, } | { "kind": "pair", 
+/**
+ * Verdict.
+ */
+verdict: Verdict, 
+/**
+ * Parts the edit changes.
+ */
+parts: Array<string>, 
+/**
+ * Type of the edit.
+ */
+edit_type: EditType | null, 
+/**
+ * The instruction.
+ */
+text: string, 
+/**
+ * The suggestion the text started from, if any.
+ */
+suggestion: number | null, 
+/**
+ * Note.
+ */
+note: string, } | { "kind": "style", 
+/**
+ * Verdict.
+ */
+verdict: Verdict, 
+/**
+ * Parts the style shows in.
+ */
+parts: Array<string>, 
+/**
+ * The style.
+ */
+style: string | null, 
+/**
+ * How much of the body it shows in.
+ */
+extent: Extent | null, 
+/**
+ * The instruction.
+ */
+text: string, 
+/**
+ * The suggestion the text started from, if any.
+ */
+suggestion: number | null, 
+/**
+ * Note.
+ */
+note: string, };
 
-export interface Lease {
-  id: number;
-  task: number;
-  user: number;
-  epoch: number;
-  expires: number;
-}
+/**
+ * `GET audit`: newest first.
+ */
+export type Audit = { 
+/**
+ * Entries.
+ */
+entries: Array<AuditEntry>, 
+/**
+ * Value of `before` for the next page.
+ */
+next: number | null, };
 
-export interface HeldLease {
-  lease: Lease;
-  user_name: string;
-  kind: TaskKind;
-  purpose: string;
-}
+/**
+ * An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
+ */
+export type AuditEntry = { 
+/**
+ * Sequence number in the log.
+ */
+seq: number, 
+/**
+ * When.
+ */
+at: number, 
+/**
+ * User; `null` for the program itself.
+ */
+actor: number | null, 
+/**
+ * Their name.
+ */
+actor_name: string | null, 
+/**
+ * Kind of entry.
+ */
+kind: string, 
+/**
+ * Task.
+ */
+task: number | null, 
+/**
+ * Body of the entry.
+ */
+body: unknown, };
 
-export interface MaskAnswer {
-  parts: string[];
-  soft: boolean;
-  text: string;
-  suggestion: number | null;
-}
+/**
+ * `POST blend`.
+ */
+export type BlendRequest = { 
+/**
+ * Hash of the edited motion.
+ */
+src: string, 
+/**
+ * Hash of the motion the masked parts come from.
+ */
+tgt: string, 
+/**
+ * Names of the parts.
+ */
+parts: Array<string>, 
+/**
+ * Whether the soft ring is blended.
+ */
+soft: boolean, 
+/**
+ * Weight of `tgt` on the soft ring, 0 to 1.
+ */
+alpha: number, };
 
-export interface MaskTextAnswer {
-  kind: "mask_text";
-  masks: MaskAnswer[];
-  count_reason: CountReason | null;
-  note: string;
-}
+/**
+ * Pairs that are leased together and submitted one by one.
+ */
+export type Bundle = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Its tasks, in order.
+ */
+tasks: Array<BundleItem>, };
 
-export interface PairAnswer {
-  kind: "pair";
-  verdict: Verdict;
-  parts: string[];
-  edit_type: EditType | null;
-  text: string;
-  suggestion: number | null;
-  note: string;
-}
+/**
+ * A task of a bundle.
+ */
+export type BundleItem = { 
+/**
+ * Task.
+ */
+task: number, 
+/**
+ * My answer's state, if there is one.
+ */
+mine: RevisionState | null, 
+/**
+ * My verdict, if it is submitted.
+ */
+verdict: Verdict | null, 
+/**
+ * Whether I hold a lease on it.
+ */
+leased: boolean, };
 
-export interface StyleAnswer {
-  kind: "style";
-  verdict: Verdict;
-  parts: string[];
-  style: string | null;
-  extent: Extent | null;
-  text: string;
-  suggestion: number | null;
-  note: string;
-}
+/**
+ * An answer to review.
+ */
+export type Candidate = { 
+/**
+ * The answer.
+ */
+revision: Revision, 
+/**
+ * Name of its author.
+ */
+author_name: string, 
+/**
+ * Body joints of its masks, hard or soft, for the viewer.
+ */
+joints: Array<number>, 
+/**
+ * Edit distance of its texts from their drafts, 0 to 1.
+ */
+draft_distance: number | null, };
 
-export type Answer = MaskTextAnswer | PairAnswer | StyleAnswer;
+/**
+ * An entry of `GET stream` (event `change`).
+ */
+export type Change = { 
+/**
+ * Sequence number in the log.
+ */
+seq: number, 
+/**
+ * What happened.
+ */
+kind: string, 
+/**
+ * Task.
+ */
+task: number | null, 
+/**
+ * Whether the task is one of mine.
+ */
+mine: boolean, };
 
-export interface Revision {
-  task: number;
-  author: number;
-  rev: number;
-  state: RevisionState;
-  answer: Answer;
-  at: number;
-  secs: number;
-}
+/**
+ * Why a queue is empty. Counts are tasks of the kind.
+ */
+export type Empty = { 
+/**
+ * All tasks.
+ */
+total: number, 
+/**
+ * With all wanted answers.
+ */
+done: number, 
+/**
+ * Answered by me, waiting for others.
+ */
+waiting_for_others: number, 
+/**
+ * Held by others.
+ */
+leased_by_others: number, 
+/**
+ * When the first of those leases expires.
+ */
+soonest_expiry: number | null, 
+/**
+ * Skipped by me.
+ */
+skipped_by_me: number, 
+/**
+ * Dropped by reviewers.
+ */
+dropped: number, };
 
-export interface Suggestion {
-  id: number;
-  source: SuggestionSource;
-  parts: string[];
-  text: string;
-  model: string;
-}
+/**
+ * A figure with its interval.
+ */
+export type Estimate = { 
+/**
+ * The value.
+ */
+value: number, 
+/**
+ * Lower end of the 95 % bootstrap interval.
+ */
+low: number, 
+/**
+ * Upper end.
+ */
+high: number, 
+/**
+ * Number of items.
+ */
+items: number, };
 
-export interface TaskView {
-  task: Task;
-  lease: Lease | null;
-  mine: Revision | null;
-  comment: string | null;
-  suggestions: Suggestion[];
-  blind: boolean;
-}
+/**
+ * `POST tasks/{id}/events`.
+ */
+export type EventBatch = { 
+/**
+ * In the order they happened.
+ */
+events: Array<NewEvent>, };
 
-export interface Empty {
-  total: number;
-  done: number;
-  waiting_for_others: number;
-  leased_by_others: number;
-  soonest_expiry: number | null;
-  skipped_by_me: number;
-  dropped: number;
-}
+/**
+ * Result of an event.
+ */
+export type EventResult = { 
+/**
+ * Key of the event.
+ */
+idem_key: string, 
+/**
+ * 200 once it is durable, or the status of the problem.
+ */
+status: number, 
+/**
+ * Its sequence number in the log; `null` if nothing was logged.
+ */
+seq: number | null, 
+/**
+ * My revision after it.
+ */
+rev: number, 
+/**
+ * State of the task after it.
+ */
+state: TaskState | null, 
+/**
+ * My lease after it.
+ */
+lease: Lease | null, 
+/**
+ * The problem, if it failed.
+ */
+problem: Problem | null, };
 
-export interface Next {
-  task: TaskView | null;
-  empty: Empty | null;
-  prefetch: string[];
-}
+/**
+ * Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
+ */
+export type EventResults = { 
+/**
+ * Results in the order of the events. Events after the first failed one are not processed and have no
+ * result: send them again.
+ */
+results: Array<EventResult>, };
 
-export interface NewEvent {
-  idem_key: string;
-  kind: EventKind;
-  lease_epoch: number;
-  base_rev: number;
-  answer?: Answer;
-  reason?: SkipReason;
-  note?: string;
-  suggestion?: number;
-  used?: SuggestionUse;
-  secs?: number;
-}
+/**
+ * `POST exports`.
+ */
+export type ExportRequest = { 
+/**
+ * Layout.
+ */
+format: ExportFormat, 
+/**
+ * Splits to export; all if empty.
+ */
+splits: Array<string>, 
+/**
+ * Also write the log (format `parquet` only).
+ */
+events: boolean, };
 
-export interface EventResult {
-  idem_key: string;
-  status: number;
-  seq: number | null;
-  rev: number;
-  state: TaskState | null;
-  lease: Lease | null;
-  problem: Problem | null;
-}
+/**
+ * `GET stats/funnel`.
+ */
+export type Funnel = { 
+/**
+ * Tasks by kind and state.
+ */
+counts: { [key in TaskKind]?: { [key in TaskState]?: number } }, 
+/**
+ * Weeks, oldest first.
+ */
+weeks: Array<Week>, };
 
-export interface QueueInfo {
-  kind: TaskKind;
-  total: number;
-  done: number;
-  mine: number;
-  open: number;
-}
+/**
+ * `GET guide`.
+ */
+export type Guide = { 
+/**
+ * Plain text.
+ */
+text: string, };
 
-export interface ReturnedTask {
-  task: number;
-  kind: TaskKind;
-  comment: string;
-  until: number;
-}
+/**
+ * A held lease, as the dashboard lists it.
+ */
+export type HeldLease = { 
+/**
+ * The lease.
+ */
+lease: Lease, 
+/**
+ * Name of its holder.
+ */
+user_name: string, 
+/**
+ * Kind of its task.
+ */
+kind: TaskKind, 
+/**
+ * `annotate`, `review`, or `returned` (reserved for the author).
+ */
+purpose: string, };
 
-export interface Estimate {
-  value: number;
-  low: number;
-  high: number;
-  items: number;
-}
+/**
+ * `GET home`.
+ */
+export type Home = { 
+/**
+ * One queue for each kind.
+ */
+queues: Array<QueueInfo>, 
+/**
+ * Tasks returned to me.
+ */
+returned: Array<ReturnedTask>, 
+/**
+ * Tasks I hold leases on, the one last renewed first.
+ */
+held: Array<Lease>, 
+/**
+ * Answers I submitted today, which begins at midnight in the project's time zone.
+ */
+today: number, 
+/**
+ * Seconds I worked today: on answers, skips and reviews.
+ */
+today_secs: number, 
+/**
+ * Median seconds of my answers today.
+ */
+median_secs: number | null, 
+/**
+ * My agreement with others; `null` below 30 shared items.
+ */
+agreement: Estimate | null, 
+/**
+ * Answers submitted by everybody today.
+ */
+today_all: number, };
 
-export interface Home {
-  queues: QueueInfo[];
-  returned: ReturnedTask[];
-  held: Lease[];
-  today: number;
-  median_secs: number | null;
-  agreement: Estimate | null;
-  today_all: number;
-}
+/**
+ * `GET jobs/{id}`.
+ */
+export type Job = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * `import` or `export`.
+ */
+kind: string, 
+/**
+ * Layout.
+ */
+format: string, 
+/**
+ * `running`, `done` or `failed`.
+ */
+state: string, 
+/**
+ * Items done.
+ */
+done: number, 
+/**
+ * Items in all, once known.
+ */
+total: number | null, 
+/**
+ * Counts of imported, written and omitted items.
+ */
+counts: { [key in string]: number }, 
+/**
+ * Messages about errors and omitted items.
+ */
+messages: Array<string>, 
+/**
+ * Files to download, at `jobs/{id}/files/{name}`.
+ */
+files: Array<string>, 
+/**
+ * When it began.
+ */
+started: number, 
+/**
+ * When it ended.
+ */
+finished: number | null, };
 
-export interface Shelf {
-  items: { task: Task; answer: Answer; at: number }[];
-  next: number | null;
-}
+/**
+ * A lease: the right to work on a task for a limited time.
+ */
+export type Lease = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Task.
+ */
+task: number, 
+/**
+ * Holder.
+ */
+user: number, 
+/**
+ * Fencing number, sent with every event.
+ */
+epoch: number, 
+/**
+ * When it ends unless renewed.
+ */
+expires: number, };
 
-export interface Candidate {
-  revision: Revision;
-  author_name: string;
-  joints: number[];
-  draft_distance: number | null;
-}
+/**
+ * Bounds of what can be sent.
+ */
+export type Limits = { 
+/**
+ * Characters of a text.
+ */
+text_chars: number, 
+/**
+ * Events of a batch.
+ */
+events: number, 
+/**
+ * Bytes of a body.
+ */
+body_bytes: number, 
+/**
+ * Suggestions asked for in a minute.
+ */
+suggestions_per_minute: number, 
+/**
+ * Seconds a lease lasts.
+ */
+lease_secs: number, 
+/**
+ * Seconds between renewals.
+ */
+heartbeat_secs: number, };
 
-export interface ReviewView {
-  task: Task;
-  lease: Lease;
-  candidates: Candidate[];
-  distance: number | null;
-  comments: string[];
-}
+/**
+ * `POST session`.
+ */
+export type Login = { 
+/**
+ * The token as it was printed.
+ */
+token: string, };
 
-export interface ReviewNext {
-  review: ReviewView | null;
-  empty: { waiting: number; mine: number; in_review: number } | null;
-}
+/**
+ * One mask of an answer.
+ */
+export type MaskAnswer = { 
+/**
+ * Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
+ */
+parts: Array<string>, 
+/**
+ * Whether the soft ring is blended.
+ */
+soft: boolean, 
+/**
+ * What the parts do.
+ */
+text: string, 
+/**
+ * The suggestion the text started from, if any.
+ */
+suggestion: number | null, };
 
-export interface NewReview {
-  idem_key: string;
-  task: number;
-  lease_epoch: number;
-  decision: Decision;
-  author?: number;
-  answer?: Answer;
-  comment?: string;
-}
+/**
+ * `GET me`, and the answer to `POST session`.
+ */
+export type Me = { 
+/**
+ * Who is logged in.
+ */
+user: User, 
+/**
+ * Bounds of what can be sent.
+ */
+limits: Limits, 
+/**
+ * What the project asks for.
+ */
+project: Project, 
+/**
+ * Keys and display, as they were saved.
+ */
+prefs: Prefs, 
+/**
+ * Name of the language model, if there is one.
+ */
+model: string | null, 
+/**
+ * Why nothing can be saved at present, if so.
+ */
+read_only: string | null, 
+/**
+ * Version of the server.
+ */
+version: string, 
+/**
+ * Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
+ */
+store: string, };
 
-export interface ReviewDone {
-  seq: number;
-  state: TaskState;
-}
+/**
+ * A motion, without its frames.
+ */
+export type MotionInfo = { 
+/**
+ * Content hash; identifies the motion in URLs.
+ */
+hash: string, 
+/**
+ * Id in the dataset.
+ */
+id: string, 
+/**
+ * Number of frames.
+ */
+frames: number, 
+/**
+ * Frames per second.
+ */
+fps: number, 
+/**
+ * train, val or test.
+ */
+split: string, 
+/**
+ * Captions of the source.
+ */
+captions: Array<string>, 
+/**
+ * Style label of the source.
+ */
+style: string | null, };
 
-export interface Week {
-  start: number;
-  submitted: number;
-  accepted: number;
-  returned: number;
-  median_secs: number | null;
-}
+/**
+ * An event of a task in the browser.
+ */
+export type NewEvent = { 
+/**
+ * Unique key made by the browser: 8 to 64 letters, digits and dashes.
+ */
+idem_key: string, 
+/**
+ * Kind of event.
+ */
+kind: EventKind, 
+/**
+ * Fencing number of the lease; ignored for `undo`.
+ */
+lease_epoch: number, 
+/**
+ * Revision this one is based on; 0 for none.
+ */
+base_rev: number, 
+/**
+ * The answer, for `draft` and `submit`.
+ */
+answer: Answer | null, 
+/**
+ * The reason, for `skip`.
+ */
+reason: SkipReason | null, 
+/**
+ * More about the reason.
+ */
+note: string, 
+/**
+ * The suggestion, for `suggestion_used`.
+ */
+suggestion: number | null, 
+/**
+ * Use of the suggestion.
+ */
+used: SuggestionUse | null, 
+/**
+ * Seconds of work since the previous event.
+ */
+secs: number, };
 
-export interface Funnel {
-  counts: Partial<Record<TaskKind, Partial<Record<TaskState, number>>>>;
-  weeks: Week[];
-}
+/**
+ * `POST reviews`.
+ */
+export type NewReview = { 
+/**
+ * Unique key made by the browser.
+ */
+idem_key: string, 
+/**
+ * Task.
+ */
+task: number, 
+/**
+ * Fencing number of the lease; ignored for `reopen` and `drop`.
+ */
+lease_epoch: number, 
+/**
+ * Decision.
+ */
+decision: Decision, 
+/**
+ * Author of the answer that is accepted or returned; all authors if missing.
+ */
+author: number | null, 
+/**
+ * The answer, for `merge`.
+ */
+answer: Answer | null, 
+/**
+ * Required for `return`, `drop` and `reopen`.
+ */
+comment: string, 
+/**
+ * Seconds of work on the review.
+ */
+secs?: number, };
 
-export interface Person {
-  user: User;
-  done: number;
-  median_secs: number | null;
-  accepted: number;
-  returned: number;
-  draft_unchanged: number | null;
-  draft_distance: number | null;
-  gold_items: number;
-  gold_score: number | null;
-  agreement: Estimate | null;
-  last_seen: number | null;
-}
+/**
+ * `POST users/{id}/tokens`.
+ */
+export type NewToken = { 
+/**
+ * Days until it ends, 1 to 365.
+ */
+days: number, };
 
-export interface PartAgreement {
-  part: string;
-  items: number;
-  raw: Estimate | null;
-  krippendorff_alpha: Estimate | null;
-  fleiss_kappa: Estimate | null;
-  cohen_kappa: Estimate | null;
-  gwet_ac1: Estimate | null;
-}
+/**
+ * `POST users`.
+ */
+export type NewUser = { 
+/**
+ * Name, unique: 1 to 64 characters.
+ */
+name: string, 
+/**
+ * What they may do.
+ */
+role: Role, };
 
-export interface Agreement {
-  parts: PartAgreement[];
-  jaccard: Estimate | null;
-  alpha_masi: Estimate | null;
-  verdicts: PartAgreement | null;
-  shared_items: number;
-  accepted_share: Estimate | null;
-  draft_distance: number | null;
-  secs_with_and_without_draft: [number, number] | null;
-}
+/**
+ * Answer to `POST queue/next`: a task, or why there is none.
+ */
+export type Next = { 
+/**
+ * The task and the lease on it.
+ */
+task: TaskView | null, 
+/**
+ * Why there is none.
+ */
+empty: Empty | null, 
+/**
+ * Hashes of the motions of the following tasks, for prefetching.
+ */
+prefetch: Array<string>, };
 
-export interface QuotaRow {
-  category: string;
-  edit_type: EditType;
-  kept: number;
-  wanted: number;
-}
+/**
+ * `POST queue/next`.
+ */
+export type NextRequest = { 
+/**
+ * Kind of task.
+ */
+kind: TaskKind, };
 
-export interface Settings {
-  name: string;
-  answers_per_task: number;
-  overlap_percent: number;
-  gold_percent: number;
-  blind_percent: number;
-  review_percent: number;
-  lease_minutes: number;
-  returned_days: number;
-  min_masks: number;
-  max_masks: number;
-  styles: string[];
-  templates: string[];
-  quota: number;
-  guide: string;
-}
+/**
+ * Agreement on one decision.
+ */
+export type PartAgreement = { 
+/**
+ * Name of the part.
+ */
+part: string, 
+/**
+ * Items with two answers or more.
+ */
+items: number, 
+/**
+ * Share of pairs of answers that agree.
+ */
+raw: Estimate | null, 
+/**
+ * Krippendorff's alpha, nominal; handles missing answers.
+ */
+krippendorff_alpha: Estimate | null, 
+/**
+ * Fleiss' kappa over items with the most common number of answers.
+ */
+fleiss_kappa: Estimate | null, 
+/**
+ * Cohen's kappa, averaged over pairs of people by the items they share.
+ */
+cohen_kappa: Estimate | null, 
+/**
+ * Gwet's AC1.
+ */
+gwet_ac1: Estimate | null, };
 
-export interface TokenShown {
-  user: User;
-  id: number;
-  token: string;
-  expires: number;
-}
+/**
+ * A body part.
+ */
+export type PartInfo = { 
+/**
+ * Name in the release's spelling.
+ */
+name: string, 
+/**
+ * Name in words: "left arm".
+ */
+phrase: string, 
+/**
+ * Whether it is one of the five release parts.
+ */
+release: boolean, 
+/**
+ * Hard body joints.
+ */
+hard: Array<number>, 
+/**
+ * Body joints of the soft ring.
+ */
+soft: Array<number>, };
 
-export interface TokenInfo {
-  id: number;
-  user: number;
-  created: number;
-  expires: number;
-  last_used: number | null;
-  revoked: boolean;
-}
+/**
+ * `GET stats/people`: one for each person.
+ */
+export type Person = { 
+/**
+ * Who.
+ */
+user: User, 
+/**
+ * Answers handed in.
+ */
+done: number, 
+/**
+ * Median seconds of an answer.
+ */
+median_secs: number | null, 
+/**
+ * Answers accepted.
+ */
+accepted: number, 
+/**
+ * Answers sent back.
+ */
+returned: number, 
+/**
+ * Share of unchanged texts among those that started from a draft.
+ */
+draft_unchanged: number | null, 
+/**
+ * Mean edit distance from the draft, 0 to 1.
+ */
+draft_distance: number | null, 
+/**
+ * Gold tasks answered.
+ */
+gold_items: number, 
+/**
+ * Mean score on gold tasks, 0 to 1.
+ */
+gold_score: number | null, 
+/**
+ * Agreement with others (mean Jaccard of joint sets).
+ */
+agreement: Estimate | null, 
+/**
+ * Time of the last log entry.
+ */
+last_seen: number | null, };
 
-export interface Job {
-  id: number;
-  kind: string;
-  format: string;
-  state: string;
-  done: number;
-  total: number | null;
-  counts: Record<string, number>;
-  messages: string[];
-  files: string[];
-  started: number;
-  finished: number | null;
-}
+/**
+ * `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them.
+ */
+export type Prefs = { 
+/**
+ * Keys that differ from the defaults.
+ */
+keys: { [key in Action]?: Array<string> }, 
+/**
+ * Playback speed, 0.1 to 2.
+ */
+speed: number | null, 
+/**
+ * Whether the camera follows the root.
+ */
+follow_root: boolean | null, 
+/**
+ * Whether a pair is shown as ghosts.
+ */
+ghost: boolean | null, 
+/**
+ * Whether the soft ring is on for a new mask.
+ */
+soft_ring: boolean | null, };
 
-export interface AuditEntry {
-  seq: number;
-  at: number;
-  actor: number | null;
-  actor_name: string | null;
-  kind: string;
-  task: number | null;
-  body: unknown;
-}
+/**
+ * A problem (RFC 9457), as `application/problem+json`.
+ */
+export type Problem = { 
+/**
+ * `/problems/` and the code.
+ */
+type: string, 
+/**
+ * Meaning of the code.
+ */
+title: string, 
+/**
+ * HTTP status.
+ */
+status: number, 
+/**
+ * Stable code.
+ */
+code: Code, 
+/**
+ * What happened, and what to do.
+ */
+detail: string, 
+/**
+ * The invalid field.
+ */
+field?: string | null, 
+/**
+ * Seconds until a retry is allowed.
+ */
+retry_after_secs?: number | null, 
+/**
+ * The current revision of the store, if the request is based on another one.
+ */
+theirs?: Revision | null, };
 
-export interface Audit {
-  entries: AuditEntry[];
-  next: number | null;
-}
+/**
+ * The part of the settings that annotators see.
+ */
+export type Project = { 
+/**
+ * Name of the project.
+ */
+name: string, 
+/**
+ * Fewest masks of an answer without a reason.
+ */
+min_masks: number, 
+/**
+ * Most masks of an answer without a reason.
+ */
+max_masks: number, 
+/**
+ * Styles to choose from.
+ */
+styles: Array<string>, 
+/**
+ * Phrases to start an instruction with.
+ */
+templates: Array<string>, };
 
-export const KIND_WORDS: Readonly<Record<TaskKind, string>> = {
-  mask_text: "Masks and descriptions",
-  pair: "Fine-grained pairs",
-  style: "Style pairs",
-};
+/**
+ * A queue as I see it.
+ */
+export type QueueInfo = { 
+/**
+ * Kind.
+ */
+kind: TaskKind, 
+/**
+ * Tasks in all.
+ */
+total: number, 
+/**
+ * Tasks with all wanted answers.
+ */
+done: number, 
+/**
+ * Tasks I answered.
+ */
+mine: number, 
+/**
+ * Tasks I can claim now.
+ */
+open: number, };
+
+/**
+ * `GET stats/quota`: one for each category and edit type.
+ */
+export type QuotaRow = { 
+/**
+ * Category; empty where the source gives none.
+ */
+category: string, 
+/**
+ * Edit type.
+ */
+edit_type: EditType, 
+/**
+ * Pairs kept: answered `keep` and not sent back.
+ */
+kept: number, 
+/**
+ * Pairs wanted; 0 for no bound.
+ */
+wanted: number, };
+
+/**
+ * A returned task.
+ */
+export type ReturnedTask = { 
+/**
+ * Task.
+ */
+task: number, 
+/**
+ * Kind.
+ */
+kind: TaskKind, 
+/**
+ * The reviewer's comment.
+ */
+comment: string, 
+/**
+ * When others can claim it.
+ */
+until: number, };
+
+/**
+ * Answer to `POST reviews`.
+ */
+export type ReviewDone = { 
+/**
+ * Its sequence number in the log.
+ */
+seq: number, 
+/**
+ * State of the task after it.
+ */
+state: TaskState, };
+
+/**
+ * Why there is nothing to review.
+ */
+export type ReviewEmpty = { 
+/**
+ * Submitted tasks of the queue.
+ */
+waiting: number, 
+/**
+ * Of these, those I answered myself.
+ */
+mine: number, 
+/**
+ * Of these, those leased by another reviewer.
+ */
+in_review: number, };
+
+/**
+ * Answer to `POST review/next`.
+ */
+export type ReviewNext = { 
+/**
+ * The task and its answers.
+ */
+review: ReviewView | null, 
+/**
+ * Why there is none.
+ */
+empty: ReviewEmpty | null, };
+
+/**
+ * `POST review/next`.
+ */
+export type ReviewRequest = { 
+/**
+ * Queue.
+ */
+queue: ReviewQueue, 
+/**
+ * Only this kind.
+ */
+kind: TaskKind | null, };
+
+/**
+ * A task to review.
+ */
+export type ReviewView = { 
+/**
+ * The task.
+ */
+task: Task, 
+/**
+ * My lease.
+ */
+lease: Lease, 
+/**
+ * The submitted answers.
+ */
+candidates: Array<Candidate>, 
+/**
+ * Largest distance of the answers, 0 to 1; `null` for a single answer.
+ */
+distance: number | null, 
+/**
+ * Comments of earlier rounds, oldest first.
+ */
+comments: Array<string>, };
+
+/**
+ * The current answer of a user to a task.
+ */
+export type Revision = { 
+/**
+ * Task.
+ */
+task: number, 
+/**
+ * Author.
+ */
+author: number, 
+/**
+ * Revision number: counts drafts and submissions from 1.
+ */
+rev: number, 
+/**
+ * State.
+ */
+state: RevisionState, 
+/**
+ * The answer.
+ */
+answer: Answer, 
+/**
+ * When it was last written.
+ */
+at: number, 
+/**
+ * Seconds of work.
+ */
+secs: number, };
+
+/**
+ * `GET`/`PUT settings`.
+ */
+export type Settings = { 
+/**
+ * Name of the project.
+ */
+name: string, 
+/**
+ * People a task wants, for the share `overlap_percent` of tasks imported from now on.
+ */
+answers_per_task: number, 
+/**
+ * Share of tasks that want more than one person.
+ */
+overlap_percent: number, 
+/**
+ * Share of tasks given out that are hidden gold tasks.
+ */
+gold_percent: number, 
+/**
+ * Share of tasks shown without any draft.
+ */
+blind_percent: number, 
+/**
+ * Share of the review queue `sample` among submitted tasks.
+ */
+review_percent: number, 
+/**
+ * Minutes a lease lasts.
+ */
+lease_minutes: number, 
+/**
+ * Days a returned task waits for its author.
+ */
+returned_days: number, 
+/**
+ * Fewest masks of an answer without a reason.
+ */
+min_masks: number, 
+/**
+ * Most masks of an answer without a reason.
+ */
+max_masks: number, 
+/**
+ * Styles to choose from.
+ */
+styles: Array<string>, 
+/**
+ * Phrases to start an instruction with.
+ */
+templates: Array<string>, 
+/**
+ * Pairs wanted of each category and edit type; 0 for no bound.
+ */
+quota: number, 
+/**
+ * The guide, plain text.
+ */
+guide: string, 
+/**
+ * Name of the time zone in which days begin, such as `Europe/Berlin`.
+ */
+time_zone: string, };
+
+/**
+ * `GET shelf`: accepted answers.
+ */
+export type Shelf = { 
+/**
+ * Newest first.
+ */
+items: Array<ShelfItem>, 
+/**
+ * Value of `before` for the next page.
+ */
+next: number | null, };
+
+/**
+ * An accepted answer.
+ */
+export type ShelfItem = { 
+/**
+ * Its task.
+ */
+task: Task, 
+/**
+ * The answer.
+ */
+answer: Answer, 
+/**
+ * When it was accepted.
+ */
+at: number, };
+
+/**
+ * `GET skeleton`.
+ */
+export type SkeletonInfo = { 
+/**
+ * Names of the 28 keypoints, in the order of the binaries.
+ */
+joints: Array<string>, 
+/**
+ * Parent of each; -1 for the root.
+ */
+parents: Array<number>, 
+/**
+ * `left`, `right` or `middle` of each.
+ */
+sides: Array<string>, 
+/**
+ * Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles
+ * the wrist.
+ */
+body_joint: Array<number>, 
+/**
+ * All parts; the five of the release come first, in the order of the rows of heat and diff.
+ */
+parts: Array<PartInfo>, 
+/**
+ * Version of the part definitions.
+ */
+mask_def_version: number, };
+
+/**
+ * `POST tasks/{id}/suggest`.
+ */
+export type SuggestRequest = { 
+/**
+ * Parts that the text shall describe.
+ */
+parts: Array<string>, };
+
+/**
+ * A proposal by a program or the source; never an answer.
+ */
+export type Suggestion = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Origin.
+ */
+source: SuggestionSource, 
+/**
+ * Parts that it describes.
+ */
+parts: Array<string>, 
+/**
+ * Text; empty for parts alone.
+ */
+text: string, 
+/**
+ * Name of the model or program.
+ */
+model: string, };
+
+/**
+ * A task.
+ */
+export type Task = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Kind of task.
+ */
+kind: TaskKind, 
+/**
+ * State.
+ */
+state: TaskState, 
+/**
+ * One motion, or the one before and the one after the edit.
+ */
+motions: Array<MotionInfo>, 
+/**
+ * Action category, for the quota.
+ */
+category: string | null, 
+/**
+ * Edit that the pair was made for, if the source states it.
+ */
+hint: string | null, 
+/**
+ * Style label of the source.
+ */
+style: string | null, 
+/**
+ * Answers wanted.
+ */
+wanted: number, 
+/**
+ * Submitted answers.
+ */
+submitted: number, 
+/**
+ * The bundle, for pairs.
+ */
+bundle: Bundle | null, };
+
+/**
+ * `GET tasks/{id}`.
+ */
+export type TaskView = { 
+/**
+ * The task.
+ */
+task: Task, 
+/**
+ * My lease, if I hold one.
+ */
+lease: Lease | null, 
+/**
+ * My answer, if I started one.
+ */
+mine: Revision | null, 
+/**
+ * The reviewer's comment, if the task was returned.
+ */
+comment: string | null, 
+/**
+ * Suggestions; empty if the task is blind.
+ */
+suggestions: Array<Suggestion>, 
+/**
+ * Whether suggestions are withheld, to measure their effect.
+ */
+blind: boolean, };
+
+/**
+ * A token, without its secret.
+ */
+export type TokenInfo = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Whose it is.
+ */
+user: number, 
+/**
+ * When it was made.
+ */
+created: number, 
+/**
+ * When it ends.
+ */
+expires: number, 
+/**
+ * When it was last used.
+ */
+last_used: number | null, 
+/**
+ * Whether it was revoked.
+ */
+revoked: boolean, };
+
+/**
+ * Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
+ */
+export type TokenShown = { 
+/**
+ * Whose it is.
+ */
+user: User, 
+/**
+ * Id of the token, to revoke it.
+ */
+id: number, 
+/**
+ * The token.
+ */
+token: string, 
+/**
+ * When it ends.
+ */
+expires: number, };
+
+/**
+ * A user.
+ */
+export type User = { 
+/**
+ * Id.
+ */
+id: number, 
+/**
+ * Name, unique.
+ */
+name: string, 
+/**
+ * What they may do.
+ */
+role: Role, 
+/**
+ * Whether the user may log in.
+ */
+active: boolean, };
+
+/**
+ * `PATCH users/{id}`.
+ */
+export type UserChange = { 
+/**
+ * New role.
+ */
+role: Role | null, 
+/**
+ * Whether the user may log in.
+ */
+active: boolean | null, };
+
+/**
+ * A week of work.
+ */
+export type Week = { 
+/**
+ * Its Monday, midnight UTC.
+ */
+start: number, 
+/**
+ * Answers handed in.
+ */
+submitted: number, 
+/**
+ * Answers accepted.
+ */
+accepted: number, 
+/**
+ * Answers returned.
+ */
+returned: number, 
+/**
+ * Median seconds of an answer.
+ */
+median_secs: number | null, };

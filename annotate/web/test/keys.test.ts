@@ -97,6 +97,15 @@ test("clashes are found within a screen and not between screens", () => {
   assert.deepEqual(keys.clashes("unnatural", "KeyX"), []);
 });
 
+test("a key is taken here exactly if the server takes it", () => {
+  for (const good of ["F13", "F24", "Ctrl+Shift+KeyZ", "Shift+Tab", "Numpad5", "Backspace", "IntlRo"]) {
+    assert.equal(parseChord(good), good);
+  }
+  for (const bad of ["F25", "Alt+KeyA", "Ctrl+Alt+KeyA", "Shift+Ctrl+KeyZ", "Meta+KeyA", "KeyAB", "NumpadEnter", ""]) {
+    assert.equal(parseChord(bad), null, bad);
+  }
+});
+
 test("chords with Alt belong to the browser", () => {
   assert.equal(chordOf(press("KeyD", { altKey: true })), null);
   assert.equal(chordOf(press("KeyZ", { metaKey: true })), "Ctrl+KeyZ");

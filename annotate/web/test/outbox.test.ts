@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { ApiError, Unreachable } from "../src/api";
+import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
 import { Outbox, conflictOf, type Outcome, type OutboxStatus } from "../src/outbox";
-import type { Answer, EventResult, NewEvent, Problem } from "../src/wire";
+import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
 
 const answer = (text: string): Answer => ({
   kind: "mask_text",
@@ -12,16 +12,10 @@ const answer = (text: string): Answer => ({
   note: "",
 });
 
-const problem = (status: number, code: string): Problem => ({ type: "", title: code, status, code, detail: code });
+const problem = (status: number, code: Code): Problem => ({ type: "", title: code, status, code, detail: code });
 
-let made = 0;
-const event = (kind: NewEvent["kind"], text: string, base_rev = 0): NewEvent => ({
-  idem_key: `key-${(made += 1)}`,
-  kind,
-  lease_epoch: 1,
-  base_rev,
-  answer: answer(text),
-});
+const event = (kind: NewEvent["kind"], text: string, base_rev = 0): NewEvent =>
+  newEvent(kind, { lease_epoch: 1, base_rev, answer: answer(text) });
 
 /** A server that gives each event once a revision, and can be told to fail. */
 class Server {
@@ -244,7 +238,7 @@ test("what cannot be taken stays, and does not hold up other tasks", async () =>
 test("a refused undo leaves nothing behind", async () => {
   const { server, box, outcomes } = await bench();
   server.faults.push(problem(409, "wrong_state"));
-  await box.add(7, "a", { idem_key: "undo-7", kind: "undo", lease_epoch: 0, base_rev: 0 });
+  await box.add(7, "a", newEvent("undo"));
   await box.flush();
   assert.equal(box.waiting.length, 0);
   assert.equal(outcomes[0]?.result.problem?.code, "wrong_state");

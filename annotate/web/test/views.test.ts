@@ -1,12 +1,12 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { both } from "../src/merge";
+import { both, differing } from "../src/merge";
 import { Parts } from "../src/parts";
-import { differing } from "../src/screens/review";
 import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, bits, colourOf, headingAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour } from "../src/strips";
-import type { Candidate, MaskTextAnswer, PartInfo } from "../src/wire";
+import type { Candidate, PartInfo } from "../src/wire";
+import type { MaskTextAnswer } from "../src/words";
 
 const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
   name,

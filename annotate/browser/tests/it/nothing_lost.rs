@@ -1,9 +1,9 @@
 //! No error path loses text.
 
-use annotate_browser::keys;
+use annotate_browser::{Dataset, Server, keys};
 use serde_json::json;
 
-use crate::steps::{Desk, describe_two_masks, mine};
+use crate::steps::{Desk, describe_two_masks, mine, two_masks};
 
 const TEXT: &str = "document.querySelector('.mask-card.selected textarea').value";
 
@@ -17,16 +17,45 @@ async fn a_session_that_ends_amid_a_text_loses_nothing() {
     browser.saved().await;
     let ended = browser.request("DELETE", "session", None).await;
     assert_eq!(ended["status"], 204);
-    browser.type_text("the left arm.").await;
+    browser.type_text("the left ").await;
+    browser
+        .until(
+            "the page says that the session has ended",
+            "document.querySelector('[data-region=session]:not([hidden])')",
+        )
+        .await;
+    // Typing goes on: nothing takes the focus from the text.
+    browser.type_text("arm.").await;
+    assert_eq!(
+        browser.js(&format!("return {TEXT};")).await,
+        json!("Wave with the left arm.")
+    );
+    assert_eq!(
+        browser
+            .js("return document.querySelectorAll('dialog').length;")
+            .await,
+        json!(0)
+    );
+    browser.press(&[keys::ESCAPE]).await;
     browser
         .until(
             "the login box is over the page",
             "document.querySelector('dialog.login[open]')",
         )
         .await;
+    // Keys that were meant for the page are no part of the token.
+    browser.type_text("15sb").await;
+    browser
+        .until(
+            "the box takes the token",
+            "document.activeElement.id === 'token'",
+        )
+        .await;
     assert_eq!(
-        browser.js(&format!("return {TEXT};")).await,
-        json!("Wave with the left arm.")
+        browser
+            .js("return document.querySelector('#token').value;")
+            .await,
+        json!("")
     );
     browser.type_text(&desk.token).await;
     browser.press(&[keys::ENTER]).await;
@@ -153,20 +182,18 @@ async fn two_tabs_of_one_person_meet_and_merge() {
     browser
         .until(
             "both texts are shown",
-            "document.querySelector('dialog[open] .merge')",
+            "document.querySelector('.conflict .merge')",
         )
         .await;
-    let shown = browser.text_of("dialog .merge").await;
+    let shown = browser.text_of(".conflict .merge").await;
     assert!(
         shown.contains("From the first tab.") && shown.contains("From the second tab."),
         "{shown}"
     );
+    enter_conflict(browser).await;
     browser.press(&["3"]).await;
     browser
-        .until(
-            "the box is closed",
-            "!document.querySelector('dialog[open]')",
-        )
+        .until("the box is closed", "!document.querySelector('.conflict')")
         .await;
     browser
         .until(
@@ -183,6 +210,233 @@ async fn two_tabs_of_one_person_meet_and_merge() {
         .map(|mask| mask["text"].clone())
         .collect();
     assert_eq!(texts, ["From the second tab.", "From the first tab."]);
+    desk.browser.quit().await;
+}
+
+/// Moves the focus into the box with two versions, once it listens.
+async fn enter_conflict(browser: &annotate_browser::Browser) {
+    browser
+        .until(
+            "the box listens",
+            "document.querySelector('.conflict [aria-disabled=false]')",
+        )
+        .await;
+    const REGIONS: usize = 6;
+    for _ in 0..REGIONS {
+        browser.press(&[keys::F6]).await;
+        let inside = browser
+            .js("return document.activeElement.closest('.conflict') !== null;")
+            .await;
+        if inside == json!(true) {
+            return;
+        }
+    }
+    panic!("F6 does not reach the box");
+}
+
+/// Writes a draft as another window of the same person does.
+async fn write_elsewhere(browser: &annotate_browser::Browser, task: i64, text: &str) {
+    let view = browser.request("GET", &format!("tasks/{task}"), None).await;
+    let event = json!({
+        "idem_key": format!("elsewhere-{task}"),
+        "kind": "draft",
+        "lease_epoch": view["body"]["lease"]["epoch"],
+        "base_rev": view["body"]["mine"]["rev"],
+        "answer": two_masks(text, "RIGHT_ARM"),
+    });
+    let reply = browser
+        .request(
+            "POST",
+            &format!("tasks/{task}/events"),
+            Some(json!({ "events": [event] })),
+        )
+        .await;
+    assert_eq!(reply["body"]["results"][0]["status"], 200, "{reply}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn typing_goes_on_while_two_versions_meet() {
+    const STATE: &str = "const field = document.querySelector('.mask-card.selected textarea'); \
+        return { text: field.value, cards: document.querySelectorAll('.mask-card').length, \
+        parts: [...document.querySelectorAll('.mask-card.selected .part[aria-pressed=\"true\"]')].map((e) => e.dataset.part), \
+        here: document.activeElement === field, caret: field.selectionStart };";
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    browser.press(&["4", "t"]).await;
+    browser.type_text("Wave").await;
+    browser.saved().await;
+    write_elsewhere(browser, task, "From another window.").await;
+    browser.type_text(" with").await;
+    browser
+        .until(
+            "the box opens in the middle of the sentence",
+            "document.querySelector('.conflict')",
+        )
+        .await;
+    // A space presses buttons, these letters and digits are commands of the stage, and 1, 2 and 3 of the box.
+    let rest = " the left arm. 123 v h x u n";
+    browser.type_text(rest).await;
+    let text = format!("Wave with{rest}");
+    let expected = json!({
+        "text": text, "cards": 1, "parts": ["LEFT_ARM", "soft"], "here": true, "caret": text.len(),
+    });
+    assert_eq!(browser.js(STATE).await, expected);
+    assert!(browser.text_of(".conflict").await.contains(&text));
+
+    // The caret stands in the middle; the choice brings it back there.
+    browser.press(&[keys::HOME, keys::RIGHT, keys::RIGHT]).await;
+    enter_conflict(browser).await;
+    browser.press(&["3"]).await;
+    browser
+        .until(
+            "the text has the focus again",
+            "document.activeElement === document.querySelector('.mask-card.selected textarea')",
+        )
+        .await;
+    let merged = browser.js(STATE).await;
+    assert_eq!(merged["caret"], 2);
+    assert_eq!(merged["text"], text);
+    assert_eq!(merged["cards"], 3);
+    browser.saved().await;
+    let revision = mine(browser, task).await;
+    assert_eq!(revision["answer"]["masks"][0]["text"], text);
+    assert_eq!(
+        revision["answer"]["masks"][1]["text"],
+        "From another window."
+    );
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_closed_and_reopened_browser_is_no_other_window() {
+    let mut desk = Desk::open("app/mask").await;
+    let task = desk.browser.task().await;
+    desk.browser.press(&["4", "t"]).await;
+    desk.browser.type_text("Wave").await;
+    desk.browser.saved().await;
+    desk.server.down().await;
+    desk.browser.type_text(" with the left arm.").await;
+    desk.browser
+        .until(
+            "it waits",
+            "document.querySelector('.chip').dataset.state === 'offline'",
+        )
+        .await;
+    let client = desk.browser.client();
+    let first = client.window().await.expect("a window");
+    let second = client.new_window(true).await.expect("a tab").handle;
+    client.switch_to_window(first).await.expect("the first tab");
+    client.close_window().await.expect("the tab is closed");
+    client.switch_to_window(second).await.expect("the new tab");
+    desk.server.up().await;
+    let browser = &desk.browser;
+    browser.open(&desk.server.page("app/mask")).await;
+    assert_eq!(browser.task().await, task);
+    let opened = browser.js(&format!("return {TEXT};")).await;
+    assert_eq!(opened, json!("Wave with the left arm."));
+    browser.press(&["t", keys::END]).await;
+    browser.type_text(" Slowly.").await;
+    browser.saved().await;
+    assert_eq!(
+        browser
+            .js("return document.querySelectorAll('.conflict').length;")
+            .await,
+        json!(0)
+    );
+    let revision = mine(browser, task).await;
+    assert_eq!(
+        revision["answer"]["masks"][0]["text"],
+        "Wave with the left arm. Slowly."
+    );
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_project_is_not_handed_the_texts_of_another_on_the_same_port() {
+    let mut desk = Desk::open("app/mask").await;
+    let task = desk.browser.task().await;
+    let other = Dataset::fresh().await;
+    let token = other.add_user("ann", "annotator").await;
+    desk.server.down().await;
+    desk.browser.press(&["4", "t"]).await;
+    desk.browser.type_text("Of the first project.").await;
+    desk.browser
+        .until(
+            "it waits",
+            "document.querySelector('.chip').dataset.state === 'offline'",
+        )
+        .await;
+    desk.browser.open("about:blank").await;
+    desk.server.switch_to(&other).await;
+    let browser = &desk.browser;
+    browser.log_in(&desk.server, &token, "app/mask").await;
+    let same = browser.task().await;
+    assert_eq!(same, task, "tasks of both projects have the same numbers");
+    let text = browser.js(&format!("return {TEXT};")).await;
+    assert_eq!(text, json!(""), "the text belongs to the other project");
+    browser.saved().await;
+    assert_eq!(mine(browser, same).await, json!(null));
+
+    desk.server.switch_to(&desk.dataset).await;
+    let browser = &desk.browser;
+    browser.open(&desk.server.page("app/home")).await;
+    browser
+        .until(
+            "the session of the first project holds",
+            "document.querySelector('.queue')",
+        )
+        .await;
+    browser.saved().await;
+    let revision = mine(browser, task).await;
+    assert_eq!(
+        revision["answer"]["masks"][0]["text"],
+        "Of the first project."
+    );
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_servers_on_one_machine_keep_their_sessions() {
+    let desk = Desk::open("app/home").await;
+    let other = Dataset::fresh().await;
+    let token = other.add_user("ann", "annotator").await;
+    let second = Server::start(&other).await;
+    let browser = &desk.browser;
+    browser.log_in(&second, &token, "app/home").await;
+    browser.open(&desk.server.page("app/home")).await;
+    browser
+        .until("home is shown", "document.querySelector('.queue')")
+        .await;
+    assert_eq!(browser.request("GET", "me", None).await["status"], 200);
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_works_over_plain_http_from_another_host() {
+    let desk = Desk::open("app/home").await;
+    let browser = &desk.browser;
+    browser.open("about:blank").await;
+    let address = desk
+        .server
+        .page_from_afar(&format!("#token={}", desk.token));
+    browser.open(&address).await;
+    browser
+        .until("home is shown", "document.querySelector('.queue')")
+        .await;
+    let state = browser
+        .js("return { secure: isSecureContext, address: location.href };")
+        .await;
+    assert_eq!(state["secure"], false);
+    let shown = state["address"].as_str().expect("an address");
+    assert!(!shown.contains(&desk.token), "{shown}");
+    browser.open(&desk.server.page_from_afar("app/mask")).await;
+    let task = browser.task().await;
+    browser.press(&["4", "t"]).await;
+    browser.type_text("From afar.").await;
+    browser.saved().await;
+    let revision = mine(browser, task).await;
+    assert_eq!(revision["answer"]["masks"][0]["text"], "From afar.");
     desk.browser.quit().await;
 }
 

@@ -53,7 +53,7 @@ fn full_json<T: Serialize>(value: &T) -> Result<Response, Error> {
 }
 
 pub(super) fn log_out(cx: &Context) -> Result<Reply, Error> {
-    if let Some(token) = cookie(&cx.headers, cx.app.cookie_name()) {
+    if let Some(token) = cookie(&cx.headers, &cx.app.cookie_name()) {
         cx.app.store.log_out(&token)?;
     }
     let mut response = reply_response(Reply::Empty);
@@ -101,5 +101,6 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             .map(|model| model.name().to_owned()),
         read_only: lock(&app.read_only).clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        store: app.store_id.clone(),
     })
 }

@@ -229,12 +229,14 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const styles = h("input", { attrs: { type: "text" } });
   const templates = h("textarea", { attrs: { rows: 4 } });
   const guide = h("textarea", { attrs: { rows: 8 } });
+  const zone = h("input", { attrs: { type: "text", placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone } });
   const show = (): void => {
     name.value = settings.name;
     for (const [key, input] of numbers) input.value = String(settings[key]);
     styles.value = settings.styles.join(", ");
     templates.value = settings.templates.join("\n");
     guide.value = settings.guide;
+    zone.value = settings.time_zone;
   };
   show();
   const list = (text: string, separator: RegExp): string[] =>
@@ -245,6 +247,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     h("h2", {}, "Settings"),
     field("Project", name),
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
+    field("Time zone in which days begin, such as Europe/Berlin", zone),
     field("Styles, with commas between", styles),
     field("Template phrases, one a line", templates),
     field("Guide (plain text; # heading, - item)", guide),
@@ -255,6 +258,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
         styles: list(styles.value, /,/),
         templates: list(templates.value, /\n/),
         guide: guide.value,
+        time_zone: zone.value.trim(),
       };
       for (const [key, input] of numbers) changed[key] = Number(input.value);
       settings = await app.api.json<Settings>("PUT", "settings", changed);

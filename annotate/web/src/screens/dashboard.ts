@@ -6,7 +6,6 @@ import { fill, h } from "../dom";
 import { estimate, percent, seconds, table, until, when } from "../ui";
 import {
   EDIT_TYPES,
-  KIND_WORDS,
   type Agreement,
   type Funnel,
   type HeldLease,
@@ -16,6 +15,7 @@ import {
   type TaskState,
   type Week,
 } from "../wire";
+import { KIND_WORDS } from "../words";
 
 const STATES: readonly TaskState[] = ["open", "leased", "submitted", "in_review", "returned", "accepted", "dropped"];
 const KINDS: readonly TaskKind[] = ["mask_text", "pair", "style"];

@@ -3,7 +3,8 @@
 import type { App, Screen } from "../app";
 import { h } from "../dom";
 import { until } from "../ui";
-import { KIND_WORDS, type Empty, type TaskKind } from "../wire";
+import type { Empty, TaskKind } from "../wire";
+import { KIND_WORDS } from "../words";
 
 export function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
   const lines: string[] = [];

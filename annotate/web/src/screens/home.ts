@@ -3,7 +3,8 @@
 import type { App, Screen } from "../app";
 import { h } from "../dom";
 import { estimate, seconds, until } from "../ui";
-import { KIND_WORDS, type Home, type QueueInfo, type TaskKind } from "../wire";
+import type { Home, QueueInfo, TaskKind } from "../wire";
+import { KIND_WORDS } from "../words";
 
 export const ROUTE_OF: Readonly<Record<TaskKind, string>> = { mask_text: "mask", pair: "pair", style: "style" };
 
@@ -62,6 +63,7 @@ export async function openHome(app: App): Promise<Screen> {
         { class: "figures" },
         h("div", {}, h("dt", {}, "by you"), h("dd", {}, home.today)),
         h("div", {}, h("dt", {}, "by everybody"), h("dd", {}, home.today_all)),
+        h("div", {}, h("dt", {}, "your time"), h("dd", {}, seconds(home.today_secs))),
         h("div", {}, h("dt", {}, "your median"), h("dd", {}, seconds(home.median_secs))),
         h("div", {}, h("dt", {}, "your agreement"), h("dd", {}, home.agreement ? estimate(home.agreement) : "after 30 shared items")),
       ),

@@ -1,11 +1,13 @@
 /** Login by token. Also shown over the page when the session has expired. */
 
 import { reason } from "../api";
-import type { App } from "../app";
+import type { App, Opening } from "../app";
 import { fill, h } from "../dom";
+import { deaf } from "../ui";
 import type { Me } from "../wire";
 
-export function showLogin(app: App, over: boolean): Promise<Me> {
+export function showLogin(app: App, opening: Opening): Promise<Me> {
+  const over = opening !== "page";
   return new Promise((resolve) => {
     const input = h("input", {
       id: "token",
@@ -45,12 +47,15 @@ export function showLogin(app: App, over: boolean): Promise<Me> {
       trouble,
       button,
     );
-    const dialog = h("dialog", { class: "dialog login", attrs: { "aria-labelledby": "login-title" } });
+    const dialog = h("dialog", { class: "dialog login", attrs: { "aria-labelledby": "login-title", tabindex: -1 } });
     fill(dialog, form);
     dialog.addEventListener("cancel", (event) => event.preventDefault());
     dialog.addEventListener("keydown", (event) => event.stopPropagation());
     document.body.append(dialog);
     dialog.showModal();
-    input.focus();
+    if (opening !== "unasked") return input.focus();
+    // Letters meant for the page shall not become a part of the token.
+    dialog.focus();
+    deaf(() => input.focus());
   });
 }

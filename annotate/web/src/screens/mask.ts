@@ -1,18 +1,19 @@
 /** Masks and descriptions of one motion. */
 
 import type { App, Screen } from "../app";
+import { BLANK_MASKS, MaskEditor } from "../components/mask-editor";
 import { h } from "../dom";
 import type { ActionId } from "../keys";
 import { shortName } from "../motions";
-import { BLANK_MASKS, MaskEditor } from "../mask-editor";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
 import { Strip } from "../strips";
 import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
-import type { MaskTextAnswer, Next, Suggestion, TaskView } from "../wire";
+import type { Next, Suggestion, TaskView } from "../wire";
+import type { MaskTextAnswer } from "../words";
 import { finisher } from "./finish";
-import { askSkip } from "./skip";
+import { skipping } from "./skip";
 import { emptyScreen } from "./empty";
 
 /** Activity drawn in the darkest colour: the part's 95th percentile over the training split. */
@@ -58,10 +59,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const session = await TaskSession.open<MaskTextAnswer>(app, view, BLANK_MASKS, (answer) => editor?.setAnswer(answer));
   editor = new MaskEditor(
     app,
-    viewer,
-    strip,
-    motion,
-    clip,
+    { viewer, strip, motion, clip },
     view.suggestions,
     {
       change: (answer, kind) => session.change(answer, kind),
@@ -77,16 +75,14 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const masks = editor;
 
   const finish = finisher(app, "mask");
-  const submit = async (): Promise<void> => {
-    const answer = await masks.complete();
-    if (answer) await finish(() => session.submit(answer));
-  };
-  const skip = async (): Promise<void> => {
-    const choice = await askSkip();
-    if (choice) await finish(() => session.skip(choice.reason, choice.note));
-    else app.focusStage();
-  };
-  const postpone = (): Promise<void> => finish(() => session.postpone());
+  const submit = (): Promise<void> =>
+    finish(async () => {
+      if (session.mustChoose()) return null;
+      const answer = await masks.complete();
+      return answer && (() => session.submit(answer));
+    });
+  const skip = (): Promise<void> => finish(() => skipping(app, session));
+  const postpone = (): Promise<void> => finish(async () => () => session.postpone());
 
   const perform = (action: ActionId, ten: boolean): boolean => {
     switch (action) {
@@ -133,7 +129,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
         " — not those that stand still or only support. Then describe what each mask does.",
       ),
       view.blind && h("p", { class: "note" }, "For this task no suggestions are shown."),
-      masks.element,
+      masks,
     ),
     h(
       "div",
@@ -154,7 +150,6 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
     draw: (now) => viewer.draw(now),
     leave: () => {
       session.dispose();
-      masks.dispose();
       viewer.dispose();
     },
   };

@@ -1,10 +1,10 @@
 /** Fine-grained pairs and style pairs: two motions on one clock. */
 
 import type { App, Screen } from "../app";
+import { PairEditor, blankTwo, type TwoAnswer } from "../components/pair-editor";
 import { fill, h, setAttr } from "../dom";
 import type { ActionId } from "../keys";
 import { shortName } from "../motions";
-import { PairEditor, blankTwo, type TwoAnswer } from "../pair-editor";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
 import { Strip } from "../strips";
@@ -15,7 +15,7 @@ import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
 import { finisher } from "./finish";
-import { askSkip } from "./skip";
+import { skipping } from "./skip";
 
 /** How long the toast for withdrawing a rejection is shown. */
 const TOAST_MS = 5000;
@@ -141,7 +141,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   const reject = (verdict: Verdict): void => {
     const answer: TwoAnswer = { ...pairEditor.current, verdict };
     void finish(
-      () => session.submit(answer),
+      async () => (session.mustChoose() ? null : () => session.submit(answer)),
       () => {
         lastVerdict = { takeBack, until: Date.now() + TOAST_MS };
         app.toasts.show(`Pair ${task.id}: ${verdict}.`, {
@@ -161,22 +161,19 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
       askDraft:
         app.me.model && !view.blind ? (parts) => app.api.post<Suggestion>(`tasks/${task.id}/suggest`, { parts }) : null,
       reject,
+      repaint: (parts) => pair.paint(parts),
     },
-    [...view.suggestions],
-    (parts) => pair.paint(parts),
+    view.suggestions,
     session.answer,
   );
   const pairEditor = editor;
 
-  const submit = async (): Promise<void> => {
-    const answer = pairEditor.complete();
-    if (answer) await finish(() => session.submit(answer));
-  };
-  const skip = async (): Promise<void> => {
-    const choice = await askSkip();
-    if (choice) await finish(() => session.skip(choice.reason, choice.note));
-    else app.focusStage();
-  };
+  const submit = (): Promise<void> =>
+    finish(async () => {
+      const answer = session.mustChoose() ? null : pairEditor.complete();
+      return answer && (() => session.submit(answer));
+    });
+  const skip = (): Promise<void> => finish(() => skipping(app, session));
   const step = (by: 1 | -1): boolean => {
     const tasks = task.bundle?.tasks ?? [];
     const at = tasks.findIndex((item) => item.task === task.id);
@@ -208,7 +205,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
         void skip();
         return true;
       case "postpone":
-        void finish(() => session.postpone());
+        void finish(async () => () => session.postpone());
         return true;
       case "undo":
         if (session.undo()) return true;
@@ -256,7 +253,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
           : "What turns the first motion into the second? Reject the pair if a motion is unnatural, or if words cannot describe the change.",
       ),
       facts.length > 0 && h("ul", { class: "facts" }, ...facts.map((fact) => h("li", {}, fact))),
-      pairEditor.element,
+      pairEditor,
     ),
     h(
       "div",

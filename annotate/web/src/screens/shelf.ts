@@ -6,7 +6,8 @@ import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
 import { shortName } from "../motions";
 import { field } from "../ui";
-import { KIND_WORDS, type Shelf, type Task } from "../wire";
+import type { Shelf, Task } from "../wire";
+import { KIND_WORDS } from "../words";
 
 type Item = Shelf["items"][number];
 

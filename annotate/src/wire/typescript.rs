@@ -1,0 +1,164 @@
+//! The types of the API in TypeScript: `annotate/web/src/wire.ts`, which this test writes and compares.
+//!
+//! A type that is not listed here, or differs from the committed file, fails the test.
+//! `STANCE_WRITE_WIRE=1 cargo test -p annotate --lib wire` writes the file.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use ts_rs::{Config, TS};
+
+/// First lines of the file.
+const HEAD: &str = "\
+/**
+ * Types of the HTTP API. Generated from `annotate/src/wire`; do not edit. After a change there run
+ * `STANCE_WRITE_WIRE=1 cargo test --release -p annotate --lib wire`.
+ */
+";
+
+/// A type by name, with its documentation and declaration.
+fn declaration<T: TS>(config: &Config) -> (String, String) {
+    let docs = T::docs().map(|docs| docs.to_string()).unwrap_or_default();
+    let name = T::ident(config);
+    (name, format!("{docs}export {}\n", T::decl(config)))
+}
+
+/// `EDIT_TYPES` for `EditType`.
+fn plural(name: &str) -> String {
+    let mut text = String::new();
+    for (at, letter) in name.char_indices() {
+        if at > 0 && letter.is_ascii_uppercase() {
+            text.push('_');
+        }
+        text.push(letter.to_ascii_uppercase());
+    }
+    text + "S"
+}
+
+/// A list of strings, as many to a line as fit.
+fn list(items: &[&str]) -> String {
+    let mut lines = vec![String::new()];
+    for item in items {
+        let shown = format!("{item:?}, ");
+        let line = lines.last_mut().expect("one line at least");
+        if line.len() + shown.len() > 110 {
+            lines.push(shown);
+        } else {
+            line.push_str(&shown);
+        }
+    }
+    let body: String = lines
+        .iter()
+        .map(|line| format!("  {}\n", line.trim_end()))
+        .collect();
+    format!("[\n{body}]")
+}
+
+macro_rules! declarations {
+    (structs: $($type:ident)*; enums: $($enum:ident)*;) => {
+        fn declarations(config: &Config) -> Vec<(String, String)> {
+            let mut found = vec![$( declaration::<super::$enum>(config), )* $( declaration::<super::$type>(config), )*];
+            $(
+                let names: Vec<&str> = super::$enum::ALL.iter().map(|value| value.as_str()).collect();
+                let at = found.iter().position(|(name, _)| name == stringify!($enum)).expect("declared above");
+                let values = format!(
+                    "export const {}: readonly {}[] = {};\n",
+                    plural(stringify!($enum)), stringify!($enum), list(&names),
+                );
+                found[at].1 += &values;
+            )*
+            found
+        }
+    };
+}
+
+declarations! {
+    structs:
+        Agreement Answer Audit AuditEntry BlendRequest Bundle BundleItem Candidate Change Empty Estimate EventBatch
+        EventResult EventResults ExportRequest Funnel Guide HeldLease Home Job Lease Limits Login MaskAnswer Me
+        MotionInfo NewEvent NewReview NewToken NewUser Next NextRequest PartAgreement PartInfo Person Prefs Problem
+        Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest ReviewView Revision
+        Settings Shelf ShelfItem SkeletonInfo SuggestRequest Suggestion Task TaskView TokenInfo TokenShown User
+        UserChange Week;
+    enums:
+        Action Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat ReviewQueue
+        RevisionState Role SkipReason SuggestionSource SuggestionUse TaskKind TaskState Verdict;
+}
+
+/// Names that `wire` makes public, read from its source.
+fn public_names() -> BTreeSet<String> {
+    include_str!("mod.rs")
+        .split("\npub use ")
+        .skip(1)
+        .flat_map(|rest| {
+            let names = rest.split(';').next().unwrap_or("");
+            let names = names.split_once("::").map_or("", |(_, names)| names);
+            names
+                .split(|letter: char| !letter.is_alphanumeric())
+                .filter(|name| !name.is_empty())
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+fn generated() -> String {
+    let config = Config::new().with_large_int("number");
+    let mut text = HEAD.to_owned();
+    let constants: [(&str, usize); 5] = [
+        ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
+        ("MAX_EVENTS", super::MAX_EVENTS),
+        ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),
+        ("MAX_MASKS", super::MAX_MASKS),
+        ("BUNDLE", super::BUNDLE),
+    ];
+    text.push('\n');
+    for (name, value) in constants {
+        writeln!(text, "export const {name} = {value};").expect("a string takes text");
+    }
+    for (name, items) in [
+        ("KEY_MODIFIERS", super::KEY_MODIFIERS.as_slice()),
+        ("KEY_CODES", super::KEY_CODES.as_slice()),
+    ] {
+        writeln!(
+            text,
+            "export const {name}: readonly string[] = {};",
+            list(items)
+        )
+        .expect("a string takes text");
+    }
+    for (_, declaration) in declarations(&config) {
+        text.push('\n');
+        text.push_str(&declaration);
+    }
+    text
+}
+
+#[test]
+fn every_public_type_is_given_to_the_page() {
+    let listed: BTreeSet<String> = declarations(&Config::new())
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    assert_eq!(
+        listed,
+        public_names(),
+        "list the type in annotate/src/wire/typescript.rs, and derive ts_rs::TS for it"
+    );
+}
+
+#[test]
+fn the_page_is_compiled_against_the_types_of_the_server() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("web/src/wire.ts");
+    let generated = generated();
+    if std::env::var_os("STANCE_WRITE_WIRE").is_some() {
+        std::fs::write(&path, &generated).expect("the file of the page");
+    }
+    let committed = std::fs::read_to_string(&path).expect("the file of the page");
+    assert!(
+        committed == generated,
+        "annotate/web/src/wire.ts differs from annotate/src/wire; run \
+         `STANCE_WRITE_WIRE=1 cargo test --release -p annotate --lib wire`, then rebuild annotate/web"
+    );
+}

@@ -1,0 +1,87 @@
+/** The base of components, and the pieces that several of them show. */
+
+import { LitElement, html, nothing, type TemplateResult } from "lit";
+import type { Lint } from "../lints";
+import type { Suggestion } from "../wire";
+
+/**
+ * A component that draws into the page itself, without a shadow root, so that the page's style sheet, keys and
+ * focus rules apply to it. Drawing changes only what differs: focus and selections stay where they are.
+ */
+export abstract class Component extends LitElement {
+  protected override createRenderRoot(): HTMLElement {
+    return this;
+  }
+
+  protected override update(changed: Map<PropertyKey, unknown>): void {
+    const active = document.activeElement;
+    const field = active instanceof HTMLTextAreaElement && this.contains(active) ? active : null;
+    const caret = field && ([field.selectionStart, field.selectionEnd] as const);
+    super.update(changed);
+    // A text that is replaced by another version moves the caret to its end.
+    if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
+  }
+
+  /** Calls `action` once the present state is drawn. */
+  protected drawn(action: () => void): void {
+    this.requestUpdate();
+    void this.updateComplete.then(action);
+  }
+
+  /** Focuses the first matching element once the present state is drawn. */
+  protected focusOn(selector: string): void {
+    this.drawn(() => this.querySelector<HTMLElement>(selector)?.focus());
+  }
+}
+
+/** Registers a component under the name of its element. */
+export function define(name: string, component: CustomElementConstructor): void {
+  if (!customElements.get(name)) customElements.define(name, component);
+}
+
+export function keyHint(hint: string): TemplateResult | typeof nothing {
+  return hint ? html`<kbd>${hint}</kbd>` : nothing;
+}
+
+/** A button that shows its key. */
+export function action(label: string, hint: string, run: () => void, className = ""): TemplateResult {
+  return html`<button type="button" class=${className} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
+}
+
+/** A button of a choice, such as a body part. */
+export function choice(id: string, label: string, hint: string, chosen: boolean, run: () => void): TemplateResult {
+  return html`<button type="button" class="part" data-part=${id} aria-pressed=${chosen ? "true" : "false"} @click=${run}>
+    ${keyHint(hint)}<span class="button-label">${label}</span>
+  </button>`;
+}
+
+export function lintList(lints: readonly Lint[]): TemplateResult {
+  // An empty text is no fault before the answer is handed in.
+  const shown = lints.filter((lint) => lint.code !== "empty");
+  return html`<ul class="lints" aria-live="polite">
+    ${shown.map((lint) => html`<li data-lint=${lint.code}>${lint.message}</li>`)}
+  </ul>`;
+}
+
+/** A draft that may be used or discarded, or the button that asks for one. */
+export function draftBox(
+  draft: Suggestion | null,
+  hint: string,
+  use: () => void,
+  discard: (draft: Suggestion) => void,
+  ask: { label: string; busy: boolean } | null,
+): TemplateResult | typeof nothing {
+  if (draft) {
+    return html`<div class="draft">
+      <p class="note">Draft by ${draft.model || "the source"}; a proposal, to be checked word by word</p>
+      <blockquote>${draft.text}</blockquote>
+      <div class="row">${action("Use and edit", hint, use)}${action("Discard", "", () => discard(draft))}</div>
+    </div>`;
+  }
+  if (!ask) return nothing;
+  return html`<div class="draft">
+    <button type="button" ?disabled=${ask.busy} @click=${use}>
+      ${keyHint(hint)}<span class="button-label">${ask.busy ? "Asking for a draft…" : `Ask ${ask.label} for a draft`}</span>
+    </button>
+  </div>`;
+}

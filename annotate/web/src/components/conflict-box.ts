@@ -1,0 +1,129 @@
+/**
+ * Two versions of an answer, of which the user chooses one or both. The box opens by itself while somebody types, so
+ * it takes no focus, has no default button, and its keys work only after the user has moved into it.
+ */
+
+import { html, type TemplateResult } from "lit";
+import { Component, define } from "./component";
+
+export type Version = "mine" | "theirs" | "both";
+
+const CHOICES: readonly (readonly [Version, string])[] = [
+  ["mine", "Keep mine"],
+  ["theirs", "Take theirs"],
+  ["both", "Keep both and edit"],
+];
+
+/** Milliseconds after opening during which a click or key was meant for what was there before. */
+const DEAF_MS = 1000;
+
+export class ConflictBox extends Component {
+  private ready = false;
+  private timer: number | null = null;
+  /** The text in which the user was before. */
+  private text: HTMLTextAreaElement | null = null;
+
+  constructor(
+    /** The present answer of this page, in words. */
+    private readonly mine: () => readonly string[],
+    private theirs: readonly string[],
+    private readonly choose: (version: Version) => void,
+  ) {
+    super();
+  }
+
+  /** Shows a newer version of the other window. */
+  show(theirs: readonly string[]): void {
+    this.theirs = theirs;
+    this.requestUpdate();
+  }
+
+  enter(): void {
+    this.focusOn("button");
+  }
+
+  override connectedCallback(): void {
+    super.connectedCallback();
+    this.classList.add("conflict");
+    this.setAttribute("role", "alertdialog");
+    this.setAttribute("aria-label", "This task was changed in another window");
+    this.dataset.region = "conflict";
+    this.addEventListener("keydown", this.pressed);
+    this.addEventListener("focusin", this.entered);
+    this.timer = window.setTimeout(() => {
+      this.ready = true;
+      this.requestUpdate();
+    }, DEAF_MS);
+  }
+
+  override disconnectedCallback(): void {
+    super.disconnectedCallback();
+    if (this.timer !== null) window.clearTimeout(this.timer);
+  }
+
+  private readonly entered = (event: FocusEvent): void => {
+    if (event.relatedTarget instanceof HTMLTextAreaElement) this.text = event.relatedTarget;
+  };
+
+  private readonly pressed = (event: KeyboardEvent): void => {
+    const choice = CHOICES.find((_, index) => event.code === `Digit${index + 1}`);
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.code === "Escape") {
+      event.preventDefault();
+      this.back();
+    } else if (choice && this.ready) {
+      event.preventDefault();
+      this.take(choice[0]);
+    } else if (event.code === "Tab" || event.code === "F6") {
+      return;
+    }
+    // Keys of the stage shall not act on what the box covers.
+    event.stopPropagation();
+  };
+
+  private take(version: Version): void {
+    this.choose(version);
+    this.back();
+  }
+
+  /** Returns to the text and the place in it. */
+  private back(): void {
+    const field = this.text;
+    if (!field?.isConnected) return;
+    const caret = [field.selectionStart, field.selectionEnd] as const;
+    // The chosen version is drawn first.
+    requestAnimationFrame(() => {
+      field.focus();
+      field.setSelectionRange(...caret);
+    });
+  }
+
+  protected override render(): TemplateResult {
+    const column = (title: string, lines: readonly string[]): TemplateResult =>
+      html`<section class="merge-column">
+        <h3>${title}</h3>
+        <ul>
+          ${lines.map((line) => html`<li>${line}</li>`)}
+        </ul>
+      </section>`;
+    return html`
+      <h2>This task was changed in another window</h2>
+      <p>Both versions are kept in the log. Go on typing, or choose here; <kbd>F6</kbd> moves here.</p>
+      <div class="merge">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
+      <div class="dialog-buttons">
+        ${CHOICES.map(
+          ([version, label], index) => html`<button
+            type="button"
+            data-choice=${version}
+            aria-disabled=${this.ready ? "false" : "true"}
+            @click=${() => this.ready && this.take(version)}
+          >
+            <kbd>${index + 1}</kbd>${label}
+          </button>`,
+        )}
+      </div>
+    `;
+  }
+}
+
+define("conflict-box", ConflictBox);

@@ -1,0 +1,533 @@
+/** The list of masks and their descriptions, beside the stage. */
+
+import { html, nothing, type TemplateResult } from "lit";
+import { live } from "lit/directives/live.js";
+import { reason } from "../api";
+import type { App } from "../app";
+import { h } from "../dom";
+import type { ActionId } from "../keys";
+import { lintCards } from "../lints";
+import { shortName } from "../motions";
+import type { Strip } from "../strips";
+import { askReason } from "../ui";
+import type { Clip, Viewer } from "../viewer";
+import {
+  MAX_MASKS,
+  MAX_TEXT_CHARS,
+  type CountReason,
+  type MaskAnswer,
+  type MotionInfo,
+  type Suggestion,
+  type SuggestionUse,
+} from "../wire";
+import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
+import { Component, action, choice, define, draftBox, keyHint, lintList } from "./component";
+
+export interface MaskEditorHost {
+  change(answer: MaskTextAnswer, kind: string | null): void;
+  seal(): void;
+  suggestionUsed(id: number, used: SuggestionUse): void;
+  /** Asks the language model; absent where there is none or the task is blind. */
+  askDraft: ((parts: string[]) => Promise<Suggestion>) | null;
+}
+
+/** What the editor draws on beside itself. */
+export interface MaskStage {
+  viewer: Viewer;
+  strip: Strip;
+  motion: MotionInfo;
+  clip: Clip;
+}
+
+export const BLANK_MASKS: MaskTextAnswer = { kind: "mask_text", masks: [], count_reason: null, note: "" };
+
+const PART_ACTIONS: readonly ActionId[] = ["part_1", "part_2", "part_3", "part_4", "part_5"];
+
+/** Delay in milliseconds after the last move of the alpha slider before a blend is requested. */
+const BLEND_AFTER_MS = 120;
+
+interface Preview {
+  partners: MotionInfo[];
+  index: number;
+  alpha: number;
+}
+
+/** Name of a set of parts. */
+const keyOf = (parts: readonly string[]): string => [...parts].sort().join("+");
+
+export class MaskEditor extends Component {
+  private answer: MaskTextAnswer;
+  private selected = 0;
+  private readonly discarded = new Set<number>();
+  private preview: Preview | null = null;
+  private blendTimer: number | null = null;
+  private asking = false;
+
+  constructor(
+    private readonly app: App,
+    private readonly stage: MaskStage,
+    private suggestions: readonly Suggestion[],
+    private readonly host: MaskEditorHost,
+    answer: MaskTextAnswer,
+  ) {
+    super();
+    this.answer = this.filled(answer);
+  }
+
+  get current(): MaskTextAnswer {
+    return this.answer;
+  }
+
+  /** Sets the answer after undo or a merge. */
+  setAnswer(answer: MaskTextAnswer): void {
+    this.answer = this.filled(answer);
+    this.selected = Math.min(this.selected, this.answer.masks.length - 1);
+    this.requestUpdate();
+  }
+
+  perform(id: ActionId): boolean {
+    const part = PART_ACTIONS.indexOf(id);
+    if (part >= 0) {
+      const name = this.app.parts.release[part]?.name;
+      if (name) this.togglePart(name);
+      return true;
+    }
+    switch (id) {
+      case "soft_ring":
+        this.edit({ soft: !this.card.soft });
+        return true;
+      case "mask_new":
+        this.insert(this.emptyMask());
+        return true;
+      case "mask_delete":
+        this.removeMask(this.selected);
+        return true;
+      case "card_next":
+      case "card_previous": {
+        const typing = document.activeElement instanceof HTMLTextAreaElement;
+        const count = this.answer.masks.length;
+        this.select((this.selected + (id === "card_next" ? 1 : count - 1)) % count);
+        if (typing) this.focusText();
+        return true;
+      }
+      case "accept_heat":
+        this.takeSuggestion();
+        return true;
+      case "draft_use":
+        void this.useDraft();
+        return true;
+      case "preview":
+        void this.togglePreview();
+        return true;
+      case "preview_partner":
+        void this.nextPartner();
+        return true;
+      case "text":
+        this.focusText();
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  /** The answer to submit, or `null` after telling the user what is missing. */
+  async complete(): Promise<MaskTextAnswer | null> {
+    const masks = this.answer.masks.filter((mask) => mask.parts.length > 0 || mask.text.trim() !== "");
+    const lacking = masks.findIndex((mask) => mask.parts.length === 0 || mask.text.trim() === "");
+    if (masks.length === 0 || lacking >= 0) {
+      const index = Math.max(0, lacking < 0 ? 0 : this.answer.masks.indexOf(masks[lacking] as MaskAnswer));
+      this.select(index);
+      const what = (this.answer.masks[index]?.parts.length ?? 0) === 0 ? "has no body part" : "has no description";
+      this.app.toasts.show(`Mask ${index + 1} ${what}.`, { id: "incomplete", kind: "error" });
+      if (what === "has no description") this.focusText();
+      return null;
+    }
+    let complete: MaskTextAnswer = { ...this.answer, masks: masks.map((mask) => ({ ...mask, text: mask.text.trim() })) };
+    const { min_masks, max_masks } = this.app.me.project;
+    const outside = masks.length < min_masks || masks.length > max_masks;
+    if (!outside) {
+      complete = { ...complete, count_reason: null };
+    } else if (complete.count_reason === null) {
+      const chosen = await askReason<CountReason>(
+        `${masks.length} ${masks.length === 1 ? "mask" : "masks"}; the project asks for ${min_masks} to ${max_masks}`,
+        COUNT_CHOICES,
+        [h("p", {}, "Why is that right for this motion?")],
+      );
+      if (chosen === null) return null;
+      complete = { ...complete, count_reason: chosen.reason, note: chosen.note || complete.note };
+    }
+    for (const mask of complete.masks) {
+      const draft = this.suggestions.find((suggestion) => suggestion.id === mask.suggestion);
+      if (draft) this.host.suggestionUsed(draft.id, draft.text.trim() === mask.text ? "used" : "edited");
+    }
+    return complete;
+  }
+
+  focusText(): void {
+    this.focusOn(".mask-card.selected textarea");
+  }
+
+  override connectedCallback(): void {
+    super.connectedCallback();
+    this.classList.add("editor", "mask-editor");
+  }
+
+  override disconnectedCallback(): void {
+    super.disconnectedCallback();
+    if (this.blendTimer !== null) window.clearTimeout(this.blendTimer);
+  }
+
+  private get card(): MaskAnswer {
+    return this.answer.masks[this.selected] ?? this.emptyMask();
+  }
+
+  private emptyMask(): MaskAnswer {
+    return { parts: [], soft: this.app.me.prefs.soft_ring ?? true, text: "", suggestion: null };
+  }
+
+  /** The answer with one mask at least, to edit. */
+  private filled(answer: MaskTextAnswer): MaskTextAnswer {
+    return answer.masks.length > 0 ? answer : { ...answer, masks: [this.emptyMask()] };
+  }
+
+  private commit(masks: MaskAnswer[], kind: string | null = null): void {
+    this.answer = { ...this.answer, masks };
+    this.host.change(this.answer, kind);
+    this.requestUpdate();
+  }
+
+  private edit(change: Partial<MaskAnswer>): void {
+    this.commit(this.answer.masks.map((mask, index) => (index === this.selected ? { ...mask, ...change } : mask)));
+    this.refreshBlend();
+  }
+
+  private typed(index: number, text: string): void {
+    const masks = this.answer.masks.map((other, at) => (at === index ? { ...other, text } : other));
+    this.commit(masks, `text-${index}`);
+  }
+
+  private insert(mask: MaskAnswer): void {
+    if (this.answer.masks.length >= MAX_MASKS) {
+      this.app.toasts.show(`An answer has at most ${MAX_MASKS} masks.`, { id: "too-many" });
+      return;
+    }
+    this.selected = this.answer.masks.length;
+    this.commit([...this.answer.masks, mask]);
+  }
+
+  private removeMask(index: number): void {
+    const masks = this.answer.masks.filter((_, other) => other !== index);
+    this.selected = Math.max(0, Math.min(this.selected, masks.length - 1));
+    this.commit(masks.length > 0 ? masks : [this.emptyMask()]);
+    this.refreshBlend();
+  }
+
+  private togglePart(name: string): void {
+    this.edit({ parts: this.app.parts.toggle(this.card.parts, name) });
+  }
+
+  private select(index: number): void {
+    if (index !== this.selected) {
+      this.selected = index;
+      this.host.seal();
+    }
+    this.requestUpdate();
+    this.refreshBlend();
+  }
+
+  /** Suggestions that are not yet masks: active parts, and imported masks. */
+  private get open(): { parts: string[]; text: string; id: number; source: string }[] {
+    const taken = new Set(this.answer.masks.map((mask) => keyOf(mask.parts)));
+    const seen = new Set<string>();
+    return this.suggestions
+      .filter((suggestion) => suggestion.source !== "llm")
+      .flatMap((suggestion) =>
+        suggestion.source === "heat"
+          ? suggestion.parts.map((part) => ({ parts: [part], text: "", id: suggestion.id, source: "activity" }))
+          : [{ parts: suggestion.parts, text: suggestion.text, id: suggestion.id, source: suggestion.model || "import" }],
+      )
+      .filter(({ parts }) => {
+        const name = keyOf(parts);
+        if (taken.has(name) || seen.has(name)) return false;
+        seen.add(name);
+        return true;
+      });
+  }
+
+  private takeSuggestion(parts = this.open[0]?.parts): void {
+    if (!parts) {
+      this.app.toasts.show("Nothing else is suggested.", { id: "no-suggestion" });
+    } else if (this.card.parts.length === 0) {
+      this.edit({ parts });
+    } else {
+      this.insert({ ...this.emptyMask(), parts });
+    }
+  }
+
+  /** The draft that fits the parts of a card. */
+  private draftOf(mask: MaskAnswer): Suggestion | null {
+    const key = keyOf(mask.parts);
+    const fitting = this.suggestions.filter(
+      (suggestion) => suggestion.text !== "" && !this.discarded.has(suggestion.id) && keyOf(suggestion.parts) === key,
+    );
+    return fitting.find((suggestion) => suggestion.source === "llm") ?? fitting[0] ?? null;
+  }
+
+  private async useDraft(): Promise<void> {
+    const draft = this.draftOf(this.card);
+    if (draft) {
+      this.edit({ text: draft.text, suggestion: draft.id });
+      this.focusText();
+    } else if (this.host.askDraft && this.card.parts.length > 0 && !this.asking) {
+      this.asking = true;
+      this.requestUpdate();
+      try {
+        this.suggestions = [...this.suggestions, await this.host.askDraft(this.card.parts)];
+      } catch (error) {
+        this.app.toasts.show(`No draft: ${reason(error)}`, { id: "draft" });
+      } finally {
+        this.asking = false;
+        this.requestUpdate();
+      }
+    } else {
+      this.app.toasts.show(this.card.parts.length === 0 ? "Pick the parts first." : "There is no draft for these parts.", { id: "draft" });
+    }
+  }
+
+  private discardDraft(draft: Suggestion): void {
+    this.discarded.add(draft.id);
+    this.host.suggestionUsed(draft.id, "discarded");
+    this.requestUpdate();
+  }
+
+  private async togglePreview(): Promise<void> {
+    if (this.preview) {
+      this.preview = null;
+      this.stage.viewer.replaceClips([this.stage.clip]);
+      this.requestUpdate();
+      return;
+    }
+    if (this.card.parts.length === 0) {
+      this.app.toasts.show("Pick the parts first; the preview blends them onto another motion.", { id: "preview" });
+      return;
+    }
+    try {
+      const of = encodeURIComponent(this.stage.motion.hash);
+      const partners = await this.app.api.get<MotionInfo[]>(`motions/partners?of=${of}&n=8`);
+      if (partners.length === 0) {
+        this.app.toasts.show("There is no other motion to blend with.", { id: "preview" });
+        return;
+      }
+      this.preview = { partners, index: 0, alpha: 0.5 };
+      this.requestUpdate();
+      await this.blend();
+    } catch (error) {
+      this.app.toasts.show(`No preview: ${reason(error)}`, { id: "preview", kind: "error" });
+    }
+  }
+
+  private async nextPartner(): Promise<void> {
+    if (!this.preview) return this.togglePreview();
+    this.preview.index = (this.preview.index + 1) % this.preview.partners.length;
+    this.requestUpdate();
+    await this.blend();
+  }
+
+  private setAlpha(alpha: number): void {
+    if (this.preview) this.preview.alpha = alpha;
+    this.requestUpdate();
+    this.refreshBlend();
+  }
+
+  private refreshBlend(): void {
+    if (!this.preview) return;
+    if (this.blendTimer !== null) window.clearTimeout(this.blendTimer);
+    this.blendTimer = window.setTimeout(() => void this.blend(), BLEND_AFTER_MS);
+  }
+
+  /** Shows the chosen parts of this motion on the partner, blended by the server as in training. */
+  private async blend(): Promise<void> {
+    const { preview } = this;
+    const partner = preview?.partners[preview.index];
+    if (!preview || !partner || this.card.parts.length === 0) return;
+    const { parts, soft } = this.card;
+    try {
+      const data = await this.app.api.floats("POST", "blend", {
+        src: partner.hash,
+        tgt: this.stage.motion.hash,
+        parts,
+        soft,
+        alpha: preview.alpha,
+      });
+      if (this.preview !== preview || preview.partners[preview.index] !== partner) return;
+      const frames = Math.floor(data.length / 84);
+      this.stage.viewer.replaceClips([
+        {
+          track: { frames, points: 28, fps: partner.fps, data },
+          paint: this.app.parts.paint(parts, soft),
+          label: `Blend: ${this.app.parts.phrases(parts)} of this motion on ${shortName(partner.id)}`,
+        },
+      ]);
+    } catch (error) {
+      this.app.toasts.show(`No preview: ${reason(error)}`, { id: "preview", kind: "error" });
+    }
+  }
+
+  private paint(parts = this.card.parts, soft = this.card.soft): void {
+    const paint = this.app.parts.paint(parts, soft);
+    this.stage.clip.paint = paint;
+    this.stage.viewer.setPaint(0, paint);
+  }
+
+  protected override updated(): void {
+    this.paint();
+    const suggested = new Set(this.open.flatMap((suggestion) => suggestion.parts));
+    this.stage.strip.mark(suggested, new Set(this.card.parts));
+  }
+
+  protected override render(): TemplateResult {
+    const { min_masks, max_masks } = this.app.me.project;
+    return html`
+      ${this.suggestionRow()}
+      ${this.previewBox()}
+      <div class="mask-cards">${this.answer.masks.map((mask, index) => this.cardOf(mask, index))}</div>
+      <div class="row">
+        ${action("New mask", this.app.keys.hint("mask_new"), () => this.perform("mask_new"))}
+        <p class="note count-note">${this.answer.masks.length} of ${min_masks}–${max_masks}</p>
+      </div>
+    `;
+  }
+
+  private suggestionRow(): TemplateResult | typeof nothing {
+    const { app, open } = this;
+    if (open.length === 0) return nothing;
+    return html`<div class="suggestions">
+      <span class="note">Suggested, not chosen:</span>
+      ${open.map(
+        (suggestion, index) => html`<button
+          type="button"
+          class="suggestion"
+          title=${suggestion.source === "activity" ? "This part moves a lot" : `From ${suggestion.source}`}
+          @click=${() => this.takeSuggestion(suggestion.parts)}
+        >
+          ${keyHint(index === 0 ? app.keys.hint("accept_heat") : "")}<span class="button-label">${app.parts.phrases(suggestion.parts)}</span>
+        </button>`,
+      )}
+    </div>`;
+  }
+
+  private previewBox(): TemplateResult | typeof nothing {
+    const { preview } = this;
+    if (!preview) return nothing;
+    const { keys } = this.app;
+    const partner = preview.partners[preview.index];
+    return html`<div class="preview-box">
+      <strong>Blend preview</strong>
+      <p class="note">This mask on ${shortName(partner?.id ?? "")}. If the blend looks wrong, the mask is wrong.</p>
+      <label class="inline">
+        Soft ring takes
+        <input
+          type="range"
+          min="0"
+          max="1"
+          step="0.05"
+          .value=${live(String(preview.alpha))}
+          ?disabled=${!this.card.soft}
+          @input=${(event: Event) => this.setAlpha(Number((event.target as HTMLInputElement).value))}
+        />
+        <output>${preview.alpha.toFixed(2)}</output>
+      </label>
+      <div class="row">
+        ${action("Another motion", keys.hint("preview_partner"), () => void this.nextPartner())}
+        ${action("End preview", keys.hint("preview"), () => void this.togglePreview())}
+      </div>
+    </div>`;
+  }
+
+  private cardOf(mask: MaskAnswer, index: number): TemplateResult {
+    const { app } = this;
+    const selected = index === this.selected;
+    const same = app.parts.sameAs(mask.parts);
+    return html`<section class=${`mask-card${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
+      <div class="card-head">
+        <button type="button" class="card-title" aria-expanded=${String(selected)} @click=${() => this.select(index)}>
+          <span class="card-number">${index + 1}</span>
+          <span>${app.parts.phrases(mask.parts)}</span>
+          ${same ? html`<span class="note">= ${app.parts.phrase(same)}</span>` : nothing}
+        </button>
+        ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index)) : nothing}
+      </div>
+      ${selected ? this.cardBody(mask, index) : html`<p class="card-text">${mask.text || "no description yet"}</p>`}
+    </section>`;
+  }
+
+  private cardBody(mask: MaskAnswer, index: number): TemplateResult {
+    const { keys } = this.app;
+    return html`
+      ${this.partPicker(mask)}
+      ${this.draft(mask)}
+      <div class="text-label">${keyHint(keys.hint("text"))}Description</div>
+      <textarea
+        rows="3"
+        maxlength=${MAX_TEXT_CHARS}
+        placeholder="What these parts do, as an instruction"
+        aria-label=${`Description of mask ${index + 1}`}
+        aria-keyshortcuts=${keys.chord("text")}
+        data-card-text
+        .value=${live(mask.text)}
+        @input=${(event: Event) => this.typed(index, (event.target as HTMLTextAreaElement).value)}
+        @blur=${() => this.host.seal()}
+      ></textarea>
+      ${lintList(this.lints[index] ?? [])}
+    `;
+  }
+
+  private partPicker(mask: MaskAnswer): TemplateResult {
+    const { app } = this;
+    const button = (name: string, phrase: string, hint: string): TemplateResult => {
+      // Pointing at a part previews its joints on the stage.
+      const look = (): void => this.paint(app.parts.toggle(mask.parts, name), mask.soft);
+      const back = (): void => this.paint();
+      return html`<span class="look" @pointerenter=${look} @focusin=${look} @pointerleave=${back} @focusout=${back}
+        >${choice(name, phrase, hint, mask.parts.includes(name), () => this.togglePart(name))}</span
+      >`;
+    };
+    return html`<div class="part-picker" role="group" aria-label="Body parts">
+      <div class="part-row">
+        ${app.parts.release.map((part, index) => button(part.name, part.phrase, app.keys.hint(PART_ACTIONS[index] ?? "part_1")))}
+      </div>
+      <div class="part-row minor">
+        ${app.parts.all.filter((part) => !part.release).map((part) => button(part.name, part.phrase, ""))}
+      </div>
+      <div class="part-row minor">
+        ${choice("soft", "soft ring", app.keys.hint("soft_ring"), mask.soft, () => this.perform("soft_ring"))}
+        ${choice("blend", "blend preview", app.keys.hint("preview"), this.preview !== null, () => this.perform("preview"))}
+      </div>
+    </div>`;
+  }
+
+  private draft(mask: MaskAnswer): TemplateResult | typeof nothing {
+    if (mask.text.trim() !== "") return nothing;
+    const may = this.host.askDraft !== null && mask.parts.length > 0;
+    return draftBox(
+      this.draftOf(mask),
+      this.app.keys.hint("draft_use"),
+      () => void this.useDraft(),
+      (draft) => this.discardDraft(draft),
+      may ? { label: this.app.me.model ?? "the model", busy: this.asking } : null,
+    );
+  }
+
+  private get lints(): ReturnType<typeof lintCards> {
+    const drafts = new Map(this.suggestions.map((suggestion) => [suggestion.id, suggestion.text]));
+    return lintCards(
+      this.answer.masks.map((mask) => ({
+        parts: mask.parts,
+        text: mask.text,
+        draft: mask.suggestion === null ? null : (drafts.get(mask.suggestion) ?? null),
+      })),
+    );
+  }
+}
+
+define("mask-editor", MaskEditor);

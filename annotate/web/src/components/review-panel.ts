@@ -1,0 +1,340 @@
+/** The answers to one task side by side, and what a reviewer decides about them. */
+
+import { html, nothing, type TemplateResult } from "lit";
+import { ApiError, randomName, reason } from "../api";
+import type { App } from "../app";
+import { h } from "../dom";
+import type { ActionId, Scope } from "../keys";
+import { describe, differing } from "../merge";
+import { ask, field, percent } from "../ui";
+import {
+  MAX_TEXT_CHARS,
+  type Answer,
+  type Candidate,
+  type Decision,
+  type Lease,
+  type NewReview,
+  type ReviewDone,
+  type ReviewView,
+} from "../wire";
+import { KIND_WORDS } from "../words";
+import { WorkClock } from "../work";
+import { Component, action, define, keyHint } from "./component";
+import { MaskEditor, type MaskStage } from "./mask-editor";
+import { PairEditor } from "./pair-editor";
+
+const CHOOSE: readonly ActionId[] = ["candidate_1", "candidate_2", "candidate_3", "candidate_4"];
+
+/** What the panel draws on beside itself. */
+export interface ReviewStage {
+  /** Shows one answer; `glow` are the joints where answers differ. */
+  paint(candidate: Candidate | undefined, glow: number): void;
+  /** Highlights only these parts while answers are merged. */
+  paintParts(parts: readonly string[]): void;
+  /** Present for masks. */
+  mask: MaskStage | null;
+}
+
+export class ReviewPanel extends Component {
+  private selected = 0;
+  private merging: MaskEditor | PairEditor | null = null;
+  private busy = false;
+  private comment = "";
+  private lease: Lease;
+  private heartbeat: number | null = null;
+  private readonly work = new WorkClock();
+  private readonly glow: number;
+  /** Keys and seconds by decision: a repeated decision is the same request, so a lost response does no harm. */
+  private readonly sent = new Map<string, { idem_key: string; secs: number }>();
+  /** Where the unfinished merge is kept. */
+  private readonly kept: string;
+
+  constructor(
+    private readonly app: App,
+    private readonly review: ReviewView,
+    private readonly stage: ReviewStage,
+    private readonly tabs: HTMLElement,
+    /** Opens the next task. */
+    private readonly next: () => void,
+  ) {
+    super();
+    this.lease = review.lease;
+    this.glow = differing(review.candidates);
+    this.kept = app.keep(`merge:${review.task.id}`);
+  }
+
+  /** The user did something on the page. */
+  active(): void {
+    this.work.active();
+  }
+
+  get scopes(): readonly Scope[] {
+    if (!this.merging) return ["transport", "review"];
+    return ["work", "transport", "parts", this.review.task.kind === "mask_text" ? "mask" : "pair"];
+  }
+
+  perform(id: ActionId): boolean {
+    if (this.merging) {
+      if (id === "submit") {
+        void this.commitMerge();
+        return true;
+      }
+      if (id === "stage" && document.activeElement?.tagName !== "TEXTAREA") {
+        this.endMerge();
+        return true;
+      }
+      return this.merging.perform(id);
+    }
+    const at = CHOOSE.indexOf(id);
+    if (at >= 0) {
+      if (at < this.review.candidates.length) this.select(at);
+      return true;
+    }
+    switch (id) {
+      case "review_accept":
+        this.accept();
+        return true;
+      case "review_return":
+        void this.withComment("return");
+        return true;
+      case "review_merge":
+        this.merge();
+        return true;
+      case "review_drop":
+        void this.withComment("drop");
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  override connectedCallback(): void {
+    super.connectedCallback();
+    this.classList.add("panel");
+    this.setAttribute("role", "complementary");
+    this.setAttribute("aria-label", "Answers");
+    this.dataset.region = "panel";
+    this.heartbeat ??= window.setInterval(() => void this.renew(), this.app.me.limits.heartbeat_secs * 1000);
+  }
+
+  override disconnectedCallback(): void {
+    super.disconnectedCallback();
+    if (this.heartbeat !== null) window.clearInterval(this.heartbeat);
+    this.heartbeat = null;
+  }
+
+  private get candidate(): Candidate | undefined {
+    return this.review.candidates[this.selected];
+  }
+
+  private select(index: number): void {
+    this.selected = index;
+    this.requestUpdate();
+  }
+
+  private async renew(): Promise<void> {
+    try {
+      const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
+      this.lease = (await response.json()) as Lease;
+    } catch (error) {
+      if (error instanceof ApiError && error.code === "lease_lost") {
+        this.app.toasts.show("Another reviewer may have this task now; deciding it may be refused.", { id: "lease", kind: "error" });
+      }
+    }
+  }
+
+  private async decide(decision: Decision, rest: Partial<NewReview>): Promise<void> {
+    if (this.busy) return;
+    this.busy = true;
+    const { task } = this.review;
+    const name = JSON.stringify([decision, rest]);
+    const once = this.sent.get(name) ?? { idem_key: randomName(), secs: this.work.take() };
+    this.sent.set(name, once);
+    const body: NewReview = { ...newReview(task.id, decision), ...once, lease_epoch: this.lease.epoch, ...rest };
+    try {
+      const done = await this.app.api.post<ReviewDone>("reviews", body);
+      localStorage.removeItem(this.kept);
+      this.next();
+      this.app.toasts.show(`Task ${task.id}: ${done.state.replaceAll("_", " ")}.`, {
+        id: "decided",
+        action: { label: "Reopen", run: () => void this.reopen() },
+      });
+    } catch (error) {
+      // The user can retry with the same key: the text is still on the page.
+      this.app.toasts.show(`Not decided: ${reason(error)}`, { id: "decided", kind: "error", ms: 15_000 });
+    } finally {
+      this.busy = false;
+    }
+  }
+
+  private async reopen(): Promise<void> {
+    const back = { ...newReview(this.review.task.id, "reopen"), comment: "taken back by the reviewer" };
+    try {
+      await this.app.api.post<ReviewDone>("reviews", back);
+      this.next();
+    } catch (error) {
+      this.app.toasts.show(`Not reopened: ${reason(error)}`, { kind: "error" });
+    }
+  }
+
+  private accept(): void {
+    const author = this.candidate?.revision.author;
+    if (author !== undefined) void this.decide("accept", { author });
+  }
+
+  private async withComment(decision: "return" | "drop"): Promise<void> {
+    const text = h("textarea", { attrs: { rows: 4, maxlength: MAX_TEXT_CHARS } });
+    text.value = this.comment;
+    const back = decision === "return";
+    const choice = await ask(
+      back ? "Return with a comment" : "Drop this task: why?",
+      [field(back ? "What should be different?" : "Reason", text)],
+      back
+        ? [
+            { label: `Return to ${this.candidate?.author_name ?? "its author"}`, value: "one" as const, kind: "primary" },
+            { label: "Return to all", value: "all" as const },
+          ]
+        : [{ label: "Drop", value: "all" as const, kind: "danger" }],
+      text,
+    );
+    // Keep the comment until it is sent, also after a refusal.
+    this.comment = text.value;
+    if (choice === null) return this.app.focusStage();
+    if (this.comment.trim() === "") {
+      this.app.toasts.show("Write what is wrong; the author sees nothing else.", { id: "comment", kind: "error" });
+      return this.withComment(decision);
+    }
+    const author = choice === "one" ? (this.candidate?.revision.author ?? null) : null;
+    await this.decide(decision, { comment: this.comment.trim(), author });
+  }
+
+  private merge(): void {
+    const chosen = this.candidate?.revision.answer;
+    if (!chosen) return;
+    const start = unfinished(this.kept, chosen);
+    const host = {
+      change: (answer: Answer) => localStorage.setItem(this.kept, JSON.stringify(answer)),
+      seal: () => {},
+      suggestionUsed: () => {},
+      askDraft: null,
+    };
+    if (start.kind === "mask_text") {
+      if (this.stage.mask) this.merging = new MaskEditor(this.app, this.stage.mask, [], host, start);
+    } else {
+      const editor: PairEditor = new PairEditor(
+        this.app,
+        {
+          ...host,
+          reject: (verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
+          repaint: (parts) => this.stage.paintParts(parts),
+        },
+        [],
+        start,
+      );
+      this.merging = editor;
+    }
+    this.requestUpdate();
+  }
+
+  private endMerge(): void {
+    localStorage.removeItem(this.kept);
+    this.merging = null;
+    this.drawn(() => this.app.focusStage());
+  }
+
+  private async commitMerge(): Promise<void> {
+    const answer = await this.merging?.complete();
+    if (answer) await this.decide("merge", { answer });
+  }
+
+  protected override updated(): void {
+    if (!this.merging) this.stage.paint(this.candidate, this.glow);
+  }
+
+  protected override render(): TemplateResult {
+    const { task, distance, comments, candidates } = this.review;
+    const caption = task.motions[0]?.captions[0];
+    const apart = distance === null ? "One answer." : `Answers are ${percent(distance)} apart; what differs glows.`;
+    return html`
+      <div class="panel-scroll">
+        ${this.tabs}
+        <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
+        ${caption === undefined ? nothing : html`<p class="note">Caption: ${caption}</p>`}
+        ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
+        ${this.merging
+          ? this.mergeBox(this.merging)
+          : html`<div class="candidates">${candidates.map((candidate, index) => this.cardOf(candidate, index))}</div>`}
+      </div>
+      ${this.merging ? nothing : this.buttons()}
+    `;
+  }
+
+  private cardOf(candidate: Candidate, index: number): TemplateResult {
+    const { app } = this;
+    const { secs, author } = candidate.revision;
+    const chosen = index === this.selected;
+    const key = CHOOSE[index];
+    return html`<section class=${`candidate${chosen ? " selected" : ""}`} data-author=${author}>
+      <button type="button" class="card-title" aria-pressed=${chosen ? "true" : "false"} @click=${() => this.select(index)}>
+        ${keyHint(key ? app.keys.hint(key) : "")}<strong>${candidate.author_name}</strong>
+      </button>
+      <ul>
+        ${this.lines(index).map(([line, differs]) => html`<li class=${differs ? "differs" : ""}>${line}</li>`)}
+      </ul>
+      <p class="note">
+        ${Math.round(secs)} s${candidate.draft_distance === null ? nothing : ` · ${percent(candidate.draft_distance)} away from the draft`}
+      </p>
+    </section>`;
+  }
+
+  /** An answer in words, and whether each line differs from the other answers. */
+  private lines(own: number): (readonly [string, boolean])[] {
+    const all = this.review.candidates.map((candidate) => describe(this.app.parts, candidate.revision.answer));
+    const others = new Set(all.filter((_, index) => index !== own).flat());
+    return (all[own] ?? []).map((line) => [line, all.length > 1 && !others.has(line)] as const);
+  }
+
+  private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {
+    const others = this.review.candidates.filter((_, index) => index !== this.selected);
+    return html`<div class="merge-box">
+      <h2>Merge and edit</h2>
+      <ul class="others">
+        ${others.flatMap((other) =>
+          describe(this.app.parts, other.revision.answer).map((line) => html`<li>${other.author_name}: ${line}</li>`),
+        )}
+      </ul>
+      ${editor}
+      <div class="row">
+        ${action("Accept this", this.app.keys.hint("submit"), () => void this.commitMerge(), "primary")}
+        ${action("Cancel", "", () => this.endMerge())}
+      </div>
+    </div>`;
+  }
+
+  private buttons(): TemplateResult {
+    const { keys } = this.app;
+    return html`<div class="panel-foot">
+      ${action("Accept", keys.hint("review_accept"), () => this.accept(), "primary")}
+      ${action("Return", keys.hint("review_return"), () => void this.withComment("return"))}
+      ${action("Merge", keys.hint("review_merge"), () => this.merge())}
+      ${action("Drop", keys.hint("review_drop"), () => void this.withComment("drop"))}
+    </div>`;
+  }
+}
+
+/** A decision with a new idempotency key. */
+function newReview(task: number, decision: Decision): NewReview {
+  return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
+}
+
+/** The unfinished merge of an earlier page load, or else the chosen answer. */
+function unfinished(key: string, chosen: Answer): Answer {
+  try {
+    const saved = JSON.parse(localStorage.getItem(key) ?? "null") as Answer | null;
+    return saved !== null && saved.kind === chosen.kind ? saved : chosen;
+  } catch {
+    return chosen;
+  }
+}
+
+define("review-panel", ReviewPanel);
