@@ -1,16 +1,19 @@
-//! Clock passed to the server by its caller, and the days of a project.
+//! The current time, and the days of a project.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 
+use crate::Error;
+use crate::lock::lock;
 use crate::store::Millis;
 
-const DAY: Millis = 24 * 60 * 60 * 1000;
-
-/// Returns the current time in milliseconds since the epoch.
+/// Returns the current time.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
+
+const DAY: Millis = 24 * 60 * 60 * 1000;
 
 /// Whether this is the name of a time zone, such as `Europe/Berlin`.
 pub(crate) fn is_zone(name: &str) -> bool {
@@ -27,6 +30,38 @@ pub(crate) fn midnight(zone: &str, now: Millis) -> Millis {
     begun.map_or(now - now.rem_euclid(DAY), |begun| {
         begun.timestamp().as_millisecond()
     })
+}
+
+/// How often the time of a shared store is read. Between, the monotonic clock of this machine counts on; it gains
+/// or loses less than a millisecond meanwhile, and nobody can set it.
+const READ_EVERY: Duration = Duration::from_secs(10);
+
+/// The clock of a store that several servers share.
+pub(crate) struct SharedClock<R> {
+    read: R,
+    last: Mutex<(Instant, Millis)>,
+}
+
+impl<R: Fn() -> Result<Millis, Error>> SharedClock<R> {
+    /// Reads the time with `read`.
+    pub(crate) fn new(read: R) -> Result<Self, Error> {
+        let time = read()?;
+        Ok(Self {
+            read,
+            last: Mutex::new((Instant::now(), time)),
+        })
+    }
+
+    /// The time; if it cannot be read, that of the last reading counted on.
+    pub(crate) fn now(&self) -> Millis {
+        let mut last = lock(&self.last);
+        if last.0.elapsed() >= READ_EVERY
+            && let Ok(time) = (self.read)()
+        {
+            *last = (Instant::now(), time);
+        }
+        last.1 + i64::try_from(last.0.elapsed().as_millis()).unwrap_or(0)
+    }
 }
 
 #[cfg(test)]

@@ -3,12 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::Duration;
 
 use crate::Error;
 use crate::clock::Clock;
 use crate::store::{Millis, MotionRecord, Store};
 use crate::transfer::{self, Exported, Selection, Taken};
-use crate::wire::{ExportFormat, ExportRequest, ImportFormat, Job};
+use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
 /// A requested import.
 #[derive(Debug)]
@@ -25,18 +27,31 @@ pub(crate) fn folder(data: &Path, job: i64) -> PathBuf {
     data.join("exports").join(job.to_string())
 }
 
-/// Marks jobs as failed that were running when the server last stopped.
+/// How often a server reports that a job runs.
+const BEAT: Duration = Duration::from_secs(10);
+/// Exports whose files a shared store keeps.
+const KEPT_EXPORTS: i64 = 10;
+/// A job whose server has been silent for so many milliseconds is lost.
+const SILENT: Millis = 60_000;
+
+/// Marks jobs as failed whose server stopped. Jobs of other servers on the same store go on.
 pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
-    for mut job in store.jobs()? {
-        if job.state == "running" {
-            "failed".clone_into(&mut job.state);
-            job.finished = Some(now);
-            job.messages
-                .push("the server stopped during this job; start the job again".to_owned());
-            store.put_job(job)?;
-        }
-    }
-    Ok(())
+    store.abandon(now - SILENT, now)
+}
+
+/// Does the work of a job, and reports meanwhile that it runs.
+fn reported<T>(store: &Store, clock: &Clock, job: i64, work: impl FnOnce() -> T) -> T {
+    let (running, ended) = std::sync::mpsc::channel::<()>();
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            while ended.recv_timeout(BEAT) == Err(RecvTimeoutError::Timeout) {
+                // A later report replaces one that was not stored.
+                let _kept = store.beat(job, clock());
+            }
+        });
+        let _running = running;
+        work()
+    })
 }
 
 fn new_job(kind: &str, format: &str, now: Millis) -> Job {
@@ -52,12 +67,14 @@ fn new_job(kind: &str, format: &str, now: Millis) -> Job {
         files: Vec::new(),
         started: now,
         finished: None,
+        heartbeat: now,
     }
 }
 
 /// Records the result of a job.
 fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
-    job.finished = Some(clock());
+    let now = clock();
+    job.finished = Some(now);
     match outcome {
         Ok(()) => "done".clone_into(&mut job.state),
         Err(error) => {
@@ -66,7 +83,7 @@ fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>
         }
     }
     // If the store fails here, requests report it.
-    let _kept = store.put_job(job);
+    let _kept = store.put_job(job, now);
 }
 
 fn spawn(work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
@@ -87,10 +104,13 @@ pub(crate) fn start_import(
     actor: i64,
     import: Import,
 ) -> Result<Job, Error> {
-    let job = store.put_job(new_job("import", import.format.as_str(), clock()))?;
+    let now = clock();
+    let job = store.put_job(new_job("import", import.format.as_str(), now), now)?;
     let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
     spawn(move || {
-        let outcome = run_import(store.as_ref(), &clock, actor, import, &mut running);
+        let outcome = reported(store.as_ref(), &clock, running.id, || {
+            run_import(store.as_ref(), &clock, actor, import, &mut running)
+        });
         finish(store.as_ref(), &clock, running, outcome);
     })?;
     Ok(job)
@@ -115,7 +135,7 @@ fn run_import(
                     shown.done = done;
                     shown.total = Some(total);
                     // A later report replaces one that was not stored.
-                    let _kept = store.put_job(shown.clone());
+                    let _kept = store.put_job(shown.clone(), clock());
                 },
             )?
         }
@@ -169,7 +189,8 @@ pub(crate) fn start_export(
     actor: i64,
     request: ExportRequest,
 ) -> Result<Job, Error> {
-    let job = store.put_job(new_job("export", request.format.as_str(), clock()))?;
+    let now = clock();
+    let job = store.put_job(new_job("export", request.format.as_str(), now), now)?;
     let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
     let (folder, dataset) = (folder(data, job.id), dataset.to_owned());
     spawn(move || {
@@ -179,7 +200,14 @@ pub(crate) fn start_export(
             events: request.events,
         };
         let holder = format!("annotation server, process {}", std::process::id());
-        let outcome = transfer::export(store.as_ref(), &dataset, &folder, &selection, &holder)
+        let exported = reported(store.as_ref(), &clock, running.id, || {
+            let done = transfer::export(store.as_ref(), &dataset, &folder, &selection, &holder)?;
+            if store.is_shared() {
+                keep_files(store.as_ref(), running.id, &folder, &done.files)?;
+            }
+            Ok(done)
+        });
+        let outcome = exported
             .and_then(|done| {
                 log_export(
                     store.as_ref(),
@@ -199,6 +227,30 @@ pub(crate) fn start_export(
         finish(store.as_ref(), &clock, running, outcome);
     })?;
     Ok(job)
+}
+
+/// Keeps files in the store, for the other servers on it.
+fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Result<(), Error> {
+    for name in names {
+        let path = folder.join(name);
+        let file = std::fs::File::open(&path).map_err(Error::io("read", path))?;
+        store.put_file(job, name, file, KEPT_EXPORTS)?;
+    }
+    Ok(())
+}
+
+/// A file of a job: from the store if servers share it, and else from the disk of this one.
+pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<Vec<u8>, Error> {
+    if !store.is_shared() {
+        let path = folder(data, job).join(name);
+        return std::fs::read(&path).map_err(Error::io("read", path));
+    }
+    store.file(job, name)?.ok_or_else(|| {
+        Error::refused(
+            Code::NotFound,
+            format!("the store keeps the files of the last {KEPT_EXPORTS} exports; export again"),
+        )
+    })
 }
 
 /// Records an export in the log.

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use annotate::http::{PATIENCE, Server, ServerConfig};
+use annotate::http::{PATIENCE, Server, ServerConfig, TrustedProxy, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{self, Store, TokenUse};
@@ -30,6 +30,8 @@ const MODEL_URL: &str = "STANCE_MODEL_URL";
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
 /// Its key, if it needs one.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";
+/// File or address of the store.
+const STORE: &str = "STANCE_STORE";
 /// Name of the user that the first start creates.
 const FIRST_ADMIN: &str = "admin";
 /// Source of the last import.
@@ -53,12 +55,19 @@ pub(crate) struct Args {
     /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]
     listen: SocketAddr,
-    /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]
-    #[arg(long, value_name = "FILE")]
+    /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]. An address
+    /// with a password belongs into the variable: others can read the command lines of processes
+    #[arg(long, value_name = "FILE", env = STORE, hide_env_values = true)]
     store: Option<String>,
     /// Browsers reach the server through a proxy with TLS
     #[arg(long)]
     secure: bool,
+    /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, with commas between
+    #[arg(long, value_name = "ADDR", value_delimiter = ',')]
+    trusted_proxy: Vec<TrustedProxy>,
+    /// Second address to listen on, for /metrics, /healthz and /readyz without login
+    #[arg(long, value_name = "ADDR")]
+    metrics: Option<SocketAddr>,
     #[command(subcommand)]
     action: Option<Action>,
 }
@@ -155,6 +164,8 @@ struct TokenDocument {
 struct Listening {
     url: String,
     token: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    metrics: Option<String>,
 }
 
 fn now() -> i64 {
@@ -167,6 +178,12 @@ fn now() -> i64 {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     // Opened first, so that a folder that is not a dataset gets no store.
     Dataset::open_unverified(&args.dataset)?;
+    let is_typed = args.store.is_some() && std::env::var(STORE).ok() != args.store;
+    if is_typed && args.store.as_deref().is_some_and(has_password) {
+        report::note(&format!(
+            "warning: others on this machine can read the password on the command line; set {STORE} instead of --store"
+        ));
+    }
     let store = open(args)?;
     match &args.action {
         None => serve(args, store, global),
@@ -244,7 +261,7 @@ fn folder(args: &Args) -> PathBuf {
 }
 
 fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
-    let file = match &args.store {
+    let file = match args.store.as_ref().filter(|store| !store.is_empty()) {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
             return open_postgres(url);
         }
@@ -462,6 +479,43 @@ fn model() -> anyhow::Result<Option<Model>> {
     }
 }
 
+/// What an operator should know about the addresses before somebody else finds out.
+fn warnings(args: &Args) -> Vec<&'static str> {
+    let mut all = Vec::new();
+    let is_reached = !args.listen.ip().is_loopback();
+    if is_reached && !args.secure {
+        all.push(
+            "others can reach this address and nothing on the way is encrypted; put a proxy with TLS in front, pass --secure, and listen on 127.0.0.1",
+        );
+    }
+    if is_reached && args.secure {
+        all.push(
+            "others can reach this address without the proxy and its TLS; listen on 127.0.0.1, unless the proxy runs on another machine",
+        );
+    }
+    if args.secure && args.trusted_proxy.is_empty() {
+        all.push(
+            "all browsers share the limits of one address; name the proxy with --trusted-proxy, such as 127.0.0.1",
+        );
+    }
+    if args
+        .metrics
+        .is_some_and(|metrics| !metrics.ip().is_loopback())
+    {
+        all.push("others can read the figures at the address of --metrics without a login");
+    }
+    all
+}
+
+/// Whether an address of a database holds a password.
+fn has_password(url: &str) -> bool {
+    let Some((_, rest)) = url.split_once("://") else {
+        return false;
+    };
+    let user = rest.rsplit_once('@').map_or("", |(user, _)| user);
+    user.contains(':') || rest.contains("password=")
+}
+
 fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit> {
     let model = model()?;
     let dataset = Dataset::open(&args.dataset)?;
@@ -477,10 +531,8 @@ fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit
         None => store.add_user(None, FIRST_ADMIN, Role::Admin, now())?,
     };
     let motions = Arc::new(MotionLibrary::open(&args.dataset)?);
-    if !args.listen.ip().is_loopback() && !args.secure {
-        report::note(
-            "warning: others can reach this address and nothing on the way is encrypted; put a proxy with TLS in front and pass --secure, or listen on 127.0.0.1",
-        );
+    for warning in warnings(args) {
+        report::note(&format!("warning: {warning}"));
     }
     if let Some(model) = &model {
         report::note(&format!("drafts by {}", model.name()));
@@ -494,22 +546,37 @@ fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit
         motions,
         ServerConfig {
             listen: args.listen,
+            operators: args.metrics,
             secure: args.secure,
+            trusted_proxies: args.trusted_proxy.clone(),
             data: folder(args),
             dataset: args.dataset.clone(),
             model,
             patience: PATIENCE,
+            upload_patience: UPLOAD_PATIENCE,
             clock: Arc::new(now),
             log: report::note,
         },
     )?;
+    // A shared store has a clock of its own.
+    let now = store.clock()?.map_or_else(now, |clock| clock());
     let token = store
-        .issue(admin.id, TokenUse::Once, now() + 60 * MINUTE, now())?
+        .issue(admin.id, TokenUse::Once, now + 60 * MINUTE, now)?
         .token;
     let url = format!("http://{}/", server.address());
+    let metrics = server
+        .operators()
+        .map(|address| format!("http://{address}/metrics"));
     if global.json {
-        report::text(&serde_json::to_string(&Listening { url, token })?);
+        report::text(&serde_json::to_string(&Listening {
+            url,
+            token,
+            metrics,
+        })?);
     } else {
+        if let Some(metrics) = metrics {
+            report::note(&format!("figures for Prometheus: {metrics}"));
+        }
         report::text(&format!("{url}#token={token}"));
         report::note(&format!(
             "open this address within an hour; it logs {} in once. Ctrl-C ends the server",

@@ -25,6 +25,7 @@ use crate::util::{arg, command, corpus, stance};
 struct Listening {
     url: String,
     token: String,
+    metrics: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -38,6 +39,7 @@ struct Process {
     child: Child,
     url: String,
     once: String,
+    metrics: Option<String>,
 }
 
 impl Process {
@@ -62,6 +64,7 @@ impl Process {
             child,
             url: listening.url.trim_end_matches('/').to_owned(),
             once: listening.token,
+            metrics: listening.metrics,
         }
     }
 
@@ -374,12 +377,27 @@ fn kills() -> usize {
 }
 
 #[test]
-fn others_are_let_in_when_asked_for_and_with_a_warning() {
+fn a_server_says_who_else_can_reach_it() {
     let (_dir, dataset) = dataset(2);
-    for (listen, more, is_warned) in [
-        ("0.0.0.0:0", &[][..], true),
-        ("0.0.0.0:0", &["--secure"], false),
-        ("127.0.0.1:0", &[], false),
+    for (listen, more, warnings) in [
+        ("127.0.0.1:0", &[][..], &[][..]),
+        (
+            "127.0.0.1:0",
+            &["--secure", "--trusted-proxy", "127.0.0.1,10.0.0.0/8"],
+            &[],
+        ),
+        ("127.0.0.1:0", &["--secure"], &["--trusted-proxy"]),
+        ("0.0.0.0:0", &[], &["nothing on the way is encrypted"]),
+        (
+            "0.0.0.0:0",
+            &["--secure", "--trusted-proxy", "::1"],
+            &["without the proxy"],
+        ),
+        (
+            "127.0.0.1:0",
+            &["--metrics", "0.0.0.0:0"],
+            &["without a login"],
+        ),
     ] {
         let mut command = command(&["annotate", arg(&dataset), "--listen", listen]);
         let mut child = command
@@ -395,13 +413,100 @@ fn others_are_let_in_when_asked_for_and_with_a_warning() {
         child.kill().expect("a running server");
         let said = child.wait_with_output().expect("an end").stderr;
         let said = String::from_utf8_lossy(&said);
-        assert_eq!(
-            said.contains("nothing on the way is encrypted"),
-            is_warned,
-            "{said}"
-        );
+        assert_eq!(said.matches("warning:").count(), warnings.len(), "{said}");
+        for warning in warnings {
+            assert!(said.contains(warning), "{said}");
+        }
         let host = listen.trim_end_matches('0');
         assert!(line.starts_with(&format!("http://{host}")), "{line}");
+    }
+    let unknown = [
+        "annotate",
+        arg(&dataset),
+        "--trusted-proxy",
+        "proxy.example",
+    ];
+    let refused = stance(&unknown).expect_code(2);
+    assert!(refused.stderr.contains("10.0.0.0/8"), "{}", refused.stderr);
+}
+
+#[test]
+fn the_store_can_be_named_where_others_do_not_see_it() {
+    let (_dir, dataset) = dataset(2);
+    let file = dataset.with_file_name("elsewhere.sqlite");
+    let run = |store: Option<&str>, args: &[&str]| {
+        let mut command = command(&["annotate", arg(&dataset)]);
+        command.args(args).env_remove("STANCE_STORE");
+        if let Some(store) = store {
+            command.env("STANCE_STORE", store);
+        }
+        let output = command.output().expect("stance runs");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.success(), said)
+    };
+    assert!(run(Some(arg(&file)), &["user", "add", "ann"]).0);
+    assert!(file.is_file());
+    assert!(!dataset.join("annotate/store.sqlite").exists());
+    // Nobody answers at this address. The password is in no message.
+    let address = "postgres://ann:secret@127.0.0.1:1/stance";
+    for (store, args, is_warned) in [
+        (None, &["--store", address, "user", "list"][..], true),
+        (Some(address), &["user", "list"], false),
+    ] {
+        let (is_done, said) = run(store, args);
+        assert!(!is_done && said.contains("127.0.0.1/stance"), "{said}");
+        assert!(!said.contains("secret"), "{said}");
+        assert_eq!(said.contains("set STANCE_STORE"), is_warned, "{said}");
+    }
+    let help = stance(&["annotate", "--help"]).expect_code(0).stdout;
+    assert!(help.contains("STANCE_STORE"), "{help}");
+}
+
+/// The arguments after the program in the unit and in the container file.
+fn deployed() -> [Vec<String>; 2] {
+    let read = |name: &str| {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("annotate/deploy");
+        std::fs::read_to_string(folder.join(name)).expect("a file of the repository")
+    };
+    let unit = read("stance-annotate.service");
+    let unit = unit
+        .lines()
+        .find_map(|line| line.strip_prefix("ExecStart=/usr/local/bin/stance "))
+        .expect("a command");
+    let container = read("Containerfile").replace("\\\n", "");
+    let container = container
+        .lines()
+        .find_map(|line| line.strip_prefix("CMD "))
+        .expect("a command");
+    [
+        unit.split(' ').map(str::to_owned).collect(),
+        serde_json::from_str(container).expect("a list"),
+    ]
+}
+
+#[test]
+fn the_unit_and_the_container_start_a_server_that_operators_can_watch() {
+    let (_dir, dataset) = dataset(2);
+    for args in deployed() {
+        let mut own = Command::new(env!("CARGO_BIN_EXE_stance"));
+        for text in args {
+            own.arg(match text.as_str() {
+                "${DATASET}" | "/data/dataset" => arg(&dataset).to_owned(),
+                // Any free port will do here.
+                address if address.ends_with("765") => {
+                    let (host, _) = address.rsplit_once(':').expect("a port");
+                    format!("{host}:0")
+                }
+                other => other.to_owned(),
+            });
+        }
+        let server = Process::spawn(own);
+        let agent = ureq::agent();
+        let get = |url: &str| agent.get(url).call().expect("an answer").status().as_u16();
+        let metrics = server.metrics.as_ref().expect("a second address");
+        assert_eq!(get(metrics), 200);
+        assert_eq!(get(&metrics.replace("/metrics", "/readyz")), 200);
+        assert_eq!(get(&format!("{}/healthz", server.url)), 200);
     }
 }
 

@@ -10,21 +10,26 @@ use axum::body::{Body, Bytes};
 use axum::http::StatusCode;
 use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
 use axum::response::Response;
+use flate2::Compression;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::compress;
 use super::limit::Limiter;
 use super::metrics::Metrics;
+use super::proxy::TrustedProxy;
 use crate::Error;
 use crate::clock::Clock;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
 use crate::quality::Figures;
 use crate::store::{Millis, Store, Who};
-use crate::wire::{Code, Role};
+use crate::wire::{Code, MAX_BODY_BYTES, Role};
 
 /// Default timeout of a request.
 pub const PATIENCE: Duration = Duration::from_secs(15);
+/// Default timeout of an upload: 64 MB at 110 kB/s.
+pub const UPLOAD_PATIENCE: Duration = Duration::from_secs(600);
 /// Who may use a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
@@ -32,8 +37,6 @@ pub enum Access {
     Public,
     /// Users with this role or a higher one.
     Role(Role),
-    /// Requests from loopback, or an admin.
-    Local,
 }
 
 /// Kind of a handler.
@@ -60,11 +63,19 @@ pub struct Route {
     pub handler: Handler,
 }
 
+impl Route {
+    /// Whether its body is a file.
+    pub(super) fn is_upload(&self) -> bool {
+        self.max_body > MAX_BODY_BYTES
+    }
+}
+
 /// An authorised request.
 pub struct Context {
     pub(crate) app: Arc<App>,
     pub(crate) who: Option<Who>,
-    pub(crate) peer: IpAddr,
+    /// Address of the client: that of the connection, or the one that a trusted proxy names.
+    pub(crate) client: IpAddr,
     pub(crate) params: BTreeMap<String, String>,
     pub(crate) query: BTreeMap<String, String>,
     pub(crate) headers: HeaderMap,
@@ -86,6 +97,8 @@ impl std::fmt::Debug for Context {
 pub enum Reply {
     /// A JSON document.
     Json(Vec<u8>),
+    /// A compressed JSON document.
+    PackedJson(Vec<u8>),
     /// 204 without a body.
     Empty,
     /// A complete response.
@@ -96,17 +109,23 @@ pub enum Reply {
 pub struct ServerConfig {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// A second address, for `/metrics`, `/healthz` and `/readyz` without login.
+    pub operators: Option<SocketAddr>,
     /// Whether browsers reach it through TLS.
     pub secure: bool,
+    /// Proxies whose word on the address of a client is taken.
+    pub trusted_proxies: Vec<TrustedProxy>,
     /// Folder for exports.
     pub data: PathBuf,
     /// The dataset, for imports.
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
-    /// Timeout of a request and of its headers; [`PATIENCE`] in production.
+    /// Timeout of a request, of its headers, and of a reader that takes nothing; [`PATIENCE`] in production.
     pub patience: Duration,
-    /// Tells the time.
+    /// Timeout of an upload; [`UPLOAD_PATIENCE`] in production.
+    pub upload_patience: Duration,
+    /// Tells the time, unless the store has a clock.
     pub clock: Clock,
     /// Receives messages for the operator.
     pub log: fn(&str),
@@ -228,9 +247,26 @@ pub(super) fn json<T: Serialize>(value: &T) -> Result<Reply, Error> {
         })
 }
 
+/// Compresses a reply of JSON.
+pub(super) fn packed(reply: Reply) -> Reply {
+    match reply {
+        Reply::Json(bytes) => match compress::gzip(&bytes, Compression::fast()) {
+            Some(packed) => Reply::PackedJson(packed),
+            None => Reply::Json(bytes),
+        },
+        other => other,
+    }
+}
+
 /// Converts a reply to an HTTP response.
 pub(super) fn reply_response(reply: Reply) -> Response {
     match reply {
+        Reply::PackedJson(bytes) => {
+            let mut response = reply_response(Reply::Json(bytes));
+            compress::mark(&mut response);
+            compress::vary(&mut response);
+            response
+        }
         Reply::Full(response) => response,
         Reply::Empty => {
             let mut response = Response::new(Body::empty());

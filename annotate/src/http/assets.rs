@@ -1,5 +1,11 @@
 //! The front end, embedded.
 
+use std::sync::OnceLock;
+
+use flate2::Compression;
+
+use super::compress::gzip;
+
 /// Names and contents of the committed build, so that `cargo build` needs no Node.
 static FILES: &[(&str, &[u8])] = &[
     (
@@ -19,24 +25,36 @@ static FILES: &[(&str, &[u8])] = &[
     ),
 ];
 
+/// The files compressed, in the order of [`FILES`]. They are compressed at the first request and not in the
+/// repository, where every change of the front end would add 200 kB that no tool compares.
+static PACKED: [OnceLock<Option<Vec<u8>>>; FILES.len()] = [const { OnceLock::new() }; FILES.len()];
+
 /// A file of the front end.
 pub(super) struct Asset {
     pub(super) bytes: &'static [u8],
+    pub(super) is_packed: bool,
     pub(super) mime: &'static str,
-    /// Hash of the content, quoted.
+    /// Hash of the content and its coding, quoted.
     pub(super) etag: String,
 }
 
-/// The file at a path of the server: `/assets/NAME`, or the page at `/` and `/app/...`.
-pub(super) fn find(path: &str) -> Option<Asset> {
+/// The file at a path of the server: `/assets/NAME`, or the page at `/` and `/app/...`. It is compressed if that
+/// is asked for and makes it smaller.
+pub(super) fn find(path: &str, packed: bool) -> Option<Asset> {
     let name = match path.strip_prefix("/assets/") {
         Some(name) => name,
         None if path == "/" || path == "/app" || path.starts_with("/app/") => "index.html",
         None => return None,
     };
-    let (_, bytes) = FILES.iter().find(|(known, _)| *known == name)?;
+    let index = FILES.iter().position(|(known, _)| *known == name)?;
+    let plain = FILES[index].1;
+    let packed = packed
+        .then(|| PACKED[index].get_or_init(|| gzip(plain, Compression::best())))
+        .and_then(Option::as_deref);
+    let bytes = packed.unwrap_or(plain);
     Some(Asset {
         bytes,
+        is_packed: packed.is_some(),
         mime: mime(name),
         etag: format!("\"{}\"", &blake3::hash(bytes).to_hex()[..16]),
     })

@@ -5,9 +5,12 @@
 
 mod app;
 mod assets;
+mod compress;
 mod limit;
 mod metrics;
+mod proxy;
 mod routes;
+mod socket;
 mod stream;
 
 use std::collections::BTreeMap;
@@ -28,13 +31,15 @@ use crate::Error;
 use crate::lock::lock;
 use crate::motions::MotionLibrary;
 use crate::store::{Store, TokenUse, Who};
-use crate::wire::{Code, Problem, Role};
-use app::{App, blocking, cookie, reply_response, set, text};
+use crate::wire::{Code, Problem};
+use app::{App, blocking, cookie, packed, reply_response, set, text};
 use limit::Limiter;
 use metrics::Metrics;
+use socket::Socket;
 
 pub use crate::clock::Clock;
-pub use app::{Access, Context, Handler, PATIENCE, Reply, Route, ServerConfig};
+pub use app::{Access, Context, Handler, PATIENCE, Reply, Route, ServerConfig, UPLOAD_PATIENCE};
+pub use proxy::TrustedProxy;
 pub use routes::ROUTES;
 
 /// Maximum number of concurrent connections.
@@ -43,10 +48,16 @@ const CONNECTIONS: usize = 1024;
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 
+/// How often a store that accepted no writes is tried again.
+const TRY_AGAIN: Duration = Duration::from_secs(5);
+
 /// A running server. It stops when dropped.
 pub struct Server {
     address: SocketAddr,
+    operators: Option<SocketAddr>,
     runtime: Option<tokio::runtime::Runtime>,
+    /// Held beyond the end of the runtime: connections to PostgreSQL cannot be closed inside of one.
+    _store: Arc<Store>,
 }
 
 impl std::fmt::Debug for Server {
@@ -65,13 +76,17 @@ impl Server {
     pub fn start(
         store: Arc<Store>,
         motions: Arc<MotionLibrary>,
-        config: ServerConfig,
+        mut config: ServerConfig,
     ) -> Result<Self, Error> {
         let listen = config.listen;
         let failed = |source| Error::Listen {
             address: listen.to_string(),
             source,
         };
+        // Leases of a store that several servers share go by one clock.
+        if let Some(clock) = store.clock()? {
+            config.clock = clock;
+        }
         crate::jobs::abandon(store.as_ref(), (config.clock)())?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
@@ -80,11 +95,14 @@ impl Server {
             .enable_all()
             .build()
             .map_err(failed)?;
-        let listener = std::net::TcpListener::bind(listen).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
+        let (listener, address) = bind(&runtime, listen)?;
+        let operators = config
+            .operators
+            .map(|operators| bind(&runtime, operators))
+            .transpose()?;
         let (last_seq, _) = tokio::sync::watch::channel(store.last_seq()?);
         let store_id = store.id()?;
+        let kept = Arc::clone(&store);
         let app = Arc::new(App {
             store,
             store_id,
@@ -96,21 +114,62 @@ impl Server {
             figures: Mutex::new(None),
             last_seq,
         });
-        let listener = {
-            let _context = runtime.enter();
-            tokio::net::TcpListener::from_std(listener).map_err(failed)?
-        };
         runtime.spawn(stream::watch(Arc::clone(&app)));
-        runtime.spawn(accept(listener, app));
+        runtime.spawn(recover(Arc::clone(&app)));
+        let patience = app.config.patience;
+        let operators = operators.map(|(listener, address)| {
+            let router = router(&app, routes::OPERATOR_ROUTES);
+            runtime.spawn(accept(listener, router, patience));
+            address
+        });
+        runtime.spawn(accept(listener, router(&app, ROUTES), patience));
         Ok(Self {
             address,
+            operators,
             runtime: Some(runtime),
+            _store: kept,
         })
     }
 
     /// Address that the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Address for operators, if there is one.
+    pub fn operators(&self) -> Option<SocketAddr> {
+        self.operators
+    }
+}
+
+/// Listens on an address.
+fn bind(
+    runtime: &tokio::runtime::Runtime,
+    address: SocketAddr,
+) -> Result<(tokio::net::TcpListener, SocketAddr), Error> {
+    let failed = |source| Error::Listen {
+        address: address.to_string(),
+        source,
+    };
+    let listener = std::net::TcpListener::bind(address).map_err(failed)?;
+    listener.set_nonblocking(true).map_err(failed)?;
+    let _context = runtime.enter();
+    let listener = tokio::net::TcpListener::from_std(listener).map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    Ok((listener, bound))
+}
+
+/// Tries whether a store that accepted no writes accepts them again.
+async fn recover(app: Arc<App>) {
+    loop {
+        tokio::time::sleep(TRY_AGAIN).await;
+        if lock(&app.read_only).is_none() {
+            continue;
+        }
+        let store = Arc::clone(&app.store);
+        if blocking(move || store.check()).await.is_ok() {
+            *lock(&app.read_only) = None;
+        }
     }
 }
 
@@ -122,9 +181,7 @@ impl Drop for Server {
     }
 }
 
-async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
-    let router = router(&app);
-    let patience = app.config.patience;
+async fn accept(listener: tokio::net::TcpListener, router: axum::Router, patience: Duration) {
     let places = Arc::new(tokio::sync::Semaphore::new(CONNECTIONS));
     loop {
         let Ok(place) = Arc::clone(&places).acquire_owned().await else {
@@ -154,7 +211,7 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
                 .max_buf_size(64 * 1024)
-                .serve_connection(TokioIo::new(socket), service)
+                .serve_connection(TokioIo::new(Socket::new(socket, patience)), service)
                 .await;
             // Ignore browsers that disconnect in mid-request.
             drop(served);
@@ -165,9 +222,9 @@ async fn accept(listener: tokio::net::TcpListener, app: Arc<App>) {
 #[derive(Clone, Copy)]
 struct Peer(IpAddr);
 
-fn router(app: &Arc<App>) -> axum::Router {
+fn router(app: &Arc<App>, routes: &'static [Route]) -> axum::Router {
     let mut router = axum::Router::new();
-    for route in ROUTES {
+    for route in routes {
         let app = Arc::clone(app);
         let filter = match route.method {
             "GET" => MethodFilter::GET,
@@ -202,24 +259,7 @@ fn router(app: &Arc<App>) -> axum::Router {
 
 async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Response {
     let begun = Instant::now();
-    let outcome = match route.handler {
-        // Event streams have no timeout.
-        Handler::Stream => answer(Arc::clone(&app), route, request).await,
-        Handler::Work(_) => {
-            let patience = app.config.patience;
-            match tokio::time::timeout(patience, answer(Arc::clone(&app), route, request)).await {
-                Ok(outcome) => outcome,
-                Err(_) => Err(Error::refused(
-                    Code::Timeout,
-                    format!(
-                        "the request took more than {} seconds; send it again: a request with a key takes effect only once",
-                        patience.as_secs_f64()
-                    ),
-                )),
-            }
-        }
-    };
-    let mut response = match outcome {
+    let mut response = match answer(Arc::clone(&app), route, request).await {
         Ok(reply) => reply_response(reply),
         Err(error) => {
             let problem = error.problem();
@@ -246,6 +286,24 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
     response
 }
 
+/// Limits the time of a part of a request.
+async fn within<T>(
+    patience: Duration,
+    what: &str,
+    work: impl Future<Output = Result<T, Error>>,
+) -> Result<T, Error> {
+    let ended = tokio::time::timeout(patience, work).await;
+    ended.unwrap_or_else(|_| {
+        Err(Error::refused(
+            Code::Timeout,
+            format!(
+                "{what} took more than {} seconds; send it again: a request with a key takes effect only once",
+                patience.as_secs_f64()
+            ),
+        ))
+    })
+}
+
 /// Formats an error with its causes.
 fn chain(error: &Error) -> String {
     let mut text = error.to_string();
@@ -263,10 +321,12 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
         .extensions
         .get::<Peer>()
         .map_or(IpAddr::from([0, 0, 0, 0]), |peer| peer.0);
+    let patience = app.config.patience;
     let who = {
         let app = Arc::clone(&app);
         let (method, headers) = (parts.method.clone(), parts.headers.clone());
-        blocking(move || admit(&app, route, &method, &headers, peer)).await?
+        let admitted = blocking(move || admit(&app, route, &method, &headers));
+        within(patience, "the request", admitted).await?
     };
     let params = RawPathParams::from_request_parts(&mut parts, &())
         .await
@@ -274,19 +334,33 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
         .iter()
         .map(|(name, value)| (name.to_owned(), value.to_owned()))
         .collect();
+    let body = read_body(body, route.max_body);
+    let body = if route.is_upload() {
+        within(app.config.upload_patience, "the upload", body).await?
+    } else {
+        within(patience, "the request", body).await?
+    };
+    let accepts_gzip = compress::accepts_gzip(&parts.headers);
     let context = Context {
         params,
         who,
-        peer,
+        client: proxy::client(peer, &parts.headers, &app.config.trusted_proxies),
         query: query(&parts.uri)?,
         headers: parts.headers,
-        body: read_body(body, route.max_body).await?,
+        body,
         path: parts.uri.path().to_owned(),
         now: app.now(),
         app,
     };
     match route.handler {
-        Handler::Work(work) => blocking(move || work(&context)).await,
+        Handler::Work(work) => {
+            let work = move || {
+                let reply = work(&context)?;
+                Ok(if accepts_gzip { packed(reply) } else { reply })
+            };
+            within(patience, "the request", blocking(work)).await
+        }
+        // Event streams have no timeout.
         Handler::Stream => stream::open(context).await,
     }
 }
@@ -353,27 +427,16 @@ fn admit(
     route: &Route,
     method: &Method,
     headers: &HeaderMap,
-    peer: IpAddr,
 ) -> Result<Option<Who>, Error> {
-    let bearer = bearer(headers);
     let changes = !matches!(*method, Method::GET | Method::HEAD);
-    if changes && bearer.is_none() {
+    if changes && bearer(headers).is_none() {
         check_own(app, headers)?;
     }
-    let needed = match route.access {
-        Access::Public => return Ok(None),
-        Access::Local if peer.is_loopback() && bearer.is_none() => return Ok(None),
-        Access::Local => Role::Admin,
-        Access::Role(role) => role,
+    let Access::Role(needed) = route.access else {
+        return Ok(None);
     };
-    let now = app.now();
-    let who = match (bearer, cookie(headers, &app.cookie_name())) {
-        (Some(token), _) => app.store.authenticate(token, &[TokenUse::Token], now)?,
-        (None, Some(token)) => app.store.authenticate(&token, &[TokenUse::Session], now)?,
-        (None, None) => {
-            return Err(Error::refused(Code::Unauthenticated, "log in first"));
-        }
-    };
+    let (token, purpose) = credential(app, headers)?;
+    let who = app.store.authenticate(&token, &[purpose], app.now())?;
     if who.role < needed {
         return Err(Error::refused(
             Code::Forbidden,
@@ -381,6 +444,15 @@ fn admit(
         ));
     }
     Ok(Some(who))
+}
+
+/// The token of a request, from its bearer header or its cookie.
+fn credential(app: &App, headers: &HeaderMap) -> Result<(String, TokenUse), Error> {
+    match (bearer(headers), cookie(headers, &app.cookie_name())) {
+        (Some(token), _) => Ok((token.to_owned(), TokenUse::Token)),
+        (None, Some(token)) => Ok((token, TokenUse::Session)),
+        (None, None) => Err(Error::refused(Code::Unauthenticated, "log in first")),
+    }
 }
 
 /// Checks that a changing request with a cookie comes from the page itself (CSRF protection).

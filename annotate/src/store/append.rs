@@ -6,13 +6,13 @@ use super::entry::{Body, Entry, Reply};
 use super::project;
 use super::records::{Millis, TaskRecord};
 use super::replies::{full_key, hash_of, parsed, replay};
-use super::{apply, log, rows};
+use super::{apply, log, read, rows};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Answer, Code, EventKind, EventResult, Lease, MAX_TEXT_CHARS, NewEvent, Problem, Revision,
-    RevisionState, Settings,
+    RevisionState, Settings, TaskState,
 };
 
 /// Maximum working time that one event can report.
@@ -86,10 +86,16 @@ fn refused(
         status: problem.status,
         seq: None,
         rev: rows::revision(tx, taking.task.id, taking.user)?.map_or(0, |mine| mine.rev),
-        state: Some(taking.task.state),
+        state: Some(state_for(tx, taking.task.id, taking.user)?),
         lease: annotate_lease(tx, taking.task.id, taking.user)?,
         problem: Some(problem),
     })
+}
+
+/// State of a task as its user is told it.
+fn state_for(tx: &mut dyn Tx, task: i64, user: i64) -> Result<TaskState, Error> {
+    let task = rows::task(tx, task)?;
+    Ok(read::shown(tx, task, user)?.state)
 }
 
 fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>, Error> {
@@ -143,7 +149,7 @@ impl Taking {
                 status: problem.as_ref().map_or(200, |problem| problem.status),
                 seq: Some(seq),
                 rev: rows::revision(tx, self.task.id, self.user)?.map_or(0, |mine| mine.rev),
-                state: Some(rows::task(tx, self.task.id)?.state),
+                state: Some(state_for(tx, self.task.id, self.user)?),
                 lease: annotate_lease(tx, self.task.id, self.user)?,
                 problem,
             };

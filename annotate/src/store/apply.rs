@@ -158,7 +158,15 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             purpose,
             expires,
             blind,
+            place,
         } => {
+            if let Some(place) = place {
+                tx.execute(
+                    "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
+                     ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle, bundle_index = excluded.bundle_index",
+                    params![task, actor, place.bundle, place.index],
+                )?;
+            }
             put_lease(
                 tx,
                 &NewLease {
@@ -183,8 +191,29 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             )?;
             Ok(())
         }
-        Body::Released { lease, purpose, .. } => {
+        Body::Released {
+            lease,
+            user,
+            purpose,
+            reserved,
+            ..
+        } => {
             tx.execute("DELETE FROM lease WHERE id = ?1", params![*lease])?;
+            if let Some(until) = reserved {
+                let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![task])?;
+                put_lease(
+                    tx,
+                    &NewLease {
+                        id: lease_id(seq, 0),
+                        task,
+                        user: *user,
+                        epoch: epoch + 1,
+                        expires: *until,
+                        purpose: Purpose::Returned,
+                        blind: false,
+                    },
+                )?;
+            }
             match purpose {
                 Purpose::Review => set_state(tx, task, TaskState::Submitted),
                 Purpose::Annotate | Purpose::Returned => refresh(tx, task),

@@ -2,7 +2,8 @@
 
 use super::db::{Tx, params};
 use super::draw::percent;
-use super::entry::{Body, Entry};
+use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
+use super::import::GOLD_KEY;
 use super::project;
 use super::records::Millis;
 use super::{apply, log, rows};
@@ -14,23 +15,103 @@ use crate::wire::{Code, Empty, Lease, RevisionState, Settings, TaskKind, TaskSta
 const EXPIRED_AT_ONCE: i64 = 200;
 pub(super) const MINUTE: Millis = 60_000;
 
-/// SQL condition: user `?2` can get task `t` as new work.
+/// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
+/// kept for them alone.
 const FOR_ME: &str = "t.claimable = 1
-  AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
+  AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
   AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
 
+/// Leases with their tasks, and the place of a gold task in a bundle.
+const PLACED: &str = "lease l JOIN task t ON t.id = l.task
+  LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
+
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
-/// taken.
-pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<(), Error> {
+/// taken. Returns how many it ended.
+pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize, Error> {
     let sql = format!(
         "SELECT {} FROM lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3",
         rows::LEASE_COLUMNS
     );
-    for row in tx.query(&sql, params![now, keep, EXPIRED_AT_ONCE])? {
-        let held = rows::read_lease(&row)?;
-        end(tx, &held, None, ReleaseReason::Expired, now)?;
+    let expired = tx.query(&sql, params![now, keep, EXPIRED_AT_ONCE])?;
+    for row in &expired {
+        end(
+            tx,
+            &rows::read_lease(row)?,
+            None,
+            ReleaseReason::Expired,
+            now,
+        )?;
     }
-    Ok(())
+    Ok(expired.len())
+}
+
+/// Until when a task is kept for a user whose returned answer it waits for.
+fn reservation(
+    tx: &mut dyn Tx,
+    task: i64,
+    user: i64,
+    now: Millis,
+) -> Result<Option<Millis>, Error> {
+    let unanswered = tx.one(
+        "SELECT 1 FROM revision r JOIN task t ON t.id = r.task
+         WHERE r.task = ?1 AND r.author = ?2 AND r.state IN ('draft', 'returned') AND t.came_back = 1",
+        params![task, user],
+    )?;
+    if unanswered.is_none() {
+        return Ok(None);
+    }
+    let sql = format!(
+        "SELECT {ENTRY_COLUMNS} FROM event WHERE task = ?1 AND kind = 'returned' ORDER BY seq DESC"
+    );
+    for row in tx.query(&sql, params![task])? {
+        if let (
+            _,
+            Entry {
+                body: Body::Returned { authors, until, .. },
+                ..
+            },
+        ) = read_entry(&row)?
+            && authors.contains(&user)
+        {
+            return Ok((until > now).then_some(until));
+        }
+    }
+    Ok(None)
+}
+
+/// Number of tasks that the next claim of a user would free of expired leases, and could give to them.
+pub(super) fn freed(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<i64, Error> {
+    let sql = format!(
+        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
+         WHERE l.expires <= ?1 AND l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?3
+           AND t.claimable = 0 AND t.gold IS NULL
+           AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
+           AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
+           AND NOT EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.usr = ?2)",
+        rows::LEASE_COLUMNS
+    );
+    let mut tasks = std::collections::BTreeSet::new();
+    for row in tx.query(&sql, params![now, user, kind.as_str()])? {
+        let held = rows::read_lease(&row)?;
+        if reserved_after(tx, &held, ReleaseReason::Expired, now)?.is_none() {
+            tasks.insert(held.lease.task);
+        }
+    }
+    Ok(tasks.len() as i64)
+}
+
+/// Until when the task of a lease that ends is kept for its holder.
+fn reserved_after(
+    tx: &mut dyn Tx,
+    held: &rows::LeaseRow,
+    reason: ReleaseReason,
+    now: Millis,
+) -> Result<Option<Millis>, Error> {
+    // A reviewer who takes a task away wants others to have it.
+    if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
+        return Ok(None);
+    }
+    reservation(tx, held.lease.task, held.lease.user, now)
 }
 
 pub(super) fn end(
@@ -40,6 +121,7 @@ pub(super) fn end(
     reason: ReleaseReason,
     now: Millis,
 ) -> Result<(), Error> {
+    let reserved = reserved_after(tx, held, reason, now)?;
     log::note(
         tx,
         &Entry {
@@ -52,9 +134,33 @@ pub(super) fn end(
                 user: held.lease.user,
                 purpose: held.purpose,
                 reason,
+                reserved,
             },
         },
     )?;
+    Ok(())
+}
+
+/// Ends all leases of a user, for others to take their tasks.
+pub(super) fn end_all(
+    tx: &mut dyn Tx,
+    user: i64,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<(), Error> {
+    let sql = format!(
+        "SELECT {} FROM lease l WHERE l.usr = ?1 ORDER BY l.id",
+        rows::LEASE_COLUMNS
+    );
+    for row in tx.query(&sql, params![user])? {
+        end(
+            tx,
+            &rows::read_lease(&row)?,
+            actor,
+            ReleaseReason::TakenAway,
+            now,
+        )?;
+    }
     Ok(())
 }
 
@@ -68,6 +174,19 @@ pub(super) fn take(
     user: i64,
     task: i64,
     purpose: Purpose,
+    settings: &Settings,
+    now: Millis,
+) -> Result<(), Error> {
+    take_at(tx, user, task, purpose, None, settings, now)
+}
+
+/// [`take`], of a gold task at a place in a bundle.
+fn take_at(
+    tx: &mut dyn Tx,
+    user: i64,
+    task: i64,
+    purpose: Purpose,
+    place: Option<Place>,
     settings: &Settings,
     now: Millis,
 ) -> Result<(), Error> {
@@ -87,6 +206,7 @@ pub(super) fn take(
                 purpose,
                 expires: lease_end(settings, now),
                 blind,
+                place,
             },
         },
     )?;
@@ -127,9 +247,11 @@ pub(super) fn prolong_bundle(
     now: Millis,
 ) -> Result<Lease, Error> {
     let sql = format!(
-        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2
-           AND t.bundle = (SELECT bundle FROM task WHERE id = ?3) ORDER BY l.id",
+        "SELECT {} FROM {PLACED}
+         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
+           SELECT COALESCE(p.bundle, x.bundle) FROM task x
+             LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
+         ORDER BY l.id",
         rows::LEASE_COLUMNS
     );
     let rest = tx.query(
@@ -149,12 +271,11 @@ pub(super) fn claim(
     kind: TaskKind,
     now: Millis,
 ) -> Result<Result<i64, Empty>, Error> {
-    expire(tx, user, now)?;
+    let mut expired = expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let sql = format!(
-        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
-         ORDER BY t.bundle, t.bundle_index, l.id LIMIT 1",
+        "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
+         ORDER BY COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id LIMIT 1",
         rows::LEASE_COLUMNS
     );
     if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
@@ -174,27 +295,39 @@ pub(super) fn claim(
         take(tx, user, task, Purpose::Annotate, &settings, now)?;
         return Ok(Ok(task));
     }
-    if let Some(task) = gold_task(tx, user, kind, &settings)? {
-        take(tx, user, task, Purpose::Annotate, &settings, now)?;
-        return Ok(Ok(task));
-    }
-    let Some((first, bundle)) = candidate(tx, user, kind)? else {
-        return Ok(Err(empty(tx, user, kind)?));
+    let (first, bundle) = loop {
+        if let Some(found) = candidate(tx, user, kind)? {
+            break found;
+        }
+        if expired == 0 {
+            return Ok(Err(empty(tx, user, kind)?));
+        }
+        expired = expire(tx, user, now)?;
     };
+    let mut places = Vec::new();
     match bundle {
-        None => take(tx, user, first, Purpose::Annotate, &settings, now)?,
+        None => places.push((first, None)),
         Some(bundle) => {
             let sql = format!(
-                "SELECT t.id FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
+                "SELECT t.id, t.bundle_index FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
                    AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
                  ORDER BY t.bundle_index, t.id"
             );
             for row in tx.query(&sql, params![bundle, user])? {
-                take(tx, user, row.int(0)?, Purpose::Annotate, &settings, now)?;
+                let index = row.int(1)?;
+                places.push((row.int(0)?, Some(Place { bundle, index })));
             }
         }
     }
-    Ok(Ok(first))
+    let golds = gold_tasks(tx, user, kind, places.len(), &settings)?;
+    let mut taken = Vec::with_capacity(places.len());
+    for ((task, place), gold) in places.into_iter().zip(golds) {
+        // A gold task stands in for one of the tasks, which is left for a later claim.
+        let (task, place) = gold.map_or((task, None), |gold| (gold, place));
+        take_at(tx, user, task, Purpose::Annotate, place, &settings, now)?;
+        taken.push(task);
+    }
+    Ok(Ok(taken.first().copied().unwrap_or(first)))
 }
 
 /// The next task of a user with its bundle: a new one, else a postponed one.
@@ -241,32 +374,50 @@ pub(super) fn upcoming(
     Ok(hashes)
 }
 
-/// A gold task, if one is due. The draw depends on the user and their number of answers.
-fn gold_task(
+/// For each of the next `count` answers of a user: the gold task that takes its place, if one is due. Each draw
+/// depends on the user and the number of the answer, so that asking again changes nothing. Tasks are left out that
+/// the user answered, reviewed or began before they became gold, and those whose answer is no longer accepted.
+fn gold_tasks(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
+    count: usize,
     settings: &Settings,
-) -> Result<Option<i64>, Error> {
+) -> Result<Vec<Option<i64>>, Error> {
+    let mut places = vec![None; count];
     if settings.gold_percent == 0 {
-        return Ok(None);
+        return Ok(places);
     }
-    let answers = tx.number(
-        "SELECT COUNT(*) FROM revision WHERE author = ?1 AND state <> 'draft'",
+    let done = tx.number(
+        "SELECT (SELECT COUNT(*) FROM revision WHERE author = ?1 AND state <> 'draft')
+           + (SELECT COUNT(*) FROM skip WHERE usr = ?1)",
         params![user],
     )?;
-    let number = answers.to_string();
-    if percent(&["gold", &user.to_string(), &number]) >= settings.gold_percent {
-        return Ok(None);
+    let is_due = |index: usize| {
+        let number = (done + index as i64).to_string();
+        percent(&["gold", &user.to_string(), &number]) < settings.gold_percent
+    };
+    let due: Vec<usize> = (0..count).filter(|&index| is_due(index)).collect();
+    if due.is_empty() {
+        return Ok(places);
     }
-    let row = tx.one(
+    let prefix = GOLD_KEY.len() as i64 + 1;
+    let golds = tx.query(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
-         ORDER BY t.shuffle, t.id LIMIT 1",
-        params![kind.as_str(), user],
+           AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)
+           AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, CAST(?3 AS INTEGER)) AND (o.state <> 'accepted'
+             OR EXISTS (SELECT 1 FROM revision r WHERE r.task = o.id AND r.author = ?2)
+             OR EXISTS (SELECT 1 FROM review v WHERE v.task = o.id AND v.reviewer = ?2)
+             OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
+         ORDER BY t.shuffle, t.id LIMIT ?4",
+        params![kind.as_str(), user, prefix, due.len() as i64],
     )?;
-    row.map(|row| row.int(0)).transpose()
+    for (index, gold) in due.into_iter().zip(golds) {
+        places[index] = Some(gold.int(0)?);
+    }
+    Ok(places)
 }
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {

@@ -1,8 +1,9 @@
 //! Interface to SQLite and PostgreSQL: values, rows and transactions.
 //!
 //! Both databases share the SQL statements. Parameters are `?1`, `?2` …; integers are `BIGINT`, booleans are
-//! 0 and 1, other columns are `TEXT` or double precision.
+//! 0 and 1, other columns are `TEXT`, `BYTEA` or double precision.
 
+use super::records::Millis;
 use crate::Error;
 
 /// A value of a parameter or a column.
@@ -16,6 +17,8 @@ pub(crate) enum Value {
     Real(f64),
     /// Text.
     Text(String),
+    /// Bytes.
+    Blob(Vec<u8>),
 }
 
 impl From<i64> for Value {
@@ -51,6 +54,12 @@ impl From<&str> for Value {
 impl From<String> for Value {
     fn from(value: String) -> Self {
         Self::Text(value)
+    }
+}
+
+impl From<Vec<u8>> for Value {
+    fn from(value: Vec<u8>) -> Self {
+        Self::Blob(value)
     }
 }
 
@@ -114,6 +123,13 @@ impl Row {
         match self.0.get(column) {
             Some(Value::Text(value)) => Ok(value),
             _ => Err(self.wrong(column, "text")),
+        }
+    }
+
+    pub(crate) fn bytes(&self, column: usize) -> Result<&[u8], Error> {
+        match self.0.get(column) {
+            Some(Value::Blob(value)) => Ok(value),
+            _ => Err(self.wrong(column, "bytes")),
         }
     }
 
@@ -192,8 +208,16 @@ pub(crate) trait Database: Send + Sync {
     fn snapshot(&self) -> Result<Box<dyn Database>, Error>;
     /// Writes a backup to a new file without blocking others.
     fn backup(&self, path: &std::path::Path) -> Result<(), Error>;
-    /// Checks that the store accepts writes.
+    /// Checks that the store accepts writes, by writing.
     fn check(&self) -> Result<(), Error>;
+    /// Whether servers on several machines can share it.
+    fn is_shared(&self) -> bool {
+        false
+    }
+    /// The time of the database's own clock, if it is shared.
+    fn time(&self) -> Result<Option<Millis>, Error> {
+        Ok(None)
+    }
 }
 
 /// [`Database::write`] with a value as its result.

@@ -60,6 +60,13 @@ where
     })
 }
 
+/// A place in a bundle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Place {
+    pub(crate) bundle: i64,
+    pub(crate) index: i64,
+}
+
 /// Body of an entry. `request` is a hash of the request; it shows whether a repeated key repeats the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
@@ -71,6 +78,9 @@ pub(crate) enum Body {
         purpose: Purpose,
         expires: Millis,
         blind: bool,
+        /// Where a gold task stands in for a task of a bundle.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        place: Option<Place>,
     },
     Renewed {
         lease: i64,
@@ -81,6 +91,9 @@ pub(crate) enum Body {
         user: i64,
         purpose: Purpose,
         reason: ReleaseReason,
+        /// Until when the task is kept for the user, whose returned answer it still waits for.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        reserved: Option<Millis>,
     },
     DraftSaved {
         answer: Answer,

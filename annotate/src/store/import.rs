@@ -9,6 +9,8 @@ use super::{log, rows};
 use crate::Error;
 use crate::wire::Settings;
 
+/// What the key of a gold task has before that of the task it was copied from.
+pub(super) const GOLD_KEY: &str = "gold:";
 /// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
@@ -102,7 +104,7 @@ pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Re
             "made gold; only accepted tasks can",
         ));
     };
-    let key = format!("gold:{}", task.key);
+    let key = format!("{GOLD_KEY}{}", task.key);
     if tx
         .one("SELECT 1 FROM task WHERE key = ?1", params![&key])?
         .is_some()
@@ -123,7 +125,8 @@ pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Re
         priority: 0,
         gold: Some(row.json(0)?),
         extra: None,
-        suggestions: Vec::new(),
+        // Without drafts it would be told from other tasks.
+        suggestions: project::drafts_of(tx, id)?,
         accepted: None,
     };
     let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;

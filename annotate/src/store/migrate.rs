@@ -23,8 +23,17 @@ const PROJECTIONS: &str = include_str!("projections.sql");
 /// Changes of `schema.sql`, from version 1 on.
 const STEPS: &[&str] = &[
     // 2: a store has an id, which every upgrade gives to a store without one.
+    "",
     // 3: the projection `work`, which every upgrade derives.
-    "", "",
+    "",
+    // 4: gold tasks stand in places of bundles, and servers share the files of exports.
+    "CREATE TABLE job_file (
+  job BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  part BIGINT NOT NULL,
+  bytes BYTEA NOT NULL,
+  PRIMARY KEY (job, name, part)
+)",
 ];
 
 /// Version of the tables of this program.

@@ -21,6 +21,8 @@ mod migrate;
 mod people;
 #[cfg(feature = "postgres")]
 mod postgres;
+#[cfg(feature = "postgres")]
+mod postgres_address;
 mod project;
 mod read;
 mod readers;
@@ -45,7 +47,8 @@ pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Imported, IssuedToken, KeyRange, Label,
     Millis, MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed,
-    ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
+    ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse,
+    WeekCounts, Who,
 };
 pub use store::Store;
 

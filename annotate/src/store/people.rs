@@ -6,8 +6,8 @@ use sha2::{Digest, Sha256};
 
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry};
-use super::log;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
+use super::{claim, log};
 use crate::Error;
 use crate::wire::{Code, Role, TokenInfo, User};
 
@@ -160,6 +160,7 @@ pub(super) fn change(
     )?;
     if !after.active {
         tx.execute("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
+        claim::end_all(tx, id, actor, now)?;
     }
     logged(tx, actor, &after, now)?;
     Ok(after)
@@ -302,6 +303,26 @@ pub(super) fn used(
         params![found.token, now, found.once],
     )?;
     Ok(found.who)
+}
+
+/// Begins a session that ends with the token it was begun by. A one-time token only opens the door: its session
+/// lasts as long as any.
+pub(super) fn log_in(
+    tx: &mut dyn Tx,
+    hash: &str,
+    until: Millis,
+    now: Millis,
+) -> Result<(Who, IssuedToken), Error> {
+    let purposes = [TokenUse::Token, TokenUse::Once];
+    let found = find(tx, hash, &purposes, now)?;
+    let until = if found.once {
+        until
+    } else {
+        until.min(found.expires)
+    };
+    let who = used(tx, hash, &purposes, now)?;
+    let session = issue(tx, who.id, TokenUse::Session, until, now)?;
+    Ok((who, session))
 }
 
 pub(super) fn tokens(tx: &mut dyn Tx, user: i64) -> Result<Vec<TokenInfo>, Error> {

@@ -9,12 +9,14 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
-use postgres::{Client, NoTls, Statement};
+use postgres::{Client, Statement};
 
 use super::db::{Database, Row, Tx, Value, Work, params};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
+use super::postgres_address;
 use super::readers::{Readers, Snapshot};
+use super::records::Millis;
 use crate::Error;
 
 /// Key of the advisory lock that serialises writers: the letters of "annotate".
@@ -37,7 +39,7 @@ struct Connection {
 /// Address of a store.
 #[derive(Clone)]
 struct Address {
-    url: String,
+    database: postgres_address::Address,
     schema: String,
 }
 
@@ -79,7 +81,7 @@ impl Postgres {
             });
         }
         let address = Address {
-            url: url.to_owned(),
+            database: postgres_address::Address::parse(url)?,
             schema: schema.to_owned(),
         };
         let mut first = address.connect()?;
@@ -179,15 +181,11 @@ fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<St
 impl Address {
     /// Address of the store without its password, for messages.
     fn place(&self) -> String {
-        let host = self.url.rsplit('@').next().unwrap_or_default();
-        format!("{host}, schema {}", self.schema)
+        format!("{}, schema {}", self.database.place(), self.schema)
     }
 
     fn connect(&self) -> Result<Connection, Error> {
-        let mut client = Client::connect(&self.url, NoTls).map_err(|error| Error::Open {
-            path: self.place(),
-            reason: error.to_string(),
-        })?;
+        let mut client = self.database.connect()?;
         client
             // Disable sequential scans: plans prepared on empty tables would otherwise keep scanning
             // them after they grow.
@@ -302,6 +300,7 @@ impl ToSql for Value {
             Self::Int(value) => value.to_sql(ty, out),
             Self::Real(value) => value.to_sql(ty, out),
             Self::Text(value) => value.to_sql(ty, out),
+            Self::Blob(value) => value.to_sql(ty, out),
         }
     }
 
@@ -324,6 +323,7 @@ impl<'a> FromSql<'a> for Column {
             Type::INT8 => Value::Int(i64::from_sql(ty, raw)?),
             Type::INT4 => Value::Int(i32::from_sql(ty, raw)?.into()),
             Type::FLOAT8 => Value::Real(f64::from_sql(ty, raw)?),
+            Type::BYTEA => Value::Blob(raw.to_vec()),
             _ => Value::Text(<&str>::from_sql(&Type::TEXT, raw)?.to_owned()),
         };
         Ok(Self(value))
@@ -427,5 +427,16 @@ impl Database for Postgres {
 
     fn check(&self) -> Result<(), Error> {
         self.write(Box::new(super::db::try_writing))
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+
+    fn time(&self) -> Result<Option<Millis>, Error> {
+        super::db::read(self, |tx| {
+            let millis = "CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)";
+            tx.number(&format!("SELECT {millis}"), &[]).map(Some)
+        })
     }
 }

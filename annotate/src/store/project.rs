@@ -327,31 +327,45 @@ pub(super) fn suggestions(tx: &mut dyn Tx, ids: &[i64]) -> Result<Vec<Suggestion
     Ok(found)
 }
 
+const NEW_SUGGESTION_COLUMNS: &str =
+    "source, parts, text, model, prompt_hash, params, tokens, response_hash";
+
+fn read_new_suggestion(row: &Row) -> Result<NewSuggestion, Error> {
+    Ok(NewSuggestion {
+        source: source(row.text(0)?)?,
+        parts: row.json(1)?,
+        text: row.string(2)?,
+        model: row.string(3)?,
+        prompt_hash: row.string(4)?,
+        params: row.string(5)?,
+        tokens: row.opt_int(6)?,
+        response_hash: row.string(7)?,
+    })
+}
+
 pub(super) fn cached_suggestion(
     tx: &mut dyn Tx,
     prompt_hash: &str,
 ) -> Result<Option<NewSuggestion>, Error> {
-    let row = tx.one(
-        "SELECT source, parts, text, model, prompt_hash, params, tokens, response_hash FROM suggestion
-         WHERE prompt_hash = ?1 ORDER BY id LIMIT 1",
-        params![prompt_hash],
-    )?;
-    row.map(|row| {
-        Ok(NewSuggestion {
-            source: source(row.text(0)?)?,
-            parts: row.json(1)?,
-            text: row.string(2)?,
-            model: row.string(3)?,
-            prompt_hash: row.string(4)?,
-            params: row.string(5)?,
-            tokens: row.opt_int(6)?,
-            response_hash: row.string(7)?,
-        })
-    })
-    .transpose()
+    let sql = format!(
+        "SELECT {NEW_SUGGESTION_COLUMNS} FROM suggestion WHERE prompt_hash = ?1 ORDER BY id LIMIT 1"
+    );
+    let row = tx.one(&sql, params![prompt_hash])?;
+    row.as_ref().map(read_new_suggestion).transpose()
 }
 
-pub(super) fn put_job(tx: &mut dyn Tx, mut job: Job) -> Result<Job, Error> {
+/// Suggestions of a task, to be stored for another one.
+pub(super) fn drafts_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<NewSuggestion>, Error> {
+    let sql =
+        format!("SELECT {NEW_SUGGESTION_COLUMNS} FROM suggestion WHERE task = ?1 ORDER BY id");
+    tx.query(&sql, params![task])?
+        .iter()
+        .map(read_new_suggestion)
+        .collect()
+}
+
+pub(super) fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job, Error> {
+    job.heartbeat = now;
     if job.id == 0 {
         job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
     }
@@ -360,6 +374,55 @@ pub(super) fn put_job(tx: &mut dyn Tx, mut job: Job) -> Result<Job, Error> {
         params![job.id, json("job", &job)?],
     )?;
     Ok(job)
+}
+
+/// Stores a part of a file of a job.
+pub(super) fn put_file_part(
+    tx: &mut dyn Tx,
+    job: i64,
+    name: &str,
+    part: i64,
+    bytes: Vec<u8>,
+) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO job_file (job, name, part, bytes) VALUES (?1, ?2, ?3, ?4)",
+        params![job, name, part, bytes],
+    )?;
+    Ok(())
+}
+
+/// A part of a file of a job, counted from 0.
+pub(super) fn file_part(
+    tx: &mut dyn Tx,
+    job: i64,
+    name: &str,
+    part: i64,
+) -> Result<Option<Vec<u8>>, Error> {
+    let row = tx.one(
+        "SELECT bytes FROM job_file WHERE job = ?1 AND name = ?2 AND part = ?3",
+        params![job, name, part],
+    )?;
+    row.map(|row| Ok(row.bytes(0)?.to_vec())).transpose()
+}
+
+/// Removes the files of all jobs but the last `kept` that have some.
+pub(super) fn forget_files(tx: &mut dyn Tx, kept: i64) -> Result<(), Error> {
+    tx.execute(
+        "DELETE FROM job_file WHERE job NOT IN (
+           SELECT k.job FROM (SELECT DISTINCT job FROM job_file ORDER BY job DESC LIMIT ?1) k)",
+        params![kept],
+    )?;
+    Ok(())
+}
+
+/// Records that a job runs.
+pub(super) fn beat(tx: &mut dyn Tx, id: i64, now: Millis) -> Result<(), Error> {
+    let row = tx.one("SELECT body FROM job WHERE id = ?1", params![id])?;
+    let job: Option<Job> = row.map(|row| row.json(0)).transpose()?;
+    match job {
+        Some(job) if job.state == "running" => put_job(tx, job, now).map(|_| ()),
+        _ => Ok(()),
+    }
 }
 
 pub(super) fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>, Error> {

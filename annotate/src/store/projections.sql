@@ -128,3 +128,13 @@ CREATE TABLE work (
 );
 CREATE INDEX work_usr ON work (usr, at);
 CREATE INDEX work_task ON work (task);
+
+-- The place in a bundle where a gold task stands in for another task of a user.
+CREATE TABLE gold_place (
+  task BIGINT NOT NULL,
+  usr BIGINT NOT NULL,
+  bundle BIGINT NOT NULL,
+  bundle_index BIGINT NOT NULL,
+  PRIMARY KEY (task, usr)
+);
+CREATE INDEX gold_place_bundle ON gold_place (usr, bundle);

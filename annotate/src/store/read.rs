@@ -5,17 +5,17 @@ use datasets_spec::quantile;
 use super::db::{Row, Tx, Value, params};
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
-    ShelfFilter, TaskDetail, TaskRecord, WeekCounts,
+    ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, WeekCounts,
 };
 use super::rows;
 use super::rows::NUM_TASK_COLUMNS;
-use super::{people, project};
+use super::{claim, people, project};
 use crate::Error;
 use crate::clock;
 use crate::state::Purpose;
 use crate::wire::{
-    Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, TaskKind,
-    TaskState, Verdict,
+    Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, Skip,
+    SkipReason, TaskKind, TaskState, Verdict,
 };
 
 pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
@@ -25,9 +25,10 @@ pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Er
 
 /// Task details for a user who may see the task.
 pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, Error> {
-    let task = rows::task(tx, id)?;
     let held = rows::lease_of(tx, id, user)?;
     let mine = rows::revision(tx, id, user)?;
+    let task = rows::task(tx, id)?;
+    let task = shown(tx, task, user)?;
     let blind = match &held {
         Some(held) => held.blind,
         None => {
@@ -65,30 +66,90 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, 
     })
 }
 
+/// A task as a user may see it: a gold task looks like one that wants one answer, and stands in a bundle.
+pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<TaskRecord, Error> {
+    if task.gold.is_none() {
+        return Ok(task);
+    }
+    task.wanted = 1;
+    let mine = rows::revision(tx, task.id, user)?;
+    let is_answered = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
+    task.submitted = is_answered.into();
+    task.state = if is_answered {
+        TaskState::Submitted
+    } else if rows::lease_of(tx, task.id, user)?.is_some() {
+        TaskState::Leased
+    } else {
+        TaskState::Open
+    };
+    let place = tx.one(
+        "SELECT bundle, bundle_index FROM gold_place WHERE task = ?1 AND usr = ?2",
+        params![task.id, user],
+    )?;
+    if let Some(place) = place {
+        task.bundle = Some(place.int(0)?);
+        task.bundle_index = place.int(1)?;
+    }
+    Ok(task)
+}
+
 fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>, Error> {
     let Some(bundle) = task.bundle else {
         return Ok(Vec::new());
     };
-    tx.query(
-        "SELECT t.id, r.state, r.verdict,
-           (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2 AND l.purpose = 'annotate')
-         FROM task t LEFT JOIN revision r ON r.task = t.id AND r.author = ?2
-         WHERE t.bundle = ?1 ORDER BY t.bundle_index, t.id",
-        params![bundle, user],
-    )?
-    .iter()
-    .map(|row| {
-        Ok(BundleEntry {
-            task: row.int(0)?,
+    let read = |row: &Row| -> Result<(i64, BundleEntry), Error> {
+        let entry = BundleEntry {
+            task: row.int(1)?,
             mine: row
-                .opt_text(1)?
+                .opt_text(2)?
                 .map(|state| rows::revision_state(&state))
                 .transpose()?,
-            verdict: row.opt_text(2)?.and_then(|verdict| Verdict::parse(&verdict)),
-            leased: row.flag(3)?,
+            verdict: row
+                .opt_text(3)?
+                .and_then(|verdict| Verdict::parse(&verdict)),
+            leased: row.flag(4)?,
+        };
+        Ok((row.int(0)?, entry))
+    };
+    let columns = |index: &str| {
+        format!(
+            "{index}, t.id, r.state, r.verdict,
+               (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2 AND l.purpose = 'annotate')"
+        )
+    };
+    let tasks = format!(
+        "SELECT {} FROM task t LEFT JOIN revision r ON r.task = t.id AND r.author = ?2
+         WHERE t.bundle = ?1 ORDER BY t.bundle_index, t.id",
+        columns("t.bundle_index")
+    );
+    let golds = format!(
+        "SELECT {} FROM gold_place g JOIN task t ON t.id = g.task
+         LEFT JOIN revision r ON r.task = t.id AND r.author = ?2
+         WHERE g.usr = ?2 AND g.bundle = ?1 ORDER BY g.bundle_index, t.id",
+        columns("g.bundle_index")
+    );
+    let mut all = |sql: &str| -> Result<Vec<(i64, BundleEntry)>, Error> {
+        tx.query(sql, params![bundle, user])?
+            .iter()
+            .map(read)
+            .collect()
+    };
+    let (tasks, golds) = (all(&tasks)?, all(&golds)?);
+    let is_mine = |entry: &BundleEntry| entry.leased || entry.mine.is_some();
+    Ok(tasks
+        .into_iter()
+        .map(|(index, entry)| {
+            if is_mine(&entry) {
+                return entry;
+            }
+            // A gold task stands in for this one until the user gets it; of several, the one held.
+            golds
+                .iter()
+                .filter(|(at, gold)| *at == index && is_mine(gold))
+                .max_by_key(|(_, gold)| gold.leased)
+                .map_or(entry, |(_, gold)| gold.clone())
         })
-    })
-    .collect()
+        .collect())
 }
 
 pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Error> {
@@ -113,14 +174,18 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
             "SELECT COUNT(*) FROM task WHERE kind = ?1 AND claimable = 1",
             params![name],
         )?;
+        // From the user's side, which is short, rather than for each of the open tasks.
         let not_for_me = tx.number(
-            "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
-             WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.claimable = 1",
+            "SELECT COUNT(*) FROM (
+               SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
+               UNION SELECT task FROM skip WHERE usr = ?2 AND postponed = 0
+               UNION SELECT task FROM lease WHERE usr = ?2
+             ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1",
             params![name, user],
         )?;
-        let skipped = tx.number(
-            "SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
-             WHERE s.usr = ?2 AND s.postponed = 0 AND t.kind = ?1 AND t.claimable = 1",
+        let kept = tx.number(
+            "SELECT COUNT(*) FROM lease l JOIN task t ON t.id = l.task
+             WHERE l.usr = ?2 AND l.purpose <> 'review' AND t.kind = ?1",
             params![name, user],
         )?;
         queues.push(QueueInfo {
@@ -128,7 +193,7 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
             total,
             done,
             mine,
-            open: (claimable - not_for_me - skipped).max(0),
+            open: claimable - not_for_me + kept + claim::freed(tx, user, kind, now)?,
         });
     }
     let returned = tx
@@ -358,6 +423,63 @@ pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, E
                 note: row.string(from + 2)?,
             });
         }
+    }
+    Ok(all)
+}
+
+/// Undecided tasks that somebody skipped, by id. A task is skipped by all if nobody who annotates can get it any
+/// more; where nobody is an annotator, everybody counts.
+pub(super) fn skipped(tx: &mut dyn Tx, filter: &SkippedFilter) -> Result<Vec<Skipped>, Error> {
+    let annotators = tx.number(
+        "SELECT COUNT(*) FROM usr WHERE active = 1 AND role = 'annotator'",
+        &[],
+    )?;
+    let is_left = "EXISTS (SELECT 1 FROM usr u WHERE u.active = 1 AND (?3 = 0 OR u.role = 'annotator')
+        AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = u.id AND s.postponed = 0)
+        AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = u.id AND r.state NOT IN ('draft', 'returned')))";
+    let sql = format!(
+        "SELECT {}, CASE WHEN {is_left} THEN 0 ELSE 1 END FROM task t
+         WHERE t.id > ?1 AND t.id IN (SELECT task FROM skip WHERE postponed = 0) AND t.gold IS NULL
+           AND t.state IN ('open', 'leased', 'returned') AND (?2 = '' OR t.kind = ?2)
+           AND (?4 = 0 OR NOT {is_left})
+         ORDER BY t.id LIMIT ?5",
+        rows::TASK_COLUMNS
+    );
+    let found = tx.query(
+        &sql,
+        params![
+            filter.after,
+            filter.kind.map_or("", TaskKind::as_str),
+            annotators,
+            filter.by_all,
+            filter.limit as i64
+        ],
+    )?;
+    let mut all = Vec::with_capacity(found.len());
+    for row in found {
+        let task = rows::read_task(&row)?;
+        let skips = tx
+            .query(
+                "SELECT s.usr, COALESCE(u.name, ''), s.reason, s.note, s.at FROM skip s
+                 LEFT JOIN usr u ON u.id = s.usr WHERE s.task = ?1 AND s.postponed = 0 ORDER BY s.at, s.usr",
+                params![task.id],
+            )?
+            .iter()
+            .map(|row| {
+                Ok(Skip {
+                    user: row.int(0)?,
+                    user_name: row.string(1)?,
+                    reason: row.opt_text(2)?.and_then(|reason| SkipReason::parse(&reason)),
+                    note: row.string(3)?,
+                    at: row.int(4)?,
+                })
+            })
+            .collect::<Result<_, Error>>()?;
+        all.push(Skipped {
+            by_all: row.flag(NUM_TASK_COLUMNS)?,
+            task,
+            skips,
+        });
     }
     Ok(all)
 }

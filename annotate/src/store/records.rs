@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, Empty, Lease, ReviewEmpty, Revision, RevisionState, Role, Suggestion, SuggestionSource,
-    TaskKind, TaskState, User, Verdict,
+    Answer, Empty, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Suggestion,
+    SuggestionSource, TaskKind, TaskState, User, Verdict,
 };
 
 /// Milliseconds since the epoch.
@@ -298,6 +298,30 @@ pub struct AuditFilter {
     pub before: Option<i64>,
     /// Maximum number.
     pub limit: usize,
+}
+
+/// Which skipped tasks to show.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkippedFilter {
+    /// Of one kind.
+    pub kind: Option<TaskKind>,
+    /// Only those that nobody is left for.
+    pub by_all: bool,
+    /// After this task.
+    pub after: i64,
+    /// Maximum number.
+    pub limit: usize,
+}
+
+/// A task that somebody skipped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Skipped {
+    /// The task.
+    pub task: TaskRecord,
+    /// Who skipped it, and why.
+    pub skips: Vec<Skip>,
+    /// Whether nobody who annotates is left to get it.
+    pub by_all: bool,
 }
 
 /// Totals of one person.

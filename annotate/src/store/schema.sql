@@ -73,3 +73,12 @@ CREATE TABLE job (
   id BIGINT PRIMARY KEY,
   body TEXT NOT NULL
 );
+
+-- Files of exports, in parts, for servers that share a store.
+CREATE TABLE job_file (
+  job BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  part BIGINT NOT NULL,
+  bytes BYTEA NOT NULL,
+  PRIMARY KEY (job, name, part)
+);

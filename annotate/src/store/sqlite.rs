@@ -274,6 +274,7 @@ impl ToSql for Value {
             Self::Int(value) => ValueRef::Integer(*value),
             Self::Real(value) => ValueRef::Real(*value),
             Self::Text(value) => ValueRef::Text(value.as_bytes()),
+            Self::Blob(value) => ValueRef::Blob(value),
         }))
     }
 }
@@ -307,9 +308,8 @@ impl Tx for SqliteTx<'_> {
                     ValueRef::Null => Value::Null,
                     ValueRef::Integer(value) => Value::Int(value),
                     ValueRef::Real(value) => Value::Real(value),
-                    ValueRef::Text(text) | ValueRef::Blob(text) => {
-                        Value::Text(String::from_utf8_lossy(text).into_owned())
-                    }
+                    ValueRef::Text(text) => Value::Text(String::from_utf8_lossy(text).into_owned()),
+                    ValueRef::Blob(bytes) => Value::Blob(bytes.to_vec()),
                 });
             }
             rows.push(Row(values));
@@ -374,31 +374,81 @@ fn network_file_system(path: &Path) -> Option<String> {
 
 /// Looks a folder up in a table of mounts; the longest mount point above it counts.
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
-    const NETWORK: [&str; 12] = [
+    // With and without the prefix `fuse.`. Those of clusters and of virtual machines are among them: each host
+    // maps the shared memory of the write-ahead log for itself.
+    const NETWORK: &[&str] = &[
+        "9p",
+        "acfs",
+        "afs",
+        "beegfs",
+        "beegfs_nodev",
+        "blobfuse2",
+        "ceph",
+        "ceph-fuse",
+        "cifs",
+        "coda",
+        "cvmfs2",
+        "davfs",
+        "davfs2",
+        "fhgfs",
+        "gcsfuse",
+        "gfs2",
+        "glusterfs",
+        "goofys",
+        "gpfs",
+        "grpcfuse",
+        "juicefs",
+        "kafs",
+        "lustre",
+        "mount-s3",
+        "mountpoint-s3",
+        "ncpfs",
         "nfs",
         "nfs4",
-        "cifs",
+        "ocfs2",
+        "orangefs",
+        "panfs",
+        "prl_fs",
+        "pvfs2",
+        "quobyte",
+        "rclone",
+        "s3fs",
+        "seaweedfs",
+        "smb2",
         "smb3",
         "smbfs",
-        "afs",
-        "ceph",
-        "lustre",
-        "glusterfs",
-        "fuse.sshfs",
-        "fuse.glusterfs",
-        "fuse.s3fs",
+        "sshfs",
+        "vboxsf",
+        "virtiofs",
+        "vmhgfs",
+        "vmhgfs-fuse",
+        "wekafs",
     ];
     mounts
         .lines()
         .filter_map(|line| {
             let mut fields = line.split(' ').skip(1);
-            let point = fields.next()?.replace("\\040", " ");
+            let point = unescaped(fields.next()?);
             let kind = fields.next()?;
             folder.starts_with(&point).then_some((point.len(), kind))
         })
         .max_by_key(|(length, _)| *length)
-        .filter(|(_, kind)| NETWORK.contains(kind))
+        .filter(|(_, kind)| NETWORK.contains(&kind.strip_prefix("fuse.").unwrap_or(kind)))
         .map(|(_, kind)| format!("a network file system ({kind})"))
+}
+
+/// A path of the table of mounts, where blanks and backslashes are octal escapes.
+fn unescaped(text: &str) -> String {
+    [
+        ("\\040", " "),
+        ("\\011", "\t"),
+        ("\\012", "\n"),
+        ("\\134", "\\"),
+    ]
+    .iter()
+    .fold(text.to_owned(), |text, (escape, plain)| {
+        text.replace(escape, plain)
+    })
 }
 
 #[cfg(test)]
@@ -604,6 +654,42 @@ mod tests {
 
     #[test]
     fn network_file_systems_are_known_by_their_mount() {
+        let kinds = [
+            "nfs",
+            "nfs4",
+            "cifs",
+            "smb3",
+            "gpfs",
+            "beegfs",
+            "lustre",
+            "9p",
+            "virtiofs",
+            "ceph",
+            "fuse.sshfs",
+            "fuse.juicefs",
+        ];
+        for kind in kinds {
+            let mounts = format!("/dev/sda1 / ext4 rw 0 0\nshare /data {kind} rw 0 0\n");
+            let found = network_mount(&mounts, Path::new("/data/set"));
+            assert!(found.is_some_and(|said| said.contains(kind)), "{kind}");
+        }
+        for kind in [
+            "ext4",
+            "xfs",
+            "btrfs",
+            "zfs",
+            "tmpfs",
+            "overlay",
+            "fuseblk",
+            "fuse.mergerfs",
+        ] {
+            let mounts = format!("share / nfs rw 0 0\ndisk /data {kind} rw 0 0\n");
+            assert_eq!(
+                network_mount(&mounts, Path::new("/data/set")),
+                None,
+                "{kind}"
+            );
+        }
         let mounts = "/dev/sda1 / ext4 rw 0 0\nserver:/home /home nfs4 rw 0 0\n/dev/sdb /home/fast\\040disk xfs rw 0 0\n";
         for (folder, network) in [
             ("/srv/data", false),

@@ -1,7 +1,8 @@
 //! The operations of the store, each one transaction.
 
+use std::io::Read;
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::db::{self, Database, Tx, params};
 use super::entry::{Body, Entry};
@@ -9,11 +10,12 @@ use super::migrate::{self, Upgrade};
 use super::records::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
     MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ShelfFilter,
-    TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
+    Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
 };
 use super::{append, claim, import, people, project, read, review};
 use super::{log, rebuild, rows};
 use crate::Error;
+use crate::clock::{Clock, SharedClock};
 use crate::lock::lock;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{
@@ -21,6 +23,8 @@ use crate::wire::{
     ReviewDone, ReviewQueue, Role, Settings, Suggestion, TaskKind, TaskState, TokenInfo, User,
 };
 
+/// Bytes of a file written per transaction.
+const FILE_PART: u64 = 1 << 20;
 /// Tasks imported per transaction; bounds how long others wait.
 const IMPORT_GROUP: usize = 500;
 
@@ -296,6 +300,14 @@ impl Store {
     /// The store fails.
     pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>, Error> {
         self.read(move |tx| read::shelf(tx, user, &filter))
+    }
+
+    /// Undecided tasks that somebody skipped, by id.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn skipped(&self, filter: SkippedFilter) -> Result<Vec<Skipped>, Error> {
+        self.read(move |tx| read::skipped(tx, &filter))
     }
 
     /// Tasks by kind and state.
@@ -586,6 +598,29 @@ impl Store {
         Ok(who)
     }
 
+    /// [`Self::authenticate`] without a record of the use.
+    ///
+    /// # Errors
+    /// `unauthenticated`; or the store fails.
+    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
+        let (hash, purposes) = (people::hash(token), purposes.to_vec());
+        self.read(move |tx| Ok(people::find(tx, &hash, &purposes, now)?.who))
+    }
+
+    /// Begins a session by a token, until a time or the end of the token.
+    ///
+    /// # Errors
+    /// `unauthenticated`; or the store fails.
+    pub fn log_in(
+        &self,
+        token: &str,
+        until: Millis,
+        now: Millis,
+    ) -> Result<(Who, IssuedToken), Error> {
+        let hash = people::hash(token);
+        self.write_people(move |tx| people::log_in(tx, &hash, until, now))
+    }
+
     /// A user's tokens.
     ///
     /// # Errors
@@ -621,8 +656,81 @@ impl Store {
     ///
     /// # Errors
     /// The store fails.
-    pub fn put_job(&self, job: Job) -> Result<Job, Error> {
-        self.write(move |tx| project::put_job(tx, job))
+    pub fn put_job(&self, job: Job, now: Millis) -> Result<Job, Error> {
+        self.write(move |tx| project::put_job(tx, job, now))
+    }
+
+    /// Whether servers on several machines can share the store, which then keeps their files.
+    pub(crate) fn is_shared(&self) -> bool {
+        self.db.is_shared()
+    }
+
+    /// Stores a file of a job, and removes those of all jobs but the last `kept`.
+    pub(crate) fn put_file(
+        &self,
+        job: i64,
+        name: &str,
+        mut content: impl Read,
+        kept: i64,
+    ) -> Result<(), Error> {
+        for number in 0.. {
+            let mut bytes = Vec::new();
+            content
+                .by_ref()
+                .take(FILE_PART)
+                .read_to_end(&mut bytes)
+                .map_err(Error::io("read", name))?;
+            let is_last = (bytes.len() as u64) < FILE_PART;
+            let name = name.to_owned();
+            self.write(move |tx| project::put_file_part(tx, job, &name, number, bytes))?;
+            if is_last {
+                break;
+            }
+        }
+        self.write(move |tx| project::forget_files(tx, kept))
+    }
+
+    /// A file of a job, if the store keeps it.
+    pub(crate) fn file(&self, job: i64, name: &str) -> Result<Option<Vec<u8>>, Error> {
+        let mut content = None;
+        for number in 0.. {
+            let name = name.to_owned();
+            match self.read(move |tx| project::file_part(tx, job, &name, number))? {
+                Some(part) => content.get_or_insert_with(Vec::new).extend(part),
+                None => break,
+            }
+        }
+        Ok(content)
+    }
+
+    /// Records that a job runs.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn beat(&self, job: i64, now: Millis) -> Result<(), Error> {
+        self.write(move |tx| project::beat(tx, job, now))
+    }
+
+    /// Marks jobs as failed that have not been heard of since a time.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn abandon(&self, since: Millis, now: Millis) -> Result<(), Error> {
+        let is_lost = move |job: &Job| job.state == "running" && job.heartbeat < since;
+        if !self.jobs()?.iter().any(is_lost) {
+            return Ok(());
+        }
+        self.write(move |tx| {
+            // Read again: the job may have reported meanwhile.
+            for mut job in project::jobs(tx)?.into_iter().filter(is_lost) {
+                "failed".clone_into(&mut job.state);
+                job.finished = Some(now);
+                job.messages
+                    .push("the server that ran this job stopped; start the job again".to_owned());
+                project::put_job(tx, job, now)?;
+            }
+            Ok(())
+        })
     }
 
     /// Jobs, newest first.
@@ -695,7 +803,33 @@ impl Store {
         self.db.backup(path)
     }
 
-    /// Checks that the store accepts writes.
+    /// Checks that the store can be read and that its writer answers, without writing anything. A full disk shows
+    /// only at a write.
+    ///
+    /// # Errors
+    /// It does not answer, or is read-only.
+    pub fn ready(&self) -> Result<(), Error> {
+        self.read(|tx| tx.number("SELECT COUNT(*) FROM pref WHERE usr = 0", &[]))?;
+        // A transaction without changes takes the writer's lock, and commits nothing.
+        self.write(|_| Ok(()))
+    }
+
+    /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than
+    /// a lease lasts.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>, Error> {
+        if self.db.time()?.is_none() {
+            return Ok(None);
+        }
+        let store = Arc::clone(self);
+        let shared =
+            SharedClock::new(move || store.db.time().and_then(|time| time.ok_or(Error::Closed)))?;
+        Ok(Some(Arc::new(move || shared.now())))
+    }
+
+    /// Checks that the store accepts writes, by writing.
     ///
     /// # Errors
     /// It does not.

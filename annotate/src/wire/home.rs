@@ -43,7 +43,7 @@ pub struct QueueInfo {
     pub done: i64,
     /// Tasks I answered.
     pub mine: i64,
-    /// Tasks I can claim now.
+    /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me.
     pub open: i64,
 }
 

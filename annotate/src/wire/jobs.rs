@@ -48,4 +48,7 @@ pub struct Job {
     pub started: i64,
     /// When it ended.
     pub finished: Option<i64>,
+    /// When its server last reported on it.
+    #[serde(default)]
+    pub heartbeat: i64,
 }

@@ -37,8 +37,8 @@ pub use review::{
 pub use stats::{Agreement, Estimate, Funnel, PartAgreement, Person, QuotaRow, Week};
 pub use task::{
     BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, HeldLease,
-    Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, SkeletonInfo, SuggestRequest, Task,
-    TaskView,
+    Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, SkeletonInfo, Skip, SkippedTask,
+    SkippedTasks, SuggestRequest, Task, TaskView,
 };
 
 /// Maximum characters of a text.

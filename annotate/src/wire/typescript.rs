@@ -79,7 +79,7 @@ declarations! {
         EventResult EventResults ExportRequest Funnel Guide HeldLease Home Job Lease Limits Login MaskAnswer Me
         MotionInfo NewEvent NewReview NewToken NewUser Next NextRequest PartAgreement PartInfo Person Prefs Problem
         Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest ReviewView Revision
-        Settings Shelf ShelfItem SkeletonInfo SuggestRequest Suggestion Task TaskView TokenInfo TokenShown User
+        Settings Shelf ShelfItem SkeletonInfo Skip SkippedTask SkippedTasks SuggestRequest Suggestion Task TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
         Action Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat ReviewQueue

@@ -59,9 +59,7 @@ fn every_route_asks_for_its_role() {
             let answered = send(&agent(), route.method, &url, &headers, body);
             let refused = answered.status == 401 || answered.status == 403;
             let let_in = match (route.access, role) {
-                (Access::Public | Access::Local, None) => true,
                 (Access::Public, _) => true,
-                (Access::Local, Some(role)) => *role == Role::Admin,
                 (Access::Role(_), None) => false,
                 (Access::Role(needed), Some(role)) => *role >= needed,
             };
@@ -638,7 +636,16 @@ fn metrics_speak_of_requests() {
     let site = Site::new();
     let ann = site.person("ann", Role::Annotator);
     ann.claim(TaskKind::MaskText);
-    let answered = send(&agent(), "GET", &site.url("/metrics"), &[], None);
+    let refused = send(&agent(), "GET", &site.url("/metrics"), &[], None);
+    assert_eq!(
+        code(&refused),
+        Code::Unauthenticated,
+        "not even from loopback"
+    );
+    let admin = site.person("adm", Role::Admin);
+    let bearer = format!("Bearer {}", admin.token);
+    let headers = [("authorization", bearer.as_str())];
+    let answered = send(&agent(), "GET", &site.url("/metrics"), &headers, None);
     let text = String::from_utf8(answered.body).expect("text");
     assert!(text.contains(
         "annotate_requests_total{method=\"POST\",path=\"/api/v1/queue/next\",status=\"200\"} 1"

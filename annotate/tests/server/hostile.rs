@@ -155,7 +155,7 @@ fn answer_to(site: &Site, bytes: &[u8]) -> String {
 
 #[test]
 fn requests_that_never_end_are_given_up() {
-    let site = Site::with(None, Duration::from_millis(200));
+    let site = Site::with_patience(Duration::from_secs(2));
     let ann = site.person("ann", Role::Annotator);
     // Headers without an end.
     let head = "GET /healthz HTTP/1.1\r\nHost: here\r\nX-Slow: ";

@@ -23,7 +23,7 @@ fn on_each(test: &str, check: impl Fn(Arc<Store>)) {
 }
 
 #[cfg(feature = "postgres")]
-fn on_postgres(test: &str, check: &dyn Fn(Arc<Store>)) {
+pub(crate) fn on_postgres(test: &str, check: &dyn Fn(Arc<Store>)) {
     match std::env::var("ANNOTATE_TEST_PG") {
         Ok(url) => {
             let schema = format!(
@@ -38,7 +38,7 @@ fn on_postgres(test: &str, check: &dyn Fn(Arc<Store>)) {
 }
 
 #[cfg(not(feature = "postgres"))]
-fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
+pub(crate) fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
     skipped(test);
 }
 
@@ -102,6 +102,24 @@ impl Fixture {
             Claimed::Task { detail, .. } => Some(detail.task.id),
             Claimed::Nothing(_) => None,
         }
+    }
+
+    /// Tasks that the user's home page promises.
+    fn open(&self, user: i64, kind: TaskKind, now: i64) -> i64 {
+        let home = self.store.home(user, now).expect("home");
+        let queue = home.queues.iter().find(|queue| queue.kind == kind);
+        queue.expect("a queue").open
+    }
+
+    fn skip(&self, user: i64, now: i64) -> i64 {
+        let task = self.claim(user, now).expect("a task");
+        let skip = NewEvent {
+            reason: Some(SkipReason::CannotTell),
+            note: "too dark".to_owned(),
+            ..event(EventKind::Skip, self.epoch(user, task), 0, None)
+        };
+        assert_eq!(self.send(user, task, skip, now).status, 200);
+        task
     }
 
     fn epoch(&self, user: i64, task: i64) -> i64 {
@@ -635,10 +653,120 @@ fn a_bundle_is_leased_together_and_handed_in_one_by_one() {
     });
 }
 
+/// Makes gold tasks from answers that nobody here gave, and has them given out at this rate.
+fn make_golds(site: &Fixture, count: usize, kind: TaskKind, percent: u32) -> Vec<i64> {
+    let settings = Settings {
+        gold_percent: percent,
+        ..site.store.settings().expect("settings")
+    };
+    let stored = site.store.put_settings(1, settings, START);
+    stored.expect("settings");
+    let known = (0..count).map(|number| NewTask {
+        accepted: Some(match kind {
+            TaskKind::Pair => pair(Verdict::Keep),
+            _ => masks("known"),
+        }),
+        suggestions: vec![draft("a draft")],
+        ..bare_task(900_000 + number, kind)
+    });
+    site.store
+        .import(None, known.collect(), START)
+        .expect("tasks");
+    let known = site.store.accepted(&all_keys()).expect("answers");
+    let known = known
+        .iter()
+        .filter(|answer| answer.task.key.contains("task9"));
+    known
+        .map(|answer| {
+            site.store
+                .make_gold(1, answer.task.id, START)
+                .expect("gold")
+        })
+        .collect()
+}
+
+fn draft(text: &str) -> annotate::store::NewSuggestion {
+    annotate::store::NewSuggestion {
+        source: annotate::wire::SuggestionSource::Import,
+        parts: vec!["LEFT_ARM".to_owned()],
+        text: text.to_owned(),
+        model: "m".to_owned(),
+        prompt_hash: String::new(),
+        params: "{}".to_owned(),
+        tokens: None,
+        response_hash: String::new(),
+    }
+}
+
 #[test]
 fn gold_tasks_look_like_others_and_are_scored() {
     on_each("gold", |store| {
-        let site = fixture(store, mask_tasks(1));
+        let tasks = mask_tasks(2).into_iter().map(|task| NewTask {
+            suggestions: vec![draft("another draft")],
+            ..task
+        });
+        let site = fixture(store, tasks.collect());
+        let gold = make_golds(&site, 1, TaskKind::MaskText, 100)[0];
+        assert_eq!(site.claim(site.bob, START), Some(gold));
+        let usual = site.claim(site.ann, START).expect("gold too");
+        assert_eq!(usual, gold, "everybody gets it");
+        let see = |user: i64, task: i64| site.store.task(&site.who(user), task).expect("a task");
+        let seen = see(site.bob, gold);
+        assert_eq!(
+            (seen.task.state, seen.task.wanted, seen.task.submitted),
+            (TaskState::Leased, 1, 0)
+        );
+        let drafts: Vec<&str> = seen
+            .suggestions
+            .iter()
+            .map(|draft| draft.text.as_str())
+            .collect();
+        assert_eq!(drafts, ["a draft"]);
+        let sent = event(
+            EventKind::Submit,
+            site.epoch(site.bob, gold),
+            0,
+            Some(masks("known")),
+        );
+        let result = site.send(site.bob, gold, sent, START);
+        assert_eq!(
+            (result.status, result.state),
+            (200, Some(TaskState::Submitted))
+        );
+        let seen = see(site.bob, gold);
+        assert_eq!(
+            (seen.task.state, seen.task.submitted),
+            (TaskState::Submitted, 1)
+        );
+        // Answers to other tasks look the same.
+        let other = site.answer(site.bob, "other", START);
+        let seen = see(site.bob, other);
+        assert_eq!(
+            (seen.task.state, seen.task.wanted, seen.task.submitted),
+            (TaskState::Submitted, 1, 1)
+        );
+        let people = site.store.people().expect("people");
+        let bob = people
+            .iter()
+            .find(|person| person.user.id == site.bob)
+            .expect("bob");
+        assert_eq!(bob.gold, [1.0]);
+        let counted: i64 = site
+            .store
+            .funnel()
+            .expect("counts")
+            .iter()
+            .map(|(_, _, count)| count)
+            .sum();
+        assert_eq!(counted, 3, "gold tasks are not counted as work");
+        site.whole();
+    });
+}
+
+#[test]
+fn a_gold_task_is_not_given_to_those_who_know_its_answer() {
+    on_each("gold_authors", |store| {
+        let site = fixture(store, mask_tasks(6));
         let task = site.answer(site.ann, "known", START);
         assert!(
             site.store.make_gold(1, task, START).is_err(),
@@ -657,28 +785,258 @@ fn gold_tasks_look_like_others_and_are_scored() {
         site.store
             .put_settings(1, settings, START)
             .expect("settings");
+        for user in [site.ann, site.eve.id] {
+            let given = site.claim(user, START).expect("a task");
+            assert_ne!(given, gold, "its author and its reviewer know the answer");
+        }
         assert_eq!(site.claim(site.bob, START), Some(gold));
-        let sent = event(
-            EventKind::Submit,
-            site.epoch(site.bob, gold),
-            0,
-            Some(masks("known")),
+        // Once its answer is no longer accepted it is no measure.
+        assert_eq!(
+            site.decide(task, 0, Decision::Reopen, START),
+            Ok(TaskState::Submitted)
         );
-        assert_eq!(site.send(site.bob, gold, sent, START).status, 200);
-        let people = site.store.people().expect("people");
-        let bob = people
+        let zoe = site.store.add_user(None, "zoe", Role::Annotator, START);
+        let zoe = zoe.expect("a user").id;
+        assert_ne!(site.claim(zoe, START), Some(gold));
+        site.whole();
+    });
+}
+
+#[test]
+fn gold_is_drawn_for_each_answer_and_stands_in_the_places_of_a_bundle() {
+    on_each("gold_bundles", |store| {
+        let bundled = |number: usize| NewTask {
+            bundle: Some(format!("bundle{}", number / 8)),
+            bundle_index: (number % 8) as i64,
+            ..bare_task(number, TaskKind::Pair)
+        };
+        let site = fixture(store, (0..40).map(bundled).collect());
+        let golds = make_golds(&site, 30, TaskKind::Pair, 40);
+        let (mut given, mut places) = (Vec::new(), 0);
+        while let Some(task) = site.claim_kind(site.ann, TaskKind::Pair, START) {
+            let detail = site.store.task(&site.who(site.ann), task).expect("a task");
+            assert_eq!(detail.bundle.len(), 8, "as many places as in every bundle");
+            let place = detail.bundle.iter().position(|entry| entry.task == task);
+            let place = place.expect("a place of its own");
+            assert_eq!(detail.task.bundle_index, place as i64);
+            places += usize::from(golds.contains(&task)) * place;
+            let lease = detail.lease.expect("a lease");
+            // All of the bundle is renewed, whichever of it is renewed.
+            let renewed = site.store.renew(site.ann, lease.id, START + MINUTE);
+            let renewed = renewed.expect("renews").expires;
+            let all = site.store.leases(START).expect("leases");
+            assert!(all.iter().all(|held| held.lease.expires == renewed));
+            let answer = Some(pair(Verdict::Unclear));
+            let sent = event(EventKind::Submit, lease.epoch, 0, answer);
+            let result = site.send(site.ann, task, sent, START);
+            assert_eq!(
+                (result.status, result.state),
+                (200, Some(TaskState::Submitted))
+            );
+            given.push(task);
+        }
+        let drawn = given.iter().filter(|task| golds.contains(task)).count();
+        assert_eq!(given.len(), 40 + drawn, "each pair is answered too");
+        let share = given[..40]
             .iter()
-            .find(|person| person.user.id == site.bob)
-            .expect("bob");
-        assert_eq!(bob.gold, [1.0]);
-        let counted: i64 = site
-            .store
-            .funnel()
-            .expect("counts")
-            .iter()
-            .map(|(_, _, count)| count)
-            .sum();
-        assert_eq!(counted, 1, "gold tasks are not counted as work");
+            .filter(|task| golds.contains(task))
+            .count();
+        assert!((8..=24).contains(&share), "{share} of the first 40 answers");
+        assert!(places > 0, "not only at the start of a bundle");
+        let mut distinct = given.clone();
+        distinct.sort_unstable();
+        distinct.dedup();
+        assert_eq!(distinct.len(), given.len());
+        site.whole();
+    });
+}
+
+#[test]
+fn home_promises_what_a_claim_gives() {
+    on_each("promises", |store| {
+        let site = fixture(store, mask_tasks(2));
+        let open = |user: i64, now: i64| site.open(user, TaskKind::MaskText, now);
+        let (first, second) = (site.claim(site.ann, START), site.claim(site.eve.id, START));
+        assert!(first.is_some() && second.is_some() && first != second);
+        assert_eq!(open(site.ann, START), 1, "what I hold is mine to do");
+        assert_eq!(
+            (open(site.bob, START), site.claim(site.bob, START)),
+            (0, None)
+        );
+        // Expired leases are ended by the next claim.
+        let later = START + 16 * MINUTE;
+        assert_eq!(open(site.bob, later), 2);
+        let task = site.skip(site.bob, later);
+        assert_eq!(open(site.bob, later), 1);
+        assert_eq!(
+            site.claim(site.bob, later),
+            first.filter(|&id| id != task).or(second)
+        );
+        // A returned answer waits for its author.
+        let task = site.answer(site.bob, "poor", later);
+        assert_eq!(open(site.bob, later), 0);
+        let (_, lease) = site.review(later);
+        assert_eq!(
+            site.decide(task, lease, Decision::Return, later),
+            Ok(TaskState::Returned)
+        );
+        assert_eq!(open(site.bob, later), 1);
+        assert_eq!(site.claim(site.bob, later), Some(task));
+        site.whole();
+    });
+}
+
+#[test]
+fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_anybody() {
+    on_each("reserved", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.answer(site.ann, "poor", START);
+        let (_, lease) = site.review(START);
+        assert_eq!(
+            site.decide(task, lease, Decision::Return, START),
+            Ok(TaskState::Returned)
+        );
+        // She looks at it and leaves: it is still hers.
+        assert_eq!(site.claim(site.ann, START), Some(task));
+        let hour = 60 * MINUTE;
+        assert_eq!(site.open(site.bob, TaskKind::MaskText, START + hour), 0);
+        assert_eq!(site.claim(site.bob, START + hour), None);
+        let home = site.store.home(site.ann, START + hour).expect("home");
+        assert_eq!(home.returned[0].task, task);
+        assert_eq!(home.returned[0].until, START + 7 * 24 * hour);
+        // The same with a draft, and when she gives the lease back.
+        assert_eq!(site.claim(site.ann, START + hour), Some(task));
+        let draft = event(
+            EventKind::Draft,
+            site.epoch(site.ann, task),
+            1,
+            Some(masks("better")),
+        );
+        assert_eq!(site.send(site.ann, task, draft, START + hour).status, 200);
+        let detail = site.store.task(&site.who(site.ann), task).expect("a task");
+        let lease = detail.lease.expect("a lease").id;
+        site.store
+            .release(&site.who(site.ann), lease, START + hour)
+            .expect("gives it back");
+        assert_eq!(site.claim(site.bob, START + hour), None);
+        assert_eq!(site.state(task), TaskState::Returned);
+        // After the days of the setting anybody may take it, its author too.
+        let weeks = START + 8 * 24 * hour;
+        assert_eq!(site.claim(site.bob, weeks), Some(task));
+        let bob = Who {
+            role: Role::Annotator,
+            ..site.who(site.bob)
+        };
+        let lease = site.store.task(&bob, task).expect("a task").lease;
+        let lease = lease.expect("a lease").id;
+        site.store
+            .release(&bob, lease, weeks)
+            .expect("gives it back");
+        assert_eq!(site.open(site.ann, TaskKind::MaskText, weeks), 1);
+        assert_eq!(site.claim(site.ann, weeks), Some(task));
+        site.whole();
+    });
+}
+
+#[test]
+fn a_reviewer_who_takes_a_returned_task_away_gives_it_to_others() {
+    on_each("taken_away", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.answer(site.ann, "poor", START);
+        let (_, lease) = site.review(START);
+        assert_eq!(
+            site.decide(task, lease, Decision::Return, START),
+            Ok(TaskState::Returned)
+        );
+        assert_eq!(site.claim(site.ann, START), Some(task));
+        let lease = site.store.leases(START).expect("leases")[0].lease.id;
+        site.store
+            .release(&site.eve, lease, START)
+            .expect("a reviewer may");
+        assert_eq!(site.claim(site.bob, START), Some(task));
+        site.whole();
+    });
+}
+
+#[test]
+fn the_work_of_a_disabled_user_goes_on_to_others_at_once() {
+    on_each("disabled", |store| {
+        let site = fixture(store, mask_tasks(2));
+        let returned = site.answer(site.ann, "poor", START);
+        let (_, lease) = site.review(START);
+        assert_eq!(
+            site.decide(returned, lease, Decision::Return, START),
+            Ok(TaskState::Returned)
+        );
+        let held = site.claim(site.bob, START).expect("a task");
+        for user in [site.ann, site.bob] {
+            let changed = site
+                .store
+                .change_user(Some(1), user, None, Some(false), START);
+            changed.expect("a change");
+        }
+        let zoe = site.store.add_user(None, "zoe", Role::Annotator, START);
+        let zoe = zoe.expect("a user").id;
+        let mut got = vec![
+            site.answer(zoe, "one", START),
+            site.answer(zoe, "two", START),
+        ];
+        got.sort_unstable();
+        let mut expected = vec![returned, held];
+        expected.sort_unstable();
+        assert_eq!(got, expected);
+        site.whole();
+    });
+}
+
+#[test]
+fn tasks_that_everybody_skipped_are_listed_with_their_reasons() {
+    use annotate::store::SkippedFilter;
+    on_each("skipped_by_all", |store| {
+        let site = fixture(store, mask_tasks(3));
+        let list = |by_all: bool, after: i64, limit: usize| {
+            let filter = SkippedFilter {
+                by_all,
+                after,
+                limit,
+                ..SkippedFilter::default()
+            };
+            let found = site.store.skipped(filter).expect("a list");
+            let brief = found.into_iter().map(|found| {
+                let names = found.skips.into_iter().map(|skip| {
+                    assert_eq!(skip.reason, Some(SkipReason::CannotTell));
+                    assert_eq!(skip.note, "too dark");
+                    skip.user_name
+                });
+                (
+                    found.task.id,
+                    found.by_all,
+                    names.collect::<Vec<_>>().join(" "),
+                )
+            });
+            brief.collect::<Vec<_>>()
+        };
+        let (first, second) = (site.skip(site.ann, START), site.skip(site.ann, START));
+        assert_eq!(list(true, 0, 10), []);
+        assert_eq!(site.skip(site.bob, START), first);
+        let by = |names: &str| names.to_owned();
+        // Eve only reviews.
+        assert_eq!(list(true, 0, 10), [(first, true, by("ann bob"))]);
+        assert_eq!(
+            list(false, 0, 10),
+            [(first, true, by("ann bob")), (second, false, by("ann"))]
+        );
+        assert_eq!(list(false, first, 10), [(second, false, by("ann"))]);
+        assert_eq!(list(false, 0, 1).len(), 1);
+        // Whoever answered it is not left either.
+        assert_eq!(site.answer(site.bob, "seen", START), second);
+        assert_eq!(list(false, 0, 10).len(), 1, "it has its answer");
+        // A reviewer drops it.
+        assert_eq!(
+            site.decide(first, 0, Decision::Drop, START),
+            Ok(TaskState::Dropped)
+        );
+        assert_eq!(list(false, 0, 10), []);
         site.whole();
     });
 }
@@ -795,6 +1153,7 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
             answers_per_task: 2,
             lease_minutes: 5,
             blind_percent: 50,
+            gold_percent: 20,
             ..site.store.settings().expect("settings")
         };
         site.store
@@ -820,9 +1179,14 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
             };
             match rng.random_range(0..10) {
                 0..4 => {
-                    if let Some(task) = site.claim_kind(user, kind, now) {
-                        held.entry(user).or_default().push(task);
-                    }
+                    let promised = site.open(user, kind, now);
+                    let claimed = site.claim_kind(user, kind, now);
+                    assert_eq!(
+                        promised > 0,
+                        claimed.is_some(),
+                        "home promises {promised}, the claim gives {claimed:?}"
+                    );
+                    held.entry(user).or_default().extend(claimed);
                 }
                 4..8 => {
                     let Some(task) = held.get(&user).and_then(|tasks| tasks.last()).copied() else {
@@ -894,6 +1258,12 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
                     }
                 }
                 _ => {
+                    for task in 1..=16 {
+                        if site.state(task) == TaskState::Accepted && rng.random::<bool>() {
+                            // It may be gold already.
+                            let _tried = site.store.make_gold(1, task, now);
+                        }
+                    }
                     let decided = site.store.funnel().expect("counts");
                     if decided
                         .iter()

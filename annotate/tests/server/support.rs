@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::time::Duration;
 
-use annotate::http::{PATIENCE, Server, ServerConfig};
+use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{KeyRange, MotionRecord, NewTask, Store, TokenUse, open_sqlite};
@@ -159,6 +159,10 @@ pub(crate) fn dataset(root: &Path) {
 pub(crate) struct Hands(Arc<AtomicI64>);
 
 impl Hands {
+    pub(crate) fn at(millis: i64) -> Self {
+        Self(Arc::new(AtomicI64::new(millis)))
+    }
+
     pub(crate) fn now(&self) -> i64 {
         self.0.load(Ordering::SeqCst)
     }
@@ -183,34 +187,24 @@ impl Site {
     }
 
     pub(crate) fn with_model(model: Option<Model>) -> Self {
-        Self::with(model, PATIENCE)
+        Self::with(|config| config.model = model)
     }
 
     /// A server with this request timeout.
-    pub(crate) fn with(model: Option<Model>, patience: Duration) -> Self {
+    pub(crate) fn with_patience(patience: Duration) -> Self {
+        Self::with(|config| config.patience = patience)
+    }
+
+    /// A server with changed settings.
+    pub(crate) fn with(change: impl FnOnce(&mut ServerConfig)) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let root = folder.path().join("dataset");
         dataset(&root);
         let store = open_sqlite(&folder.path().join("store.sqlite")).expect("a store");
         plain_settings(store.as_ref());
         from_dataset(store.as_ref(), &root, None, START, &mut |_, _| {}).expect("imports");
-        let clock = Hands(Arc::new(AtomicI64::new(START)));
-        let hands = clock.clone();
-        let server = Server::start(
-            Arc::clone(&store),
-            Arc::new(MotionLibrary::open(&root).expect("motions")),
-            ServerConfig {
-                listen: ([127, 0, 0, 1], 0).into(),
-                secure: false,
-                data: folder.path().join("data"),
-                dataset: root.clone(),
-                model,
-                patience,
-                clock: Arc::new(move || hands.now()),
-                log: |text| panic!("the server reports a defect: {text}"),
-            },
-        )
-        .expect("listens");
+        let clock = Hands::at(START);
+        let server = serve(&store, &clock, &root, folder.path().join("data"), change);
         Self {
             server,
             store,
@@ -226,22 +220,50 @@ impl Site {
 
     /// Adds a user and returns a client for them.
     pub(crate) fn person(&self, name: &str, role: Role) -> Client {
-        let user = self
-            .store
-            .add_user(None, name, role, self.clock.now())
-            .expect("a user");
-        let token = self
-            .store
-            .issue(user.id, TokenUse::Token, i64::MAX, self.clock.now())
-            .expect("a token")
-            .token;
-        Client {
-            base: self.url(""),
-            user,
-            token,
-            agent: agent(),
-        }
+        person(&self.store, &self.url(""), name, role, self.clock.now())
     }
+}
+
+/// Adds a user and returns a client for them.
+pub(crate) fn person(store: &Store, base: &str, name: &str, role: Role, now: i64) -> Client {
+    let user = store.add_user(None, name, role, now).expect("a user");
+    let token = store
+        .issue(user.id, TokenUse::Token, i64::MAX, now)
+        .expect("a token")
+        .token;
+    Client {
+        base: base.to_owned(),
+        user,
+        token,
+        agent: agent(),
+    }
+}
+
+/// Starts a server on a store.
+pub(crate) fn serve(
+    store: &Arc<Store>,
+    clock: &Hands,
+    dataset: &Path,
+    data: PathBuf,
+    change: impl FnOnce(&mut ServerConfig),
+) -> Server {
+    let hands = clock.clone();
+    let mut config = ServerConfig {
+        listen: ([127, 0, 0, 1], 0).into(),
+        operators: None,
+        secure: false,
+        trusted_proxies: Vec::new(),
+        data,
+        dataset: dataset.to_owned(),
+        model: None,
+        patience: PATIENCE,
+        upload_patience: UPLOAD_PATIENCE,
+        clock: Arc::new(move || hands.now()),
+        log: |text| panic!("the server reports a defect: {text}"),
+    };
+    change(&mut config);
+    let motions = Arc::new(MotionLibrary::open(dataset).expect("motions"));
+    Server::start(Arc::clone(store), motions, config).expect("listens")
 }
 
 pub(crate) fn agent() -> ureq::Agent {

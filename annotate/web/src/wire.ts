@@ -679,7 +679,11 @@ started: number,
 /**
  * When it ended.
  */
-finished: number | null, };
+finished: number | null, 
+/**
+ * When its server last reported on it.
+ */
+heartbeat: number, };
 
 /**
  * A lease: the right to work on a task for a limited time.
@@ -1180,7 +1184,7 @@ done: number,
  */
 mine: number, 
 /**
- * Tasks I can claim now.
+ * Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me.
  */
 open: number, };
 
@@ -1464,6 +1468,61 @@ parts: Array<PartInfo>,
  * Version of the part definitions.
  */
 mask_def_version: number, };
+
+/**
+ * A user's skip of a task.
+ */
+export type Skip = { 
+/**
+ * User.
+ */
+user: number, 
+/**
+ * Their name.
+ */
+user_name: string, 
+/**
+ * Reason.
+ */
+reason: SkipReason | null, 
+/**
+ * More about it.
+ */
+note: string, 
+/**
+ * When.
+ */
+at: number, };
+
+/**
+ * A skipped task.
+ */
+export type SkippedTask = { 
+/**
+ * The task.
+ */
+task: Task, 
+/**
+ * Who skipped it, and why.
+ */
+skips: Array<Skip>, 
+/**
+ * Whether nobody who annotates is left to get it: all annotators skipped or answered it.
+ */
+by_all: boolean, };
+
+/**
+ * `GET skipped`: undecided tasks that somebody skipped.
+ */
+export type SkippedTasks = { 
+/**
+ * By id.
+ */
+items: Array<SkippedTask>, 
+/**
+ * Value of `after` for the next page.
+ */
+next: number | null, };
 
 /**
  * `POST tasks/{id}/suggest`.

@@ -6,8 +6,9 @@ use axum::response::Response;
 
 use crate::Error;
 use crate::http::app::{Context, Reply, set, text};
-use crate::http::assets;
+use crate::http::{assets, compress};
 use crate::lock::lock;
+use crate::wire::Code;
 
 fn plain(text: String) -> Reply {
     let mut response = Response::new(Body::from(text));
@@ -20,16 +21,21 @@ fn plain(text: String) -> Reply {
     Reply::Full(response)
 }
 
+/// Whether the process runs.
 pub(super) fn healthy(_: &Context) -> Result<Reply, Error> {
     Ok(plain("ok\n".to_owned()))
 }
 
+/// Whether answers can be saved. It writes nothing: everybody may ask, as often as they like.
 pub(super) fn ready(cx: &Context) -> Result<Reply, Error> {
-    cx.app.store.check()?;
-    *lock(&cx.app.read_only) = None;
+    if let Some(reason) = lock(&cx.app.read_only).clone() {
+        return Err(Error::refused(Code::ReadOnly, reason));
+    }
+    cx.app.store.ready()?;
     Ok(plain("ready\n".to_owned()))
 }
 
+/// Figures for Prometheus.
 pub(super) fn metrics(cx: &Context) -> Result<Reply, Error> {
     let leases = cx.app.store.leases(cx.now)?.len() as i64;
     let gauges = [
@@ -54,7 +60,8 @@ pub(super) fn metrics(cx: &Context) -> Result<Reply, Error> {
 }
 
 pub(super) fn asset(cx: &Context) -> Result<Reply, Error> {
-    let asset = assets::find(&cx.path).ok_or_else(|| Error::not_found("file"))?;
+    let packed = compress::accepts_gzip(&cx.headers);
+    let asset = assets::find(&cx.path, packed).ok_or_else(|| Error::not_found("file"))?;
     let known = text(&cx.headers, &header::IF_NONE_MATCH) == Some(asset.etag.as_str());
     let mut response = Response::new(if known {
         Body::empty()
@@ -67,5 +74,9 @@ pub(super) fn asset(cx: &Context) -> Result<Reply, Error> {
     set(&mut response, header::CONTENT_TYPE, asset.mime);
     set(&mut response, header::CACHE_CONTROL, "no-cache");
     set(&mut response, header::ETAG, &asset.etag);
+    compress::vary(&mut response);
+    if asset.is_packed && !known {
+        compress::mark(&mut response);
+    }
     Ok(Reply::Full(response))
 }

@@ -43,11 +43,13 @@ pub(super) fn export(cx: &Context) -> Result<Reply, Error> {
 }
 
 pub(super) fn all_jobs(cx: &Context) -> Result<Reply, Error> {
+    jobs::abandon(&cx.app.store, cx.now)?;
     json(&cx.app.store.jobs()?)
 }
 
 fn job_of(cx: &Context) -> Result<crate::wire::Job, Error> {
     let id = cx.id()?;
+    jobs::abandon(&cx.app.store, cx.now)?;
     let mut jobs = cx.app.store.jobs()?.into_iter();
     jobs.find(|job| job.id == id)
         .ok_or_else(|| Error::not_found("job"))
@@ -65,8 +67,7 @@ pub(super) fn job_file(cx: &Context) -> Result<Reply, Error> {
         .iter()
         .find(|known| *known == cx.param("name"))
         .ok_or_else(|| Error::not_found("file of this job"))?;
-    let path = jobs::folder(&cx.app.config.data, job.id).join(name);
-    let bytes = std::fs::read(&path).map_err(Error::io("read", path))?;
+    let bytes = jobs::file(&cx.app.store, &cx.app.config.data, job.id, name)?;
     let mut response = Response::new(Body::from(bytes));
     set(
         &mut response,

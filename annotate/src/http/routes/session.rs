@@ -6,9 +6,10 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::http::app::{App, Context, Reply, cookie, json, reply_response, set};
+use crate::http::proxy;
 use crate::lock::lock;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
-use crate::store::{TokenUse, Who};
+use crate::store::Who;
 use crate::wire::{Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project};
 
 /// Maximum number of logins per minute from one address.
@@ -16,26 +17,19 @@ const LOGINS_PER_MINUTE: u32 = 10;
 /// Seconds between renewals of a lease.
 const HEARTBEAT_SECS: i64 = 60;
 const DAY: i64 = 24 * 60 * 60 * 1000;
-/// Lifetime of a session in days.
+/// Maximum lifetime of a session in days; it also ends with the token of its login.
 const SESSION_DAYS: i64 = 7;
 
 pub(super) fn log_in(cx: &Context) -> Result<Reply, Error> {
+    let client = proxy::counted(cx.client).to_string();
     cx.app
         .limiter
-        .count("logins", &cx.peer.to_string(), LOGINS_PER_MINUTE, cx.now)?;
+        .count("logins", &client, LOGINS_PER_MINUTE, cx.now)?;
     let login: Login = cx.body()?;
-    let who =
-        cx.app
-            .store
-            .authenticate(&login.token, &[TokenUse::Token, TokenUse::Once], cx.now)?;
-    let session = cx.app.store.issue(
-        who.id,
-        TokenUse::Session,
-        cx.now + SESSION_DAYS * DAY,
-        cx.now,
-    )?;
+    let until = cx.now + SESSION_DAYS * DAY;
+    let (who, session) = cx.app.store.log_in(&login.token, until, cx.now)?;
     let mut reply = full_json(&me_of(&cx.app, &who)?)?;
-    let age = SESSION_DAYS * DAY / 1000;
+    let age = (session.expires - cx.now) / 1000;
     set_cookie(cx, &mut reply, &session.token, age);
     Ok(Reply::Full(reply))
 }

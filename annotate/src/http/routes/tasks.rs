@@ -4,10 +4,10 @@ use crate::Error;
 use crate::answer;
 use crate::http::app::{App, Context, Reply, json};
 use crate::model::MAX_REQUESTS_PER_MINUTE;
-use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
+use crate::store::{AuditFilter, Claimed, MotionRecord, SkippedFilter, TaskDetail, TaskRecord};
 use crate::wire::{
     Bundle, BundleItem, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
-    SuggestRequest, Task, TaskKind, TaskView,
+    SkippedTask, SkippedTasks, SuggestRequest, Task, TaskKind, TaskView,
 };
 
 /// Tasks whose motions the browser prefetches.
@@ -42,17 +42,8 @@ pub(super) fn task_of(
         category: record.category,
         hint: record.hint,
         style: record.style,
-        // Do not reveal gold tasks.
-        wanted: if record.gold.is_some() {
-            1
-        } else {
-            record.wanted
-        },
-        submitted: if record.gold.is_some() {
-            0
-        } else {
-            record.submitted
-        },
+        wanted: record.wanted,
+        submitted: record.submitted,
         bundle,
     })
 }
@@ -205,8 +196,39 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
 
 pub(super) fn make_gold(cx: &Context) -> Result<Reply, Error> {
     let gold = cx.app.store.make_gold(cx.who()?.id, cx.id()?, cx.now)?;
-    let record = cx.app.store.task_record(gold)?;
+    let record = TaskRecord {
+        wanted: 1,
+        ..cx.app.store.task_record(gold)?
+    };
     json(&task_of(&cx.app, record, None)?)
+}
+
+pub(super) fn skipped(cx: &Context) -> Result<Reply, Error> {
+    cx.only(&["kind", "by_all", "after", "limit"])?;
+    let limit = cx.limit(200)?;
+    let filter = SkippedFilter {
+        kind: cx.one_of("kind", TaskKind::parse)?,
+        by_all: cx
+            .one_of("by_all", |text| text.parse().ok())?
+            .unwrap_or(false),
+        after: cx.number("after")?.unwrap_or(0),
+        limit,
+    };
+    let found = cx.app.store.skipped(filter)?;
+    let next = (found.len() == limit)
+        .then(|| found.last().map(|skipped| skipped.task.id))
+        .flatten();
+    let items = found
+        .into_iter()
+        .map(|skipped| {
+            Ok(SkippedTask {
+                task: task_of(&cx.app, skipped.task, None)?,
+                skips: skipped.skips,
+                by_all: skipped.by_all,
+            })
+        })
+        .collect::<Result<_, Error>>()?;
+    json(&SkippedTasks { items, next })
 }
 
 pub(super) fn history(cx: &Context) -> Result<Reply, Error> {

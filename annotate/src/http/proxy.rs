@@ -1,0 +1,207 @@
+//! The address of a client behind proxies.
+//!
+//! Every proxy appends the address it was called from to `X-Forwarded-For` or `Forwarded`, so the list is read
+//! from its end, and only as far as trusted proxies wrote it: a client may send such headers itself.
+
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+use std::str::FromStr;
+
+use axum::http::header::{FORWARDED, HeaderMap, HeaderName};
+use ipnet::IpNet;
+
+/// A proxy: its address, or the network it is in, such as `10.0.0.0/8`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TrustedProxy(IpNet);
+
+impl FromStr for TrustedProxy {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse::<IpAddr>()
+            .map(IpNet::from)
+            .or_else(|_| text.parse())
+            .map(Self)
+            .map_err(|_| {
+                "write an address such as 127.0.0.1, or a network such as 10.0.0.0/8".to_owned()
+            })
+    }
+}
+
+const X_FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
+
+/// Address of the client of a request that came from `peer`.
+pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]) -> IpAddr {
+    let peer = peer.to_canonical();
+    let is_trusted = |address: IpAddr| trusted.iter().any(|proxy| proxy.0.contains(&address));
+    if !is_trusted(peer) {
+        return peer;
+    }
+    let outermost = |hops: Vec<Option<IpAddr>>| {
+        let mut known = peer;
+        for hop in hops.into_iter().rev() {
+            match hop {
+                Some(address) if is_trusted(address) => known = address,
+                Some(address) => return address,
+                // A proxy hides its client: what stands before it has nobody to vouch for it.
+                None => return known,
+            }
+        }
+        known
+    };
+    let by_list = outermost(hops(headers, &X_FORWARDED_FOR, address));
+    let by_fields = outermost(hops(headers, &FORWARDED, forwarded_for));
+    // A proxy that writes one header passes the other one on as the client sent it.
+    match (
+        headers.contains_key(X_FORWARDED_FOR),
+        headers.contains_key(FORWARDED),
+    ) {
+        (true, true) if by_list != by_fields => peer,
+        (_, true) => by_fields,
+        _ => by_list,
+    }
+}
+
+/// What a client is counted by: its IPv4 address, or its IPv6 network of 64 bits, all of which one host may use.
+pub(super) fn counted(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V4(address) => address.into(),
+        IpAddr::V6(address) => {
+            Ipv6Addr::from_bits(address.to_bits() & (u128::MAX << u64::BITS)).into()
+        }
+    }
+}
+
+/// The addresses of a header that holds lists, in order; `None` for an entry without an address.
+fn hops(
+    headers: &HeaderMap,
+    name: &HeaderName,
+    read: fn(&str) -> Option<IpAddr>,
+) -> Vec<Option<IpAddr>> {
+    headers
+        .get_all(name)
+        .iter()
+        .flat_map(|value| match value.to_str() {
+            Ok(text) => split(text, ',').into_iter().map(read).collect(),
+            Err(_) => vec![None],
+        })
+        .collect()
+}
+
+/// The address in `for=…` of an element of `Forwarded` (RFC 7239).
+fn forwarded_for(element: &str) -> Option<IpAddr> {
+    split(element, ';')
+        .into_iter()
+        .filter_map(|pair| pair.split_once('='))
+        .find(|(name, _)| name.trim().eq_ignore_ascii_case("for"))
+        .and_then(|(_, value)| address(value.trim().trim_matches('"')))
+}
+
+/// An address with or without a port; IPv6 addresses may stand in brackets.
+fn address(text: &str) -> Option<IpAddr> {
+    let text = text.trim();
+    let bare = text
+        .strip_prefix('[')
+        .and_then(|rest| rest.strip_suffix(']'));
+    let address = match bare {
+        Some(bare) => bare.parse().ok(),
+        None => text
+            .parse()
+            .ok()
+            .or_else(|| text.parse::<SocketAddr>().ok().map(|address| address.ip())),
+    };
+    address.map(|address: IpAddr| address.to_canonical())
+}
+
+/// Splits at separators outside of quotes.
+fn split(text: &str, separator: char) -> Vec<&str> {
+    let mut is_quoted = false;
+    text.split(move |c| {
+        is_quoted ^= c == '"';
+        c == separator && !is_quoted
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    /// The client of a request from 10.0.0.1, where 10.0.0.0/24 and fd00::1 are trusted.
+    fn client_of(headers: &[(&'static str, &str)]) -> String {
+        let trusted = ["10.0.0.0/24", "fd00::1"].map(|net| net.parse().expect("a net"));
+        let mut map = HeaderMap::new();
+        for (name, value) in headers {
+            let value = HeaderValue::from_str(value).expect("a value");
+            map.append(HeaderName::from_static(name), value);
+        }
+        client(IpAddr::from([10, 0, 0, 1]), &map, &trusted).to_string()
+    }
+
+    #[test]
+    fn the_last_address_that_no_trusted_proxy_has_is_the_client() {
+        for (headers, expected) in [
+            (&[][..], "10.0.0.1"),
+            (&[("x-forwarded-for", "192.0.2.7")], "192.0.2.7"),
+            (&[("x-forwarded-for", "192.0.2.7:4711")], "192.0.2.7"),
+            (&[("x-forwarded-for", "[2001:db8::7]:4711")], "2001:db8::7"),
+            (&[("x-forwarded-for", "::ffff:192.0.2.7")], "192.0.2.7"),
+            // What the client sent itself stands before its address.
+            (&[("x-forwarded-for", "127.0.0.1, 192.0.2.7")], "192.0.2.7"),
+            (
+                &[("x-forwarded-for", "1.2.3.4, 192.0.2.7, 10.0.0.9, fd00::1")],
+                "192.0.2.7",
+            ),
+            (
+                &[
+                    ("x-forwarded-for", "1.2.3.4"),
+                    ("x-forwarded-for", "192.0.2.7"),
+                ],
+                "192.0.2.7",
+            ),
+            (&[("x-forwarded-for", "192.0.2.7, unknown")], "10.0.0.1"),
+            (&[("x-forwarded-for", "192.0.2.7, x, 10.0.0.9")], "10.0.0.9"),
+            (&[("x-forwarded-for", "10.0.0.8")], "10.0.0.8"),
+            (
+                &[(
+                    "forwarded",
+                    "for=1.2.3.4, for=\"[2001:db8::7]:80\";proto=https, For=10.0.0.9",
+                )],
+                "2001:db8::7",
+            ),
+            (
+                &[("forwarded", "for=\"a,b;c\", for=192.0.2.7")],
+                "192.0.2.7",
+            ),
+            (&[("forwarded", "for=192.0.2.7, for=_hidden")], "10.0.0.1"),
+            (&[("forwarded", "for=192.0.2.7, by=10.0.0.9")], "10.0.0.1"),
+        ] {
+            assert_eq!(client_of(headers), expected, "{headers:?}");
+        }
+    }
+
+    #[test]
+    fn of_two_headers_that_differ_neither_is_believed() {
+        let both = |list, fields| client_of(&[("x-forwarded-for", list), ("forwarded", fields)]);
+        assert_eq!(both("192.0.2.7", "for=192.0.2.7"), "192.0.2.7");
+        assert_eq!(both("192.0.2.7", "for=1.2.3.4"), "10.0.0.1");
+    }
+
+    #[test]
+    fn headers_of_others_are_ignored() {
+        let mut headers = HeaderMap::new();
+        headers.insert(X_FORWARDED_FOR, HeaderValue::from_static("192.0.2.7"));
+        let peer = IpAddr::from([198, 51, 100, 1]);
+        assert_eq!(client(peer, &headers, &[]), peer);
+        let trusted = ["10.0.0.0/24".parse().expect("a net")];
+        assert_eq!(client(peer, &headers, &trusted), peer);
+    }
+
+    #[test]
+    fn a_host_with_many_addresses_is_counted_once() {
+        let of = |text: &str| counted(text.parse().expect("an address")).to_string();
+        assert_eq!(of("2001:db8:1:2:3:4:5:6"), "2001:db8:1:2::");
+        assert_eq!(of("::ffff:192.0.2.7"), "192.0.2.7");
+    }
+}

@@ -1,0 +1,253 @@
+//! Addresses of PostgreSQL, with TLS.
+
+use std::sync::Arc;
+
+use form_urlencoded::parse;
+use postgres::config::{Host, SslMode};
+use postgres::{Client, Config};
+use rustls::pki_types::CertificateDer;
+use rustls::pki_types::pem::PemObject;
+use rustls::{ClientConfig, RootCertStore};
+use tokio_postgres_rustls::MakeRustlsConnect;
+
+use crate::Error;
+
+/// Address of a database and how to connect to it.
+#[derive(Clone)]
+pub(super) struct Address {
+    config: Config,
+    tls: MakeRustlsConnect,
+}
+
+impl Address {
+    /// Reads an address `postgres://USER@HOST/DATABASE?…`. Its parameters are those of PostgreSQL's own programs.
+    /// A connection to another host is encrypted, and the server's certificate checked, unless `sslmode` says
+    /// otherwise.
+    pub(super) fn parse(url: &str) -> Result<Self, Error> {
+        let (mut plain, parameters) = match url.rfind('?') {
+            Some(at) if url.rfind('@').is_none_or(|host| host < at) => {
+                (url[..at].to_owned(), &url[at + 1..])
+            }
+            _ => (url.to_owned(), ""),
+        };
+        let refused = |reason: String| Error::Open {
+            path: "on PostgreSQL".to_owned(),
+            reason,
+        };
+        let (mut mode, mut authorities) = (None, None);
+        // Whoever parses the address knows neither the certificates of authorities nor all modes.
+        for parameter in parameters.split('&').filter(|text| !text.is_empty()) {
+            match parse(parameter.as_bytes()).next() {
+                Some((name, value)) if name == "sslmode" => mode = Some(ssl_mode(&value).ok_or_else(|| {
+                    refused(format!(
+                        "its address has sslmode={value}; use disable, prefer, require or verify-full"
+                    ))
+                })?),
+                Some((name, value)) if name == "sslrootcert" => authorities = Some(value.into_owned()),
+                _ => {
+                    plain.push(if plain.contains('?') { '&' } else { '?' });
+                    plain.push_str(parameter);
+                }
+            }
+        }
+        let mut config: Config = plain
+            .parse()
+            .map_err(|error| refused(format!("its address cannot be read: {}", causes(&error))))?;
+        let mode = mode.unwrap_or(if config.get_hosts().iter().all(is_local) {
+            SslMode::Disable
+        } else {
+            SslMode::Require
+        });
+        config.ssl_mode(mode);
+        let tls = MakeRustlsConnect::new(tls(authorities.as_deref())?);
+        Ok(Self { config, tls })
+    }
+
+    /// The address without user and password, for messages.
+    pub(super) fn place(&self) -> String {
+        let hosts: Vec<String> = self
+            .config
+            .get_hosts()
+            .iter()
+            .map(|host| match host {
+                Host::Tcp(name) => name.clone(),
+                #[cfg(unix)]
+                Host::Unix(folder) => folder.display().to_string(),
+            })
+            .collect();
+        let database = self.config.get_dbname().unwrap_or("postgres");
+        format!("{}/{database}", hosts.join(","))
+    }
+
+    pub(super) fn connect(&self) -> Result<Client, Error> {
+        self.config
+            .connect(self.tls.clone())
+            .map_err(|error| Error::Open {
+                path: self.place(),
+                reason: self.advice(&causes(&error)),
+            })
+    }
+
+    /// A failure to connect, and what to do about it.
+    fn advice(&self, causes: &str) -> String {
+        let advice = if causes.contains("does not support TLS") {
+            "; switch TLS on at the server, or add sslmode=disable to the address if nobody can listen on the way"
+        } else if causes.contains("UnknownIssuer") {
+            "; add sslrootcert=FILE to the address, with the certificate of the authority that signed the server's"
+        } else if causes.contains("NotValidForName") || causes.contains("not valid for name") {
+            "; name the host as the certificate of the server does"
+        } else {
+            ""
+        };
+        format!("{causes}{advice}")
+    }
+}
+
+fn ssl_mode(text: &str) -> Option<SslMode> {
+    match text {
+        "disable" => Some(SslMode::Disable),
+        "prefer" => Some(SslMode::Prefer),
+        // Certificates are always checked, so these are the same.
+        "require" | "verify-full" => Some(SslMode::Require),
+        _ => None,
+    }
+}
+
+/// Whether a connection stays on this machine.
+fn is_local(host: &Host) -> bool {
+    match host {
+        Host::Tcp(name) => {
+            let name = name.trim_start_matches('[').trim_end_matches(']');
+            name == "localhost"
+                || name
+                    .parse::<std::net::IpAddr>()
+                    .is_ok_and(|address| address.is_loopback())
+        }
+        #[cfg(unix)]
+        Host::Unix(_) => true,
+    }
+}
+
+/// Settings of TLS that trust the authorities of a file, or else those that browsers trust.
+fn tls(authorities: Option<&str>) -> Result<ClientConfig, Error> {
+    let mut roots = RootCertStore::empty();
+    match authorities {
+        None => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
+        Some(file) => {
+            let unreadable = |problem: String| Error::Open {
+                path: "on PostgreSQL".to_owned(),
+                reason: format!("cannot read the certificates of sslrootcert={file}: {problem}"),
+            };
+            let found = CertificateDer::pem_file_iter(file)
+                .map_err(|error| unreadable(error.to_string()))?;
+            for certificate in found {
+                let certificate = certificate.map_err(|error| unreadable(error.to_string()))?;
+                roots
+                    .add(certificate)
+                    .map_err(|error| unreadable(error.to_string()))?;
+            }
+            if roots.is_empty() {
+                return Err(unreadable("it holds none".to_owned()));
+            }
+        }
+    }
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let builder = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .map_err(|error| Error::Open {
+            path: "on PostgreSQL".to_owned(),
+            reason: error.to_string(),
+        })?;
+    Ok(builder.with_root_certificates(roots).with_no_client_auth())
+}
+
+/// An error with its causes.
+fn causes(error: &postgres::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = std::error::Error::source(error);
+    while let Some(error) = cause {
+        // Some errors repeat their cause.
+        let more = error.to_string();
+        if !text.contains(&more) {
+            text += &format!(": {more}");
+        }
+        cause = error.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mode(url: &str) -> SslMode {
+        Address::parse(url)
+            .expect("an address")
+            .config
+            .get_ssl_mode()
+    }
+
+    #[test]
+    fn a_connection_to_another_host_is_encrypted_unless_the_address_says_otherwise() {
+        for (url, expected) in [
+            ("postgres://ann@db.example/stance", SslMode::Require),
+            (
+                "postgres://ann@10.0.0.5/stance?connect_timeout=3",
+                SslMode::Require,
+            ),
+            (
+                "postgres://ann@localhost,db.example/stance",
+                SslMode::Require,
+            ),
+            ("postgres://ann@localhost/stance", SslMode::Disable),
+            ("postgres://ann@127.0.0.1:5433/stance", SslMode::Disable),
+            (
+                "postgres://ann@%2Frun%2Fpostgresql/stance",
+                SslMode::Disable,
+            ),
+            ("postgres:///stance?host=/run/postgresql", SslMode::Disable),
+            (
+                "postgres://ann@db.example/stance?sslmode=disable",
+                SslMode::Disable,
+            ),
+            (
+                "postgres://ann@db.example/stance?sslmode=prefer",
+                SslMode::Prefer,
+            ),
+            (
+                "postgres://ann@localhost/stance?sslmode=verify-full",
+                SslMode::Require,
+            ),
+            (
+                "postgres://ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
+                SslMode::Require,
+            ),
+        ] {
+            assert_eq!(mode(url), expected, "{url}");
+        }
+    }
+
+    #[test]
+    fn an_address_that_cannot_be_kept_to_is_refused() {
+        for (url, part) in [
+            ("postgres://db.example/x?sslmode=verify-ca", "verify-full"),
+            (
+                "postgres://db.example/x?sslrootcert=/nowhere/ca.pem",
+                "/nowhere/ca.pem",
+            ),
+            ("postgres://db.example/x?colour=red", "colour"),
+        ] {
+            let Err(error) = Address::parse(url) else {
+                panic!("{url} is taken");
+            };
+            assert!(error.to_string().contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn messages_name_the_place_without_the_password() {
+        let address = Address::parse("postgres://ann:secret@db.example/stance?password=secret2")
+            .expect("an address");
+        assert_eq!(address.place(), "db.example/stance");
+    }
+}

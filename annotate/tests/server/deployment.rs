@@ -1,0 +1,584 @@
+//! The server as operators run it: behind a proxy, beside other servers, and watched.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::time::Duration;
+
+use annotate::store::open_sqlite;
+use annotate::wire::{
+    Code, Job, Me, ReviewDone, ReviewNext, Role, Settings, SkippedTasks, TaskKind, TaskView,
+};
+use flate2::read::GzDecoder;
+use serde_json::json;
+
+#[cfg(feature = "postgres")]
+use crate::support::person;
+use crate::support::{Answered, Client, MINUTE, Site, agent, key, masks, send, serve};
+
+const DAY: i64 = 24 * 60 * MINUTE;
+
+/// A login with a token that nobody has, with more headers.
+fn guess(site: &Site, headers: &[(&str, &str)]) -> Answered {
+    let origin = site.url("");
+    let mut all = vec![("origin", origin.as_str()), ("x-annotate", "1")];
+    all.extend_from_slice(headers);
+    let body = Some(&br#"{"token":"guess"}"#[..]);
+    send(&agent(), "POST", &site.url("/api/v1/session"), &all, body)
+}
+
+#[test]
+fn behind_a_trusted_proxy_each_client_has_limits_of_its_own() {
+    let proxy = "127.0.0.1".parse().expect("an address");
+    let site = Site::with(|config| config.trusted_proxies = vec![proxy]);
+    let from = |headers: &[(&str, &str)]| guess(&site, headers).problem().code;
+    for _ in 0..10 {
+        let client = [("x-forwarded-for", "192.0.2.1")];
+        assert_eq!(from(&client), Code::Unauthenticated);
+    }
+    assert_eq!(from(&[("x-forwarded-for", "192.0.2.1")]), Code::RateLimited);
+    // What the client wrote itself stands before what the proxy appended.
+    for spoofed in ["192.0.2.9, 192.0.2.1", "127.0.0.1, 192.0.2.1"] {
+        assert_eq!(from(&[("x-forwarded-for", spoofed)]), Code::RateLimited);
+    }
+    assert_eq!(from(&[("forwarded", "for=192.0.2.1")]), Code::RateLimited);
+    for other in [
+        [("x-forwarded-for", "192.0.2.2")],
+        [("forwarded", "for=192.0.2.3;proto=https")],
+    ] {
+        assert_eq!(from(&other), Code::Unauthenticated);
+    }
+}
+
+#[test]
+fn a_client_that_is_no_trusted_proxy_is_counted_by_its_own_address() {
+    let site = Site::new();
+    let from = |client: &str| guess(&site, &[("x-forwarded-for", client)]).problem().code;
+    for number in 0..10 {
+        assert_eq!(from(&format!("192.0.2.{number}")), Code::Unauthenticated);
+    }
+    assert_eq!(from("192.0.2.99"), Code::RateLimited);
+}
+
+#[test]
+fn asking_whether_the_server_is_ready_writes_nothing() {
+    let site = Site::new();
+    let log = site.folder.path().join("store.sqlite-wal");
+    let before = std::fs::read(&log).expect("a write-ahead log");
+    for _ in 0..3 {
+        let ready = send(&agent(), "GET", &site.url("/readyz"), &[], None);
+        assert_eq!(
+            (ready.status, ready.body.as_slice()),
+            (200, &b"ready\n"[..])
+        );
+    }
+    assert_eq!(std::fs::read(&log).expect("a write-ahead log"), before);
+}
+
+#[test]
+fn figures_for_operators_have_an_address_of_their_own() {
+    let free = ([127, 0, 0, 1], 0).into();
+    let site = Site::with(|config| config.operators = Some(free));
+    let operators = site.server.operators().expect("a second address");
+    let get = |path: &str| {
+        send(
+            &agent(),
+            "GET",
+            &format!("http://{operators}{path}"),
+            &[],
+            None,
+        )
+    };
+    let figures = get("/metrics");
+    assert_eq!(figures.status, 200);
+    let text = String::from_utf8(figures.body).expect("text");
+    assert!(text.contains("annotate_log_entries"), "{text}");
+    for path in ["/healthz", "/readyz"] {
+        assert_eq!(get(path).status, 200, "{path}");
+    }
+    // Nothing else is there.
+    for path in ["/", "/api/v1/me", "/api/v1/session"] {
+        assert_eq!(get(path).problem().code, Code::NotFound, "{path}");
+    }
+    assert!(Site::new().server.operators().is_none());
+}
+
+/// The head of a request with a body, on a connection of its own.
+fn begin(site: &Site, client: &Client, path: &str, length: usize) -> TcpStream {
+    let mut stream = TcpStream::connect(site.server.address()).expect("a connection");
+    stream
+        .set_read_timeout(Some(Duration::from_secs(60)))
+        .expect("a limit");
+    let head = format!(
+        "POST {path} HTTP/1.1\r\nHost: here\r\nConnection: close\r\nAuthorization: Bearer {}\r\n\
+         Content-Length: {length}\r\n\r\n",
+        client.token
+    );
+    stream.write_all(head.as_bytes()).expect("the server reads");
+    stream
+}
+
+fn status_line(mut stream: TcpStream) -> String {
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("an answer");
+    answer.lines().next().unwrap_or_default().to_owned()
+}
+
+#[test]
+fn an_upload_may_take_longer_than_other_requests() {
+    let site = Site::with_patience(Duration::from_secs(2));
+    let admin = site.person("adm", Role::Admin);
+    let mut upload = begin(&site, &admin, "/api/v1/imports?format=stance", 2);
+    upload.write_all(b"{").expect("the server reads");
+    // Another request with half a body is given up: so much time has passed.
+    let late = begin(&site, &admin, "/api/v1/queue/next", 2);
+    assert_eq!(status_line(late), "HTTP/1.1 503 Service Unavailable");
+    upload.write_all(b"}").expect("the server still reads");
+    assert_eq!(status_line(upload), "HTTP/1.1 200 OK");
+}
+
+#[test]
+fn an_upload_that_never_ends_is_given_up() {
+    let site = Site::with(|config| config.upload_patience = Duration::from_millis(200));
+    let admin = site.person("adm", Role::Admin);
+    let upload = begin(&site, &admin, "/api/v1/imports?format=stance", 2);
+    assert_eq!(status_line(upload), "HTTP/1.1 503 Service Unavailable");
+}
+
+#[test]
+fn a_reader_that_takes_nothing_is_dropped() {
+    let site = Site::with_patience(Duration::from_secs(2));
+    let mut stream = TcpStream::connect(site.server.address()).expect("a connection");
+    stream
+        .set_write_timeout(Some(Duration::from_secs(60)))
+        .expect("a limit");
+    // Requests until the answers fill every buffer between, and the server reads no more of them.
+    let request = b"GET /assets/vendor-three.js HTTP/1.1\r\nHost: here\r\n\r\n";
+    let error = loop {
+        if let Err(error) = stream.write_all(request) {
+            break error;
+        }
+    };
+    assert!(
+        matches!(
+            error.kind(),
+            std::io::ErrorKind::ConnectionReset | std::io::ErrorKind::BrokenPipe
+        ),
+        "the server keeps the connection: {error}"
+    );
+    assert_eq!(
+        send(&agent(), "GET", &site.url("/healthz"), &[], None).status,
+        200
+    );
+}
+
+#[test]
+fn responses_are_compressed_for_those_who_accept_it() {
+    let site = Site::new();
+    let get = |path: &str, headers: &[(&str, &str)]| {
+        send(&agent(), "GET", &site.url(path), headers, None)
+    };
+    let header = |answered: &Answered, name: &str| {
+        let value = answered
+            .headers
+            .get(name)
+            .and_then(|value| value.to_str().ok());
+        value.map(str::to_owned)
+    };
+    let unpacked = |bytes: &[u8]| {
+        let mut plain = Vec::new();
+        GzDecoder::new(bytes).read_to_end(&mut plain).expect("gzip");
+        plain
+    };
+    for name in ["app.js", "vendor-three.js", "app.css"] {
+        let path = format!("/assets/{name}");
+        let plain = get(&path, &[("accept-encoding", "identity")]);
+        assert_eq!(header(&plain, "content-encoding"), None, "{name}");
+        let packed = get(&path, &[("accept-encoding", "gzip, deflate, br, zstd")]);
+        assert_eq!(
+            header(&packed, "content-encoding").as_deref(),
+            Some("gzip"),
+            "{name}"
+        );
+        assert_eq!(
+            header(&packed, "vary").as_deref(),
+            Some("accept-encoding"),
+            "{name}"
+        );
+        assert!(packed.body.len() * 5 < plain.body.len() * 2, "{name}");
+        assert_eq!(unpacked(&packed.body), plain.body, "{name}");
+        let (one, other) = (header(&plain, "etag"), header(&packed, "etag"));
+        assert!(one.is_some() && other.is_some() && one != other, "{name}");
+        let tag = other.expect("a tag");
+        let again = get(
+            &path,
+            &[("accept-encoding", "gzip"), ("if-none-match", &tag)],
+        );
+        assert_eq!((again.status, again.body.len()), (304, 0), "{name}");
+        assert_eq!(header(&again, "content-encoding"), None, "{name}");
+    }
+    let admin = site.person("adm", Role::Admin);
+    let bearer = format!("Bearer {}", admin.token);
+    let ask = |encoding: &str| {
+        let headers = [
+            ("authorization", bearer.as_str()),
+            ("accept-encoding", encoding),
+        ];
+        get("/api/v1/settings", &headers)
+    };
+    let (plain, packed) = (ask("identity"), ask("gzip"));
+    assert_eq!(header(&packed, "content-encoding").as_deref(), Some("gzip"));
+    assert_eq!(
+        header(&packed, "content-type").as_deref(),
+        Some("application/json")
+    );
+    assert_eq!(unpacked(&packed.body), plain.body);
+}
+
+/// A session begun with a token: its cookie, and the seconds it is kept for.
+fn session(site: &Site, token: &str) -> (String, i64) {
+    let origin = site.url("");
+    let headers = [("origin", origin.as_str()), ("x-annotate", "1")];
+    let body = json!({ "token": token }).to_string();
+    let url = site.url("/api/v1/session");
+    let answered = send(&agent(), "POST", &url, &headers, Some(body.as_bytes()));
+    let cookie = answered
+        .headers
+        .get("set-cookie")
+        .and_then(|value| value.to_str().ok())
+        .expect("a cookie")
+        .to_owned();
+    let _: Me = answered.ok();
+    let age = cookie
+        .split("Max-Age=")
+        .nth(1)
+        .and_then(|rest| rest.split(';').next())
+        .and_then(|age| age.parse().ok())
+        .expect("an age");
+    (cookie.split(';').next().expect("a pair").to_owned(), age)
+}
+
+#[test]
+fn a_session_ends_with_the_token_it_was_begun_by() {
+    use annotate::store::TokenUse;
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let issue = |purpose, days| {
+        let now = site.clock.now();
+        let issued = site
+            .store
+            .issue(ann.user.id, purpose, now + days * DAY, now);
+        issued.expect("a token").token
+    };
+    let status = |cookie: &str| {
+        let url = site.url("/api/v1/me");
+        send(&agent(), "GET", &url, &[("cookie", cookie)], None).status
+    };
+    let (short, age) = session(&site, &issue(TokenUse::Token, 2));
+    assert_eq!(age, 2 * DAY / 1000);
+    let (long, age) = session(&site, &issue(TokenUse::Token, 30));
+    assert_eq!(age, 7 * DAY / 1000);
+    // A link is used up by the login, and its session lasts as long as any.
+    let (linked, age) = session(&site, &issue(TokenUse::Once, 1));
+    assert_eq!(age, 7 * DAY / 1000);
+    site.clock.advance(2 * DAY);
+    assert_eq!(
+        [status(&short), status(&long), status(&linked)],
+        [401, 200, 200]
+    );
+    site.clock.advance(5 * DAY);
+    assert_eq!([status(&long), status(&linked)], [401, 401]);
+}
+
+/// The lines of a user's event stream after the first.
+fn stream(client: &Client) -> impl Iterator<Item = String> {
+    let agent = ureq::Agent::config_builder()
+        .timeout_recv_body(Some(Duration::from_secs(60)))
+        .build()
+        .new_agent();
+    let response = agent
+        .get(format!("{}/api/v1/stream", client.base))
+        .header("authorization", format!("Bearer {}", client.token))
+        .call()
+        .expect("a stream");
+    let mut lines = BufReader::new(response.into_body().into_reader())
+        .lines()
+        .map(|line| line.expect("the stream goes on or ends"));
+    assert_eq!(lines.next().as_deref(), Some(": connected"));
+    lines
+}
+
+#[test]
+fn the_event_stream_of_a_disabled_user_ends() {
+    let site = Site::new();
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    let (of_ann, mut of_eve) = (stream(&ann), stream(&eve));
+    let change = |user: i64, role, active| {
+        let now = site.clock.now();
+        let changed = site.store.change_user(None, user, role, active, now);
+        changed.expect("a change");
+    };
+    change(ann.user.id, None, Some(false));
+    // It ends without an error, and tells nothing more.
+    assert!(!of_ann.into_iter().any(|line| line.starts_with("data:")));
+    assert!(of_eve.any(|line| line.contains("role_changed")));
+    // A reviewer who becomes an annotator no longer hears of others.
+    change(eve.user.id, Some(Role::Annotator), None);
+    let bob = site.person("bob", Role::Annotator);
+    bob.claim(TaskKind::MaskText);
+    let task = eve.claim(TaskKind::MaskText).task.id;
+    let next = of_eve
+        .find(|line| line.starts_with("data:"))
+        .expect("a change");
+    assert!(
+        next.contains(&format!("\"task\":{task},\"mine\":true")),
+        "{next}"
+    );
+}
+
+fn running() -> Job {
+    Job {
+        id: 0,
+        kind: "export".to_owned(),
+        format: "parquet".to_owned(),
+        state: "running".to_owned(),
+        done: 0,
+        total: None,
+        counts: std::collections::BTreeMap::new(),
+        messages: Vec::new(),
+        files: Vec::new(),
+        started: 0,
+        finished: None,
+        heartbeat: 0,
+    }
+}
+
+#[test]
+fn a_server_that_starts_leaves_the_jobs_of_others_running_and_lost_ones_fail() {
+    let site = Site::new();
+    let admin = site.person("adm", Role::Admin);
+    let put = || {
+        site.store
+            .put_job(running(), site.clock.now())
+            .expect("a job")
+            .id
+    };
+    let (lost, kept) = (put(), put());
+    let data = site.folder.path().join("other");
+    let store = open_sqlite(&site.folder.path().join("store.sqlite")).expect("the same store");
+    let other = serve(&store, &site.clock, &site.dataset, data, |_| {});
+    let base = format!("http://{}", other.address());
+    let state = |job: i64| {
+        let client = Client {
+            base: base.clone(),
+            user: admin.user.clone(),
+            token: admin.token.clone(),
+            agent: agent(),
+        };
+        let job: Job = client.get(&format!("jobs/{job}")).ok();
+        job.state
+    };
+    assert_eq!([state(lost), state(kept)], ["running", "running"]);
+    // One of the two is reported on, and the other is not heard of again.
+    for _ in 0..4 {
+        site.clock.advance(MINUTE / 2);
+        site.store.beat(kept, site.clock.now()).expect("a report");
+    }
+    assert_eq!([state(lost), state(kept)], ["failed", "running"]);
+    let jobs: Vec<Job> = admin.get("jobs").ok();
+    let lost = jobs.iter().find(|job| job.id == lost).expect("the job");
+    assert!(lost.finished.is_some() && lost.messages[0].contains("start the job again"));
+    // A report that comes late does not bring it back.
+    site.store
+        .beat(lost.id, site.clock.now())
+        .expect("a report");
+    assert_eq!(state(lost.id), "failed");
+}
+
+/// Two servers on one store on PostgreSQL, each with a folder of its own for files.
+#[cfg(feature = "postgres")]
+struct Pair {
+    servers: [annotate::http::Server; 2],
+    store: Arc<annotate::store::Store>,
+    folder: tempfile::TempDir,
+}
+
+#[cfg(feature = "postgres")]
+impl Pair {
+    /// `None` without PostgreSQL.
+    fn new(test: &str) -> Option<Self> {
+        use crate::support::{Hands, START, dataset, plain_settings};
+        let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
+            crate::store::skipped(test);
+            return None;
+        };
+        let schema = format!("d{}_{test}", std::process::id());
+        let open = || annotate::store::open_postgres(&url, &schema).expect("a store on PostgreSQL");
+        let folder = tempfile::tempdir().expect("a folder");
+        let root = folder.path().join("dataset");
+        dataset(&root);
+        let stores = [open(), open()];
+        plain_settings(&stores[0]);
+        annotate::transfer::from_dataset(&stores[0], &root, None, START, &mut |_, _| {})
+            .expect("imports");
+        // Their own clocks are wrong, each in its way.
+        let server = |index: usize| {
+            let clock = Hands::at(START + 100 * DAY * index as i64);
+            let data = folder.path().join(format!("data{index}"));
+            serve(&stores[index], &clock, &root, data, |_| {})
+        };
+        let servers = [server(0), server(1)];
+        let [store, _] = stores;
+        Some(Self {
+            servers,
+            store,
+            folder,
+        })
+    }
+
+    /// A user through each of the servers.
+    fn person(&self, name: &str, role: Role) -> [Client; 2] {
+        let bases = [0, 1].map(|index| format!("http://{}", self.servers[index].address()));
+        let [one, other] = bases;
+        let first = person(&self.store, &one, name, role, 0);
+        let second = Client {
+            base: other,
+            user: first.user.clone(),
+            token: first.token.clone(),
+            agent: agent(),
+        };
+        [first, second]
+    }
+}
+
+#[test]
+#[cfg(feature = "postgres")]
+fn leases_go_by_the_clock_of_the_database_and_not_by_those_of_the_servers() {
+    let Some(site) = Pair::new("clock") else {
+        return;
+    };
+    let ([ann, _], [_, bob]) = (
+        site.person("ann", Role::Annotator),
+        site.person("bob", Role::Annotator),
+    );
+    // The database runs on this machine.
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .expect("after 1970")
+        .as_millis() as i64;
+    let hers = ann.claim(TaskKind::MaskText);
+    let his = bob.claim(TaskKind::MaskText);
+    assert_ne!(hers.task.id, his.task.id, "her lease has not expired");
+    for view in [hers, his] {
+        let left = view.lease.expect("a lease").expires - now;
+        assert!((14 * MINUTE..17 * MINUTE).contains(&left), "{left}");
+    }
+}
+
+#[test]
+#[cfg(feature = "postgres")]
+fn an_export_is_reachable_through_both_servers() {
+    let Some(site) = Pair::new("exports") else {
+        return;
+    };
+    let admins = site.person("adm", Role::Admin);
+    let started: Job = admins[0]
+        .post("exports", &json!({ "format": "parquet", "events": true }))
+        .ok();
+    let job = crate::transfer::finished(&admins[0], started.id);
+    assert_eq!(job.state, "done", "{:?}", job.messages);
+    assert!(!job.files.is_empty());
+    let files = || {
+        job.files.iter().map(|name| {
+            let path = format!("jobs/{}/files/{name}", job.id);
+            admins.each_ref().map(|admin| admin.get(&path))
+        })
+    };
+    for [one, other] in files() {
+        assert_eq!((one.status, other.status), (200, 200));
+        assert_eq!(one.body, other.body);
+        assert_eq!(&one.body[..4], b"PAR1");
+    }
+    // Even when the server that wrote them has lost its disk.
+    std::fs::remove_dir_all(site.folder.path().join("data0")).expect("a folder");
+    for [one, other] in files() {
+        assert_eq!((one.status, other.status), (200, 200));
+        assert_eq!(one.body, other.body);
+    }
+}
+
+#[test]
+#[cfg(feature = "postgres")]
+fn a_connection_to_postgresql_is_encrypted_and_its_certificate_checked() {
+    use annotate::store::open_postgres;
+    let addresses = ["ANNOTATE_TEST_PG_TLS", "ANNOTATE_TEST_PG_CA"].map(std::env::var);
+    let [Ok(url), Ok(authority)] = addresses else {
+        crate::store::skipped("tls");
+        return;
+    };
+    // This server takes nothing through its port that is not encrypted.
+    let schema = format!("d{}_tls", std::process::id());
+    let trusted = format!("{url}?sslmode=verify-full&sslrootcert={authority}");
+    let store = open_postgres(&trusted, &schema).expect("an encrypted store");
+    store.ready().expect("it answers");
+    let refused = |url: &str| match open_postgres(url, &schema) {
+        Ok(_) => panic!("{url} is taken"),
+        Err(error) => error.to_string(),
+    };
+    let plain = refused(&format!("{url}?sslmode=disable"));
+    assert!(plain.contains("no encryption"), "{plain}");
+    let unknown = refused(&format!("{url}?sslmode=require"));
+    assert!(unknown.contains("sslrootcert=FILE"), "{unknown}");
+    let elsewhere = refused(&trusted.replace("localhost", "127.0.0.1"));
+    assert!(
+        elsewhere.contains("name the host as the certificate"),
+        "{elsewhere}"
+    );
+}
+
+#[test]
+fn annotators_are_not_told_which_tasks_are_gold() {
+    let site = Site::new();
+    let (ann, bob, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("bob", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    let known = bob.answer(TaskKind::MaskText, masks("waving"));
+    let next: ReviewNext = eve.post("review/next", &json!({ "queue": "sample" })).ok();
+    let lease = next.review.expect("a review").lease.epoch;
+    let accept = json!({ "idem_key": key(), "task": known, "lease_epoch": lease,
+                         "decision": "accept", "author": bob.user.id });
+    let _: ReviewDone = eve.post("reviews", &accept).ok();
+    let now = site.clock.now();
+    let gold = site.store.make_gold(1, known, now).expect("a gold task");
+    let settings = Settings {
+        gold_percent: 100,
+        ..site.store.settings().expect("settings")
+    };
+    site.store.put_settings(1, settings, now).expect("settings");
+    let (to_ann, mut to_eve) = (stream(&ann), stream(&eve));
+    assert_eq!(ann.answer(TaskKind::MaskText, masks("waving")), gold);
+    let other = ann.claim(TaskKind::MaskText);
+    let view: TaskView = ann.get(&format!("tasks/{gold}")).ok();
+    let drafts = |view: &TaskView| view.suggestions.iter().any(|draft| draft.id > 0);
+    assert!(drafts(&view), "the drafts of the task it was copied from");
+    let told: Vec<String> = to_ann
+        .filter(|line| line.starts_with("data:"))
+        .take(3)
+        .collect();
+    let kinds = ["claimed", "submitted", "claimed"];
+    for (line, kind) in told.iter().zip(kinds) {
+        assert!(line.contains(&format!("\"kind\":\"{kind}\"")), "{told:?}");
+    }
+    assert!(
+        told[2].contains(&format!("\"task\":{}", other.task.id)),
+        "{told:?}"
+    );
+    assert!(to_eve.any(|line| line.contains("gold_scored")));
+    let skipped: SkippedTasks = eve.get("skipped?kind=mask_text&by_all=true&limit=5").ok();
+    assert_eq!((skipped.items.len(), skipped.next), (0, None));
+}
