@@ -374,6 +374,37 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
 }
 
 #[test]
+fn a_plan_trains_anew_when_its_dataset_has_grown() {
+    let bench = Bench::open();
+    let plan = write_plan(
+        &bench,
+        "[[system]]\nname = \"ours\"\n[[table]]\npaper = \"1\"\n",
+    );
+    let [dataset, corpus, more] =
+        ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
+    let run = || stance(&["--json", "reproduce", arg(&plan)]);
+    let first: Value = run().expect_code(0).json();
+    let args = [
+        "--seed",
+        "9",
+        "corpus",
+        "--clips",
+        "30",
+        "--out",
+        arg(&more),
+    ];
+    stance(&args).expect_code(0);
+    stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    let second: Value = run().expect_code(0).json();
+    assert_ne!(first["tables"], second["tables"]);
+    for folder in ["runs", "edits"] {
+        let made = fs::read_dir(bench.workshop.path("made").join(folder)).expect("a folder");
+        assert_eq!(made.count(), 2, "{folder}");
+    }
+}
+
+#[test]
 fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let bench = Bench::open();
     let plan = write_plan(

@@ -1,4 +1,4 @@
-//! Training and sampling of the denoiser and of TMED at the sizes of their papers.
+//! Training and sampling of the denoiser, and training of TMED and MDM, at the sizes of their papers.
 //!
 //! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Times are to be read
 //! against the matrix products of the same run.
@@ -16,8 +16,11 @@ use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use train::config::{NetworkConfig, Prediction, Preset, ScheduleName, TrainConfig};
 use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::Objective;
+use train::features::FeatureRecipe;
+use train::mdm::{MdmConfig, masked_l2};
 use train::model::denoiser::Denoiser;
 use train::model::fused;
+use train::model::mdm::Mdm;
 use train::model::motionrefit::TextSource;
 use train::model::tmed::TmedModel;
 use train::model::weights::draw;
@@ -185,6 +188,9 @@ const CLIPS: usize = 8;
 const CLIP_FRAMES: usize = 120;
 const TOKENS: usize = 16;
 
+/// Numbers of a text vector of CLIP ViT-B/32.
+const CLIP_WIDTH: usize = 512;
+
 /// Forward, loss, backward and AdamW of eight clips of four seconds.
 #[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
 fn tmed_training_step(bencher: Bencher, dropout: f64) {
@@ -220,6 +226,38 @@ fn tmed_training_step(bencher: Bencher, dropout: f64) {
     bencher.counter(ItemsCount::new(CLIPS)).bench_local(|| {
         let network = model.take().expect("put back after every step");
         let loss = loss(&network, &batch, &config, &schedule, &device);
+        let value: f32 = loss.clone().into_scalar();
+        let gradients = GradientsParams::from_grads(loss.backward(), &network);
+        model = Some(optimizer.step(1e-4, network, gradients));
+        value
+    });
+}
+
+/// Clips of 196 frames, the longest of MDM, as features of HumanML3D.
+#[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
+fn mdm_training_step(bencher: Bencher, dropout: f64) {
+    let device = Device::flex().autodiff();
+    let config = MdmConfig::preset(Preset::Paper);
+    let network = NetworkConfig {
+        dropout,
+        ..config.model
+    };
+    let (frames, width) = (config.max_frames, FeatureRecipe::HumanMl3d.width());
+    let model = Mdm::new(&network, width, CLIP_WIDTH, &device);
+    let mut model = Some(draw(model, Seed(1)).expect("known layers"));
+    let plain = Device::flex();
+    let [x0, noise] = [(); 2].map(|()| normal::<3>([CLIPS, frames, width], &plain));
+    let text = normal::<2>([CLIPS, CLIP_WIDTH], &plain);
+    let (timesteps, lengths): (Vec<usize>, _) = ((0..CLIPS).collect(), [frames; CLIPS]);
+    let schedule = Schedule::cosine(config.diffusion_steps).expect("steps");
+    let mut optimizer = adamw(0.0);
+    bencher.counter(ItemsCount::new(CLIPS)).bench_local(|| {
+        let network = model.take().expect("put back after every step");
+        let text = Tensor::<2>::from_data(text.to_data(), &device);
+        let [x0, noise] = [&x0, &noise].map(|x| Tensor::<3>::from_data(x.to_data(), &device));
+        let x_t = schedule.q_sample(x0.clone(), &timesteps, noise);
+        let predicted = network.forward(x_t, &timesteps, text, None);
+        let loss = masked_l2(predicted, x0, &lengths).mean();
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimizer.step(1e-4, network, gradients));

@@ -14,7 +14,7 @@ use crate::captioned::{
 use crate::checkpoint::{Files, Run, RunRecord, Start};
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    WordsConfig, positive, share,
+    TrainConfig, WordsConfig, positive, share,
 };
 use crate::data::{TextBatch, Texts};
 use crate::features::FeatureStats;
@@ -108,43 +108,22 @@ impl MdmConfig {
                     seed: 0,
                 },
             },
-            Preset::Tiny => Self {
-                model: NetworkConfig {
-                    width: 128,
-                    num_layers: 3,
-                    num_heads: 4,
-                    feed_forward: 256,
-                    dropout: 0.0,
-                },
-                text: TextConfig {
-                    encoder: TextEncoder::Learned,
-                    words: WordsConfig {
-                        num_buckets: 16,
-                        max_words: 24,
+            Preset::Tiny => {
+                let editor = TrainConfig::preset(Preset::Tiny);
+                Self {
+                    model: editor.model,
+                    text: editor.text,
+                    diffusion_steps: 50,
+                    mask_frames: true,
+                    min_frames: 16,
+                    run: RunSettings {
+                        batch_size: 16,
+                        micro_batch_size: None,
+                        ..editor.run
                     },
-                },
-                diffusion_steps: 50,
-                mask_frames: true,
-                min_frames: 16,
-                run: RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-3,
-                        decay: Decay::Linear,
-                        warmup_steps: 50,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: Some(0.99),
-                    },
-                    batch_size: 16,
-                    micro_batch_size: None,
-                    length: RunLength::of_steps(1_000),
-                    log_every: 20,
-                    val_every: 100,
-                    keep_epochs: 0,
-                    seed: 0,
-                },
-                ..Self::preset(Preset::Official)
-            },
+                    ..Self::preset(Preset::Official)
+                }
+            }
         }
     }
 

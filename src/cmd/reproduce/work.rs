@@ -9,6 +9,7 @@ use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
 use eval::answers::{Answered, Scores};
 use eval::protocol::Protocol;
+use pipeline::stage::COMPOSED;
 use serde::Serialize;
 use train::checkpoint::Start;
 use train::kind::TrainRequest;
@@ -24,6 +25,8 @@ use crate::stages;
 pub(super) struct Work<'a> {
     plan: &'a Plan,
     global: &'a Global,
+    /// Hash of what the dataset gives to training.
+    data: String,
     items: PathBuf,
     /// Root hash of the items.
     asked: String,
@@ -38,6 +41,7 @@ type Unless<T> = anyhow::Result<Option<T>>;
 impl<'a> Work<'a> {
     /// Draws the items, and trains the encoder.
     pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> Unless<Self> {
+        let data = Dataset::open(&plan.dataset)?.content_hash(&COMPOSED);
         let items = plan.out.join("items");
         let seed = plan.seeds.items(global);
         let drawn = stages::items(&plan.dataset, &items, plan.split, &plan.items, seed, global)
@@ -45,6 +49,7 @@ impl<'a> Work<'a> {
         let mut work = Self {
             plan,
             global,
+            data,
             items,
             asked: drawn.manifest().root_hash.clone(),
             encoder: PathBuf::new(),
@@ -72,7 +77,11 @@ impl<'a> Work<'a> {
     }
 
     fn trained(&self, training: &Training) -> Unless<PathBuf> {
-        let name = format!("{}-{}", training.model.name, short("training", training));
+        let name = format!(
+            "{}-{}",
+            training.model.name,
+            short("training", &(training, &self.data))
+        );
         let run = self.plan.out.join("runs").join(name);
         let request = TrainRequest {
             dataset: &self.plan.dataset,
@@ -95,7 +104,7 @@ impl<'a> Work<'a> {
     pub(super) fn edits(&self, spec: &Spec) -> Unless<PathBuf> {
         let seed = self.plan.sampling_seed(self.global);
         let edits = self.plan.out.join("edits");
-        let edits = edits.join(short("edits", &(spec, &self.asked, seed)));
+        let edits = edits.join(short("edits", &(spec, &self.data, &self.asked, seed)));
         if Dataset::open(&edits).is_ok() {
             return Ok(Some(edits));
         }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    WordsConfig, positive, share,
+    TrainConfig, WordsConfig, positive, share,
 };
 use crate::model::mld::MAX_POSITIONS;
 
@@ -119,42 +119,26 @@ impl MldConfig {
                     feed_forward: 128,
                     dropout: 0.0,
                 };
-                let run = |steps| RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-3,
-                        decay: Decay::Linear,
-                        warmup_steps: 50,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: Some(0.99),
-                    },
+                let editor = TrainConfig::preset(Preset::Tiny);
+                let run = RunSettings {
                     batch_size: 16,
                     micro_batch_size: None,
-                    length: RunLength::of_steps(steps),
-                    log_every: 20,
-                    val_every: 100,
-                    keep_epochs: 0,
-                    seed: 0,
+                    length: RunLength::of_steps(1_500),
+                    ..editor.run
                 };
                 let official = Self::preset(Preset::Official);
                 Self {
                     autoencoder: AutoencoderConfig {
                         model,
                         min_frames: 16,
-                        run: run(1_500),
+                        run,
                         ..official.autoencoder
                     },
                     model,
-                    text: TextConfig {
-                        encoder: TextEncoder::Learned,
-                        words: WordsConfig {
-                            num_buckets: 16,
-                            max_words: 24,
-                        },
-                    },
+                    text: editor.text,
                     // The vocabulary is learned, and strong guidance leaves what was seen.
                     guidance: 2.0,
-                    run: run(1_500),
+                    run,
                     ..official
                 }
             }

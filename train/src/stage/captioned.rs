@@ -3,14 +3,15 @@
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
-use super::create_dir;
-use super::encoder::CaptionedClip;
+use super::encoder::{CaptionedClip, views};
+use super::{MOTIONS, create_dir};
+use crate::captioned::CaptionedCorpus;
 use crate::config::{TextConfig, TextEncoder};
-use crate::kind::TrainRequest;
+use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
-use crate::tmr::CaptionedMotion;
+use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
 /// The clips of a split, each with the captions that speak of all of it. A caption that speaks of a part
@@ -18,41 +19,19 @@ use crate::{Error, Session};
 ///
 /// # Source
 /// `Text2MotionDatasetV2` of HumanML3D.
-#[derive(Debug)]
-pub(super) struct TimedClips(Vec<CaptionedClip>);
-
-impl TimedClips {
-    /// Reads a split.
-    ///
-    /// # Errors
-    /// The dataset cannot be read, or a row is no motion.
-    pub(super) fn read(dataset: &Dataset, split: Split) -> Result<Self, Error> {
-        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
-        let mut clips = Vec::new();
-        for row in rows.iter().filter(|row| !row.captions.is_empty()) {
-            push_clips(row, &mut clips).map_err(|source| Error::Motion {
-                id: row.id.to_string(),
-                source,
-            })?;
-        }
-        Ok(Self(clips))
+///
+/// # Errors
+/// The dataset cannot be read, or a row is no motion.
+fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
+    let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+    let mut clips = Vec::new();
+    for row in rows.iter().filter(|row| !row.captions.is_empty()) {
+        push_clips(row, &mut clips).map_err(|source| Error::Motion {
+            id: row.id.to_string(),
+            source,
+        })?;
     }
-
-    /// The clips as models take them.
-    pub(super) fn views(&self) -> Vec<CaptionedMotion<'_>> {
-        self.0
-            .iter()
-            .map(|clip| CaptionedMotion {
-                id: &clip.id,
-                motion: &clip.motion,
-                captions: &clip.captions,
-            })
-            .collect()
-    }
-
-    fn captions(&self) -> impl Iterator<Item = String> + '_ {
-        self.0.iter().flat_map(|clip| clip.captions.iter().cloned())
-    }
+    Ok(clips)
 }
 
 fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), datasets_spec::Error> {
@@ -83,21 +62,45 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
     Ok(())
 }
 
+/// Trains a model on the captioned clips of a dataset, its captions told by `encoder`.
+///
+/// # Errors
+/// The dataset cannot be read, the text encoder is missing or cannot encode a caption, or training fails.
+pub(super) fn train_on_captions(
+    request: &TrainRequest<'_>,
+    encoder: (&TextConfig, ClipModel),
+    session: &Session<'_>,
+    fit: impl FnOnce(CaptionedCorpus<'_>) -> Result<TrainReport, Error>,
+) -> Result<Trained, Error> {
+    let dataset = Dataset::open(request.dataset)?;
+    let train = timed_clips(&dataset, Split::Train)?;
+    let val = timed_clips(&dataset, Split::Val)?;
+    let vectors = caption_vectors(encoder, train.iter().chain(&val), request, session)?;
+    let report = fit(CaptionedCorpus {
+        train: &views(&train),
+        val: &views(&val),
+        vectors: vectors.as_ref().map(|table| table as _),
+        skeleton: &dataset.skeleton()?,
+        dataset_hash: &dataset.content_hash(&MOTIONS),
+    })?;
+    Ok(Trained::from_report(report, request.start.run))
+}
+
 /// Vectors of all captions and of the empty text, where the settings ask for a frozen encoder; they are
 /// kept in the run folder.
 ///
 /// # Errors
 /// The text encoder is missing or cannot encode a caption, or the table cannot be written.
-pub(super) fn caption_vectors(
+fn caption_vectors<'a>(
     (text, model): (&TextConfig, ClipModel),
-    splits: &[&TimedClips],
+    clips: impl Iterator<Item = &'a CaptionedClip>,
     request: &TrainRequest<'_>,
     session: &Session<'_>,
 ) -> Result<Option<EmbeddingTable>, Error> {
     if text.encoder == TextEncoder::Learned {
         return Ok(None);
     }
-    let captions = splits.iter().flat_map(|clips| clips.captions());
+    let captions = clips.flat_map(|clip| clip.captions.iter().cloned());
     let captions: Vec<String> = captions.chain([String::new()]).collect();
     let run = request.start.run;
     let table = request

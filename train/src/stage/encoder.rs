@@ -55,6 +55,18 @@ pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedC
         .collect()
 }
 
+/// Clips as models take them.
+pub(super) fn views(clips: &[CaptionedClip]) -> Vec<CaptionedMotion<'_>> {
+    clips
+        .iter()
+        .map(|clip| CaptionedMotion {
+            id: &clip.id,
+            motion: &clip.motion,
+            captions: &clip.captions,
+        })
+        .collect()
+}
+
 /// Trains the encoder that evaluation measures with, or continues its run.
 ///
 /// # Errors
@@ -65,16 +77,6 @@ pub fn train_encoder<'a>(
     config: &TmrConfig,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
-    fn views(clips: &[CaptionedClip]) -> Vec<CaptionedMotion<'_>> {
-        clips
-            .iter()
-            .map(|clip| CaptionedMotion {
-                id: &clip.id,
-                motion: &clip.motion,
-                captions: &clip.captions,
-            })
-            .collect()
-    }
     let dataset = Dataset::open(root)?;
     let (train, val) = (
         captioned_clips(&dataset, Split::Train)?,

@@ -1,10 +1,6 @@
 //! Training of MLD on the captioned motions of a dataset.
 
-use datasets_spec::{Dataset, Split};
-
-use super::MOTIONS;
-use super::captioned::{TimedClips, caption_vectors};
-use crate::captioned::CaptionedCorpus;
+use super::captioned::train_on_captions;
 use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::mld::{self, MldConfig, train_mld};
 use crate::{Error, Session};
@@ -22,17 +18,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let mut config = request.settings(&MldConfig::preset(request.preset))?;
     request.change(&mut config.autoencoder.run);
     request.change(&mut config.run);
-    let dataset = Dataset::open(request.dataset)?;
-    let train = TimedClips::read(&dataset, Split::Train)?;
-    let val = TimedClips::read(&dataset, Split::Val)?;
-    let vectors = caption_vectors((&config.text, mld::CLIP), &[&train, &val], request, session)?;
-    let corpus = CaptionedCorpus {
-        train: &train.views(),
-        val: &val.views(),
-        vectors: vectors.as_ref().map(|table| table as _),
-        skeleton: &dataset.skeleton()?,
-        dataset_hash: &dataset.content_hash(&MOTIONS),
-    };
-    let report = train_mld(request.start, &config, corpus, session)?;
-    Ok(Trained::from_report(report, request.start.run))
+    train_on_captions(request, (&config.text, mld::CLIP), session, |corpus| {
+        train_mld(request.start, &config, corpus, session)
+    })
 }

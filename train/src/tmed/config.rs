@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::{
     Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    WordsConfig, positive, share,
+    TrainConfig, WordsConfig, positive, share,
 };
 use crate::gaussian::{Respacing, SampleSteps};
 
@@ -203,47 +203,29 @@ impl TmedConfig {
                     ..official
                 }
             }
-            Preset::Tiny => Self {
-                model: NetworkConfig {
-                    width: 128,
-                    num_layers: 3,
-                    num_heads: 4,
-                    feed_forward: 256,
-                    dropout: 0.0,
-                },
-                text: TextConfig {
-                    encoder: TextEncoder::Learned,
-                    words: WordsConfig {
-                        num_buckets: 16,
-                        max_words: 24,
+            Preset::Tiny => {
+                let (editor, paper) = (
+                    TrainConfig::preset(Preset::Tiny),
+                    Self::preset(Preset::Paper),
+                );
+                Self {
+                    model: editor.model,
+                    text: editor.text,
+                    fps: Fps::MODEL,
+                    max_frames: 60,
+                    diffusion: TmedDiffusion {
+                        num_steps: 50,
+                        ..paper.diffusion
                     },
-                },
-                fps: Fps::MODEL,
-                max_frames: 60,
-                diffusion: TmedDiffusion {
-                    num_steps: 50,
-                    ..Self::preset(Preset::Paper).diffusion
-                },
-                val_clips: 64,
-                run: RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-3,
-                        decay: Decay::Linear,
-                        warmup_steps: 50,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: Some(0.99),
+                    val_clips: 64,
+                    run: RunSettings {
+                        batch_size: 32,
+                        micro_batch_size: None,
+                        ..editor.run
                     },
-                    batch_size: 32,
-                    micro_batch_size: None,
-                    length: RunLength::of_steps(1_000),
-                    log_every: 20,
-                    val_every: 100,
-                    keep_epochs: 0,
-                    seed: 0,
-                },
-                ..Self::preset(Preset::Paper)
-            },
+                    ..paper
+                }
+            }
         }
     }
 
