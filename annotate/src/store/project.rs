@@ -103,6 +103,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
     for (field, names) in [
         ("styles", &settings.styles),
         ("templates", &settings.templates),
+        ("style_templates", &settings.style_templates),
     ] {
         let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
         if names.len() > MAX_NAMES || names.iter().any(bad) {

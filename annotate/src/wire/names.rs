@@ -383,6 +383,36 @@ names! {
         ReviewDrop = "review_drop",
         /// Next region of the page.
         NextRegion = "next_region",
+        /// Toggle BOTH_LEGS.
+        Part6 = "part_6",
+        /// Toggle LEFT_LEG.
+        Part7 = "part_7",
+        /// Toggle RIGHT_LEG.
+        Part8 = "part_8",
+        /// Toggle TORSO.
+        Part9 = "part_9",
+        /// Toggle HEAD.
+        Part10 = "part_10",
+        /// Move the ghost to the place and heading of the other body.
+        AlignRoots = "align_roots",
+        /// Open Home.
+        ScreenHome = "screen_home",
+        /// Open masks.
+        ScreenMask = "screen_mask",
+        /// Open pairs.
+        ScreenPair = "screen_pair",
+        /// Open style pairs.
+        ScreenStyle = "screen_style",
+        /// Open the examples.
+        ScreenShelf = "screen_shelf",
+        /// Open the guide.
+        ScreenGuide = "screen_guide",
+        /// Open the review.
+        ScreenReview = "screen_review",
+        /// Open the dashboard.
+        ScreenDashboard = "screen_dashboard",
+        /// Open the administration.
+        ScreenAdmin = "screen_admin",
     }
 }
 

@@ -85,8 +85,10 @@ pub struct Project {
     pub max_masks: usize,
     /// Styles to choose from.
     pub styles: Vec<String>,
-    /// Phrases to start an instruction with.
+    /// Phrases to complete the instruction of a fine-grained pair with.
     pub templates: Vec<String>,
+    /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
+    pub style_templates: Vec<String>,
 }
 
 /// `GET`/`PUT settings`.
@@ -116,8 +118,10 @@ pub struct Settings {
     pub max_masks: usize,
     /// Styles to choose from.
     pub styles: Vec<String>,
-    /// Phrases to start an instruction with.
+    /// Phrases to complete the instruction of a fine-grained pair with.
     pub templates: Vec<String>,
+    /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
+    pub style_templates: Vec<String>,
     /// Pairs wanted of each category and edit type; 0 for no bound.
     pub quota: u32,
     /// The guide, plain text.
@@ -239,6 +243,12 @@ impl Default for Settings {
                 "later",
                 "further to the left",
                 "further to the right",
+            ]),
+            style_templates: words(&[
+                "in a {style} way",
+                "with {style} steps",
+                "with a {style} upper body",
+                "with {style} arms",
             ]),
             quota: 0,
             guide: include_str!("../guide.txt").to_owned(),

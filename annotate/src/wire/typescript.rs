@@ -21,7 +21,37 @@ const HEAD: &str = "\
 fn declaration<T: TS>(config: &Config) -> (String, String) {
     let docs = T::docs().map(|docs| docs.to_string()).unwrap_or_default();
     let name = T::ident(config);
-    (name, format!("{docs}export {}\n", T::decl(config)))
+    (
+        name,
+        laid_out(&format!("{docs}export {}\n", T::decl(config))),
+    )
+}
+
+/// The text of a declaration with comments of one line, and fields indented.
+fn laid_out(text: &str) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    let mut comment: Option<Vec<&str>> = None;
+    let mut inside = false;
+    for line in text.lines().map(str::trim_end) {
+        let indent = if inside { "  " } else { "" };
+        match (&mut comment, line) {
+            (None, "/**") => comment = Some(Vec::new()),
+            (Some(words), " */") => {
+                lines.push(format!("{indent}/** {} */", words.join(" ")));
+                comment = None;
+            }
+            (Some(words), line) => words.push(line.trim_start_matches(" *").trim_start()),
+            (None, line) => {
+                lines.push(if line.starts_with("export") {
+                    line.to_owned()
+                } else {
+                    format!("{indent}{line}")
+                });
+                inside = true;
+            }
+        }
+    }
+    lines.join("\n") + "\n"
 }
 
 /// `EDIT_TYPES` for `EditType`.

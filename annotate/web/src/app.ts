@@ -5,7 +5,7 @@ import { ConflictBox, type Version } from "./components/conflict-box";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
-import { KeyMap, chordOf, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
+import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
 import { Motions } from "./motions";
@@ -136,6 +136,8 @@ export class App {
     }
     this.parts = new Parts(skeleton);
     this.keys.override(this.me.prefs.keys as KeyOverrides);
+    // Keys that are taken no more would make the server refuse every change of a setting.
+    this.me.prefs.keys = Object.fromEntries(Object.entries(this.keys.overrides).map(([id, chords]) => [id, [...chords]]));
     this.outbox = new Outbox(this.store, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
@@ -233,6 +235,12 @@ export class App {
   private free(): void {
     this.main.inert = false;
     this.main.removeAttribute("aria-busy");
+  }
+
+  /** Label of the key of a part; empty for a part without one. */
+  partHint(name: string): string {
+    const action = PART_ACTIONS[this.parts.all.findIndex((part) => part.name === name)];
+    return action ? this.keys.hint(action) : "";
   }
 
   focusStage(): void {
@@ -366,6 +374,8 @@ export class App {
       .map(([name, route]) => {
         const link = this.link(name, route.label);
         link.dataset.route = name;
+        const key = `screen_${name}`;
+        if (isAction(key)) link.title = `${route.label} (${this.keys.hint(key)})`;
         return link;
       });
     fill(this.nav, ...links);
@@ -481,6 +491,7 @@ export class App {
     let done = true;
     if (found.id === "key_sheet") void this.showKeys();
     else if (found.id === "next_region") this.nextRegion();
+    else if (found.id.startsWith("screen_")) done = this.openScreen(found.id.slice("screen_".length));
     else done = this.screen.perform(found.id, found.ten);
     if (!done && found.id === "stage") {
       this.focusStage();
@@ -490,6 +501,14 @@ export class App {
       event.preventDefault();
       event.stopPropagation();
     }
+  }
+
+  /** Opens a screen by its key; false if this person may not see it. */
+  private openScreen(name: string): boolean {
+    const route = this.routes[name];
+    if (!route || !this.may(route.role)) return false;
+    this.go(name);
+    return true;
   }
 
   /** Moves the focus to the next region: navigation, stage, panel, playback. */

@@ -22,6 +22,15 @@ const ACTIONS = [
   ["undo", "Undo", "global", ["Ctrl+KeyZ"]],
   ["redo", "Redo", "global", ["Ctrl+Shift+KeyZ", "Ctrl+KeyY"]],
   ["stage", "Back to the stage", "global", ["Escape"]],
+  ["screen_home", "Home", "global", ["Shift+Digit1"]],
+  ["screen_mask", "Masks", "global", ["Shift+Digit2"]],
+  ["screen_pair", "Pairs", "global", ["Shift+Digit3"]],
+  ["screen_style", "Styles", "global", ["Shift+Digit4"]],
+  ["screen_shelf", "Examples", "global", ["Shift+Digit5"]],
+  ["screen_guide", "Guide", "global", ["Shift+Digit6"]],
+  ["screen_review", "Review", "global", ["Shift+Digit7"]],
+  ["screen_dashboard", "Dashboard", "global", ["Shift+Digit8"]],
+  ["screen_admin", "Admin", "global", ["Shift+Digit9"]],
 
   ["text", "Go to the text", "work", ["KeyT", "Enter"]],
   ["submit", "Submit and next", "work", ["Ctrl+Enter"]],
@@ -49,12 +58,17 @@ const ACTIONS = [
   ["part_3", "Both arms", "parts", ["Digit3"]],
   ["part_4", "Left arm", "parts", ["Digit4"]],
   ["part_5", "Right arm", "parts", ["Digit5"]],
+  ["part_6", "Both legs", "parts", ["Digit6"]],
+  ["part_7", "Left leg", "parts", ["Digit7"]],
+  ["part_8", "Right leg", "parts", ["Digit8"]],
+  ["part_9", "Torso", "parts", ["Digit9"]],
+  ["part_10", "Head", "parts", ["Digit0"]],
 
   ["soft_ring", "Soft ring", "mask", ["KeyS"]],
   ["mask_new", "New mask", "mask", ["KeyN"]],
   ["mask_delete", "Delete this mask", "mask", ["Delete"]],
-  ["card_next", "Next mask", "mask", ["Tab"]],
-  ["card_previous", "Previous mask", "mask", ["Shift+Tab"]],
+  ["card_next", "Next mask", "mask", ["ArrowDown", "Tab"]],
+  ["card_previous", "Previous mask", "mask", ["ArrowUp", "Shift+Tab"]],
   ["preview", "Blend preview", "mask", ["KeyB"]],
   ["preview_partner", "Blend with another motion", "mask", ["Shift+KeyB"]],
   ["accept_heat", "Take the suggested parts", "mask", ["KeyH"]],
@@ -64,6 +78,7 @@ const ACTIONS = [
   ["identical", "Identical", "pair", ["KeyI"]],
   ["side_by_side", "Side by side or ghost", "pair", ["KeyG"]],
   ["swap", "Swap", "pair", ["KeyW"]],
+  ["align_roots", "Roots together (ghost)", "pair", ["KeyR"]],
   ["largest_difference", "Largest difference", "pair", ["KeyD"]],
   ["edit_type", "Next edit type", "pair", ["KeyE"]],
   ["template", "Template phrase", "pair", ["KeyY"]],
@@ -90,6 +105,20 @@ export const TOGETHER: readonly (readonly Scope[])[] = [
   ["global", "transport", "review"],
 ];
 
+/** Keys of the parts, in the order of `SkeletonInfo.parts`. */
+export const PART_ACTIONS: readonly ActionId[] = [
+  "part_1",
+  "part_2",
+  "part_3",
+  "part_4",
+  "part_5",
+  "part_6",
+  "part_7",
+  "part_8",
+  "part_9",
+  "part_10",
+];
+
 export type ActionId = (typeof ACTIONS)[number][0];
 
 /** Does not compile if the server knows an action that has no key here. */
@@ -102,6 +131,10 @@ export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope
   scope,
   chords,
 }));
+
+export function isAction(name: string): name is ActionId {
+  return ACTIONS.some(([id]) => id === name);
+}
 
 /** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
@@ -145,8 +178,9 @@ export function chordOf(press: Press): string | null {
 
 /** Whether the focused element handles the chord itself. */
 function inert(chord: string, focus: Focus): boolean {
-  if (focus === "stage") return false;
+  // Tab moves the focus on, except from the text of a card to that of the next.
   if (chord === "Tab" || chord === "Shift+Tab") return focus !== "card";
+  if (focus === "stage") return false;
   if (chord === "Escape" || /^(Shift\+)?F\d+$/.test(chord)) return false;
   if (focus === "button") return chord === "Enter" || chord === "Space";
   if (!chord.startsWith("Ctrl+")) return true;

@@ -268,7 +268,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private async resolve(version: Version, theirs: Revision): Promise<void> {
     this.conflict?.box.close();
     this.conflict = null;
-    this.app.refreshChip();
     const mine = this.history.present;
     const other = theirs.answer as A;
     const chosen = version === "mine" ? mine : version === "theirs" ? other : both(mine, other);
@@ -276,9 +275,11 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.history.seal();
     this.history.push(chosen);
     if (!same(chosen, mine)) this.onReplaced(chosen);
+    // Before anything waits, so that the page never says that this is saved.
+    if (same(chosen, other)) this.app.refreshChip();
+    else this.schedule();
     await this.app.outbox.discard(this.chain);
     await this.app.outbox.setRev(this.chain, theirs.rev);
-    if (!same(this.history.present, other)) this.schedule();
   }
 
   private schedule(): void {

@@ -1,6 +1,7 @@
 /** Strips along the timeline: activity of parts, and the distance of two motions. */
 
 import { h } from "./dom";
+import { onThemeChange, theme } from "./stage/theme";
 
 export interface Row {
   name: string;
@@ -30,6 +31,21 @@ export function heatColour(value: number): string {
   return `rgb(${mixed.join(", ")})`;
 }
 
+/** Gaps in seconds that do not end a span. */
+const SAME_SPAN_SECS = 0.15;
+
+/** Where the values of a row reach `least`, in seconds: "0.4 to 1.2 s, 2.0 to 2.4 s"; empty if nowhere. */
+export function spans(values: ArrayLike<number>, least: number, fps: number): string {
+  const found: [number, number][] = [];
+  for (let column = 0; column < values.length; column += 1) {
+    if ((values[column] ?? 0) < least) continue;
+    const last = found.at(-1);
+    if (last && (column - last[1]) / fps <= SAME_SPAN_SECS) last[1] = column;
+    else found.push([column, column]);
+  }
+  return found.map(([from, to]) => `${(from / fps).toFixed(1)} to ${((to + 1) / fps).toFixed(1)} s`).join(", ");
+}
+
 const ROW_HEIGHT = 16;
 const GAP = 2;
 
@@ -45,10 +61,11 @@ export class Strip {
   private loop: readonly [number, number] = [0, 0];
   private dirty = true;
   private readonly observer: ResizeObserver;
+  private readonly forget: () => void;
   private image: HTMLCanvasElement | null = null;
 
   constructor(
-    title: string,
+    private readonly title: string,
     private readonly rows: readonly Row[],
     /** Value of the darkest colour. */
     private readonly full: number,
@@ -80,6 +97,9 @@ export class Strip {
       this.dirty = true;
     });
     this.observer.observe(this.canvas);
+    this.forget = onThemeChange(() => {
+      this.dirty = true;
+    });
   }
 
   /** Values `[rows][columns]`, spread over the frames of the clock. */
@@ -89,6 +109,16 @@ export class Strip {
     this.image = null;
     this.dirty = true;
     this.element.dataset.columns = String(columns);
+  }
+
+  /** Says in words what the strip shows, for people who do not see it. */
+  describe(text: string): void {
+    this.element.setAttribute("aria-label", `${this.title}. ${text}`);
+  }
+
+  /** The values of a row. */
+  rowValues(row: number): Float32Array {
+    return this.values.subarray(row * this.columns, (row + 1) * this.columns);
   }
 
   /** Marks the rows of suggested and of chosen parts. */
@@ -136,22 +166,23 @@ export class Strip {
     const image = this.paint();
     this.rows.forEach((_, row) => {
       const top = row * (ROW_HEIGHT + GAP);
-      context.fillStyle = "#e7ebef";
+      context.fillStyle = theme().empty;
       context.fillRect(0, top, width, ROW_HEIGHT);
       if (!image) return;
       const columns = Math.min(this.columns, this.frames);
       context.drawImage(image, 0, row, columns, 1, 0, top, (columns / this.frames) * width, ROW_HEIGHT);
     });
     const x = (frame: number): number => (frame / this.frames) * width;
-    context.fillStyle = "rgba(238, 241, 244, 0.72)";
+    context.fillStyle = theme().outside;
     context.fillRect(0, 0, x(this.loop[0]), height);
     context.fillRect(x(this.loop[1] + 1), 0, width, height);
-    context.fillStyle = "#16202b";
+    context.fillStyle = theme().playhead;
     context.fillRect(Math.min(width - 2, x(this.frame + 0.5) - 1), 0, 2, height);
   }
 
   dispose(): void {
     this.observer.disconnect();
+    this.forget();
   }
 
   /** Draws all values once as an image of one pixel each, so that playback redraws little. */

@@ -63,7 +63,10 @@ export interface Choice<T> {
   hint?: string;
 }
 
-/** A modal dialog; resolves with the choice, or null for Escape. */
+/**
+ * A modal dialog; resolves with the choice, or null for Cancel and Escape. A dialog whose first choice only closes it
+ * needs no Cancel.
+ */
 export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
   return new Promise((resolve) => {
     const finish = (value: T | null): void => {
@@ -84,12 +87,19 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
         choice.label,
       ),
     );
+    const closes = choices[0]?.label === "Close" || choices[0]?.label === "Done";
+    const cancel = h(
+      "button",
+      { attrs: { type: "button", "data-choice": "Cancel" }, on: { click: () => finish(null) } },
+      h("kbd", {}, "Esc"),
+      "Cancel",
+    );
     const dialog = h(
       "dialog",
       { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } },
       heading,
       h("div", { class: "dialog-body" }, ...body),
-      h("div", { class: "dialog-buttons" }, ...buttons),
+      h("div", { class: "dialog-buttons" }, ...buttons, !closes && cancel),
     );
     dialog.addEventListener("cancel", (event) => {
       event.preventDefault();

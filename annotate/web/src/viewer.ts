@@ -6,7 +6,7 @@
 import { clipFrame, Clock, type ClockState } from "./clock";
 import { h } from "./dom";
 import type { ActionId, KeyMap } from "./keys";
-import { PLAIN, type Paint, type Track } from "./stage/body";
+import { PLAIN, aligned, type Paint, type Track } from "./stage/body";
 import { Stage, type MakeRenderer } from "./stage/stage";
 import type { Strip } from "./strips";
 import type { Prefs } from "./wire";
@@ -31,6 +31,9 @@ export class Viewer {
   private layout: Layout = "single";
   private swapped = false;
   private stretch = false;
+  /** Whether the ghost stands where the other body stands. */
+  private together = false;
+  private moved: { ghost: Track; to: Track; stretch: boolean; track: Track } | null = null;
   private readonly playButton: HTMLButtonElement;
   private readonly range: HTMLInputElement;
   private readonly readout: HTMLElement;
@@ -129,7 +132,8 @@ export class Viewer {
     this.clock.load(this.length(), clips[0]?.track.fps ?? 20);
     this.arrange();
     for (const stage of this.stages) stage.frameBody();
-    this.clock.play(true);
+    // Whoever asked their system for less motion starts the playback themselves.
+    this.clock.play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
   /** Shows other clips at the current frame. */
@@ -157,6 +161,16 @@ export class Viewer {
   swap(): void {
     this.swapped = !this.swapped;
     this.arrange();
+  }
+
+  get isTogether(): boolean {
+    return this.together;
+  }
+
+  /** Moves the ghost to the place and heading of the other body, or back, for viewing only. */
+  setTogether(together: boolean): void {
+    this.together = together;
+    this.update(this.clock.now);
   }
 
   get isStretched(): boolean {
@@ -276,6 +290,16 @@ export class Viewer {
     }
   }
 
+  private ghostOf(ghost: Track, to: Track): Track {
+    if (!this.together) return ghost;
+    const { stretch } = this;
+    if (this.moved?.ghost !== ghost || this.moved.to !== to || this.moved.stretch !== stretch) {
+      const track = aligned(ghost, to, (frame) => clipFrame(frame, ghost, to, stretch));
+      this.moved = { ghost, to, stretch, track };
+    }
+    return this.moved.track;
+  }
+
   private update(state: Readonly<ClockState>): void {
     const order = this.swapped ? [...this.clips].reverse() : this.clips;
     const bodies = order.map((clip) => ({
@@ -287,8 +311,9 @@ export class Viewer {
     const [first, second] = bodies;
     const [stage, other] = this.stages;
     if (stage && first) {
-      const together = this.layout === "ghost" && second ? [first, { ...second, ghost: true }] : [first];
-      stage.show(together, state.frame);
+      const shown = this.layout === "ghost" && second ? [first, { ...second, track: this.ghostOf(second.track, first.track), ghost: true }] : [first];
+      stage.show(shown, state.frame);
+      stage.element.dataset.together = String(this.together);
       const labels = order.map((clip) => clip.label);
       const caption = this.layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
       stage.setCaption(caption);

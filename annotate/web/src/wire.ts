@@ -23,10 +23,8 @@ export const KEY_CODES: readonly string[] = [
   "Slash", "IntlBackslash", "IntlRo", "IntlYen", "NumpadAdd",
 ];
 
-/**
- * Actions that can be bound to keys.
- */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region";
+/** Actions that can be bound to keys. */
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -35,12 +33,12 @@ export const ACTIONS: readonly Action[] = [
   "review_accept", "review_return", "review_merge", "key_sheet", "camera_front", "camera_side", "camera_top",
   "camera_follow", "mask_delete", "draft_use", "edit_type", "template", "style", "extent", "align",
   "bundle_next", "bundle_previous", "candidate_1", "candidate_2", "candidate_3", "candidate_4", "review_drop",
-  "next_region",
+  "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
+  "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
+  "screen_dashboard", "screen_admin",
 ];
 
-/**
- * The code of a problem. Codes are stable; texts are not.
- */
+/** The code of a problem. Codes are stable; texts are not. */
 export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
 export const CODES: readonly Code[] = [
   "unauthenticated", "forbidden", "csrf", "wrong_origin", "own_work", "not_found", "method_not_allowed",
@@ -48,1695 +46,915 @@ export const CODES: readonly Code[] = [
   "wrong_state", "key_reused", "rate_limited", "no_model", "model_failed", "timeout", "read_only", "internal",
 ];
 
-/**
- * Reason for fewer or more masks than the project wants.
- */
+/** Reason for fewer or more masks than the project wants. */
 export type CountReason = "single_action" | "many_actions" | "too_short" | "other";
 export const COUNT_REASONS: readonly CountReason[] = [
   "single_action", "many_actions", "too_short", "other",
 ];
 
-/**
- * Decisions of a reviewer.
- */
+/** Decisions of a reviewer. */
 export type Decision = "accept" | "merge" | "return" | "drop" | "reopen";
 export const DECISIONS: readonly Decision[] = [
   "accept", "merge", "return", "drop", "reopen",
 ];
 
-/**
- * What a fine-grained edit changes.
- */
+/** What a fine-grained edit changes. */
 export type EditType = "amplitude" | "speed" | "force" | "spatial" | "timing" | "other";
 export const EDIT_TYPES: readonly EditType[] = [
   "amplitude", "speed", "force", "spatial", "timing", "other",
 ];
 
-/**
- * Kinds of events that the browser sends.
- */
+/** Kinds of events that the browser sends. */
 export type EventKind = "draft" | "submit" | "skip" | "postpone" | "undo" | "suggestion_used";
 export const EVENT_KINDS: readonly EventKind[] = [
   "draft", "submit", "skip", "postpone", "undo", "suggestion_used",
 ];
 
-/**
- * Layouts of an export.
- */
+/** Layouts of an export. */
 export type ExportFormat = "dataset" | "parquet" | "stance" | "csv";
 export const EXPORT_FORMATS: readonly ExportFormat[] = [
   "dataset", "parquet", "stance", "csv",
 ];
 
-/**
- * How much of the body a style shows in.
- */
+/** How much of the body a style shows in. */
 export type Extent = "lower" | "upper" | "whole";
 export const EXTENTS: readonly Extent[] = [
   "lower", "upper", "whole",
 ];
 
-/**
- * Layouts of an import.
- */
+/** Layouts of an import. */
 export type ImportFormat = "dataset" | "stance" | "annotations";
 export const IMPORT_FORMATS: readonly ImportFormat[] = [
   "dataset", "stance", "annotations",
 ];
 
-/**
- * Review queues.
- */
+/** Review queues. */
 export type ReviewQueue = "disagreement" | "sample" | "returned";
 export const REVIEW_QUEUES: readonly ReviewQueue[] = [
   "disagreement", "sample", "returned",
 ];
 
-/**
- * State of an answer.
- */
+/** State of an answer. */
 export type RevisionState = "draft" | "submitted" | "accepted" | "returned" | "superseded";
 export const REVISION_STATES: readonly RevisionState[] = [
   "draft", "submitted", "accepted", "returned", "superseded",
 ];
 
-/**
- * Roles. Each includes the rights of those before it.
- */
+/** Roles. Each includes the rights of those before it. */
 export type Role = "annotator" | "reviewer" | "admin";
 export const ROLES: readonly Role[] = [
   "annotator", "reviewer", "admin",
 ];
 
-/**
- * Reason for skipping a task.
- */
+/** Reason for skipping a task. */
 export type SkipReason = "broken_motion" | "cannot_tell" | "wrong_caption" | "not_for_me" | "other";
 export const SKIP_REASONS: readonly SkipReason[] = [
   "broken_motion", "cannot_tell", "wrong_caption", "not_for_me", "other",
 ];
 
-/**
- * Origin of a suggestion.
- */
+/** Origin of a suggestion. */
 export type SuggestionSource = "heat" | "import" | "llm";
 export const SUGGESTION_SOURCES: readonly SuggestionSource[] = [
   "heat", "import", "llm",
 ];
 
-/**
- * Use of a suggestion.
- */
+/** Use of a suggestion. */
 export type SuggestionUse = "used" | "edited" | "discarded";
 export const SUGGESTION_USES: readonly SuggestionUse[] = [
   "used", "edited", "discarded",
 ];
 
-/**
- * Kind of task.
- */
+/** Kind of task. */
 export type TaskKind = "mask_text" | "pair" | "style";
 export const TASK_KINDS: readonly TaskKind[] = [
   "mask_text", "pair", "style",
 ];
 
-/**
- * State of a task. `state::MOVES` has the transitions.
- */
+/** State of a task. `state::MOVES` has the transitions. */
 export type TaskState = "open" | "leased" | "submitted" | "in_review" | "accepted" | "returned" | "dropped";
 export const TASK_STATES: readonly TaskState[] = [
   "open", "leased", "submitted", "in_review", "accepted", "returned", "dropped",
 ];
 
-/**
- * Verdict on a pair.
- */
+/** Verdict on a pair. */
 export type Verdict = "keep" | "unnatural" | "unclear" | "identical";
 export const VERDICTS: readonly Verdict[] = [
   "keep", "unnatural", "unclear", "identical",
 ];
 
-/**
- * `GET stats/agreement`. Figures are `null` below 30 shared items.
- */
-export type Agreement = { 
-/**
- * One for each of the release's parts, and `overall` of their decisions together.
- */
-parts: Array<PartAgreement>, 
-/**
- * Mean Jaccard index of joint sets.
- */
-jaccard: Estimate | null, 
-/**
- * Krippendorff's alpha of masks with the MASI distance.
- */
-alpha_masi: Estimate | null, 
-/**
- * Figures of pair verdicts.
- */
-verdicts: PartAgreement | null, 
-/**
- * Tasks with two answers or more.
- */
-shared_items: number, 
-/**
- * Share of answers that reviewers accepted unchanged.
- */
-accepted_share: Estimate | null, 
-/**
- * Edit distance from the draft, with drafts shown and with drafts withheld.
- */
-draft_distance: number | null, 
-/**
- * Seconds per answer with drafts and without.
- */
-secs_with_and_without_draft: [number, number] | null, };
+/** `GET stats/agreement`. Figures are `null` below 30 shared items. */
+export type Agreement = {
+  /** One for each of the release's parts, and `overall` of their decisions together. */
+  parts: Array<PartAgreement>,
+  /** Mean Jaccard index of joint sets. */
+  jaccard: Estimate | null,
+  /** Krippendorff's alpha of masks with the MASI distance. */
+  alpha_masi: Estimate | null,
+  /** Figures of pair verdicts. */
+  verdicts: PartAgreement | null,
+  /** Tasks with two answers or more. */
+  shared_items: number,
+  /** Share of answers that reviewers accepted unchanged. */
+  accepted_share: Estimate | null,
+  /** Edit distance from the draft, with drafts shown and with drafts withheld. */
+  draft_distance: number | null,
+  /** Seconds per answer with drafts and without. */
+  secs_with_and_without_draft: [number, number] | null, };
 
-/**
- * An answer. Which fields count depends on the kind of the task.
- */
-export type Answer = { "kind": "mask_text", 
-/**
- * The masks.
- */
-masks: Array<MaskAnswer>, 
-/**
- * Reason for fewer or more masks than the project wants.
- */
-count_reason: CountReason | null, 
-/**
- * Note.
- */
-note: string, } | { "kind": "pair", 
-/**
- * Verdict.
- */
-verdict: Verdict, 
-/**
- * Parts the edit changes.
- */
-parts: Array<string>, 
-/**
- * Type of the edit.
- */
-edit_type: EditType | null, 
-/**
- * The instruction.
- */
-text: string, 
-/**
- * The suggestion the text started from, if any.
- */
-suggestion: number | null, 
-/**
- * Note.
- */
-note: string, } | { "kind": "style", 
-/**
- * Verdict.
- */
-verdict: Verdict, 
-/**
- * Parts the style shows in.
- */
-parts: Array<string>, 
-/**
- * The style.
- */
-style: string | null, 
-/**
- * How much of the body it shows in.
- */
-extent: Extent | null, 
-/**
- * The instruction.
- */
-text: string, 
-/**
- * The suggestion the text started from, if any.
- */
-suggestion: number | null, 
-/**
- * Note.
- */
-note: string, };
+/** An answer. Which fields count depends on the kind of the task. */
+export type Answer = { "kind": "mask_text",
+  /** The masks. */
+  masks: Array<MaskAnswer>,
+  /** Reason for fewer or more masks than the project wants. */
+  count_reason: CountReason | null,
+  /** Note. */
+  note: string, } | { "kind": "pair",
+  /** Verdict. */
+  verdict: Verdict,
+  /** Parts the edit changes. */
+  parts: Array<string>,
+  /** Type of the edit. */
+  edit_type: EditType | null,
+  /** The instruction. */
+  text: string,
+  /** The suggestion the text started from, if any. */
+  suggestion: number | null,
+  /** Note. */
+  note: string, } | { "kind": "style",
+  /** Verdict. */
+  verdict: Verdict,
+  /** Parts the style shows in. */
+  parts: Array<string>,
+  /** The style. */
+  style: string | null,
+  /** How much of the body it shows in. */
+  extent: Extent | null,
+  /** The instruction. */
+  text: string,
+  /** The suggestion the text started from, if any. */
+  suggestion: number | null,
+  /** Note. */
+  note: string, };
 
-/**
- * `GET audit`: newest first.
- */
-export type Audit = { 
-/**
- * Entries.
- */
-entries: Array<AuditEntry>, 
-/**
- * Value of `before` for the next page.
- */
-next: number | null, };
+/** `GET audit`: newest first. */
+export type Audit = {
+  /** Entries. */
+  entries: Array<AuditEntry>,
+  /** Value of `before` for the next page. */
+  next: number | null, };
 
-/**
- * An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
- */
-export type AuditEntry = { 
-/**
- * Sequence number in the log.
- */
-seq: number, 
-/**
- * When.
- */
-at: number, 
-/**
- * User; `null` for the program itself.
- */
-actor: number | null, 
-/**
- * Their name.
- */
-actor_name: string | null, 
-/**
- * Kind of entry.
- */
-kind: string, 
-/**
- * Task.
- */
-task: number | null, 
-/**
- * Body of the entry.
- */
-body: unknown, };
+/** An entry of the log, for `GET audit` and `GET tasks/{id}/history`. */
+export type AuditEntry = {
+  /** Sequence number in the log. */
+  seq: number,
+  /** When. */
+  at: number,
+  /** User; `null` for the program itself. */
+  actor: number | null,
+  /** Their name. */
+  actor_name: string | null,
+  /** Kind of entry. */
+  kind: string,
+  /** Task. */
+  task: number | null,
+  /** Body of the entry. */
+  body: unknown, };
 
-/**
- * `POST blend`.
- */
-export type BlendRequest = { 
-/**
- * Hash of the edited motion.
- */
-src: string, 
-/**
- * Hash of the motion the masked parts come from.
- */
-tgt: string, 
-/**
- * Names of the parts.
- */
-parts: Array<string>, 
-/**
- * Whether the soft ring is blended.
- */
-soft: boolean, 
-/**
- * Weight of `tgt` on the soft ring, 0 to 1.
- */
-alpha: number, };
+/** `POST blend`. */
+export type BlendRequest = {
+  /** Hash of the edited motion. */
+  src: string,
+  /** Hash of the motion the masked parts come from. */
+  tgt: string,
+  /** Names of the parts. */
+  parts: Array<string>,
+  /** Whether the soft ring is blended. */
+  soft: boolean,
+  /** Weight of `tgt` on the soft ring, 0 to 1. */
+  alpha: number, };
 
-/**
- * Pairs that are leased together and submitted one by one.
- */
-export type Bundle = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Its tasks, in order.
- */
-tasks: Array<BundleItem>, };
+/** Pairs that are leased together and submitted one by one. */
+export type Bundle = {
+  /** Id. */
+  id: number,
+  /** Its tasks, in order. */
+  tasks: Array<BundleItem>, };
 
-/**
- * A task of a bundle.
- */
-export type BundleItem = { 
-/**
- * Task.
- */
-task: number, 
-/**
- * My answer's state, if there is one.
- */
-mine: RevisionState | null, 
-/**
- * My verdict, if it is submitted.
- */
-verdict: Verdict | null, 
-/**
- * Whether I hold a lease on it.
- */
-leased: boolean, };
+/** A task of a bundle. */
+export type BundleItem = {
+  /** Task. */
+  task: number,
+  /** My answer's state, if there is one. */
+  mine: RevisionState | null,
+  /** My verdict, if it is submitted. */
+  verdict: Verdict | null,
+  /** Whether I hold a lease on it. */
+  leased: boolean, };
 
-/**
- * An answer to review.
- */
-export type Candidate = { 
-/**
- * The answer.
- */
-revision: Revision, 
-/**
- * Name of its author.
- */
-author_name: string, 
-/**
- * Body joints of its masks, hard or soft, for the viewer.
- */
-joints: Array<number>, 
-/**
- * Edit distance of its texts from their drafts, 0 to 1.
- */
-draft_distance: number | null, };
+/** An answer to review. */
+export type Candidate = {
+  /** The answer. */
+  revision: Revision,
+  /** Name of its author. */
+  author_name: string,
+  /** Body joints of its masks, hard or soft, for the viewer. */
+  joints: Array<number>,
+  /** Edit distance of its texts from their drafts, 0 to 1. */
+  draft_distance: number | null, };
 
-/**
- * An entry of `GET stream` (event `change`).
- */
-export type Change = { 
-/**
- * Sequence number in the log.
- */
-seq: number, 
-/**
- * What happened.
- */
-kind: string, 
-/**
- * Task.
- */
-task: number | null, 
-/**
- * Whether the task is one of mine.
- */
-mine: boolean, };
+/** An entry of `GET stream` (event `change`). */
+export type Change = {
+  /** Sequence number in the log. */
+  seq: number,
+  /** What happened. */
+  kind: string,
+  /** Task. */
+  task: number | null,
+  /** Whether the task is one of mine. */
+  mine: boolean, };
 
-/**
- * Why a queue is empty. Counts are tasks of the kind.
- */
-export type Empty = { 
-/**
- * All tasks.
- */
-total: number, 
-/**
- * With all wanted answers.
- */
-done: number, 
-/**
- * Answered by me, waiting for others.
- */
-waiting_for_others: number, 
-/**
- * Held by others.
- */
-leased_by_others: number, 
-/**
- * When the first of those leases expires.
- */
-soonest_expiry: number | null, 
-/**
- * Skipped by me.
- */
-skipped_by_me: number, 
-/**
- * Dropped by reviewers.
- */
-dropped: number, };
+/** Why a queue is empty. Counts are tasks of the kind. */
+export type Empty = {
+  /** All tasks. */
+  total: number,
+  /** With all wanted answers. */
+  done: number,
+  /** Answered by me, waiting for others. */
+  waiting_for_others: number,
+  /** Held by others. */
+  leased_by_others: number,
+  /** When the first of those leases expires. */
+  soonest_expiry: number | null,
+  /** Skipped by me. */
+  skipped_by_me: number,
+  /** Dropped by reviewers. */
+  dropped: number, };
 
-/**
- * A figure with its interval.
- */
-export type Estimate = { 
-/**
- * The value.
- */
-value: number, 
-/**
- * Lower end of the 95 % bootstrap interval.
- */
-low: number, 
-/**
- * Upper end.
- */
-high: number, 
-/**
- * Number of items.
- */
-items: number, };
+/** A figure with its interval. */
+export type Estimate = {
+  /** The value. */
+  value: number,
+  /** Lower end of the 95 % bootstrap interval. */
+  low: number,
+  /** Upper end. */
+  high: number,
+  /** Number of items. */
+  items: number, };
 
-/**
- * `POST tasks/{id}/events`.
- */
-export type EventBatch = { 
-/**
- * In the order they happened.
- */
-events: Array<NewEvent>, };
+/** `POST tasks/{id}/events`. */
+export type EventBatch = {
+  /** In the order they happened. */
+  events: Array<NewEvent>, };
 
-/**
- * Result of an event.
- */
-export type EventResult = { 
-/**
- * Key of the event.
- */
-idem_key: string, 
-/**
- * 200 once it is durable, or the status of the problem.
- */
-status: number, 
-/**
- * Its sequence number in the log; `null` if nothing was logged.
- */
-seq: number | null, 
-/**
- * My revision after it.
- */
-rev: number, 
-/**
- * State of the task after it.
- */
-state: TaskState | null, 
-/**
- * My lease after it.
- */
-lease: Lease | null, 
-/**
- * The problem, if it failed.
- */
-problem: Problem | null, };
+/** Result of an event. */
+export type EventResult = {
+  /** Key of the event. */
+  idem_key: string,
+  /** 200 once it is durable, or the status of the problem. */
+  status: number,
+  /** Its sequence number in the log; `null` if nothing was logged. */
+  seq: number | null,
+  /** My revision after it. */
+  rev: number,
+  /** State of the task after it. */
+  state: TaskState | null,
+  /** My lease after it. */
+  lease: Lease | null,
+  /** The problem, if it failed. */
+  problem: Problem | null, };
 
-/**
- * Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
- */
-export type EventResults = { 
-/**
- * Results in the order of the events. Events after the first failed one are not processed and have no
- * result: send them again.
- */
-results: Array<EventResult>, };
+/** Answer to `POST tasks/{id}/events`. The status is 200; each event has its own. */
+export type EventResults = {
+  /** Results in the order of the events. Events after the first failed one are not processed and have no result: send them again. */
+  results: Array<EventResult>, };
 
-/**
- * `POST exports`.
- */
-export type ExportRequest = { 
-/**
- * Layout.
- */
-format: ExportFormat, 
-/**
- * Splits to export; all if empty.
- */
-splits: Array<string>, 
-/**
- * Also write the log (format `parquet` only).
- */
-events: boolean, };
+/** `POST exports`. */
+export type ExportRequest = {
+  /** Layout. */
+  format: ExportFormat,
+  /** Splits to export; all if empty. */
+  splits: Array<string>,
+  /** Also write the log (format `parquet` only). */
+  events: boolean, };
 
-/**
- * `GET stats/funnel`.
- */
-export type Funnel = { 
-/**
- * Tasks by kind and state.
- */
-counts: { [key in TaskKind]?: { [key in TaskState]?: number } }, 
-/**
- * Weeks, oldest first.
- */
-weeks: Array<Week>, };
+/** `GET stats/funnel`. */
+export type Funnel = {
+  /** Tasks by kind and state. */
+  counts: { [key in TaskKind]?: { [key in TaskState]?: number } },
+  /** Weeks, oldest first. */
+  weeks: Array<Week>, };
 
-/**
- * `GET guide`.
- */
-export type Guide = { 
-/**
- * Plain text.
- */
-text: string, };
+/** `GET guide`. */
+export type Guide = {
+  /** Plain text. */
+  text: string, };
 
-/**
- * A held lease, as the dashboard lists it.
- */
-export type HeldLease = { 
-/**
- * The lease.
- */
-lease: Lease, 
-/**
- * Name of its holder.
- */
-user_name: string, 
-/**
- * Kind of its task.
- */
-kind: TaskKind, 
-/**
- * `annotate`, `review`, or `returned` (reserved for the author).
- */
-purpose: string, };
+/** A held lease, as the dashboard lists it. */
+export type HeldLease = {
+  /** The lease. */
+  lease: Lease,
+  /** Name of its holder. */
+  user_name: string,
+  /** Kind of its task. */
+  kind: TaskKind,
+  /** `annotate`, `review`, or `returned` (reserved for the author). */
+  purpose: string, };
 
-/**
- * `GET home`.
- */
-export type Home = { 
-/**
- * One queue for each kind.
- */
-queues: Array<QueueInfo>, 
-/**
- * Tasks returned to me.
- */
-returned: Array<ReturnedTask>, 
-/**
- * Tasks I hold leases on, the one last renewed first.
- */
-held: Array<Lease>, 
-/**
- * Answers I submitted today, which begins at midnight in the project's time zone.
- */
-today: number, 
-/**
- * Seconds I worked today: on answers, skips and reviews.
- */
-today_secs: number, 
-/**
- * Median seconds of my answers today.
- */
-median_secs: number | null, 
-/**
- * My agreement with others; `null` below 30 shared items.
- */
-agreement: Estimate | null, 
-/**
- * Answers submitted by everybody today.
- */
-today_all: number, };
+/** `GET home`. */
+export type Home = {
+  /** One queue for each kind. */
+  queues: Array<QueueInfo>,
+  /** Tasks returned to me. */
+  returned: Array<ReturnedTask>,
+  /** Tasks I hold leases on, the one last renewed first. */
+  held: Array<Lease>,
+  /** Answers I submitted today, which begins at midnight in the project's time zone. */
+  today: number,
+  /** Seconds I worked today: on answers, skips and reviews. */
+  today_secs: number,
+  /** Median seconds of my answers today. */
+  median_secs: number | null,
+  /** My agreement with others; `null` below 30 shared items. */
+  agreement: Estimate | null,
+  /** Answers submitted by everybody today. */
+  today_all: number, };
 
-/**
- * `GET jobs/{id}`.
- */
-export type Job = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * `import` or `export`.
- */
-kind: string, 
-/**
- * Layout.
- */
-format: string, 
-/**
- * `running`, `done` or `failed`.
- */
-state: string, 
-/**
- * Items done.
- */
-done: number, 
-/**
- * Items in all, once known.
- */
-total: number | null, 
-/**
- * Counts of imported, written and omitted items.
- */
-counts: { [key in string]: number }, 
-/**
- * Messages about errors and omitted items.
- */
-messages: Array<string>, 
-/**
- * Files to download, at `jobs/{id}/files/{name}`.
- */
-files: Array<string>, 
-/**
- * When it began.
- */
-started: number, 
-/**
- * When it ended.
- */
-finished: number | null, 
-/**
- * When its server last reported on it.
- */
-heartbeat: number, };
+/** `GET jobs/{id}`. */
+export type Job = {
+  /** Id. */
+  id: number,
+  /** `import` or `export`. */
+  kind: string,
+  /** Layout. */
+  format: string,
+  /** `running`, `done` or `failed`. */
+  state: string,
+  /** Items done. */
+  done: number,
+  /** Items in all, once known. */
+  total: number | null,
+  /** Counts of imported, written and omitted items. */
+  counts: { [key in string]: number },
+  /** Messages about errors and omitted items. */
+  messages: Array<string>,
+  /** Files to download, at `jobs/{id}/files/{name}`. */
+  files: Array<string>,
+  /** When it began. */
+  started: number,
+  /** When it ended. */
+  finished: number | null,
+  /** When its server last reported on it. */
+  heartbeat: number, };
 
-/**
- * A lease: the right to work on a task for a limited time.
- */
-export type Lease = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Task.
- */
-task: number, 
-/**
- * Holder.
- */
-user: number, 
-/**
- * Fencing number, sent with every event.
- */
-epoch: number, 
-/**
- * When it ends unless renewed.
- */
-expires: number, };
+/** A lease: the right to work on a task for a limited time. */
+export type Lease = {
+  /** Id. */
+  id: number,
+  /** Task. */
+  task: number,
+  /** Holder. */
+  user: number,
+  /** Fencing number, sent with every event. */
+  epoch: number,
+  /** When it ends unless renewed. */
+  expires: number, };
 
-/**
- * Bounds of what can be sent.
- */
-export type Limits = { 
-/**
- * Characters of a text.
- */
-text_chars: number, 
-/**
- * Events of a batch.
- */
-events: number, 
-/**
- * Bytes of a body.
- */
-body_bytes: number, 
-/**
- * Suggestions asked for in a minute.
- */
-suggestions_per_minute: number, 
-/**
- * Seconds a lease lasts.
- */
-lease_secs: number, 
-/**
- * Seconds between renewals.
- */
-heartbeat_secs: number, };
+/** Bounds of what can be sent. */
+export type Limits = {
+  /** Characters of a text. */
+  text_chars: number,
+  /** Events of a batch. */
+  events: number,
+  /** Bytes of a body. */
+  body_bytes: number,
+  /** Suggestions asked for in a minute. */
+  suggestions_per_minute: number,
+  /** Seconds a lease lasts. */
+  lease_secs: number,
+  /** Seconds between renewals. */
+  heartbeat_secs: number, };
 
-/**
- * `POST session`.
- */
-export type Login = { 
-/**
- * The token as it was printed.
- */
-token: string, };
+/** `POST session`. */
+export type Login = {
+  /** The token as it was printed. */
+  token: string, };
 
-/**
- * One mask of an answer.
- */
-export type MaskAnswer = { 
-/**
- * Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
- */
-parts: Array<string>, 
-/**
- * Whether the soft ring is blended.
- */
-soft: boolean, 
-/**
- * What the parts do.
- */
-text: string, 
-/**
- * The suggestion the text started from, if any.
- */
-suggestion: number | null, };
+/** One mask of an answer. */
+export type MaskAnswer = {
+  /** Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS. */
+  parts: Array<string>,
+  /** Whether the soft ring is blended. */
+  soft: boolean,
+  /** What the parts do. */
+  text: string,
+  /** The suggestion the text started from, if any. */
+  suggestion: number | null, };
 
-/**
- * `GET me`, and the answer to `POST session`.
- */
-export type Me = { 
-/**
- * Who is logged in.
- */
-user: User, 
-/**
- * Bounds of what can be sent.
- */
-limits: Limits, 
-/**
- * What the project asks for.
- */
-project: Project, 
-/**
- * Keys and display, as they were saved.
- */
-prefs: Prefs, 
-/**
- * Name of the language model, if there is one.
- */
-model: string | null, 
-/**
- * Why nothing can be saved at present, if so.
- */
-read_only: string | null, 
-/**
- * Version of the server.
- */
-version: string, 
-/**
- * Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
- */
-store: string, };
+/** `GET me`, and the answer to `POST session`. */
+export type Me = {
+  /** Who is logged in. */
+  user: User,
+  /** Bounds of what can be sent. */
+  limits: Limits,
+  /** What the project asks for. */
+  project: Project,
+  /** Keys and display, as they were saved. */
+  prefs: Prefs,
+  /** Name of the language model, if there is one. */
+  model: string | null,
+  /** Why nothing can be saved at present, if so. */
+  read_only: string | null,
+  /** Version of the server. */
+  version: string,
+  /** Id of the store. What a browser keeps belongs to it: another project may be served at the same address. */
+  store: string, };
 
-/**
- * A motion, without its frames.
- */
-export type MotionInfo = { 
-/**
- * Content hash; identifies the motion in URLs.
- */
-hash: string, 
-/**
- * Id in the dataset.
- */
-id: string, 
-/**
- * Number of frames.
- */
-frames: number, 
-/**
- * Frames per second.
- */
-fps: number, 
-/**
- * train, val or test.
- */
-split: string, 
-/**
- * Captions of the source.
- */
-captions: Array<string>, 
-/**
- * Style label of the source.
- */
-style: string | null, };
+/** A motion, without its frames. */
+export type MotionInfo = {
+  /** Content hash; identifies the motion in URLs. */
+  hash: string,
+  /** Id in the dataset. */
+  id: string,
+  /** Number of frames. */
+  frames: number,
+  /** Frames per second. */
+  fps: number,
+  /** train, val or test. */
+  split: string,
+  /** Captions of the source. */
+  captions: Array<string>,
+  /** Style label of the source. */
+  style: string | null, };
 
-/**
- * An event of a task in the browser.
- */
-export type NewEvent = { 
-/**
- * Unique key made by the browser: 8 to 64 letters, digits and dashes.
- */
-idem_key: string, 
-/**
- * Kind of event.
- */
-kind: EventKind, 
-/**
- * Fencing number of the lease; ignored for `undo`.
- */
-lease_epoch: number, 
-/**
- * Revision this one is based on; 0 for none.
- */
-base_rev: number, 
-/**
- * The answer, for `draft` and `submit`.
- */
-answer: Answer | null, 
-/**
- * The reason, for `skip`.
- */
-reason: SkipReason | null, 
-/**
- * More about the reason.
- */
-note: string, 
-/**
- * The suggestion, for `suggestion_used`.
- */
-suggestion: number | null, 
-/**
- * Use of the suggestion.
- */
-used: SuggestionUse | null, 
-/**
- * Seconds of work since the previous event.
- */
-secs: number, };
+/** An event of a task in the browser. */
+export type NewEvent = {
+  /** Unique key made by the browser: 8 to 64 letters, digits and dashes. */
+  idem_key: string,
+  /** Kind of event. */
+  kind: EventKind,
+  /** Fencing number of the lease; ignored for `undo`. */
+  lease_epoch: number,
+  /** Revision this one is based on; 0 for none. */
+  base_rev: number,
+  /** The answer, for `draft` and `submit`. */
+  answer: Answer | null,
+  /** The reason, for `skip`. */
+  reason: SkipReason | null,
+  /** More about the reason. */
+  note: string,
+  /** The suggestion, for `suggestion_used`. */
+  suggestion: number | null,
+  /** Use of the suggestion. */
+  used: SuggestionUse | null,
+  /** Seconds of work since the previous event. */
+  secs: number, };
 
-/**
- * `POST reviews`.
- */
-export type NewReview = { 
-/**
- * Unique key made by the browser.
- */
-idem_key: string, 
-/**
- * Task.
- */
-task: number, 
-/**
- * Fencing number of the lease; ignored for `reopen` and `drop`.
- */
-lease_epoch: number, 
-/**
- * Decision.
- */
-decision: Decision, 
-/**
- * Author of the answer that is accepted or returned; all authors if missing.
- */
-author: number | null, 
-/**
- * The answer, for `merge`.
- */
-answer: Answer | null, 
-/**
- * Required for `return`, `drop` and `reopen`.
- */
-comment: string, 
-/**
- * Seconds of work on the review.
- */
-secs?: number, };
+/** `POST reviews`. */
+export type NewReview = {
+  /** Unique key made by the browser. */
+  idem_key: string,
+  /** Task. */
+  task: number,
+  /** Fencing number of the lease; ignored for `reopen` and `drop`. */
+  lease_epoch: number,
+  /** Decision. */
+  decision: Decision,
+  /** Author of the answer that is accepted or returned; all authors if missing. */
+  author: number | null,
+  /** The answer, for `merge`. */
+  answer: Answer | null,
+  /** Required for `return`, `drop` and `reopen`. */
+  comment: string,
+  /** Seconds of work on the review. */
+  secs?: number, };
 
-/**
- * `POST users/{id}/tokens`.
- */
-export type NewToken = { 
-/**
- * Days until it ends, 1 to 365.
- */
-days: number, };
+/** `POST users/{id}/tokens`. */
+export type NewToken = {
+  /** Days until it ends, 1 to 365. */
+  days: number, };
 
-/**
- * `POST users`.
- */
-export type NewUser = { 
-/**
- * Name, unique: 1 to 64 characters.
- */
-name: string, 
-/**
- * What they may do.
- */
-role: Role, };
+/** `POST users`. */
+export type NewUser = {
+  /** Name, unique: 1 to 64 characters. */
+  name: string,
+  /** What they may do. */
+  role: Role, };
 
-/**
- * Answer to `POST queue/next`: a task, or why there is none.
- */
-export type Next = { 
-/**
- * The task and the lease on it.
- */
-task: TaskView | null, 
-/**
- * Why there is none.
- */
-empty: Empty | null, 
-/**
- * Hashes of the motions of the following tasks, for prefetching.
- */
-prefetch: Array<string>, };
+/** Answer to `POST queue/next`: a task, or why there is none. */
+export type Next = {
+  /** The task and the lease on it. */
+  task: TaskView | null,
+  /** Why there is none. */
+  empty: Empty | null,
+  /** Hashes of the motions of the following tasks, for prefetching. */
+  prefetch: Array<string>, };
 
-/**
- * `POST queue/next`.
- */
-export type NextRequest = { 
-/**
- * Kind of task.
- */
-kind: TaskKind, };
+/** `POST queue/next`. */
+export type NextRequest = {
+  /** Kind of task. */
+  kind: TaskKind, };
 
-/**
- * Agreement on one decision.
- */
-export type PartAgreement = { 
-/**
- * Name of the part.
- */
-part: string, 
-/**
- * Items with two answers or more.
- */
-items: number, 
-/**
- * Share of pairs of answers that agree.
- */
-raw: Estimate | null, 
-/**
- * Krippendorff's alpha, nominal; handles missing answers.
- */
-krippendorff_alpha: Estimate | null, 
-/**
- * Fleiss' kappa over items with the most common number of answers.
- */
-fleiss_kappa: Estimate | null, 
-/**
- * Cohen's kappa, averaged over pairs of people by the items they share.
- */
-cohen_kappa: Estimate | null, 
-/**
- * Gwet's AC1.
- */
-gwet_ac1: Estimate | null, };
+/** Agreement on one decision. */
+export type PartAgreement = {
+  /** Name of the part. */
+  part: string,
+  /** Items with two answers or more. */
+  items: number,
+  /** Share of pairs of answers that agree. */
+  raw: Estimate | null,
+  /** Krippendorff's alpha, nominal; handles missing answers. */
+  krippendorff_alpha: Estimate | null,
+  /** Fleiss' kappa over items with the most common number of answers. */
+  fleiss_kappa: Estimate | null,
+  /** Cohen's kappa, averaged over pairs of people by the items they share. */
+  cohen_kappa: Estimate | null,
+  /** Gwet's AC1. */
+  gwet_ac1: Estimate | null, };
 
-/**
- * A body part.
- */
-export type PartInfo = { 
-/**
- * Name in the release's spelling.
- */
-name: string, 
-/**
- * Name in words: "left arm".
- */
-phrase: string, 
-/**
- * Whether it is one of the five release parts.
- */
-release: boolean, 
-/**
- * Hard body joints.
- */
-hard: Array<number>, 
-/**
- * Body joints of the soft ring.
- */
-soft: Array<number>, };
+/** A body part. */
+export type PartInfo = {
+  /** Name in the release's spelling. */
+  name: string,
+  /** Name in words: "left arm". */
+  phrase: string,
+  /** Whether it is one of the five release parts. */
+  release: boolean,
+  /** Hard body joints. */
+  hard: Array<number>,
+  /** Body joints of the soft ring. */
+  soft: Array<number>, };
 
-/**
- * `GET stats/people`: one for each person.
- */
-export type Person = { 
-/**
- * Who.
- */
-user: User, 
-/**
- * Answers handed in.
- */
-done: number, 
-/**
- * Median seconds of an answer.
- */
-median_secs: number | null, 
-/**
- * Answers accepted.
- */
-accepted: number, 
-/**
- * Answers sent back.
- */
-returned: number, 
-/**
- * Share of unchanged texts among those that started from a draft.
- */
-draft_unchanged: number | null, 
-/**
- * Mean edit distance from the draft, 0 to 1.
- */
-draft_distance: number | null, 
-/**
- * Gold tasks answered.
- */
-gold_items: number, 
-/**
- * Mean score on gold tasks, 0 to 1.
- */
-gold_score: number | null, 
-/**
- * Agreement with others (mean Jaccard of joint sets).
- */
-agreement: Estimate | null, 
-/**
- * Time of the last log entry.
- */
-last_seen: number | null, };
+/** `GET stats/people`: one for each person. */
+export type Person = {
+  /** Who. */
+  user: User,
+  /** Answers handed in. */
+  done: number,
+  /** Median seconds of an answer. */
+  median_secs: number | null,
+  /** Answers accepted. */
+  accepted: number,
+  /** Answers sent back. */
+  returned: number,
+  /** Share of unchanged texts among those that started from a draft. */
+  draft_unchanged: number | null,
+  /** Mean edit distance from the draft, 0 to 1. */
+  draft_distance: number | null,
+  /** Gold tasks answered. */
+  gold_items: number,
+  /** Mean score on gold tasks, 0 to 1. */
+  gold_score: number | null,
+  /** Agreement with others (mean Jaccard of joint sets). */
+  agreement: Estimate | null,
+  /** Time of the last log entry. */
+  last_seen: number | null, };
 
-/**
- * `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them.
- */
-export type Prefs = { 
-/**
- * Keys that differ from the defaults.
- */
-keys: { [key in Action]?: Array<string> }, 
-/**
- * Playback speed, 0.1 to 2.
- */
-speed: number | null, 
-/**
- * Whether the camera follows the root.
- */
-follow_root: boolean | null, 
-/**
- * Whether a pair is shown as ghosts.
- */
-ghost: boolean | null, 
-/**
- * Whether the soft ring is on for a new mask.
- */
-soft_ring: boolean | null, };
+/** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
+export type Prefs = {
+  /** Keys that differ from the defaults. */
+  keys: { [key in Action]?: Array<string> },
+  /** Playback speed, 0.1 to 2. */
+  speed: number | null,
+  /** Whether the camera follows the root. */
+  follow_root: boolean | null,
+  /** Whether a pair is shown as ghosts. */
+  ghost: boolean | null,
+  /** Whether the soft ring is on for a new mask. */
+  soft_ring: boolean | null, };
 
-/**
- * A problem (RFC 9457), as `application/problem+json`.
- */
-export type Problem = { 
-/**
- * `/problems/` and the code.
- */
-type: string, 
-/**
- * Meaning of the code.
- */
-title: string, 
-/**
- * HTTP status.
- */
-status: number, 
-/**
- * Stable code.
- */
-code: Code, 
-/**
- * What happened, and what to do.
- */
-detail: string, 
-/**
- * The invalid field.
- */
-field?: string | null, 
-/**
- * Seconds until a retry is allowed.
- */
-retry_after_secs?: number | null, 
-/**
- * The current revision of the store, if the request is based on another one.
- */
-theirs?: Revision | null, };
+/** A problem (RFC 9457), as `application/problem+json`. */
+export type Problem = {
+  /** `/problems/` and the code. */
+  type: string,
+  /** Meaning of the code. */
+  title: string,
+  /** HTTP status. */
+  status: number,
+  /** Stable code. */
+  code: Code,
+  /** What happened, and what to do. */
+  detail: string,
+  /** The invalid field. */
+  field?: string | null,
+  /** Seconds until a retry is allowed. */
+  retry_after_secs?: number | null,
+  /** The current revision of the store, if the request is based on another one. */
+  theirs?: Revision | null, };
 
-/**
- * The part of the settings that annotators see.
- */
-export type Project = { 
-/**
- * Name of the project.
- */
-name: string, 
-/**
- * Fewest masks of an answer without a reason.
- */
-min_masks: number, 
-/**
- * Most masks of an answer without a reason.
- */
-max_masks: number, 
-/**
- * Styles to choose from.
- */
-styles: Array<string>, 
-/**
- * Phrases to start an instruction with.
- */
-templates: Array<string>, };
+/** The part of the settings that annotators see. */
+export type Project = {
+  /** Name of the project. */
+  name: string,
+  /** Fewest masks of an answer without a reason. */
+  min_masks: number,
+  /** Most masks of an answer without a reason. */
+  max_masks: number,
+  /** Styles to choose from. */
+  styles: Array<string>,
+  /** Phrases to complete the instruction of a fine-grained pair with. */
+  templates: Array<string>,
+  /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
+  style_templates: Array<string>, };
 
-/**
- * A queue as I see it.
- */
-export type QueueInfo = { 
-/**
- * Kind.
- */
-kind: TaskKind, 
-/**
- * Tasks in all.
- */
-total: number, 
-/**
- * Tasks with all wanted answers.
- */
-done: number, 
-/**
- * Tasks I answered.
- */
-mine: number, 
-/**
- * Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me.
- */
-open: number, };
+/** A queue as I see it. */
+export type QueueInfo = {
+  /** Kind. */
+  kind: TaskKind,
+  /** Tasks in all. */
+  total: number,
+  /** Tasks with all wanted answers. */
+  done: number,
+  /** Tasks I answered. */
+  mine: number,
+  /** Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. */
+  open: number, };
 
-/**
- * `GET stats/quota`: one for each category and edit type.
- */
-export type QuotaRow = { 
-/**
- * Category; empty where the source gives none.
- */
-category: string, 
-/**
- * Edit type.
- */
-edit_type: EditType, 
-/**
- * Pairs kept: answered `keep` and not sent back.
- */
-kept: number, 
-/**
- * Pairs wanted; 0 for no bound.
- */
-wanted: number, };
+/** `GET stats/quota`: one for each category and edit type. */
+export type QuotaRow = {
+  /** Category; empty where the source gives none. */
+  category: string,
+  /** Edit type. */
+  edit_type: EditType,
+  /** Pairs kept: answered `keep` and not sent back. */
+  kept: number,
+  /** Pairs wanted; 0 for no bound. */
+  wanted: number, };
 
-/**
- * A returned task.
- */
-export type ReturnedTask = { 
-/**
- * Task.
- */
-task: number, 
-/**
- * Kind.
- */
-kind: TaskKind, 
-/**
- * The reviewer's comment.
- */
-comment: string, 
-/**
- * When others can claim it.
- */
-until: number, };
+/** A returned task. */
+export type ReturnedTask = {
+  /** Task. */
+  task: number,
+  /** Kind. */
+  kind: TaskKind,
+  /** The reviewer's comment. */
+  comment: string,
+  /** When others can claim it. */
+  until: number, };
 
-/**
- * Answer to `POST reviews`.
- */
-export type ReviewDone = { 
-/**
- * Its sequence number in the log.
- */
-seq: number, 
-/**
- * State of the task after it.
- */
-state: TaskState, };
+/** Answer to `POST reviews`. */
+export type ReviewDone = {
+  /** Its sequence number in the log. */
+  seq: number,
+  /** State of the task after it. */
+  state: TaskState, };
 
-/**
- * Why there is nothing to review.
- */
-export type ReviewEmpty = { 
-/**
- * Submitted tasks of the queue.
- */
-waiting: number, 
-/**
- * Of these, those I answered myself.
- */
-mine: number, 
-/**
- * Of these, those leased by another reviewer.
- */
-in_review: number, };
+/** Why there is nothing to review. */
+export type ReviewEmpty = {
+  /** Submitted tasks of the queue. */
+  waiting: number,
+  /** Of these, those I answered myself. */
+  mine: number,
+  /** Of these, those leased by another reviewer. */
+  in_review: number, };
 
-/**
- * Answer to `POST review/next`.
- */
-export type ReviewNext = { 
-/**
- * The task and its answers.
- */
-review: ReviewView | null, 
-/**
- * Why there is none.
- */
-empty: ReviewEmpty | null, };
+/** Answer to `POST review/next`. */
+export type ReviewNext = {
+  /** The task and its answers. */
+  review: ReviewView | null,
+  /** Why there is none. */
+  empty: ReviewEmpty | null, };
 
-/**
- * `POST review/next`.
- */
-export type ReviewRequest = { 
-/**
- * Queue.
- */
-queue: ReviewQueue, 
-/**
- * Only this kind.
- */
-kind: TaskKind | null, };
+/** `POST review/next`. */
+export type ReviewRequest = {
+  /** Queue. */
+  queue: ReviewQueue,
+  /** Only this kind. */
+  kind: TaskKind | null, };
 
-/**
- * A task to review.
- */
-export type ReviewView = { 
-/**
- * The task.
- */
-task: Task, 
-/**
- * My lease.
- */
-lease: Lease, 
-/**
- * The submitted answers.
- */
-candidates: Array<Candidate>, 
-/**
- * Largest distance of the answers, 0 to 1; `null` for a single answer.
- */
-distance: number | null, 
-/**
- * Comments of earlier rounds, oldest first.
- */
-comments: Array<string>, };
+/** A task to review. */
+export type ReviewView = {
+  /** The task. */
+  task: Task,
+  /** My lease. */
+  lease: Lease,
+  /** The submitted answers. */
+  candidates: Array<Candidate>,
+  /** Largest distance of the answers, 0 to 1; `null` for a single answer. */
+  distance: number | null,
+  /** Comments of earlier rounds, oldest first. */
+  comments: Array<string>, };
 
-/**
- * The current answer of a user to a task.
- */
-export type Revision = { 
-/**
- * Task.
- */
-task: number, 
-/**
- * Author.
- */
-author: number, 
-/**
- * Revision number: counts drafts and submissions from 1.
- */
-rev: number, 
-/**
- * State.
- */
-state: RevisionState, 
-/**
- * The answer.
- */
-answer: Answer, 
-/**
- * When it was last written.
- */
-at: number, 
-/**
- * Seconds of work.
- */
-secs: number, };
+/** The current answer of a user to a task. */
+export type Revision = {
+  /** Task. */
+  task: number,
+  /** Author. */
+  author: number,
+  /** Revision number: counts drafts and submissions from 1. */
+  rev: number,
+  /** State. */
+  state: RevisionState,
+  /** The answer. */
+  answer: Answer,
+  /** When it was last written. */
+  at: number,
+  /** Seconds of work. */
+  secs: number, };
 
-/**
- * `GET`/`PUT settings`.
- */
-export type Settings = { 
-/**
- * Name of the project.
- */
-name: string, 
-/**
- * People a task wants, for the share `overlap_percent` of tasks imported from now on.
- */
-answers_per_task: number, 
-/**
- * Share of tasks that want more than one person.
- */
-overlap_percent: number, 
-/**
- * Share of tasks given out that are hidden gold tasks.
- */
-gold_percent: number, 
-/**
- * Share of tasks shown without any draft.
- */
-blind_percent: number, 
-/**
- * Share of the review queue `sample` among submitted tasks.
- */
-review_percent: number, 
-/**
- * Minutes a lease lasts.
- */
-lease_minutes: number, 
-/**
- * Days a returned task waits for its author.
- */
-returned_days: number, 
-/**
- * Fewest masks of an answer without a reason.
- */
-min_masks: number, 
-/**
- * Most masks of an answer without a reason.
- */
-max_masks: number, 
-/**
- * Styles to choose from.
- */
-styles: Array<string>, 
-/**
- * Phrases to start an instruction with.
- */
-templates: Array<string>, 
-/**
- * Pairs wanted of each category and edit type; 0 for no bound.
- */
-quota: number, 
-/**
- * The guide, plain text.
- */
-guide: string, 
-/**
- * Name of the time zone in which days begin, such as `Europe/Berlin`.
- */
-time_zone: string, };
+/** `GET`/`PUT settings`. */
+export type Settings = {
+  /** Name of the project. */
+  name: string,
+  /** People a task wants, for the share `overlap_percent` of tasks imported from now on. */
+  answers_per_task: number,
+  /** Share of tasks that want more than one person. */
+  overlap_percent: number,
+  /** Share of tasks given out that are hidden gold tasks. */
+  gold_percent: number,
+  /** Share of tasks shown without any draft. */
+  blind_percent: number,
+  /** Share of the review queue `sample` among submitted tasks. */
+  review_percent: number,
+  /** Minutes a lease lasts. */
+  lease_minutes: number,
+  /** Days a returned task waits for its author. */
+  returned_days: number,
+  /** Fewest masks of an answer without a reason. */
+  min_masks: number,
+  /** Most masks of an answer without a reason. */
+  max_masks: number,
+  /** Styles to choose from. */
+  styles: Array<string>,
+  /** Phrases to complete the instruction of a fine-grained pair with. */
+  templates: Array<string>,
+  /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
+  style_templates: Array<string>,
+  /** Pairs wanted of each category and edit type; 0 for no bound. */
+  quota: number,
+  /** The guide, plain text. */
+  guide: string,
+  /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
+  time_zone: string, };
 
-/**
- * `GET shelf`: accepted answers.
- */
-export type Shelf = { 
-/**
- * Newest first.
- */
-items: Array<ShelfItem>, 
-/**
- * Value of `before` for the next page.
- */
-next: number | null, };
+/** `GET shelf`: accepted answers. */
+export type Shelf = {
+  /** Newest first. */
+  items: Array<ShelfItem>,
+  /** Value of `before` for the next page. */
+  next: number | null, };
 
-/**
- * An accepted answer.
- */
-export type ShelfItem = { 
-/**
- * Its task.
- */
-task: Task, 
-/**
- * The answer.
- */
-answer: Answer, 
-/**
- * When it was accepted.
- */
-at: number, };
+/** An accepted answer. */
+export type ShelfItem = {
+  /** Its task. */
+  task: Task,
+  /** The answer. */
+  answer: Answer,
+  /** When it was accepted. */
+  at: number, };
 
-/**
- * `GET skeleton`.
- */
-export type SkeletonInfo = { 
-/**
- * Names of the 28 keypoints, in the order of the binaries.
- */
-joints: Array<string>, 
-/**
- * Parent of each; -1 for the root.
- */
-parents: Array<number>, 
-/**
- * `left`, `right` or `middle` of each.
- */
-sides: Array<string>, 
-/**
- * Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles
- * the wrist.
- */
-body_joint: Array<number>, 
-/**
- * All parts; the five of the release come first, in the order of the rows of heat and diff.
- */
-parts: Array<PartInfo>, 
-/**
- * Version of the part definitions.
- */
-mask_def_version: number, };
+/** `GET skeleton`. */
+export type SkeletonInfo = {
+  /** Names of the 28 keypoints, in the order of the binaries. */
+  joints: Array<string>,
+  /** Parent of each; -1 for the root. */
+  parents: Array<number>,
+  /** `left`, `right` or `middle` of each. */
+  sides: Array<string>,
+  /** Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles the wrist. */
+  body_joint: Array<number>,
+  /** All parts; the five of the release come first, in the order of the rows of heat and diff. */
+  parts: Array<PartInfo>,
+  /** Version of the part definitions. */
+  mask_def_version: number, };
 
-/**
- * A user's skip of a task.
- */
-export type Skip = { 
-/**
- * User.
- */
-user: number, 
-/**
- * Their name.
- */
-user_name: string, 
-/**
- * Reason.
- */
-reason: SkipReason | null, 
-/**
- * More about it.
- */
-note: string, 
-/**
- * When.
- */
-at: number, };
+/** A user's skip of a task. */
+export type Skip = {
+  /** User. */
+  user: number,
+  /** Their name. */
+  user_name: string,
+  /** Reason. */
+  reason: SkipReason | null,
+  /** More about it. */
+  note: string,
+  /** When. */
+  at: number, };
 
-/**
- * A skipped task.
- */
-export type SkippedTask = { 
-/**
- * The task.
- */
-task: Task, 
-/**
- * Who skipped it, and why.
- */
-skips: Array<Skip>, 
-/**
- * Whether nobody who annotates is left to get it: all annotators skipped or answered it.
- */
-by_all: boolean, };
+/** A skipped task. */
+export type SkippedTask = {
+  /** The task. */
+  task: Task,
+  /** Who skipped it, and why. */
+  skips: Array<Skip>,
+  /** Whether nobody who annotates is left to get it: all annotators skipped or answered it. */
+  by_all: boolean, };
 
-/**
- * `GET skipped`: undecided tasks that somebody skipped.
- */
-export type SkippedTasks = { 
-/**
- * By id.
- */
-items: Array<SkippedTask>, 
-/**
- * Value of `after` for the next page.
- */
-next: number | null, };
+/** `GET skipped`: undecided tasks that somebody skipped. */
+export type SkippedTasks = {
+  /** By id. */
+  items: Array<SkippedTask>,
+  /** Value of `after` for the next page. */
+  next: number | null, };
 
-/**
- * `POST tasks/{id}/suggest`.
- */
-export type SuggestRequest = { 
-/**
- * Parts that the text shall describe.
- */
-parts: Array<string>, };
+/** `POST tasks/{id}/suggest`. */
+export type SuggestRequest = {
+  /** Parts that the text shall describe. */
+  parts: Array<string>, };
 
-/**
- * A proposal by a program or the source; never an answer.
- */
-export type Suggestion = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Origin.
- */
-source: SuggestionSource, 
-/**
- * Parts that it describes.
- */
-parts: Array<string>, 
-/**
- * Text; empty for parts alone.
- */
-text: string, 
-/**
- * Name of the model or program.
- */
-model: string, };
+/** A proposal by a program or the source; never an answer. */
+export type Suggestion = {
+  /** Id. */
+  id: number,
+  /** Origin. */
+  source: SuggestionSource,
+  /** Parts that it describes. */
+  parts: Array<string>,
+  /** Text; empty for parts alone. */
+  text: string,
+  /** Name of the model or program. */
+  model: string, };
 
-/**
- * A task.
- */
-export type Task = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Kind of task.
- */
-kind: TaskKind, 
-/**
- * State.
- */
-state: TaskState, 
-/**
- * One motion, or the one before and the one after the edit.
- */
-motions: Array<MotionInfo>, 
-/**
- * Action category, for the quota.
- */
-category: string | null, 
-/**
- * Edit that the pair was made for, if the source states it.
- */
-hint: string | null, 
-/**
- * Style label of the source.
- */
-style: string | null, 
-/**
- * Answers wanted.
- */
-wanted: number, 
-/**
- * Submitted answers.
- */
-submitted: number, 
-/**
- * The bundle, for pairs.
- */
-bundle: Bundle | null, };
+/** A task. */
+export type Task = {
+  /** Id. */
+  id: number,
+  /** Kind of task. */
+  kind: TaskKind,
+  /** State. */
+  state: TaskState,
+  /** One motion, or the one before and the one after the edit. */
+  motions: Array<MotionInfo>,
+  /** Action category, for the quota. */
+  category: string | null,
+  /** Edit that the pair was made for, if the source states it. */
+  hint: string | null,
+  /** Style label of the source. */
+  style: string | null,
+  /** Answers wanted. */
+  wanted: number,
+  /** Submitted answers. */
+  submitted: number,
+  /** The bundle, for pairs. */
+  bundle: Bundle | null, };
 
-/**
- * `GET tasks/{id}`.
- */
-export type TaskView = { 
-/**
- * The task.
- */
-task: Task, 
-/**
- * My lease, if I hold one.
- */
-lease: Lease | null, 
-/**
- * My answer, if I started one.
- */
-mine: Revision | null, 
-/**
- * The reviewer's comment, if the task was returned.
- */
-comment: string | null, 
-/**
- * Suggestions; empty if the task is blind.
- */
-suggestions: Array<Suggestion>, 
-/**
- * Whether suggestions are withheld, to measure their effect.
- */
-blind: boolean, };
+/** `GET tasks/{id}`. */
+export type TaskView = {
+  /** The task. */
+  task: Task,
+  /** My lease, if I hold one. */
+  lease: Lease | null,
+  /** My answer, if I started one. */
+  mine: Revision | null,
+  /** The reviewer's comment, if the task was returned. */
+  comment: string | null,
+  /** Suggestions; empty if the task is blind. */
+  suggestions: Array<Suggestion>,
+  /** Whether suggestions are withheld, to measure their effect. */
+  blind: boolean, };
 
-/**
- * A token, without its secret.
- */
-export type TokenInfo = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Whose it is.
- */
-user: number, 
-/**
- * When it was made.
- */
-created: number, 
-/**
- * When it ends.
- */
-expires: number, 
-/**
- * When it was last used.
- */
-last_used: number | null, 
-/**
- * Whether it was revoked.
- */
-revoked: boolean, };
+/** A token, without its secret. */
+export type TokenInfo = {
+  /** Id. */
+  id: number,
+  /** Whose it is. */
+  user: number,
+  /** When it was made. */
+  created: number,
+  /** When it ends. */
+  expires: number,
+  /** When it was last used. */
+  last_used: number | null,
+  /** Whether it was revoked. */
+  revoked: boolean, };
 
-/**
- * Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
- */
-export type TokenShown = { 
-/**
- * Whose it is.
- */
-user: User, 
-/**
- * Id of the token, to revoke it.
- */
-id: number, 
-/**
- * The token.
- */
-token: string, 
-/**
- * When it ends.
- */
-expires: number, };
+/** Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once. */
+export type TokenShown = {
+  /** Whose it is. */
+  user: User,
+  /** Id of the token, to revoke it. */
+  id: number,
+  /** The token. */
+  token: string,
+  /** When it ends. */
+  expires: number, };
 
-/**
- * A user.
- */
-export type User = { 
-/**
- * Id.
- */
-id: number, 
-/**
- * Name, unique.
- */
-name: string, 
-/**
- * What they may do.
- */
-role: Role, 
-/**
- * Whether the user may log in.
- */
-active: boolean, };
+/** A user. */
+export type User = {
+  /** Id. */
+  id: number,
+  /** Name, unique. */
+  name: string,
+  /** What they may do. */
+  role: Role,
+  /** Whether the user may log in. */
+  active: boolean, };
 
-/**
- * `PATCH users/{id}`.
- */
-export type UserChange = { 
-/**
- * New role.
- */
-role: Role | null, 
-/**
- * Whether the user may log in.
- */
-active: boolean | null, };
+/** `PATCH users/{id}`. */
+export type UserChange = {
+  /** New role. */
+  role: Role | null,
+  /** Whether the user may log in. */
+  active: boolean | null, };
 
-/**
- * A week of work.
- */
-export type Week = { 
-/**
- * Its Monday, midnight UTC.
- */
-start: number, 
-/**
- * Answers handed in.
- */
-submitted: number, 
-/**
- * Answers accepted.
- */
-accepted: number, 
-/**
- * Answers returned.
- */
-returned: number, 
-/**
- * Median seconds of an answer.
- */
-median_secs: number | null, };
+/** A week of work. */
+export type Week = {
+  /** Its Monday, midnight UTC. */
+  start: number,
+  /** Answers handed in. */
+  submitted: number,
+  /** Answers accepted. */
+  accepted: number,
+  /** Answers returned. */
+  returned: number,
+  /** Median seconds of an answer. */
+  median_secs: number | null, };

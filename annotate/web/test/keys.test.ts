@@ -47,9 +47,11 @@ test("bare keys only type while text is typed", () => {
   assert.equal(keys.find("F1", PAIR, "text")?.id, "camera_front");
 });
 
-test("Tab changes cards from the stage and from a card's text, and is native elsewhere", () => {
+test("Tab changes cards from a card's text, and leaves the stage and everything else", () => {
   const keys = new KeyMap();
-  assert.equal(keys.find("Tab", MASK, "stage")?.id, "card_next");
+  assert.equal(keys.find("Tab", MASK, "stage"), null);
+  assert.equal(keys.find("ArrowDown", MASK, "stage")?.id, "card_next");
+  assert.equal(keys.find("ArrowDown", MASK, "card"), null);
   assert.equal(keys.find("Shift+Tab", MASK, "card")?.id, "card_previous");
   assert.equal(keys.find("Tab", MASK, "button"), null);
   assert.equal(keys.find("Tab", MASK, "text"), null);

@@ -161,6 +161,17 @@ test("versions are merged with what is typed now, not with what was sent", async
   assert.equal(desk.sent[0]?.base_rev, 4);
 });
 
+test("the page says that it is editing until the chosen version is on its way", async () => {
+  const session = await meeting();
+  assert.equal(session.isEditing, true, "two versions");
+  session.change(answer("mine, typed on"), "text-0");
+  desk.boxes[0]?.("mine");
+  assert.equal(session.isEditing, true, "the choice is not sent yet");
+  await desk.quiet();
+  await desk.pass(700);
+  assert.equal(session.isEditing, false);
+});
+
 test("keeping mine leaves the text that is typed alone", async () => {
   const shown: MaskTextAnswer[] = [];
   const session = await meeting((replaced) => shown.push(replaced));

@@ -1,10 +1,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { both, differing } from "../src/merge";
+import { agreementChart, roundUp, throughput } from "../src/components/charts";
 import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
-import { LIMBS, PARENTS, PLAIN, bits, colourOf, headingAt, toneOf, type Track } from "../src/stage/body";
-import { heatColour } from "../src/strips";
+import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
+import { heatColour, spans } from "../src/strips";
 import type { Candidate, PartInfo } from "../src/wire";
 import type { MaskTextAnswer } from "../src/words";
 
@@ -106,4 +107,49 @@ test("keeping both versions keeps every mask once", () => {
   });
   const merged = both(answer("a", "b"), answer("b ", "c"));
   assert.deepEqual(merged.masks.map((mask) => mask.text), ["a", "b", "c"]);
+});
+
+test("a ghost that is aligned stands and faces as the other body does, in the same pose and at the same height", () => {
+  // A body of pelvis, hips and one hand; it walks along +x and faces +x, the other one faces +z.
+  const walking = (facing: number, from: number): Track => {
+    const frames = 3;
+    const data = new Float32Array(frames * 28 * 3);
+    const put = (frame: number, point: number, forward: number, left: number, up: number): void => {
+      const at = (frame * 28 + point) * 3;
+      data[at] = from + frame + forward * Math.cos(facing) - left * Math.sin(facing);
+      data[at + 1] = up;
+      data[at + 2] = forward * Math.sin(facing) + left * Math.cos(facing);
+    };
+    for (let frame = 0; frame < frames; frame += 1) {
+      put(frame, 0, 0, 0, 1);
+      put(frame, 1, 0, -0.1, 1);
+      put(frame, 2, 0, 0.1, 1);
+      put(frame, 20, 0.5, -0.2, 1.2 + frame);
+    }
+    return { frames, points: 28, fps: 20, data };
+  };
+  const to = walking(0, 5);
+  const ghost = walking(Math.PI / 2, -3);
+  const moved = aligned(ghost, to, (frame) => frame);
+  for (let frame = 0; frame < 3; frame += 1) {
+    assert.ok(Math.abs(headingAt(moved, frame) - headingAt(to, frame)) < 1e-5);
+    for (const point of [0, 1, 2, 20]) {
+      const [a, b] = [pointAt(moved, frame, point, [0, 0, 0]), pointAt(to, frame, point, [0, 0, 0])];
+      for (const axis of [0, 1, 2] as const) assert.ok(Math.abs(a[axis] - b[axis]) < 1e-5, `${frame} ${point} ${axis}`);
+    }
+  }
+  assert.equal(ghost.data[0], -3, "the recorded clip stays as it is");
+});
+
+test("a strip is told in words", () => {
+  const values = [0, 0.5, 0.9, 0.2, 0.1, 0.1, 0.1, 0.6, 0.6, 0];
+  assert.equal(spans(values, 0.4, 10), "0.1 to 0.3 s, 0.7 to 0.9 s");
+  assert.equal(spans([0.5, 0.1, 0.5], 0.4, 20), "0.0 to 0.1 s", "a gap of a frame does not end a span");
+  assert.equal(spans([0, 0], 0.4, 10), "");
+});
+
+test("charts draw what there is, and nothing of nothing", () => {
+  assert.deepEqual([0, 0.3, 1, 7, 26, 101].map(roundUp), [1, 0.5, 1, 10, 50, 200]);
+  assert.equal(typeof throughput([]), "symbol");
+  assert.equal(typeof agreementChart([]), "symbol");
 });

@@ -37,9 +37,13 @@ const FAINT: &str = "(() => { \
     return faint; })()";
 
 async fn admin() -> (Server, Browser, Dataset) {
+    admin_with(&[]).await
+}
+
+async fn admin_with(arguments: &[&str]) -> (Server, Browser, Dataset) {
     let dataset = Dataset::fresh().await;
     let server = Server::start(&dataset).await;
-    let browser = Browser::start(Graphics::Software).await;
+    let browser = Browser::start_with(Graphics::Software, arguments).await;
     let token = server.printed_token().to_owned();
     browser.log_in(&server, &token, "app/home").await;
     (server, browser, dataset)
@@ -48,6 +52,127 @@ async fn admin() -> (Server, Browser, Dataset) {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_page_has_names_contrast_and_one_main_part() {
     let (server, browser, _dataset) = admin().await;
+    check_pages(&server, &browser, "light").await;
+    browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_page_is_dark_where_the_system_is() {
+    let (server, browser, _dataset) = admin_with(&["--force-dark-mode"]).await;
+    let dark = browser
+        .js("return matchMedia('(prefers-color-scheme: dark)').matches;")
+        .await;
+    assert_eq!(dark, json!(true));
+    check_pages(&server, &browser, "dark").await;
+    browser.open(&server.page("app/mask")).await;
+    browser.task().await;
+    // The corner of the stage shows its ground, next to a dark panel.
+    let corner = browser
+        .js_async(
+            "{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); \
+             const canvas = document.querySelector('.stage canvas'); const copy = document.createElement('canvas'); \
+             copy.width = copy.height = 1; const context = copy.getContext('2d'); \
+             context.drawImage(canvas, 2, 2, 1, 1, 0, 0, 1, 1); \
+             return [...context.getImageData(0, 0, 1, 1).data]; }",
+        )
+        .await;
+    assert!(corner[0].as_u64().is_some_and(|red| red < 80), "{corner}");
+    browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn playback_waits_for_people_who_want_less_motion() {
+    let (server, browser, _dataset) = admin_with(&["--force-prefers-reduced-motion"]).await;
+    browser.open(&server.page("app/mask")).await;
+    browser.task().await;
+    let playing = "return document.querySelector('.viewer').dataset.playing;";
+    assert_eq!(browser.js(playing).await, json!("false"));
+    browser.press(&[" "]).await;
+    browser
+        .until(
+            "it plays when asked to",
+            "document.querySelector('.viewer').dataset.playing === 'true'",
+        )
+        .await;
+    browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tab_leaves_the_stage_and_parts_and_screens_have_keys() {
+    let (server, browser, _dataset) = admin().await;
+    browser.open(&server.page("app/mask")).await;
+    browser.task().await;
+    browser
+        .until(
+            "the stage has the focus",
+            "document.activeElement.matches('.stage')",
+        )
+        .await;
+    browser.press(&[keys::TAB]).await;
+    let left = browser
+        .js("return !document.activeElement.matches('.stage');")
+        .await;
+    assert_eq!(left, json!(true));
+    browser.press(&[keys::ESCAPE, "9", "0"]).await;
+    browser
+        .until(
+            "torso and head are chosen",
+            "['TORSO', 'HEAD'].every((name) => document.querySelector(`[data-part=${name}]`).getAttribute('aria-pressed') === 'true')",
+        )
+        .await;
+    let label = browser
+        .js("return document.querySelector('.strip').getAttribute('aria-label');")
+        .await;
+    let label = label.as_str().expect("a label");
+    assert!(
+        label.contains("left arm:") && (label.contains(" s;") || label.contains("still")),
+        "{label}"
+    );
+    browser.shift(&["3"]).await;
+    browser
+        .until("pairs are open", "document.querySelector('.work.pair')")
+        .await;
+    browser.shift(&["1"]).await;
+    browser
+        .until("home is open", "document.querySelector('.queue')")
+        .await;
+    browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_is_cut_and_messages_cover_no_strip() {
+    const CUT: &str = "[...document.querySelectorAll('.panel-foot button, .verdicts button, .transport button')] \
+        .filter((button) => { const box = button.getBoundingClientRect(); const within = button.closest('.panel, .viewer').getBoundingClientRect(); \
+            return box.left < within.left || box.right > within.right || box.bottom > innerHeight || button.scrollWidth > button.clientWidth; }) \
+        .map((button) => button.textContent)";
+    const COVERED: &str = "[...document.querySelectorAll('.toast')].filter((toast) => { const box = toast.getBoundingClientRect(); \
+        return [...document.querySelectorAll('.strips, .transport')].some((other) => { const under = other.getBoundingClientRect(); \
+            return box.bottom > under.top && box.top < under.bottom && box.right > under.left && box.left < under.right; }); }).length";
+    let (server, browser, _dataset) = admin().await;
+    for page in ["app/mask", "app/pair", "app/style"] {
+        browser.open(&server.page(page)).await;
+        browser.task().await;
+        assert_eq!(
+            browser.js(&format!("return {CUT};")).await,
+            json!([]),
+            "{page}"
+        );
+        // An incomplete answer shows a message.
+        browser.control(&[keys::ENTER]).await;
+        browser
+            .until("a message", "document.querySelector('.toast')")
+            .await;
+        assert_eq!(
+            browser.js(&format!("return {COVERED};")).await,
+            json!(0),
+            "{page}"
+        );
+    }
+    browser.quit().await;
+}
+
+/// Checks names, contrast and the frame of every page.
+async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
     for (page, shown) in [
         ("app/home", ".queue"),
         ("app/mask", ".mask-card textarea"),
@@ -66,12 +191,12 @@ async fn every_page_has_names_contrast_and_one_main_part() {
         assert_eq!(
             browser.js(&format!("return {NAMELESS};")).await,
             json!([]),
-            "{page}: controls without a name"
+            "{page}, {theme}: controls without a name"
         );
         assert_eq!(
             browser.js(&format!("return {FAINT};")).await,
             json!([]),
-            "{page}: faint text"
+            "{page}, {theme}: faint text"
         );
         let parts = browser
             .js("return { main: document.querySelectorAll('main').length, lang: document.documentElement.lang, \
@@ -83,7 +208,6 @@ async fn every_page_has_names_contrast_and_one_main_part() {
             "{page}"
         );
     }
-    browser.quit().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -157,6 +157,35 @@ async fn suggestions_are_never_chosen_beforehand() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_key_of_suggestions_reaches_every_one() {
+    const CARD: &str =
+        "return document.querySelector('.mask-card.selected .card-title').textContent;";
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    let offered = browser
+        .js("return document.querySelectorAll('.suggestion').length;")
+        .await
+        .as_u64()
+        .expect("a number");
+    assert!(offered > 0, "the clip moves");
+    let mut seen = std::collections::BTreeSet::new();
+    for _ in 0..offered {
+        browser.press(&["h"]).await;
+        seen.insert(browser.js(CARD).await.to_string());
+    }
+    assert_eq!(seen.len() as u64, offered, "{seen:?}");
+    assert_eq!(
+        browser
+            .js("return document.querySelectorAll('.mask-card').length;")
+            .await,
+        json!(1),
+        "the same card shows one after the other"
+    );
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_blend_preview_changes_only_masked_joints() {
     let desk = Desk::open("app/mask").await;
     let browser = &desk.browser;
@@ -252,6 +281,23 @@ async fn a_skip_needs_a_reason() {
     browser
         .until(
             "without one nothing happens",
+            "!document.querySelector('dialog[open]')",
+        )
+        .await;
+    assert_eq!(browser.task().await, task);
+    browser.press(&["k"]).await;
+    browser
+        .until(
+            "it can be cancelled with the mouse as well",
+            "document.querySelector('dialog[open] [data-choice=Cancel]')",
+        )
+        .await;
+    browser
+        .js("document.querySelector('dialog[open] [data-choice=Cancel]').click();")
+        .await;
+    browser
+        .until(
+            "nothing happens again",
             "!document.querySelector('dialog[open]')",
         )
         .await;

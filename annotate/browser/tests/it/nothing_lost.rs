@@ -397,6 +397,51 @@ async fn a_project_is_not_handed_the_texts_of_another_on_the_same_port() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_an_earlier_version_left_unsent_is_listed_and_not_sent() {
+    let desk = Desk::open("app/home").await;
+    let browser = &desk.browser;
+    browser
+        .until("home is shown", "document.querySelector('.queue')")
+        .await;
+    let user = browser.request("GET", "me", None).await["body"]["user"]["id"].clone();
+    let item = json!({
+        "key": "left-behind", "order": 1, "user": user, "task": 1, "chain": "1:1:old", "sent": false, "problem": null,
+        "event": { "idem_key": "left-behind", "kind": "draft", "lease_epoch": 1, "base_rev": 0,
+                   "answer": two_masks("Of an earlier version.", "LEFT_ARM") },
+    });
+    // The database of earlier versions, which all projects of a host shared.
+    browser
+        .js_async(&format!(
+            "{{ const open = indexedDB.open('annotate', 1); \
+               open.onupgradeneeded = () => {{ open.result.createObjectStore('outbox'); open.result.createObjectStore('chains'); }}; \
+               await new Promise((done) => {{ open.onsuccess = done; }}); \
+               const write = open.result.transaction('outbox', 'readwrite'); \
+               write.objectStore('outbox').put({item}, 'left-behind'); \
+               await new Promise((done) => {{ write.oncomplete = done; }}); open.result.close(); return null; }}"
+        ))
+        .await;
+    browser.open(&desk.server.page("app/home")).await;
+    browser
+        .until(
+            "it is listed",
+            "document.querySelector('.stuck:not([hidden])')?.textContent === '1 not taken'",
+        )
+        .await;
+    browser
+        .js("document.querySelector('.stuck').click();")
+        .await;
+    browser
+        .until(
+            "its text can be read",
+            "document.querySelector('dialog[open]')?.textContent.includes('Of an earlier version.')",
+        )
+        .await;
+    let tasks = browser.request("GET", "home", None).await;
+    assert_eq!(tasks["body"]["held"], json!([]), "nothing was sent");
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn two_servers_on_one_machine_keep_their_sessions() {
     let desk = Desk::open("app/home").await;
     let other = Dataset::fresh().await;

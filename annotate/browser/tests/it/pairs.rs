@@ -140,6 +140,59 @@ async fn views_of_a_pair_share_the_frame() {
         frame,
         "changing the view does not move the clock"
     );
+    // The largest difference is one of poses: the ghost stands where the other body stands.
+    assert_eq!(
+        browser
+            .js("return document.querySelector('.stage').dataset.together;")
+            .await,
+        json!("false")
+    );
+    browser.press(&["d"]).await;
+    browser
+        .until(
+            "the ghost is moved",
+            "document.querySelector('.stage').dataset.together === 'true'",
+        )
+        .await;
+    browser.press(&["r"]).await;
+    browser
+        .until(
+            "the ghost is back",
+            "document.querySelector('.stage').dataset.together === 'false'",
+        )
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn phrases_fit_the_kind_of_pair() {
+    const TEXT: &str = "return document.querySelector('.pair-editor textarea').value;";
+    let desk = Desk::open("app/style").await;
+    let browser = &desk.browser;
+    browser.task().await;
+    // The first style, then the first phrase.
+    browser.press(&["c"]).await;
+    let style = browser
+        .text_of(".part[aria-pressed=true] .button-label")
+        .await;
+    browser.press(&["y"]).await;
+    browser
+        .until(
+            "a phrase",
+            "document.querySelector('.pair-editor textarea').value !== ''",
+        )
+        .await;
+    let text = browser.js(TEXT).await;
+    assert_eq!(text, json!(format!("in a {style} way")));
+    browser.open(&desk.server.page("app/pair")).await;
+    browser.task().await;
+    browser.press(&["y"]).await;
+    browser
+        .until(
+            "a phrase",
+            "document.querySelector('.pair-editor textarea')?.value === 'higher'",
+        )
+        .await;
     desk.browser.quit().await;
 }
 

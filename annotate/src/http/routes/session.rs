@@ -86,6 +86,7 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             max_masks: settings.max_masks,
             styles: settings.styles,
             templates: settings.templates,
+            style_templates: settings.style_templates,
         },
         prefs: app.store.prefs(who.id)?,
         model: app

@@ -5,7 +5,7 @@ import { live } from "lit/directives/live.js";
 import { reason } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
-import type { ActionId } from "../keys";
+import { PART_ACTIONS, type ActionId } from "../keys";
 import { lintCards } from "../lints";
 import { shortName } from "../motions";
 import type { Strip } from "../strips";
@@ -41,8 +41,6 @@ export interface MaskStage {
 
 export const BLANK_MASKS: MaskTextAnswer = { kind: "mask_text", masks: [], count_reason: null, note: "" };
 
-const PART_ACTIONS: readonly ActionId[] = ["part_1", "part_2", "part_3", "part_4", "part_5"];
-
 /** Delay in milliseconds after the last move of the alpha slider before a blend is requested. */
 const BLEND_AFTER_MS = 120;
 
@@ -50,6 +48,14 @@ interface Preview {
   partners: MotionInfo[];
   index: number;
   alpha: number;
+}
+
+/** A suggested mask. */
+interface Offer {
+  parts: string[];
+  text: string;
+  id: number;
+  source: string;
 }
 
 /** Name of a set of parts. */
@@ -88,7 +94,7 @@ export class MaskEditor extends Component {
   perform(id: ActionId): boolean {
     const part = PART_ACTIONS.indexOf(id);
     if (part >= 0) {
-      const name = this.app.parts.release[part]?.name;
+      const name = this.app.parts.all[part]?.name;
       if (name) this.togglePart(name);
       return true;
     }
@@ -111,7 +117,7 @@ export class MaskEditor extends Component {
         return true;
       }
       case "accept_heat":
-        this.takeSuggestion();
+        this.takeNext();
         return true;
       case "draft_use":
         void this.useDraft();
@@ -236,8 +242,13 @@ export class MaskEditor extends Component {
   }
 
   /** Suggestions that are not yet masks: active parts, and imported masks. */
-  private get open(): { parts: string[]; text: string; id: number; source: string }[] {
-    const taken = new Set(this.answer.masks.map((mask) => keyOf(mask.parts)));
+  private get open(): Offer[] {
+    return this.offers(null);
+  }
+
+  /** Suggestions that are not masks of cards other than `card`. */
+  private offers(card: number | null): Offer[] {
+    const taken = new Set(this.answer.masks.filter((_, index) => index !== card).map((mask) => keyOf(mask.parts)));
     const seen = new Set<string>();
     return this.suggestions
       .filter((suggestion) => suggestion.source !== "llm")
@@ -254,14 +265,29 @@ export class MaskEditor extends Component {
       });
   }
 
-  private takeSuggestion(parts = this.open[0]?.parts): void {
-    if (!parts) {
-      this.app.toasts.show("Nothing else is suggested.", { id: "no-suggestion" });
-    } else if (this.card.parts.length === 0) {
-      this.edit({ parts });
-    } else {
-      this.insert({ ...this.emptyMask(), parts });
-    }
+  /**
+   * What the key of suggestions takes: on a card that has none or was filled by this key, the next one, so that every
+   * suggestion can be reached; else the first, on a new card.
+   */
+  private get nextOffer(): Offer | null {
+    const offers = this.offers(this.selected);
+    const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));
+    if (this.card.text.trim() !== "" || (this.card.parts.length > 0 && at < 0)) return this.open[0] ?? null;
+    const next = offers[(at + 1) % Math.max(1, offers.length)];
+    return next && offers.indexOf(next) !== at ? next : null;
+  }
+
+  private takeNext(): void {
+    const next = this.nextOffer;
+    if (!next) this.app.toasts.show("Nothing else is suggested.", { id: "no-suggestion" });
+    else if (this.card.text.trim() === "" && this.offers(this.selected).some((offer) => keyOf(offer.parts) === keyOf(this.card.parts))) {
+      this.edit({ parts: next.parts });
+    } else this.take(next.parts);
+  }
+
+  private take(parts: string[]): void {
+    if (this.card.parts.length === 0) this.edit({ parts });
+    else this.insert({ ...this.emptyMask(), parts });
   }
 
   /** The draft that fits the parts of a card. */
@@ -401,16 +427,18 @@ export class MaskEditor extends Component {
   private suggestionRow(): TemplateResult | typeof nothing {
     const { app, open } = this;
     if (open.length === 0) return nothing;
+    const next = this.nextOffer;
+    const hint = (offer: Offer): string => (next && keyOf(next.parts) === keyOf(offer.parts) ? app.keys.hint("accept_heat") : "");
     return html`<div class="suggestions">
       <span class="note">Suggested, not chosen:</span>
       ${open.map(
-        (suggestion, index) => html`<button
+        (suggestion) => html`<button
           type="button"
           class="suggestion"
           title=${suggestion.source === "activity" ? "This part moves a lot" : `From ${suggestion.source}`}
-          @click=${() => this.takeSuggestion(suggestion.parts)}
+          @click=${() => this.take(suggestion.parts)}
         >
-          ${keyHint(index === 0 ? app.keys.hint("accept_heat") : "")}<span class="button-label">${app.parts.phrases(suggestion.parts)}</span>
+          ${keyHint(hint(suggestion))}<span class="button-label">${app.parts.phrases(suggestion.parts)}</span>
         </button>`,
       )}
     </div>`;
@@ -494,10 +522,10 @@ export class MaskEditor extends Component {
     };
     return html`<div class="part-picker" role="group" aria-label="Body parts">
       <div class="part-row">
-        ${app.parts.release.map((part, index) => button(part.name, part.phrase, app.keys.hint(PART_ACTIONS[index] ?? "part_1")))}
+        ${app.parts.release.map((part) => button(part.name, part.phrase, app.partHint(part.name)))}
       </div>
       <div class="part-row minor">
-        ${app.parts.all.filter((part) => !part.release).map((part) => button(part.name, part.phrase, ""))}
+        ${app.parts.all.filter((part) => !part.release).map((part) => button(part.name, part.phrase, app.partHint(part.name)))}
       </div>
       <div class="part-row minor">
         ${choice("soft", "soft ring", app.keys.hint("soft_ring"), mask.soft, () => this.perform("soft_ring"))}

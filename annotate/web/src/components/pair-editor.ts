@@ -4,7 +4,7 @@ import { html, nothing, type TemplateResult } from "lit";
 import { live } from "lit/directives/live.js";
 import { reason } from "../api";
 import type { App } from "../app";
-import type { ActionId } from "../keys";
+import { PART_ACTIONS, type ActionId } from "../keys";
 import { lintText } from "../lints";
 import { EDIT_TYPES, EXTENTS, MAX_TEXT_CHARS, type Extent, type Suggestion, type SuggestionUse, type Task, type Verdict } from "../wire";
 import type { PairAnswer, StyleAnswer } from "../words";
@@ -24,8 +24,6 @@ export interface PairEditorHost {
   /** Highlights parts on the stage. */
   repaint(parts: readonly string[]): void;
 }
-
-const PART_ACTIONS: readonly ActionId[] = ["part_1", "part_2", "part_3", "part_4", "part_5"];
 
 const REJECTS: readonly (readonly [Verdict, ActionId, string])[] = [
   ["unnatural", "unnatural", "Unnatural"],
@@ -73,7 +71,7 @@ export class PairEditor extends Component {
   perform(id: ActionId): boolean {
     const part = PART_ACTIONS.indexOf(id);
     if (part >= 0) {
-      const name = this.app.parts.release[part]?.name;
+      const name = this.app.parts.all[part]?.name;
       if (name) this.togglePart(name);
       return true;
     }
@@ -160,8 +158,12 @@ export class PairEditor extends Component {
     this.edit({ extent, parts: EXTENT_PARTS[extent].filter((part) => known.has(part)) });
   }
 
+  /** Phrases that fit the kind of task. Those about the style name the chosen one. */
   private get phrases(): readonly string[] {
-    return this.app.me.project.templates;
+    const { project } = this.app.me;
+    if (this.answer.kind === "pair") return project.templates;
+    const style = this.answer.style ?? "…";
+    return project.style_templates.map((phrase) => phrase.replaceAll("{style}", style));
   }
 
   private nextPhrase(): void {
@@ -171,6 +173,10 @@ export class PairEditor extends Component {
 
   /** Appends a phrase, replacing the one appended before. */
   private usePhrase(index: number): void {
+    if (this.answer.kind === "style" && this.answer.style === null) {
+      this.app.toasts.show("Choose the style first.", { id: "phrase" });
+      return;
+    }
     const before = this.phrases[this.phrase];
     let text = this.answer.text.trim();
     if (before !== undefined && text.endsWith(plain(before))) text = text.slice(0, -plain(before).length).trim();
@@ -257,9 +263,9 @@ export class PairEditor extends Component {
       html`<div class="part-row">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
     const parts = html`
       <div class="part-row">
-        ${app.parts.release.map((own, index) => part(own.name, own.phrase, keys.hint(PART_ACTIONS[index] ?? "part_1")))}
+        ${app.parts.release.map((own) => part(own.name, own.phrase, app.partHint(own.name)))}
       </div>
-      <div class="part-row minor">${app.parts.all.filter((own) => !own.release).map((own) => part(own.name, own.phrase, ""))}</div>
+      <div class="part-row minor">${app.parts.all.filter((own) => !own.release).map((own) => part(own.name, own.phrase, app.partHint(own.name)))}</div>
     `;
     if (answer.kind === "style") {
       return html`

@@ -228,6 +228,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
   const styles = h("input", { attrs: { type: "text" } });
   const templates = h("textarea", { attrs: { rows: 4 } });
+  const styleTemplates = h("textarea", { attrs: { rows: 4 } });
   const guide = h("textarea", { attrs: { rows: 8 } });
   const zone = h("input", { attrs: { type: "text", placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone } });
   const show = (): void => {
@@ -235,6 +236,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     for (const [key, input] of numbers) input.value = String(settings[key]);
     styles.value = settings.styles.join(", ");
     templates.value = settings.templates.join("\n");
+    styleTemplates.value = settings.style_templates.join("\n");
     guide.value = settings.guide;
     zone.value = settings.time_zone;
   };
@@ -249,7 +251,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
     field("Time zone in which days begin, such as Europe/Berlin", zone),
     field("Styles, with commas between", styles),
-    field("Template phrases, one a line", templates),
+    field("Template phrases of pairs, one a line", templates),
+    field("Template phrases of style pairs, one a line; {style} is the chosen style", styleTemplates),
     field("Guide (plain text; # heading, - item)", guide),
     button("Save settings", async () => {
       const changed: Settings = {
@@ -257,6 +260,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
         name: name.value.trim(),
         styles: list(styles.value, /,/),
         templates: list(templates.value, /\n/),
+        style_templates: list(styleTemplates.value, /\n/),
         guide: guide.value,
         time_zone: zone.value.trim(),
       };

@@ -1,7 +1,9 @@
 /** Dashboard: states of tasks, figures per person, agreement. */
 
+import { render } from "lit";
 import { reason } from "../api";
 import type { App, Screen } from "../app";
+import { agreementChart, throughput } from "../components/charts";
 import { fill, h } from "../dom";
 import { estimate, percent, seconds, table, until, when } from "../ui";
 import {
@@ -9,6 +11,7 @@ import {
   type Agreement,
   type Funnel,
   type HeldLease,
+  type PartAgreement,
   type Person,
   type QuotaRow,
   type TaskKind,
@@ -37,9 +40,9 @@ export async function openDashboard(app: App): Promise<Screen> {
     fill(
       content,
       h("section", { class: "card" }, funnelTable(funnel)),
-      h("section", { class: "card" }, weekChart(funnel.weeks)),
+      h("section", { class: "card" }, drawn(throughput(funnel.weeks)), weekChart(funnel.weeks)),
       h("section", { class: "card wide" }, peopleTable(people)),
-      h("section", { class: "card wide" }, ...agreementTables(agreement)),
+      h("section", { class: "card wide" }, drawn(agreementChart(decisions(agreement))), ...agreementTables(agreement)),
       h("section", { class: "card" }, quotaTable(quota)),
       h("section", { class: "card" }, leaseTable(leases)),
     );
@@ -143,8 +146,19 @@ function peopleTable(people: Person[]): HTMLElement {
   );
 }
 
+/** The agreement on each part, and on verdicts. */
+function decisions(agreement: Agreement): PartAgreement[] {
+  return [...agreement.parts, ...(agreement.verdicts ? [agreement.verdicts] : [])];
+}
+
+function drawn(chart: ReturnType<typeof throughput>): HTMLElement {
+  const box = h("div", {});
+  render(chart, box);
+  return box;
+}
+
 function agreementTables(agreement: Agreement): HTMLElement[] {
-  const rows = [...agreement.parts, ...(agreement.verdicts ? [agreement.verdicts] : [])];
+  const rows = decisions(agreement);
   const [withDraft, without] = agreement.secs_with_and_without_draft ?? [null, null];
   const fact = (name: string, value: string): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, value));
   return [

@@ -7,7 +7,7 @@ import type { ActionId } from "../keys";
 import { shortName } from "../motions";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
-import { Strip } from "../strips";
+import { Strip, spans } from "../strips";
 import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import type { Next, Suggestion, TaskView } from "../wire";
@@ -36,12 +36,18 @@ export async function openTask(app: App, id: number): Promise<TaskView> {
 }
 
 export function heatStrip(app: App, viewer: Viewer): Strip {
-  const rows = app.parts.release.map((part, index) => ({
-    name: part.name,
-    label: part.phrase,
-    hint: app.keys.hint((["part_1", "part_2", "part_3", "part_4", "part_5"] as const)[index] ?? "part_1"),
-  }));
+  const rows = app.parts.release.map((part) => ({ name: part.name, label: part.phrase, hint: app.partHint(part.name) }));
   return new Strip("Activity of the five parts over time", rows, HEAT_FULL, (frame) => viewer.clock.scrub(frame));
+}
+
+/** Activity from which a part counts as moving: `ACTIVE` of the server, which suggests parts by it. */
+const MOVING = 0.4;
+
+/** Shows the activity of the parts over time, and says it in words. */
+export function showHeat(app: App, strip: Strip, heat: Float32Array, fps: number): void {
+  strip.setValues(heat, Math.floor(heat.length / 5));
+  const lines = app.parts.release.map((part, row) => `${part.phrase}: ${spans(strip.rowValues(row), MOVING, fps) || "still"}`);
+  strip.describe(lines.join("; "));
 }
 
 async function maskScreen(app: App, view: TaskView): Promise<Screen> {
@@ -50,7 +56,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const [track, heat] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
   const viewer = app.viewer();
   const strip = heatStrip(app, viewer);
-  strip.setValues(heat, Math.floor(heat.length / 5));
+  showHeat(app, strip, heat, motion.fps);
   viewer.setStrips([strip]);
   const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");

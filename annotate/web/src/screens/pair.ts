@@ -88,6 +88,9 @@ export class PairView {
       case "largest_difference":
         this.toLargest();
         return true;
+      case "align_roots":
+        this.setTogether(!this.viewer.isTogether);
+        return true;
       case "align":
         void this.align();
         return true;
@@ -102,6 +105,16 @@ export class PairView {
       .map((row) => ({ column: this.strip.peak(row), value: this.strip.value(row, this.strip.peak(row)) }))
       .reduce((a, b) => (b.value > a.value ? b : a));
     this.viewer.clock.seek(best.column);
+    // The strip compares poses without place and heading; the ghost shows that frame so, too.
+    if (this.viewer.currentLayout === "ghost" && !this.viewer.isTogether) this.setTogether(true);
+  }
+
+  private setTogether(together: boolean): void {
+    this.viewer.setTogether(together);
+    this.app.toasts.show(together ? "The ghost stands where the other body stands." : "Both bodies stand where they were recorded.", {
+      id: "together",
+      ms: 2500,
+    });
   }
 
   /** Stretches the clips for viewing only; stored data does not change. */
@@ -122,6 +135,13 @@ export class PairView {
     const root = diff.slice(0, columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
     const parts = diff.slice(columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
     this.strip.setValues(diff.map((value, index) => value / (index < columns ? root : parts)), columns);
+    const fps = this.clips[0]?.track.fps ?? 20;
+    const peaks = this.app.parts.release.map((part, index) => {
+      const column = this.strip.peak(index + 1);
+      const metres = this.strip.value(index + 1, column) * parts;
+      return `${part.phrase} at most ${metres.toFixed(2)} m apart, at ${(column / fps).toFixed(1)} s`;
+    });
+    this.strip.describe(peaks.join("; "));
     this.strip.element.title = `darkest: root ${root.toFixed(2)} m, parts ${parts.toFixed(2)} m apart`;
   }
 }
@@ -229,6 +249,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     "div",
     { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
     keyButton("Ghost", keys.hint("side_by_side"), () => perform("side_by_side", false)),
+    keyButton("Roots together", keys.hint("align_roots"), () => perform("align_roots", false)),
     keyButton("Swap", keys.hint("swap"), () => perform("swap", false)),
     keyButton("Largest difference", keys.hint("largest_difference"), () => perform("largest_difference", false)),
     task.kind === "style" && keyButton("Align", keys.hint("align"), () => perform("align", false)),

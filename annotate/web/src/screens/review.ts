@@ -8,7 +8,7 @@ import { shortName } from "../motions";
 import { PLAIN, bits } from "../stage/body";
 import type { Clip, Viewer } from "../viewer";
 import type { ReviewNext, ReviewQueue, ReviewView, Task } from "../wire";
-import { heatStrip } from "./mask";
+import { heatStrip, showHeat } from "./mask";
 import { PairView } from "./pair";
 
 const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
@@ -79,7 +79,7 @@ async function maskStage(app: App, task: Task): Promise<Shown> {
   const [track, values] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
   const viewer = app.viewer();
   const strip = heatStrip(app, viewer);
-  strip.setValues(values, Math.floor(values.length / 5));
+  showHeat(app, strip, values, motion.fps);
   viewer.setStrips([strip]);
   const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");

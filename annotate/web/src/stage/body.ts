@@ -2,6 +2,8 @@
  * Drawing of a body: its limbs, their thickness and colours. All positions come from the server.
  */
 
+import { theme } from "./theme";
+
 /** Keypoints of a clip, in metres, y up: `data[(frame * points + point) * 3 + axis]`. */
 export interface Track {
   frames: number;
@@ -67,7 +69,6 @@ export const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
   middle: [0.33, 0.4, 0.48],
 };
 
-const GREY: Rgb = [0.78, 0.8, 0.83];
 const GLOW: Rgb = [0.86, 0.1, 0.45];
 
 /** Bit set of joints. */
@@ -109,13 +110,13 @@ export function mix(a: Rgb, b: Rgb, t: number): Rgb {
 export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
   const full = SIDE_COLOURS[side];
   const tone = toneOf(paint, joint);
-  const base = tone === "rest" ? mix(GREY, full, 0.14) : full;
+  const base = tone === "rest" ? mix(theme().rest, full, 0.14) : full;
   return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
 }
 
 /** Colour between the hatching of a soft joint. */
 export function restColour(side: Side): Rgb {
-  return mix(GREY, SIDE_COLOURS[side], 0.14);
+  return mix(theme().rest, SIDE_COLOURS[side], 0.14);
 }
 
 export function css(colour: Rgb, alpha = 1): string {
@@ -165,4 +166,32 @@ export function headingAt(track: Track, frame: number): number {
   const x = left[0] - right[0];
   const z = left[2] - right[2];
   return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
+}
+
+/**
+ * A clip moved so that in each frame its pelvis stands where that of another clip stands at the same time, and faces
+ * the same way. Poses can be compared then wherever the two bodies walk. Heights stay.
+ */
+export function aligned(track: Track, to: Track, frameOfOther: (frame: number) => number): Track {
+  const data = new Float32Array(track.data.length);
+  const own: Vec3 = [0, 0, 0];
+  const other: Vec3 = [0, 0, 0];
+  const point: Vec3 = [0, 0, 0];
+  for (let frame = 0; frame < track.frames; frame += 1) {
+    const at = frameOfOther(frame);
+    const turn = headingAt(to, at) - headingAt(track, frame);
+    const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
+    pointAt(track, frame, PELVIS, own);
+    pointAt(to, at, PELVIS, other);
+    for (let index = 0; index < track.points; index += 1) {
+      pointAt(track, frame, index, point);
+      const x = point[0] - own[0];
+      const z = point[2] - own[2];
+      const out = (frame * track.points + index) * 3;
+      data[out] = other[0] + x * cos + z * sin;
+      data[out + 1] = point[1];
+      data[out + 2] = other[2] - x * sin + z * cos;
+    }
+  }
+  return { ...track, data };
 }

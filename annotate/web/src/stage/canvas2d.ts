@@ -3,6 +3,7 @@
 import type { OrbitCamera, Projected } from "./camera";
 import type { Body, Renderer, Scene } from "./scene";
 import { FLOOR } from "./scene";
+import { theme } from "./theme";
 import {
   EYE_RADIUS,
   HEAD,
@@ -49,7 +50,7 @@ export class CanvasRenderer implements Renderer {
       canvas.height = height;
     }
     context.setTransform(scene.pixelRatio, 0, 0, scene.pixelRatio, 0, 0);
-    context.fillStyle = "#eef1f4";
+    context.fillStyle = theme().ground;
     context.fillRect(0, 0, scene.width, scene.height);
     const project = scene.camera.projector(scene.width, scene.height);
     drawFloor(context, project);
@@ -67,9 +68,10 @@ export class CanvasRenderer implements Renderer {
 }
 
 function drawFloor(context: CanvasRenderingContext2D, project: Project): void {
+  const { axis, line } = theme();
   context.lineWidth = 1;
   for (let k = -FLOOR; k <= FLOOR; k += 1) {
-    context.strokeStyle = k === 0 ? "#a9b5c1" : "#d3dae1";
+    context.strokeStyle = k === 0 ? axis : line;
     for (const alongX of [true, false]) {
       context.beginPath();
       let open = false;

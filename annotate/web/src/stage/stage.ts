@@ -7,6 +7,7 @@ import { h } from "../dom";
 import { OrbitCamera, type Preset } from "./camera";
 import { CanvasRenderer } from "./canvas2d";
 import type { Body, Renderer, Scene } from "./scene";
+import { onThemeChange } from "./theme";
 import { PELVIS, headingAt, pointAt, type Vec3 } from "./body";
 
 /** Creates a renderer; throws if it is not supported. */
@@ -30,6 +31,7 @@ export class Stage {
   private dirty = true;
   private disposed = false;
   private readonly observer: ResizeObserver;
+  private readonly forget: () => void;
   followRoot = true;
   /** Other stages whose cameras move with this one. */
   private followers: Stage[] = [];
@@ -58,6 +60,7 @@ export class Stage {
     this.renderer.canvas.addEventListener("webglcontextlost", this.contextLost);
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
+    this.forget = onThemeChange(() => this.redraw());
     this.mouse();
   }
 
@@ -145,6 +148,7 @@ export class Stage {
   dispose(): void {
     this.disposed = true;
     this.observer.disconnect();
+    this.forget();
     this.renderer.canvas.removeEventListener("webglcontextlost", this.contextLost);
     this.renderer.dispose();
   }

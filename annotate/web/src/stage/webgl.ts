@@ -21,10 +21,10 @@ import {
   type Rgb,
   type Vec3,
 } from "./body";
+import { theme, type Theme } from "./theme";
 
 type Lib = typeof Three;
 
-const BACKGROUND = 0xeef1f4;
 /** Number of spheres: two ends of every limb, the pelvis, the head and two eyes. */
 const SPHERES = LIMBS.length * 2 + 4;
 
@@ -182,9 +182,11 @@ class BodyMesh {
   }
 }
 
-function floor(lib: Lib): Three.Group {
+/** The floor, and its lines by their name in the theme. */
+function floor(lib: Lib): { group: Three.Group; lines: [Three.LineBasicMaterial, "faint" | "line" | "axis"][] } {
   const group = new lib.Group();
-  const lines = (step: number, skip: (k: number) => boolean, colour: number): void => {
+  const materials: [Three.LineBasicMaterial, "faint" | "line" | "axis"][] = [];
+  const lines = (step: number, skip: (k: number) => boolean, name: "faint" | "line" | "axis"): void => {
     const points: number[] = [];
     for (let k = -FLOOR / step; k <= FLOOR / step; k += 1) {
       if (skip(k)) continue;
@@ -192,12 +194,14 @@ function floor(lib: Lib): Three.Group {
     }
     const geometry = new lib.BufferGeometry();
     geometry.setAttribute("position", new lib.BufferAttribute(new Float32Array(points), 3));
-    group.add(new lib.LineSegments(geometry, new lib.LineBasicMaterial({ color: colour })));
+    const material = new lib.LineBasicMaterial();
+    materials.push([material, name]);
+    group.add(new lib.LineSegments(geometry, material));
   };
-  lines(0.5, (k) => k % 2 === 0, 0xdfe4e9);
-  lines(1, (k) => k === 0, 0xc9d1d9);
-  lines(FLOOR, (k) => k !== 0, 0xa9b5c1);
-  return group;
+  lines(0.5, (k) => k % 2 === 0, "faint");
+  lines(1, (k) => k === 0, "line");
+  lines(FLOOR, (k) => k !== 0, "axis");
+  return { group, lines: materials };
 }
 
 export class WebglRenderer implements Renderer {
@@ -207,6 +211,8 @@ export class WebglRenderer implements Renderer {
   private readonly scene: Three.Scene;
   private readonly camera: Three.PerspectiveCamera;
   private readonly meshes: BodyMesh[] = [];
+  private readonly lines: readonly [Three.LineBasicMaterial, "faint" | "line" | "axis"][];
+  private theme: Theme | null = null;
   private width = 0;
   private height = 0;
   private ratio = 0;
@@ -220,12 +226,13 @@ export class WebglRenderer implements Renderer {
     // Preserve the buffer for screenshots and tests.
     this.renderer = new lib.WebGLRenderer({ antialias, preserveDrawingBuffer: true, stencil: true });
     this.canvas = this.renderer.domElement;
-    this.renderer.setClearColor(BACKGROUND, 1);
     this.scene = new lib.Scene();
     this.scene.add(new lib.HemisphereLight(0xffffff, 0xb8c0c8, 2.2));
     const sun = new lib.DirectionalLight(0xffffff, 1.6);
     sun.position.set(2, 5, 3);
-    this.scene.add(sun, floor(lib));
+    const { group, lines } = floor(lib);
+    this.lines = lines;
+    this.scene.add(sun, group);
     this.camera = new lib.PerspectiveCamera(38, 1, 0.05, 60);
   }
 
@@ -237,6 +244,12 @@ export class WebglRenderer implements Renderer {
       this.renderer.setPixelRatio(scene.pixelRatio);
       this.renderer.setSize(scene.width, scene.height, false);
       this.camera.aspect = scene.width / Math.max(1, scene.height);
+    }
+    const colours = theme();
+    if (colours !== this.theme) {
+      this.theme = colours;
+      this.renderer.setClearColor(colours.ground, 1);
+      for (const [material, name] of this.lines) material.color.set(colours[name]);
     }
     const pose = scene.camera.pose;
     this.camera.fov = (pose.fieldOfView * 180) / Math.PI;
