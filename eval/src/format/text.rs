@@ -1,5 +1,7 @@
 //! Tables for a terminal.
 
+use std::collections::BTreeSet;
+
 use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
 use crate::table::{Cell, Column, Table};
 
@@ -13,7 +15,7 @@ const MIN_NAME_WIDTH: usize = 8;
 const BEST: char = '*';
 
 /// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped and
-/// long system names are cut.
+/// long system names are cut, as far as they stay apart.
 pub fn render(tables: &[Table]) -> String {
     let mut text = String::new();
     for (index, table) in tables.iter().enumerate() {
@@ -53,14 +55,7 @@ fn table_text(table: &Table, text: &mut String) {
         })
         .collect();
     let values_width: usize = widths.iter().map(|width| width + GAP).sum();
-    let name_width = table
-        .rows
-        .iter()
-        .map(|row| width(&row.system))
-        .chain([width("System")])
-        .max()
-        .unwrap_or(0)
-        .min(MAX_WIDTH.saturating_sub(values_width).max(MIN_NAME_WIDTH));
+    let name_width = name_width(table, MAX_WIDTH.saturating_sub(values_width));
     let rule = "─".repeat(name_width + values_width);
 
     text.push_str(&rule);
@@ -91,6 +86,22 @@ fn table_text(table: &Table, text: &mut String) {
             push_line(text, &line);
         }
     }
+}
+
+/// Width of the column of names: at most `free`, unless names that are cut so short would be the same.
+fn name_width(table: &Table, free: usize) -> usize {
+    let names: BTreeSet<&str> = table.rows.iter().map(|row| row.system.as_str()).collect();
+    let whole = names
+        .iter()
+        .map(|name| width(name))
+        .chain([width("System")]);
+    let whole = whole.max().unwrap_or(0);
+    let are_apart = |width: &usize| {
+        let cut: BTreeSet<String> = names.iter().map(|name| cut(name, *width)).collect();
+        cut.len() == names.len()
+    };
+    let least = whole.min(free.max(MIN_NAME_WIDTH));
+    (least..whole).find(are_apart).unwrap_or(whole)
 }
 
 /// The family of a column and what is left of its label.
@@ -270,6 +281,19 @@ mod tests {
         "R@3 ↑",
         "AvgR ↓",
     ];
+
+    #[test]
+    fn names_are_not_cut_until_they_are_the_same() {
+        let mut table = sample_table();
+        let names = ["body parts", "style"]
+            .map(|task| format!("MotionReFit, trained on {task} alone, with poses"));
+        for (row, name) in table.rows[2..].iter_mut().zip(&names) {
+            row.system.clone_from(name);
+        }
+        let text = render(&[table]);
+        let (_, rows, _) = read(&text);
+        assert_ne!(rows[3][0], rows[4][0], "{text}");
+    }
 
     #[test]
     fn a_table_is_aligned_and_fits_the_terminal() {
