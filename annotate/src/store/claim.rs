@@ -25,6 +25,10 @@ const FOR_ME: &str = "t.claimable = 1
 const PLACED: &str = "lease l JOIN task t ON t.id = l.task
   LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
 
+/// The order of [`PLACED`] tasks.
+const IN_BUNDLES: &str =
+    "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
+
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
 /// taken. Returns how many it ended.
 pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize, Error> {
@@ -275,7 +279,7 @@ pub(super) fn claim(
     let settings = project::settings(tx)?;
     let sql = format!(
         "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
-         ORDER BY COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id LIMIT 1",
+         ORDER BY {IN_BUNDLES} LIMIT 1",
         rows::LEASE_COLUMNS
     );
     if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
@@ -354,29 +358,52 @@ fn candidate(
     Ok(None)
 }
 
-/// Hashes of the motions of the following tasks.
+/// Hashes of the motions of the tasks after the present one: those held, the next gold task, whose motions would
+/// otherwise come later than those of others, and new ones.
 pub(super) fn upcoming(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
+    present: i64,
     limit: usize,
 ) -> Result<Vec<String>, Error> {
-    let sql = format!(
-        "SELECT t.source, t.target FROM task t WHERE t.kind = ?1 AND {FOR_ME}
+    let held = format!(
+        "SELECT t.source, t.target, t.id FROM {PLACED} WHERE t.kind = ?1 AND l.usr = ?2 AND l.purpose = 'annotate'
+         ORDER BY {IN_BUNDLES} LIMIT ?3"
+    );
+    let new = format!(
+        "SELECT t.source, t.target, t.id FROM task t WHERE t.kind = ?1 AND {FOR_ME}
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
          ORDER BY t.priority DESC, t.id LIMIT ?3"
     );
+    let params = params![kind.as_str(), user, limit as i64 + 1];
+    let mut tasks = tx.query(&held, params)?;
+    if project::settings(tx)?.gold_percent > 0 {
+        for gold in known_tasks(tx, user, kind, 1)? {
+            let sql = "SELECT source, target, id FROM task WHERE id = ?1";
+            tasks.extend(tx.one(sql, params![gold])?);
+        }
+    }
+    if tasks.len() <= limit {
+        tasks.extend(tx.query(&new, params)?);
+    }
     let mut hashes = Vec::new();
-    for row in tx.query(&sql, params![kind.as_str(), user, limit as i64])? {
-        hashes.push(row.string(0)?);
-        hashes.extend(row.opt_text(1)?);
+    let mut left = limit;
+    for row in tasks {
+        if left == 0 {
+            break;
+        }
+        if row.int(2)? != present {
+            hashes.push(row.string(0)?);
+            hashes.extend(row.opt_text(1)?);
+            left -= 1;
+        }
     }
     Ok(hashes)
 }
 
 /// For each of the next `count` answers of a user: the gold task that takes its place, if one is due. Each draw
-/// depends on the user and the number of the answer, so that asking again changes nothing. Tasks are left out that
-/// the user answered, reviewed or began before they became gold, and those whose answer is no longer accepted.
+/// depends on the user and the number of the answer, so that asking again changes nothing.
 fn gold_tasks(
     tx: &mut dyn Tx,
     user: i64,
@@ -401,8 +428,23 @@ fn gold_tasks(
     if due.is_empty() {
         return Ok(places);
     }
+    let golds = known_tasks(tx, user, kind, due.len())?;
+    for (index, gold) in due.into_iter().zip(golds) {
+        places[index] = Some(gold);
+    }
+    Ok(places)
+}
+
+/// The next gold tasks of a user. Those are left out that the user answered, reviewed or began before they became
+/// gold, and those whose answer is no longer accepted.
+fn known_tasks(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    count: usize,
+) -> Result<Vec<i64>, Error> {
     let prefix = GOLD_KEY.len() as i64 + 1;
-    let golds = tx.query(
+    tx.query(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
@@ -412,12 +454,11 @@ fn gold_tasks(
              OR EXISTS (SELECT 1 FROM review v WHERE v.task = o.id AND v.reviewer = ?2)
              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
          ORDER BY t.shuffle, t.id LIMIT ?4",
-        params![kind.as_str(), user, prefix, due.len() as i64],
-    )?;
-    for (index, gold) in due.into_iter().zip(golds) {
-        places[index] = Some(gold.int(0)?);
-    }
-    Ok(places)
+        params![kind.as_str(), user, prefix, count as i64],
+    )?
+    .iter()
+    .map(|row| row.int(0))
+    .collect()
 }
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {

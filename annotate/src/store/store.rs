@@ -136,7 +136,7 @@ impl Store {
             Ok(match claim::claim(tx, user, kind, now)? {
                 Ok(task) => Claimed::Task {
                     detail: Box::new(read::detail(tx, user, task)?),
-                    upcoming: claim::upcoming(tx, user, kind, ahead)?,
+                    upcoming: claim::upcoming(tx, user, kind, task, ahead)?,
                 },
                 Err(empty) => Claimed::Nothing(empty),
             })

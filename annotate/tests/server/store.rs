@@ -852,6 +852,56 @@ fn gold_is_drawn_for_each_answer_and_stands_in_the_places_of_a_bundle() {
 }
 
 #[test]
+fn the_motions_of_the_next_tasks_are_named_gold_ones_too() {
+    on_each("upcoming", |store| {
+        let of = |name: &str, number: usize| NewTask {
+            source: format!("{name}{number}"),
+            ..bare_task(number, TaskKind::Pair)
+        };
+        let bundled = |number: usize| NewTask {
+            bundle: Some("bundle".to_owned()),
+            bundle_index: number as i64,
+            ..of("bundled", number)
+        };
+        let mut tasks: Vec<NewTask> = (0..4).map(bundled).collect();
+        tasks.extend((4..8).map(|number| of("later", number)));
+        tasks.push(NewTask {
+            accepted: Some(pair(Verdict::Keep)),
+            ..of("known", 8)
+        });
+        let site = fixture(store, tasks);
+        let next = |user: i64| match site.store.claim(user, TaskKind::Pair, 3, START) {
+            Ok(Claimed::Task { detail, upcoming }) => (detail.task.source, upcoming.join(" ")),
+            other => panic!("{other:?}"),
+        };
+        let (present, following) = next(site.ann);
+        assert_eq!(present, "bundled0");
+        assert_eq!(
+            following, "bundled1 bundled2 bundled3",
+            "the rest of the bundle"
+        );
+        let accepted = site.store.accepted(&all_keys()).expect("answers");
+        let gold = site.store.make_gold(1, accepted[0].task.id, START);
+        gold.expect("a gold task");
+        let settings = Settings {
+            gold_percent: 1,
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        let (present, following) = next(site.bob);
+        let others = following.replace("known8 ", "");
+        assert_ne!(others, following, "a gold task may come next: {following}");
+        assert!(
+            present.starts_with("later") && others == "later5 later6",
+            "{others}"
+        );
+        site.whole();
+    });
+}
+
+#[test]
 fn home_promises_what_a_claim_gives() {
     on_each("promises", |store| {
         let site = fixture(store, mask_tasks(2));
