@@ -3,7 +3,9 @@
 use datasets_spec::{BlendMask, BodyPart, JointSet};
 
 use crate::Error;
-use crate::wire::{Answer, Code, MAX_MASKS, MAX_TEXT_CHARS, Problem, Settings, TaskKind, Verdict};
+use crate::wire::{
+    Answer, Code, EditType, MAX_MASKS, MAX_TEXT_CHARS, Problem, Settings, TaskKind, Verdict,
+};
 
 /// Checks a draft: fields may be missing, but each present field must be valid.
 ///
@@ -209,6 +211,35 @@ fn normal(text: &str) -> String {
     words.join(" ")
 }
 
+/// What a description starts with as a whole sentence.
+const SUBJECT: &str = "the person is ";
+
+/// A description as the continuation of "The person is …": without these words, and without the full stop after them.
+pub fn completion(text: &str) -> &str {
+    let bare = text.trim();
+    match bare.get(..SUBJECT.len()) {
+        Some(start) if start.eq_ignore_ascii_case(SUBJECT) => {
+            bare[SUBJECT.len()..].trim().trim_end_matches('.')
+        }
+        _ => bare,
+    }
+}
+
+/// A description as a whole sentence, as the tables of a dataset hold it: "waving" becomes "The person is waving.".
+/// Texts that do not read on from "The person is" stay as they are.
+pub fn sentence(text: &str) -> String {
+    let bare = text.trim();
+    let is_gerund = |word: &str| {
+        let letters = word.trim_end_matches(|c: char| !c.is_alphabetic());
+        letters.len() > 4 && letters.ends_with("ing")
+    };
+    // "slowly waving" reads on too.
+    if !bare.split_whitespace().take(2).any(is_gerund) {
+        return bare.to_owned();
+    }
+    format!("The person is {}.", bare.trim_end_matches('.'))
+}
+
 /// The known parts among the names.
 pub fn known_parts(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
@@ -247,6 +278,20 @@ impl Answer {
         }
     }
 
+    /// Whether it judges a pair unusable.
+    pub fn is_reject(&self) -> bool {
+        self.verdict()
+            .is_some_and(|verdict| verdict != Verdict::Keep)
+    }
+
+    /// The type of edit of a pair.
+    pub fn edit_type(&self) -> Option<EditType> {
+        match self {
+            Self::Pair { edit_type, .. } => *edit_type,
+            Self::MaskText { .. } | Self::Style { .. } => None,
+        }
+    }
+
     /// Union of the joints of all masks.
     pub fn joints(&self) -> JointSet {
         match self {
@@ -254,6 +299,28 @@ impl Answer {
                 .iter()
                 .fold(JointSet::EMPTY, |set, mask| set.union(joints(&mask.parts))),
             Self::Pair { parts, .. } | Self::Style { parts, .. } => joints(parts),
+        }
+    }
+
+    /// Names of all its parts.
+    pub fn part_names(&self) -> std::collections::BTreeSet<&str> {
+        match self {
+            Self::MaskText { masks, .. } => masks
+                .iter()
+                .flat_map(|mask| mask.parts.iter().map(String::as_str))
+                .collect(),
+            Self::Pair { parts, .. } | Self::Style { parts, .. } => {
+                parts.iter().map(String::as_str).collect()
+            }
+        }
+    }
+
+    /// The note.
+    pub fn note(&self) -> &str {
+        match self {
+            Self::MaskText { note, .. } | Self::Pair { note, .. } | Self::Style { note, .. } => {
+                note
+            }
         }
     }
 
@@ -520,6 +587,33 @@ pub(crate) mod tests {
             ("größer", "größte", 2.0 / 6.0),
         ] {
             assert!((text_distance(a, b) - expected).abs() < 1e-12, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_description_completes_a_sentence_and_becomes_one_in_the_dataset() {
+        for (text, short, whole) in [
+            (
+                "waving with the left arm",
+                "waving with the left arm",
+                "The person is waving with the left arm.",
+            ),
+            (" The person is waving. ", "waving", "The person is waving."),
+            (
+                "slowly waving.",
+                "slowly waving.",
+                "The person is slowly waving.",
+            ),
+            (
+                "raise the left arm",
+                "raise the left arm",
+                "raise the left arm",
+            ),
+            ("", "", ""),
+        ] {
+            assert_eq!(completion(text), short);
+            assert_eq!(sentence(text), whole);
+            assert_eq!(sentence(&sentence(text)), whole, "once is enough");
         }
     }
 }

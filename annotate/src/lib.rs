@@ -48,6 +48,7 @@ pub mod agreement;
 pub mod answer;
 mod body;
 mod clock;
+pub mod drafting;
 mod error;
 pub mod http;
 mod jobs;

@@ -81,6 +81,32 @@ struct Usage {
 
 const SYSTEM: &str =
     "You help to annotate human motion. Answer with one short English phrase and nothing else.";
+const SYSTEM_PARAPHRASES: &str = "You help to annotate human motion. Answer with short English instructions, one on each line, and nothing \
+     else.";
+
+fn empty() -> Error {
+    Error::refused(
+        Code::ModelFailed,
+        "the language model sent an empty response; write the text yourself",
+    )
+}
+
+fn parse(response: &[u8]) -> Result<Response, Error> {
+    serde_json::from_slice(response).map_err(|_| {
+        Error::refused(
+            Code::ModelFailed,
+            "the language model sent an unexpected response; write the text yourself",
+        )
+    })
+}
+
+impl Response {
+    /// What the model answered.
+    fn content(&self) -> Result<&str, Error> {
+        let choice = self.choices.first().ok_or_else(empty)?;
+        Ok(&choice.message.content)
+    }
+}
 
 fn sha(bytes: &[u8]) -> String {
     Sha256::digest(bytes)
@@ -141,21 +167,7 @@ impl Model {
         parts: &[BodyPart],
     ) -> Result<NewSuggestion, Error> {
         let question = question(task, captions, parts);
-        let request = Request {
-            model: &self.name,
-            messages: [
-                Message {
-                    role: "system",
-                    content: SYSTEM,
-                },
-                Message {
-                    role: "user",
-                    content: &question,
-                },
-            ],
-            temperature: 0.2,
-            max_tokens: 80,
-        };
+        let request = self.request(SYSTEM, &question, 0.2, 80);
         let failed = |problem: String| Error::refused(Code::ModelFailed, problem);
         let body = serde_json::to_vec(&request).map_err(|error| failed(error.to_string()))?;
         let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
@@ -163,22 +175,11 @@ impl Model {
             return Ok(known);
         }
         let response = self.ask(&body)?;
-        let parsed: Response = serde_json::from_slice(&response).map_err(|_| {
-            failed(
-                "the language model sent an unexpected response; write the text yourself"
-                    .to_owned(),
-            )
-        })?;
-        let text = parsed
-            .choices
-            .first()
-            .map(|choice| plain(&choice.message.content))
-            .filter(|text| !text.is_empty())
-            .ok_or_else(|| {
-                failed(
-                    "the language model sent an empty response; write the text yourself".to_owned(),
-                )
-            })?;
+        let parsed = parse(&response)?;
+        let text = plain(parsed.content()?);
+        if text.is_empty() {
+            return Err(empty());
+        }
         Ok(NewSuggestion {
             source: SuggestionSource::Llm,
             parts: parts.iter().map(|part| part.name().to_owned()).collect(),
@@ -192,6 +193,67 @@ impl Model {
             tokens: parsed.usage.and_then(|usage| usage.total_tokens),
             response_hash: sha(&response),
         })
+    }
+
+    fn request<'a>(
+        &'a self,
+        system: &'a str,
+        question: &'a str,
+        temperature: f64,
+        max_tokens: u32,
+    ) -> Request<'a> {
+        Request {
+            model: &self.name,
+            messages: [
+                Message {
+                    role: "system",
+                    content: system,
+                },
+                Message {
+                    role: "user",
+                    content: question,
+                },
+            ],
+            temperature,
+            max_tokens,
+        }
+    }
+
+    /// Requests up to `count` other wordings of an instruction, with the hash of the prompt.
+    ///
+    /// # Errors
+    /// `model_failed`.
+    pub fn paraphrases(
+        &self,
+        instruction: &str,
+        count: usize,
+    ) -> Result<(Vec<String>, String), Error> {
+        let question = format!(
+            "Instruction: {}\n\nGive {count} other wordings that ask for exactly the same, one on each line.",
+            plain(instruction)
+        );
+        let tokens = u32::try_from(count * 40).unwrap_or(u32::MAX);
+        let request = self.request(SYSTEM_PARAPHRASES, &question, 0.8, tokens);
+        let body = serde_json::to_vec(&request)
+            .map_err(|error| Error::refused(Code::ModelFailed, error.to_string()))?;
+        let parsed = parse(&self.ask(&body)?)?;
+        let mut texts: Vec<String> = Vec::new();
+        for line in parsed.content()?.lines() {
+            // Models number their lines whatever they are asked for.
+            let bare = line.trim_start_matches(|c: char| {
+                c.is_ascii_digit() || c.is_whitespace() || matches!(c, '.' | ')' | '-' | '*' | '•')
+            });
+            let text = plain(bare);
+            if !text.is_empty() && text != instruction && !texts.contains(&text) {
+                texts.push(text);
+            }
+        }
+        texts.truncate(count);
+        if texts.is_empty() {
+            return Err(empty());
+        }
+        let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
+        Ok((texts, prompt_hash))
     }
 
     fn ask(&self, body: &[u8]) -> Result<Vec<u8>, Error> {
@@ -244,10 +306,10 @@ fn question(task: &TaskRecord, captions: &[&str], parts: &[BodyPart]) -> String 
     };
     match task.kind {
         TaskKind::MaskText => format!(
-            "Captions of a motion:\n{captions}\n\nSay what the {parts} of the person does, to complete \"The person is ...\"."
+            "Captions of a motion:\n{captions}\n\nSay what the {parts} of the person does, to complete \"The person is ...\". Leave out what other parts of the body do."
         ),
         TaskKind::Pair => format!(
-            "Captions of a motion:\n{captions}\nIt was edited in the {parts}{}.\n\nGive the instruction for this edit.",
+            "Captions of a motion:\n{captions}\nIt was edited in the {parts}{}.\n\nGive the instruction for this edit, as an order to the person. Leave out what other parts of the body do.",
             task.hint
                 .as_ref()
                 .map_or(String::new(), |hint| format!(", for: {}", plain(hint)))

@@ -1,14 +1,17 @@
 //! Quality of the answers: agreement, distance from drafts, times.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, TryLockError};
 
 use datasets_spec::{JointSet, quantile};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::agreement::{self, Item, MIN_ITEMS, estimate};
-use crate::answer::{joints, text_distance};
+use crate::answer::{completion, joints, text_distance};
 use crate::body::RELEASE_PARTS;
-use crate::store::{Label, Store};
+use crate::lock::lock;
+use crate::store::{Label, Millis, Store};
 use crate::wire::{Agreement, Answer, Estimate, RevisionState, TaskKind, Verdict};
 
 /// Tasks read at a time.
@@ -39,8 +42,13 @@ fn draft_distances(store: &Store, answer: &Answer) -> Result<Vec<f64>, Error> {
         .collect();
     Ok(drafted
         .iter()
-        .filter_map(|(text, id)| Some(text_distance(text, known.get(id)?)))
+        .filter_map(|(text, id)| Some(draft_edit(text, known.get(id)?)))
         .collect())
+}
+
+/// Edit distance of a text from its draft. Drafts of masks are shown without "The person is".
+fn draft_edit(text: &str, draft: &str) -> f64 {
+    text_distance(completion(text), completion(draft))
 }
 
 /// Figures of one person.
@@ -59,10 +67,44 @@ pub(crate) struct Figures {
     pub(crate) people: BTreeMap<i64, PersonFigures>,
     /// Time of each submission, and its seconds of work.
     pub(crate) secs_by_time: Vec<(i64, f64)>,
+    /// Time of the last answer to each task with several, and how far they agree, 0 to 1.
+    pub(crate) agreed_by_time: Vec<(i64, f64)>,
+}
+
+/// What the figures need of an answer.
+struct Said {
+    author: i64,
+    secs: f64,
+    at: i64,
+    blind: bool,
+    state: RevisionState,
+    /// Edit distances of its texts from their drafts.
+    drafts: Vec<f64>,
+    /// Place of its verdict in [`Verdict::ALL`].
+    verdict: Option<usize>,
+    /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
+    covers: Vec<bool>,
+    joints: JointSet,
+}
+
+/// The answers to a task.
+struct OfTask {
+    kind: TaskKind,
+    gold: bool,
+    said: Vec<Said>,
+}
+
+/// What the figures need of all answers. It is kept in memory and brought up to date with the tasks that changed since,
+/// so that answers are read once.
+#[derive(Default)]
+pub(crate) struct Gathered {
+    /// Sequence number of the log up to which it is up to date.
+    seq: i64,
+    tasks: BTreeMap<i64, OfTask>,
 }
 
 #[derive(Default)]
-struct Gathered {
+struct OfPerson {
     secs: Vec<f64>,
     drafts: Vec<f64>,
     /// Jaccard index with the other answers to a task.
@@ -70,54 +112,86 @@ struct Gathered {
 }
 
 impl Figures {
-    /// Reads all submitted answers. Gold tasks are excluded from agreement.
+    /// Figures of all submitted answers. Gold tasks are excluded from agreement.
     pub(crate) fn of(store: &Store) -> Result<Self, Error> {
-        let mut people: BTreeMap<i64, Gathered> = BTreeMap::new();
+        let mut gathered = Gathered::default();
+        gathered.update(store)?;
+        Ok(gathered.figures())
+    }
+}
+
+impl Gathered {
+    /// Reads the answers to tasks that changed, and returns whether there were any.
+    pub(crate) fn update(&mut self, store: &Store) -> Result<bool, Error> {
+        let (changed, seq) = store.answered_since(self.seq)?;
+        for tasks in changed.chunks(BATCH) {
+            let labels = store.labels_to(tasks.to_vec())?;
+            let drafts = drafts_of(store, &labels)?;
+            for task in tasks {
+                self.tasks.remove(task);
+            }
+            for task in labels.chunk_by(|a, b| a.task == b.task) {
+                self.tasks.insert(
+                    task[0].task,
+                    OfTask {
+                        kind: task[0].kind,
+                        gold: task[0].gold,
+                        said: task.iter().map(|label| said(label, &drafts)).collect(),
+                    },
+                );
+            }
+        }
+        self.seq = seq;
+        Ok(!changed.is_empty())
+    }
+
+    /// The figures.
+    pub(crate) fn figures(&self) -> Figures {
+        let mut people: BTreeMap<i64, OfPerson> = BTreeMap::new();
         let mut secs_by_time = Vec::new();
+        let mut agreed_by_time = Vec::new();
         let mut parts: Vec<Vec<Item>> = vec![Vec::new(); RELEASE_PARTS.len()];
         let mut sets: Vec<Vec<JointSet>> = Vec::new();
         let mut verdicts: Vec<Item> = Vec::new();
         let mut decided: Vec<bool> = Vec::new();
         let (mut with_draft, mut without_draft) = (Vec::new(), Vec::new());
-        let mut after = 0;
-        loop {
-            let labels = store.labels(after, BATCH)?;
-            let Some(last) = labels.last() else { break };
-            after = last.task;
-            for task in labels.chunk_by(|a, b| a.task == b.task) {
-                for label in task {
-                    let revision = &label.revision;
-                    let person = people.entry(revision.author).or_default();
-                    person.secs.push(revision.secs);
-                    secs_by_time.push((revision.at, revision.secs));
-                    let drafts = draft_distances(store, &revision.answer)?;
-                    person.drafts.extend(&drafts);
-                    if label.blind {
-                        without_draft.push(revision.secs);
-                    } else if !drafts.is_empty() {
-                        with_draft.push(revision.secs);
-                    }
-                    match revision.state {
-                        RevisionState::Accepted => decided.push(true),
-                        RevisionState::Returned | RevisionState::Superseded => decided.push(false),
-                        RevisionState::Draft | RevisionState::Submitted => {}
-                    }
+        for task in self.tasks.values() {
+            for said in &task.said {
+                let person = people.entry(said.author).or_default();
+                person.secs.push(said.secs);
+                secs_by_time.push((said.at, said.secs));
+                person.drafts.extend(&said.drafts);
+                if said.blind {
+                    without_draft.push(said.secs);
+                } else if !said.drafts.is_empty() {
+                    with_draft.push(said.secs);
                 }
-                if task.len() > 1 && !task[0].gold {
-                    shared(task, &mut parts, &mut sets, &mut verdicts, &mut people);
+                match said.state {
+                    RevisionState::Accepted => decided.push(true),
+                    RevisionState::Returned | RevisionState::Superseded => decided.push(false),
+                    RevisionState::Draft | RevisionState::Submitted => {}
                 }
+            }
+            if task.said.len() > 1 && !task.gold {
+                let agreed = shared(task, &mut parts, &mut sets, &mut verdicts, &mut people);
+                let last = task.said.iter().map(|said| said.at).max();
+                agreed_by_time.extend(last.zip(agreed));
             }
         }
         let mut all: Vec<Item> = Vec::new();
-        let mut figures: Vec<_> = RELEASE_PARTS
+        for items in &parts {
+            all.extend(items.iter().cloned());
+        }
+        let mut decisions: Vec<(&str, &Vec<Item>)> = RELEASE_PARTS
             .iter()
+            .map(|part| part.name())
             .zip(&parts)
-            .map(|(part, items)| {
-                all.extend(items.iter().cloned());
-                agreement::figures(part.name(), items, 2)
-            })
             .collect();
-        figures.push(agreement::figures("overall", &all, 2));
+        decisions.push(("overall", &all));
+        let figures = decisions
+            .into_par_iter()
+            .map(|(name, items)| agreement::figures(name, items, 2))
+            .collect();
         let everything: Vec<f64> = people
             .values()
             .flat_map(|person| person.drafts.iter().copied())
@@ -170,74 +244,158 @@ impl Figures {
                 (id, figures)
             })
             .collect();
-        Ok(Self {
+        Figures {
             agreement,
             people,
             secs_by_time,
-        })
+            agreed_by_time,
+        }
     }
 }
 
-/// Adds a task with several answers.
+/// Texts of the suggestions that answers started from.
+fn drafts_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<i64, String>, Error> {
+    let mut ids: Vec<i64> = labels
+        .iter()
+        .flat_map(|label| label.revision.answer.texts())
+        .filter_map(|(_, draft)| draft)
+        .collect();
+    ids.sort_unstable();
+    ids.dedup();
+    Ok(store
+        .suggestions(ids)?
+        .into_iter()
+        .map(|suggestion| (suggestion.id, suggestion.text))
+        .collect())
+}
+
+fn said(label: &Label, drafts: &BTreeMap<i64, String>) -> Said {
+    let revision = &label.revision;
+    let verdict = revision.answer.verdict();
+    let covers = match &revision.answer {
+        Answer::MaskText { masks, .. } => {
+            let sets: Vec<JointSet> = masks.iter().map(|mask| joints(&mask.parts)).collect();
+            RELEASE_PARTS
+                .iter()
+                .map(|part| {
+                    let hard = part.mask().hard();
+                    sets.iter().any(|set| hard.difference(*set).is_empty())
+                })
+                .collect()
+        }
+        Answer::Pair { .. } | Answer::Style { .. } => Vec::new(),
+    };
+    Said {
+        author: revision.author,
+        secs: revision.secs,
+        at: revision.at,
+        blind: label.blind,
+        state: revision.state,
+        drafts: revision
+            .answer
+            .texts()
+            .into_iter()
+            .filter_map(|(text, draft)| Some(draft_edit(text, drafts.get(&draft?)?)))
+            .collect(),
+        verdict: Verdict::ALL
+            .iter()
+            .position(|known| Some(*known) == verdict),
+        covers,
+        joints: revision.answer.joints(),
+    }
+}
+
+/// Adds a task with several answers, and returns how far they agree: the mean over the authors of their agreement with
+/// the others.
 fn shared(
-    task: &[Label],
+    task: &OfTask,
     parts: &mut [Vec<Item>],
     sets: &mut Vec<Vec<JointSet>>,
     verdicts: &mut Vec<Item>,
-    people: &mut BTreeMap<i64, Gathered>,
-) {
-    let answers = || {
-        task.iter()
-            .map(|label| (label.revision.author, &label.revision.answer))
+    people: &mut BTreeMap<i64, OfPerson>,
+) -> Option<f64> {
+    let mut each = Vec::new();
+    let mut add = |author: i64, values: Vec<f64>| {
+        if let Some(value) = mean(&values) {
+            each.push(value);
+            if let Some(person) = people.get_mut(&author) {
+                person.shared.push(value);
+            }
+        }
     };
-    if task[0].kind != TaskKind::MaskText {
-        let verdict = |answer: &Answer| {
-            let verdict = answer.verdict()?;
-            Verdict::ALL.iter().position(|&known| known == verdict)
-        };
-        let item: Item = answers()
-            .filter_map(|(author, answer)| Some((author, verdict(answer)?)))
+    if task.kind != TaskKind::MaskText {
+        let item: Item = task
+            .said
+            .iter()
+            .filter_map(|said| Some((said.author, said.verdict?)))
             .collect();
         for (index, (author, label)) in item.iter().enumerate() {
-            let others: Vec<f64> = item
+            let others = item
                 .iter()
                 .enumerate()
                 .filter(|(other, _)| *other != index)
                 .map(|(_, (_, other))| f64::from(u8::from(other == label)))
                 .collect();
-            if let (Some(value), Some(person)) = (mean(&others), people.get_mut(author)) {
-                person.shared.push(value);
-            }
+            add(*author, others);
         }
         verdicts.push(item);
-        return;
+        return mean(&each);
     }
-    // A part counts as marked if one mask contains all its hard joints: BOTH_ARMS marks each arm.
-    let covers = |answer: &Answer, part: usize| match answer {
-        Answer::MaskText { masks, .. } => masks.iter().any(|mask| {
-            let set = joints(&mask.parts);
-            RELEASE_PARTS[part].mask().hard().difference(set).is_empty()
-        }),
-        Answer::Pair { .. } | Answer::Style { .. } => false,
-    };
     for (part, items) in parts.iter_mut().enumerate() {
         items.push(
-            answers()
-                .map(|(author, answer)| (author, usize::from(covers(answer, part))))
+            task.said
+                .iter()
+                .map(|said| (said.author, usize::from(said.covers[part])))
                 .collect(),
         );
     }
-    let all: Vec<JointSet> = answers().map(|(_, answer)| answer.joints()).collect();
-    for (index, (author, _)) in answers().enumerate() {
-        let others: Vec<f64> = all
+    let all: Vec<JointSet> = task.said.iter().map(|said| said.joints).collect();
+    for (index, said) in task.said.iter().enumerate() {
+        let others = all
             .iter()
             .enumerate()
             .filter(|(other, _)| *other != index)
             .map(|(_, set)| crate::answer::jaccard(all[index], *set))
             .collect();
-        if let (Some(value), Some(person)) = (mean(&others), people.get_mut(&author)) {
-            person.shared.push(value);
-        }
+        add(said.author, others);
     }
     sets.push(all);
+    mean(&each)
+}
+
+/// Figures kept between visits: answers are read once, and the figures computed anew when answers have changed and the
+/// last computation is old enough.
+#[derive(Default)]
+pub(crate) struct KeptFigures {
+    gathered: Mutex<Gathered>,
+    last: Mutex<Option<(Millis, Arc<Figures>)>>,
+}
+
+/// Age in milliseconds up to which figures are not computed again, even if answers have changed.
+const FIGURES_AGE: Millis = 60_000;
+
+impl KeptFigures {
+    /// The figures at `now`. While another request computes them, the last ones are returned.
+    pub(crate) fn get(&self, store: &Store, now: Millis) -> Result<Arc<Figures>, Error> {
+        let last = lock(&self.last).clone();
+        if let Some((at, figures)) = &last
+            && (0..FIGURES_AGE).contains(&(now - at))
+        {
+            return Ok(Arc::clone(figures));
+        }
+        let mut gathered = match (self.gathered.try_lock(), &last) {
+            (Ok(gathered), _) => gathered,
+            (Err(TryLockError::WouldBlock), Some((_, figures))) => return Ok(Arc::clone(figures)),
+            _ => lock(&self.gathered),
+        };
+        let changed = gathered.update(store)?;
+        // The lock may have been waited for: whoever held it has just computed them.
+        let last = lock(&self.last).clone();
+        let figures = match last {
+            Some((_, figures)) if !changed => figures,
+            _ => Arc::new(gathered.figures()),
+        };
+        *lock(&self.last) = Some((now, Arc::clone(&figures)));
+        Ok(figures)
+    }
 }

@@ -42,6 +42,14 @@ names! {
         SettingsChanged = "settings_changed",
         /// Accepted answers were exported.
         Exported = "exported",
+        /// A task was reserved for a person.
+        Assigned = "assigned",
+        /// The number of answers that a task wants was changed.
+        Retargeted = "retargeted",
+        /// A picture of the guide was stored or deleted.
+        GuidePicture = "guide_picture",
+        /// A reviewer judged a paraphrase.
+        ParaphraseJudged = "paraphrase_judged",
     }
 }
 
@@ -54,6 +62,8 @@ names! {
         Review = "review",
         /// Reservation for an author whose answer was returned.
         Returned = "returned",
+        /// Reservation for a person whom a reviewer gave the task to.
+        Assigned = "assigned",
     }
 }
 
@@ -99,7 +109,11 @@ pub const MOVES: &[Move] = &[
     row(Open, E::Undone, &[Leased]),
     row(Open, E::Dropped, &[Dropped]),
     row(Open, E::SuggestionUsed, &[Open]),
+    row(Open, E::Assigned, &[Leased]),
+    row(Open, E::Retargeted, &[Open, Submitted]),
     row(Leased, E::Claimed, &[Leased]),
+    row(Leased, E::Assigned, &[Leased]),
+    row(Leased, E::Retargeted, &[Leased]),
     row(Leased, E::Renewed, &[Leased]),
     row(Leased, E::Released, WANTING),
     row(Leased, E::DraftSaved, &[Leased]),
@@ -111,6 +125,8 @@ pub const MOVES: &[Move] = &[
     row(Leased, E::GoldScored, &[Leased]),
     row(Open, E::GoldScored, &[Open]),
     row(Returned, E::Claimed, &[Leased]),
+    row(Returned, E::Assigned, &[Leased]),
+    row(Returned, E::Retargeted, &[Returned]),
     row(Returned, E::Released, WANTING),
     row(Returned, E::DraftSaved, &[Returned]),
     row(Returned, E::Undone, &[Leased]),

@@ -8,14 +8,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use annotate::drafting::{self, Drafted};
 use annotate::http::{PATIENCE, Server, ServerConfig, TrustedProxy, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::store::{self, Store, TokenUse};
+use annotate::store::{self, Store, TokenUse, Who};
 use annotate::transfer::{self, Selection, Taken};
-use annotate::wire::{ExportFormat, Role, User};
+use annotate::wire::{
+    BulkAction, BulkDone, BulkRequest, ExportFormat, Role, RuleUndone, RulesApplied, TaskFilter,
+    TaskKind, TaskState, User, Verdict,
+};
 use anyhow::{Context, bail};
 use datasets_spec::{Dataset, Progress as _, Split};
+use pipeline::compose::Phrases;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
@@ -108,6 +113,34 @@ enum Action {
         #[arg(long)]
         events: bool,
     },
+    /// Rules that accept answers without a reviewer; the admin page edits them
+    Rules {
+        #[command(subcommand)]
+        action: Option<RulesAction>,
+    },
+    /// Do one thing to all tasks of a filter; without --yes only count them
+    Bulk(Box<BulkArgs>),
+    /// Ask the language model for drafts of tasks that still want answers and have none
+    Drafts {
+        /// Only tasks of this kind
+        #[arg(long, value_parser = ["mask_text", "pair", "style"])]
+        kind: Option<String>,
+        /// Most tasks to ask for
+        #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "TASKS")]
+        limit: usize,
+    },
+    /// Ask the language model for other wordings of accepted instructions, or write those that reviewers accepted
+    Paraphrases {
+        /// Write the accepted ones to this file, for `stance triplets --phrases`
+        #[arg(long, value_name = "TOML")]
+        to: Option<PathBuf>,
+        /// Wordings of each instruction to ask for
+        #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=20))]
+        each: u8,
+        /// Most instructions to ask for
+        #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "INSTRUCTIONS")]
+        limit: usize,
+    },
     /// Copy the store to a new file; servers may keep running
     Backup {
         /// New file
@@ -120,6 +153,62 @@ enum Action {
 }
 
 #[derive(clap::Subcommand, Debug)]
+enum RulesAction {
+    /// List the rules, what they accepted and what they would accept
+    List,
+    /// Apply the enabled rules to all tasks that wait for review
+    Apply,
+    /// Disable a rule and take all its acceptances back
+    Undo {
+        /// Name of the rule
+        name: String,
+    },
+}
+
+#[derive(clap::Args, Debug)]
+struct BulkArgs {
+    /// What to do with each task
+    #[arg(value_parser = ["accept", "return", "drop", "reopen", "assign"])]
+    action: String,
+    /// Only tasks of this kind
+    #[arg(long, value_parser = ["mask_text", "pair", "style"])]
+    kind: Option<String>,
+    /// Only tasks in this state
+    #[arg(long, value_parser = ["open", "leased", "submitted", "in_review", "accepted", "returned", "dropped"])]
+    state: Option<String>,
+    /// Only tasks whose texts, captions or ids hold this text
+    #[arg(long, value_name = "TEXT")]
+    search: Option<String>,
+    /// Only tasks that this person answered, skipped or holds
+    #[arg(long, value_name = "NAME")]
+    person: Option<String>,
+    /// Only tasks with an answer that names this part
+    #[arg(long)]
+    part: Option<String>,
+    /// Only tasks with an answer of this verdict
+    #[arg(long, value_parser = ["keep", "unnatural", "unclear", "identical"])]
+    verdict: Option<String>,
+    /// Only tasks of this category
+    #[arg(long)]
+    category: Option<String>,
+    /// Only tasks whose answers differ at most so much, 0 to 1
+    #[arg(long, value_name = "DISTANCE")]
+    max_distance: Option<f64>,
+    /// Only tasks that this rule accepted
+    #[arg(long, value_name = "NAME")]
+    rule: Option<String>,
+    /// Comment for the authors and the log; return, drop and reopen need one
+    #[arg(long, default_value = "")]
+    comment: String,
+    /// Who the tasks are reserved for, for assign
+    #[arg(long, value_name = "NAME")]
+    to: Option<String>,
+    /// Act; otherwise the tasks are only counted
+    #[arg(long)]
+    yes: bool,
+}
+
+#[derive(clap::Subcommand, Debug)]
 enum UserAction {
     /// Add a user and print their token, only once
     Add {
@@ -128,6 +217,17 @@ enum UserAction {
         /// What they may do
         #[arg(long, default_value = "annotator", value_parser = ["annotator", "reviewer", "admin"])]
         role: String,
+    },
+    /// Add the users of a file with a line each, NAME or NAME,ROLE, and print a link to log in for each
+    Import {
+        /// File of lines
+        file: PathBuf,
+        /// Address of the server that the links begin with
+        #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8765")]
+        url: String,
+        /// Days until the links end
+        #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
+        days: u16,
     },
     /// List the users
     List,
@@ -156,6 +256,14 @@ enum UserAction {
 struct TokenDocument {
     user: User,
     token: String,
+    expires: i64,
+}
+
+/// A new user in the `--json` document of `user import`.
+#[derive(Serialize)]
+struct Link {
+    user: User,
+    link: String,
     expires: i64,
 }
 
@@ -206,6 +314,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             };
             export(args, store.as_ref(), &selection, to.as_deref(), global)
         }
+        Some(Action::Rules { action }) => rules(store.as_ref(), action.as_ref(), global),
+        Some(Action::Bulk(bulk)) => run_bulk(store.as_ref(), bulk, global),
+        Some(Action::Drafts { kind, limit }) => {
+            let kind = kind.as_deref().and_then(TaskKind::parse);
+            ask_drafts(args, store.as_ref(), kind, *limit, global)
+        }
+        Some(Action::Paraphrases { to, each, limit }) => match to {
+            Some(to) => write_phrases(store.as_ref(), to, global),
+            None => ask_paraphrases(store.as_ref(), usize::from(*each), *limit, global),
+        },
         Some(Action::Backup { file }) => {
             store.backup(file)?;
             say(
@@ -309,6 +427,27 @@ fn user(store: &Store, action: &UserAction, global: &Global) -> anyhow::Result<E
             let user = store.add_user(None, name, role(text)?, now())?;
             token(store, &user, DAYS, global)
         }
+        UserAction::Import { file, url, days } => {
+            let lines = std::fs::read_to_string(file)
+                .with_context(|| format!("cannot read {}", file.display()))?;
+            let expires = now() + i64::from(*days) * DAY;
+            let added: Vec<Link> = store
+                .add_users(None, &lines, expires, now())
+                .with_context(|| format!("in {}", file.display()))?
+                .into_iter()
+                .map(|issued| Link {
+                    link: format!("{}/#token={}", url.trim_end_matches('/'), issued.token),
+                    user: issued.user,
+                    expires: issued.expires,
+                })
+                .collect();
+            let lines: Vec<String> = added
+                .iter()
+                .map(|added| format!("{},{},{}", added.user.name, added.user.role, added.link))
+                .collect();
+            report::note("a link logs its user in until it ends; the links are shown this once");
+            say(global, &serde_json::to_value(&added)?, &lines.join("\n"))
+        }
         UserAction::List => {
             let users = store.users()?;
             let lines: Vec<String> = users
@@ -348,6 +487,226 @@ fn changed(user: User, global: &Global) -> anyhow::Result<Exit> {
     let state = if user.active { "" } else { ", disabled" };
     let text = format!("{}: {}{state}", user.name, user.role);
     say(global, &serde_json::to_value(&user)?, &text)
+}
+
+/// The admin that the command line acts as.
+fn operator(store: &Store) -> anyhow::Result<Who> {
+    let admin = store
+        .users()?
+        .into_iter()
+        .find(|user| user.active && user.role == Role::Admin)
+        .context("there is no active admin to act as; add one with `user add NAME --role admin`")?;
+    Ok(Who {
+        id: admin.id,
+        name: admin.name,
+        role: admin.role,
+    })
+}
+
+fn rules(store: &Store, action: Option<&RulesAction>, global: &Global) -> anyhow::Result<Exit> {
+    match action {
+        None | Some(RulesAction::List) => {
+            let states = store.rules()?;
+            let mut lines = vec![format!(
+                "{:<24} {:<9} {:>9} {:>13} {:>15}",
+                "rule", "enabled", "accepted", "would accept", "left to review"
+            )];
+            lines.extend(states.iter().map(|state| {
+                format!(
+                    "{:<24} {:<9} {:>9} {:>13} {:>15}",
+                    state.rule.name,
+                    if state.rule.enabled { "yes" } else { "no" },
+                    state.accepted,
+                    state.would_accept,
+                    state.left_to_review
+                )
+            }));
+            say(global, &serde_json::to_value(&states)?, &lines.join("\n"))
+        }
+        Some(RulesAction::Apply) => {
+            let mut all = RulesApplied::default();
+            let mut after = Some(0);
+            while let Some(from) = after {
+                let some = store.apply_rules(from, now())?;
+                all.looked_at += some.looked_at;
+                for (name, count) in some.accepted {
+                    *all.accepted.entry(name).or_default() += count;
+                }
+                after = some.next;
+            }
+            let mut lines = vec![format!("{} tasks waited for review", all.looked_at)];
+            lines.extend(
+                all.accepted
+                    .iter()
+                    .map(|(name, count)| format!("  accepted by {name:<24} {count:>8}")),
+            );
+            say(global, &serde_json::to_value(&all)?, &lines.join("\n"))
+        }
+        Some(RulesAction::Undo { name }) => {
+            let admin = operator(store)?;
+            let mut all = RuleUndone::default();
+            loop {
+                let some = store.undo_rule(admin.id, name, now())?;
+                all.reopened += some.reopened;
+                if some.left == 0 {
+                    break;
+                }
+            }
+            let text = format!(
+                "rule {name} is disabled; {} of its acceptances were taken back and wait for review",
+                all.reopened
+            );
+            say(global, &serde_json::to_value(&all)?, &text)
+        }
+    }
+}
+
+/// The language model, which the command cannot do without.
+fn needed_model() -> anyhow::Result<Model> {
+    model()?.with_context(|| {
+        format!("there is no language model; set {MODEL_URL} and {MODEL_NAME} to that of an OpenAI-compatible endpoint")
+    })
+}
+
+fn say_drafted(done: &Drafted, what: &str, global: &Global) -> anyhow::Result<Exit> {
+    let mut lines = vec![format!(
+        "{} new texts for {} {what}",
+        done.texts, done.looked_at
+    )];
+    if done.without_parts > 0 {
+        lines.push(format!(
+            "  {} tasks have no part to describe; `stance masks` suggests some",
+            done.without_parts
+        ));
+    }
+    if let Some(failure) = &done.last_failure {
+        lines.push(format!(
+            "  {} requests failed, the last one because {failure}; run the command again",
+            done.failures
+        ));
+    }
+    say(global, &serde_json::to_value(done)?, &lines.join("\n"))?;
+    Ok(if done.failures > 0 {
+        Exit::Failed
+    } else {
+        Exit::Done
+    })
+}
+
+fn ask_drafts(
+    args: &Args,
+    store: &Store,
+    kind: Option<TaskKind>,
+    limit: usize,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let model = needed_model()?;
+    let motions = MotionLibrary::open(&args.dataset)?;
+    let bars = global.bars();
+    bars.begin("drafts", None);
+    let mut last = 0;
+    let done = drafting::draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
+        bars.advance((tasks - last) as u64);
+        last = tasks;
+    })?;
+    bars.finish(&format!("{} tasks", done.looked_at));
+    say_drafted(&done, "tasks", global)
+}
+
+fn ask_paraphrases(
+    store: &Store,
+    each: usize,
+    limit: usize,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let model = needed_model()?;
+    let bars = global.bars();
+    bars.begin("paraphrases", None);
+    let mut last = 0;
+    let done = drafting::paraphrase_all(store, &model, each, limit, now(), &mut |texts| {
+        bars.advance((texts - last) as u64);
+        last = texts;
+    })?;
+    bars.finish(&format!("{} instructions", done.looked_at));
+    say_drafted(&done, "instructions", global)
+}
+
+/// Writes the accepted paraphrases as the composer reads them.
+fn write_phrases(store: &Store, to: &Path, global: &Global) -> anyhow::Result<Exit> {
+    let phrases = Phrases {
+        paraphrases: store.accepted_paraphrases()?,
+        ..Phrases::default()
+    };
+    let count: usize = phrases.paraphrases.values().map(Vec::len).sum();
+    std::fs::write(to, toml::to_string(&phrases)?)
+        .with_context(|| format!("cannot write {}", to.display()))?;
+    let text = format!(
+        "{count} wordings of {} instructions in {}",
+        phrases.paraphrases.len(),
+        to.display()
+    );
+    let document = serde_json::json!({
+        "instructions": phrases.paraphrases.len(), "wordings": count, "file": to,
+    });
+    say(global, &document, &text)
+}
+
+fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyhow::Result<Exit> {
+    let id = |name: &Option<String>| -> anyhow::Result<Option<i64>> {
+        name.as_ref()
+            .map(|name| find(store, name).map(|user| user.id))
+            .transpose()
+    };
+    let mut request = BulkRequest {
+        filter: TaskFilter {
+            kind: args.kind.as_deref().and_then(TaskKind::parse),
+            state: args.state.as_deref().and_then(TaskState::parse),
+            q: args.search.clone(),
+            person: id(&args.person)?,
+            part: args.part.clone(),
+            verdict: args.verdict.as_deref().and_then(Verdict::parse),
+            category: args.category.clone(),
+            max_distance: args.max_distance,
+            rule: args.rule.clone(),
+            ..TaskFilter::default()
+        },
+        action: BulkAction::parse(&args.action).context("the action is not known")?,
+        comment: args.comment.clone(),
+        person: id(&args.to)?,
+        after: None,
+    };
+    let who = operator(store)?;
+    let done = if args.yes {
+        let mut all = BulkDone::default();
+        loop {
+            let some = store.bulk(&who, request.clone(), now())?;
+            all.looked_at += some.looked_at;
+            all.done += some.done;
+            for (reason, count) in some.left_alone {
+                *all.left_alone.entry(reason).or_default() += count;
+            }
+            request.after = some.next;
+            if request.after.is_none() {
+                break all;
+            }
+        }
+    } else {
+        store.preview_bulk(&who, request, now())?
+    };
+    let verb = if args.yes { "done" } else { "would be done" };
+    let mut lines = vec![format!(
+        "{}: {} of {} tasks {verb}",
+        args.action, done.done, done.looked_at
+    )];
+    lines.extend(
+        done.left_alone
+            .iter()
+            .map(|(reason, count)| format!("  left alone: {reason:<20} {count:>8}")),
+    );
+    if !args.yes {
+        report::note("nothing was changed; add --yes to act");
+    }
+    say(global, &serde_json::to_value(&done)?, &lines.join("\n"))
 }
 
 /// Makes a token. It is the result, and goes to stdout alone.

@@ -22,7 +22,7 @@ use crate::Error;
 use crate::clock::Clock;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
-use crate::quality::Figures;
+use crate::quality::KeptFigures;
 use crate::store::{Millis, Store, Who};
 use crate::wire::{Code, MAX_BODY_BYTES, Role};
 
@@ -150,8 +150,8 @@ pub(crate) struct App {
     pub(crate) metrics: Metrics,
     /// Why the store accepts no writes, if it does not.
     pub(crate) read_only: Mutex<Option<String>>,
-    /// Cached agreement figures and their time.
-    pub(crate) figures: Mutex<Option<(Millis, Arc<Figures>)>>,
+    /// Agreement figures.
+    pub(crate) figures: KeptFigures,
     pub(crate) last_seq: tokio::sync::watch::Sender<i64>,
 }
 

@@ -30,6 +30,7 @@ use tower_service::Service;
 use crate::Error;
 use crate::lock::lock;
 use crate::motions::MotionLibrary;
+use crate::quality::KeptFigures;
 use crate::store::{Store, TokenUse, Who};
 use crate::wire::{Code, Problem};
 use app::{App, blocking, cookie, packed, reply_response, set, text};
@@ -111,7 +112,7 @@ impl Server {
             limiter: Limiter::default(),
             metrics: Metrics::default(),
             read_only: Mutex::new(None),
-            figures: Mutex::new(None),
+            figures: KeptFigures::default(),
             last_seq,
         });
         runtime.spawn(stream::watch(Arc::clone(&app)));

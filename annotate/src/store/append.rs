@@ -1,18 +1,18 @@
 //! Events of a task: drafts, submissions, skips and undo.
 
-use super::claim::lease_end;
+use super::claim::{MINUTE, lease_end};
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, Reply};
 use super::project;
 use super::records::{Millis, TaskRecord};
 use super::replies::{full_key, hash_of, parsed, replay};
-use super::{apply, log, read, rows};
+use super::{apply, log, read, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
-    Answer, Code, EventKind, EventResult, Lease, MAX_TEXT_CHARS, NewEvent, Problem, Revision,
-    RevisionState, Settings, TaskState,
+    Answer, Code, EventKind, EventResult, Feedback, Lease, MAX_TEXT_CHARS, NewEvent, Problem,
+    Revision, RevisionState, Settings, TaskState,
 };
 
 /// Maximum working time that one event can report.
@@ -89,6 +89,7 @@ fn refused(
         state: Some(state_for(tx, taking.task.id, taking.user)?),
         lease: annotate_lease(tx, taking.task.id, taking.user)?,
         problem: Some(problem),
+        feedback: None,
     })
 }
 
@@ -142,6 +143,19 @@ impl Taking {
         key: String,
         problem: Option<Problem>,
     ) -> Result<EventResult, Error> {
+        self.log_with(tx, entry, event, key, problem, None)
+    }
+
+    /// [`Self::log`] with the known answer of a practice task.
+    fn log_with(
+        &self,
+        tx: &mut dyn Tx,
+        entry: &Entry,
+        event: &NewEvent,
+        key: String,
+        problem: Option<Problem>,
+        feedback: Option<Feedback>,
+    ) -> Result<EventResult, Error> {
         let mut answered = None;
         log::write(tx, entry, |tx, seq| {
             let result = EventResult {
@@ -152,6 +166,7 @@ impl Taking {
                 state: Some(state_for(tx, self.task.id, self.user)?),
                 lease: annotate_lease(tx, self.task.id, self.user)?,
                 problem,
+                feedback,
             };
             let text = serde_json::to_string(&result).map_err(|error| Error::Row {
                 table: "event",
@@ -267,10 +282,19 @@ impl Taking {
             distance: answer::spread(&answers),
             request,
         };
-        let result = self.log(tx, &self.entry(epoch, body), event, key, None)?;
+        let feedback = self
+            .task
+            .gold
+            .clone()
+            .zip(score)
+            .filter(|_| self.task.practice)
+            .map(|(known, score)| Feedback { score, known });
+        let entry = self.entry(epoch, body);
+        let result = self.log_with(tx, &entry, event, key, None, feedback)?;
         if let Some(score) = score {
             log::note(tx, &self.entry(None, Body::GoldScored { score }))?;
         }
+        rules::on_answer(tx, &self.settings, self.task.id, self.now)?;
         Ok(result)
     }
 
@@ -359,14 +383,24 @@ impl Taking {
         request: String,
         mine: Option<Revision>,
     ) -> Result<EventResult, Error> {
-        let mine = mine.filter(|mine| mine.state == RevisionState::Submitted);
-        let Some(mine) = mine else {
+        let handed_in = mine
+            .filter(|mine| !matches!(mine.state, RevisionState::Draft | RevisionState::Returned));
+        let Some(mine) = handed_in else {
             return Err(Error::wrong_state(
                 self.task.state,
                 "taken back: you have no answer waiting for review",
             ));
         };
-        apply::check_move(self.task.state, LogKind::Undone, "taken back")?;
+        let mut state = self.task.state;
+        // No person has decided yet: the rule's acceptance goes first.
+        if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
+            && self.now - at <= take_back_window(&self.settings)
+        {
+            let comment = "taken back by its author";
+            rules::reopen(tx, Some(self.user), self.task.id, &rule, comment, self.now)?;
+            state = TaskState::Submitted;
+        }
+        apply::check_move(state, LogKind::Undone, "taken back")?;
         let epoch = 1 + tx.number(
             "SELECT epoch FROM task WHERE id = ?1",
             params![self.task.id],
@@ -406,6 +440,11 @@ impl Taking {
             None,
         )
     }
+}
+
+/// How long an author may take back an answer that a rule accepted, in milliseconds.
+pub(super) fn take_back_window(settings: &Settings) -> Millis {
+    Millis::from(settings.take_back_minutes) * MINUTE
 }
 
 /// Submitted answers to a task, except those of one author.

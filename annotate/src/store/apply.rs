@@ -31,13 +31,23 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
     let before = state_of(tx, task)?;
     let kind = entry.body.kind();
     change(tx, seq, entry, task)?;
-    let secs = entry.body.secs();
-    if secs > 0.0 {
+    if matches!(
+        kind,
+        LogKind::Submitted
+            | LogKind::Skipped
+            | LogKind::Returned
+            | LogKind::Accepted
+            | LogKind::Merged
+            | LogKind::Dropped
+            | LogKind::Reopened
+            | LogKind::Undone
+    ) {
         tx.execute(
-            "INSERT INTO work (seq, task, usr, at, secs) VALUES (?1, ?2, ?3, ?4, ?5)",
-            params![seq, task, entry.actor.unwrap_or(0), entry.at, secs],
+            "UPDATE task SET touched = ?2 WHERE id = ?1",
+            params![task, entry.at],
         )?;
     }
+    count_work(tx, seq, entry, task)?;
     let after = state_of(tx, task)?;
     if targets(before, kind).contains(&after) {
         return Ok(());
@@ -48,6 +58,35 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
             "entry {seq} ({kind}) would move task {task} from {before} to {after}, which is no legal move"
         ),
     })
+}
+
+/// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
+fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Error> {
+    let (answers, skips, reviews): (i64, i64, i64) = match &entry.body {
+        Body::Submitted { .. } => (1, 0, 0),
+        Body::Skipped { .. } => (0, 1, 0),
+        Body::Accepted { request, .. }
+        | Body::Merged { request, .. }
+        | Body::Returned { request, .. }
+        | Body::Dropped { request, .. }
+            if !request.is_empty() =>
+        {
+            (0, 0, 1)
+        }
+        _ => (0, 0, 0),
+    };
+    let secs = entry.body.secs();
+    let Some(actor) = entry
+        .actor
+        .filter(|_| secs > 0.0 || answers + skips + reviews > 0)
+    else {
+        return Ok(());
+    };
+    tx.execute(
+        "INSERT INTO work (seq, task, usr, at, secs, answers, skips, reviews) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+        params![seq, task, actor, entry.at, secs, answers, skips, reviews],
+    )?;
+    Ok(())
 }
 
 fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState, Error> {
@@ -68,8 +107,8 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
     let claimable = task.accepted.is_none() && task.gold.is_none();
     tx.execute(
         "INSERT INTO task (id, key, kind, source, target, split, bundle, bundle_index, category, hint, style,
-           priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, distance)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, NULL)",
+           priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, distance, touched, practice)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, NULL, 0, ?19)",
         params![
             id,
             &task.key,
@@ -88,14 +127,16 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
             task.gold.as_ref().map(json).transpose()?,
             task.extra.as_ref().map(json).transpose()?,
             state.as_str(),
-            claimable
+            claimable,
+            task.practice
         ],
     )?;
     if let Some(answer) = &task.accepted {
         let actor = entry.actor.unwrap_or(0);
         tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq) VALUES (?1, ?2, ?2, ?3, 0, ?4, ?5)",
-            params![id, actor, json(answer)?, entry.at, seq],
+            "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
+             VALUES (?1, ?2, ?2, ?3, 0, ?4, ?5, 'import', ?6, ?7)",
+            params![id, actor, json(answer)?, entry.at, seq, words(answer), part_list(answer)],
         )?;
     }
     Ok(())
@@ -181,7 +222,7 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             )?;
             match purpose {
                 Purpose::Review => set_state(tx, task, TaskState::InReview),
-                Purpose::Annotate | Purpose::Returned => refresh(tx, task),
+                Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, task),
             }
         }
         Body::Renewed { lease, expires } => {
@@ -216,7 +257,7 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             }
             match purpose {
                 Purpose::Review => set_state(tx, task, TaskState::Submitted),
-                Purpose::Annotate | Purpose::Returned => refresh(tx, task),
+                Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, task),
             }
         }
         Body::DraftSaved {
@@ -301,11 +342,15 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             }
             tx.execute("UPDATE task SET came_back = 1 WHERE id = ?1", params![task])?;
             let author = (authors.len() == 1).then(|| authors[0]);
-            put_review(tx, seq, entry, task, author, comment)?;
+            put_review(tx, seq, entry, task, author, comment, None)?;
             refresh(tx, task)
         }
         Body::Accepted {
-            author, comment, ..
+            author,
+            comment,
+            rule,
+            own,
+            ..
         } => {
             tx.execute(
                 "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
@@ -313,41 +358,91 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
                 params![task, *author],
             )?;
             tx.execute(
-                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq)
-                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CAST(?4 AS BIGINT), CAST(?5 AS BIGINT) FROM revision WHERE task = ?1 AND author = ?2",
-                params![task, *author, actor, entry.at, seq],
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
+                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts
+                 FROM revision WHERE task = ?1 AND author = ?2",
+                params![task, *author, actor, entry.at, seq, basis(rule.as_deref(), *own)],
             )?;
             end_leases(tx, task)?;
-            put_review(tx, seq, entry, task, Some(*author), comment)?;
+            put_review(
+                tx,
+                seq,
+                entry,
+                task,
+                Some(*author),
+                comment,
+                rule.as_deref(),
+            )?;
             set_state(tx, task, TaskState::Accepted)
         }
         Body::Merged {
-            answer, comment, ..
+            answer,
+            comment,
+            own,
+            ..
         } => {
             tx.execute(
                 "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
                 params![task],
             )?;
             tx.execute(
-                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq) VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5)",
-                params![task, actor, json(answer)?, entry.at, seq],
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
+                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8)",
+                params![
+                    task,
+                    actor,
+                    json(answer)?,
+                    entry.at,
+                    seq,
+                    basis(None, *own),
+                    words(answer),
+                    part_list(answer)
+                ],
             )?;
             end_leases(tx, task)?;
-            put_review(tx, seq, entry, task, None, comment)?;
+            put_review(tx, seq, entry, task, None, comment, None)?;
             set_state(tx, task, TaskState::Accepted)
         }
         Body::Dropped { comment, .. } => {
             end_leases(tx, task)?;
-            put_review(tx, seq, entry, task, None, comment)?;
+            put_review(tx, seq, entry, task, None, comment, None)?;
             set_state(tx, task, TaskState::Dropped)
         }
-        Body::Reopened { comment, .. } => {
+        Body::Reopened { comment, rule, .. } => {
             tx.execute("DELETE FROM accepted WHERE task = ?1", params![task])?;
             tx.execute(
                 "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
                 params![task],
             )?;
-            put_review(tx, seq, entry, task, None, comment)?;
+            put_review(tx, seq, entry, task, None, comment, rule.as_deref())?;
+            refresh(tx, task)
+        }
+        Body::Assigned { user, until } => {
+            // The task leaves the person it was reserved for before.
+            tx.execute(
+                "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')",
+                params![task],
+            )?;
+            let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![task])?;
+            put_lease(
+                tx,
+                &NewLease {
+                    id: lease_id(seq, 0),
+                    task,
+                    user: *user,
+                    epoch: epoch + 1,
+                    expires: *until,
+                    purpose: Purpose::Assigned,
+                    blind: false,
+                },
+            )?;
+            refresh(tx, task)
+        }
+        Body::Retargeted { wanted } => {
+            tx.execute(
+                "UPDATE task SET wanted = ?2 WHERE id = ?1",
+                params![task, *wanted],
+            )?;
             refresh(tx, task)
         }
         Body::Undone { rev, expires, .. } => {
@@ -397,6 +492,8 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
         Body::Imported { .. }
         | Body::RoleChanged { .. }
         | Body::SettingsChanged { .. }
+        | Body::GuidePicture { .. }
+        | Body::ParaphraseJudged { .. }
         | Body::Exported { .. } => Ok(()),
     }
 }
@@ -408,9 +505,10 @@ fn put_review(
     task: i64,
     author: Option<i64>,
     comment: &str,
+    rule: Option<&str>,
 ) -> Result<(), Error> {
     tx.execute(
-        "INSERT INTO review (seq, task, reviewer, decision, author, comment, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
         params![
             seq,
             task,
@@ -418,10 +516,42 @@ fn put_review(
             entry.body.kind().as_str(),
             author,
             comment,
-            entry.at
+            entry.at,
+            rule
         ],
     )?;
     Ok(())
+}
+
+/// How an answer was accepted, for the column `accepted.basis`.
+fn basis(rule: Option<&str>, own: bool) -> String {
+    match rule {
+        Some(rule) => format!("rule:{rule}"),
+        None if own => "own".to_owned(),
+        None => "review".to_owned(),
+    }
+}
+
+/// Lower-case texts of an answer, for searches.
+fn words(answer: &Answer) -> String {
+    let texts: Vec<String> = answer
+        .texts()
+        .into_iter()
+        .map(|(text, _)| text)
+        .chain([answer.note()])
+        .filter(|text| !text.is_empty())
+        .map(str::to_lowercase)
+        .collect();
+    texts.join("\n")
+}
+
+/// Names of the parts of an answer, each between bars: `|LEFT_ARM|LOWER_BODY|`.
+fn part_list(answer: &Answer) -> String {
+    let names: Vec<&str> = answer.part_names().into_iter().collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!("|{}|", names.join("|"))
 }
 
 fn put_revision(
@@ -434,21 +564,18 @@ fn put_revision(
     secs: f64,
 ) -> Result<(), Error> {
     let actor = entry.actor.unwrap_or(0);
-    let edit_type = match answer {
-        Answer::Pair { edit_type, .. } => *edit_type,
-        Answer::MaskText { .. } | Answer::Style { .. } => None,
-    };
     let blind = tx.number(
         "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
         params![task, actor],
     )?;
     tx.execute(
-        "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)
+        "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type, words, parts)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)
          ON CONFLICT (task, author) DO UPDATE SET rev = excluded.rev, state = excluded.state,
            answer = excluded.answer, at = excluded.at, secs = revision.secs + excluded.secs,
            blind = CASE WHEN excluded.blind = 1 THEN 1 ELSE revision.blind END,
-           verdict = excluded.verdict, edit_type = excluded.edit_type",
+           verdict = excluded.verdict, edit_type = excluded.edit_type,
+           words = excluded.words, parts = excluded.parts",
         params![
             task,
             actor,
@@ -459,7 +586,9 @@ fn put_revision(
             secs,
             blind,
             answer.verdict().map(crate::wire::Verdict::as_str),
-            edit_type.map(EditType::as_str)
+            answer.edit_type().map(EditType::as_str),
+            words(answer),
+            part_list(answer)
         ],
     )?;
     Ok(())
@@ -480,7 +609,7 @@ fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
         .one(
             "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
                (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
-               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'annotate'),
+               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
                (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
              FROM task WHERE id = ?1",
             params![task],

@@ -4,9 +4,9 @@ use super::db::{Tx, params};
 use super::draw::percent;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
 use super::import::GOLD_KEY;
-use super::project;
 use super::records::Millis;
 use super::{apply, log, rows};
+use super::{practice, project};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, Empty, Lease, RevisionState, Settings, TaskKind, TaskState};
@@ -291,11 +291,15 @@ pub(super) fn claim(
     }
     let back = tx.one(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose = 'returned' AND t.kind = ?2 ORDER BY l.id LIMIT 1",
+         WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
         params![user, kind.as_str()],
     )?;
     if let Some(row) = back {
         let task = row.int(0)?;
+        take(tx, user, task, Purpose::Annotate, &settings, now)?;
+        return Ok(Ok(task));
+    }
+    if let Some(task) = practice::next(tx, user, kind, &settings)? {
         take(tx, user, task, Purpose::Annotate, &settings, now)?;
         return Ok(Ok(task));
     }
@@ -445,7 +449,7 @@ fn known_tasks(
 ) -> Result<Vec<i64>, Error> {
     let prefix = GOLD_KEY.len() as i64 + 1;
     tx.query(
-        "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.kind = ?1 AND t.state IN ('open', 'leased')
+        "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.practice = 0 AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
            AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)
@@ -509,7 +513,7 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
             prolong(tx, &held, &settings, now)?;
             return Ok(());
         }
-        Some(held) if held.purpose == Purpose::Returned => {
+        Some(held) if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) => {
             return take(tx, user, id, Purpose::Annotate, &settings, now);
         }
         Some(_) => return Err(Error::wrong_state(task.state, "answered by its reviewer")),

@@ -28,6 +28,9 @@ pub(crate) struct LoggedTask {
     pub(crate) shuffle: i64,
     pub(crate) wanted: u32,
     pub(crate) gold: Option<Answer>,
+    /// Whether its known answer is shown to those who answered it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(crate) practice: bool,
     pub(crate) extra: Option<serde_json::Value>,
     pub(crate) accepted: Option<Answer>,
 }
@@ -132,6 +135,12 @@ pub(crate) enum Body {
         #[serde(default)]
         secs: f64,
         request: String,
+        /// The rule that accepted it; without one, the actor did.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rule: Option<String>,
+        /// Whether the actor answered the task too.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        own: bool,
     },
     Merged {
         answer: Answer,
@@ -139,6 +148,9 @@ pub(crate) enum Body {
         #[serde(default)]
         secs: f64,
         request: String,
+        /// Whether the actor answered the task too.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        own: bool,
     },
     Dropped {
         comment: String,
@@ -149,6 +161,9 @@ pub(crate) enum Body {
     Reopened {
         comment: String,
         request: String,
+        /// The rule whose acceptance is taken back.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rule: Option<String>,
     },
     Undone {
         rev: i64,
@@ -176,6 +191,25 @@ pub(crate) enum Body {
     Exported {
         export: serde_json::Value,
     },
+    Assigned {
+        user: i64,
+        until: Millis,
+    },
+    Retargeted {
+        wanted: u32,
+    },
+    ParaphraseJudged {
+        paraphrase: i64,
+        instruction: String,
+        proposed: String,
+        text: String,
+        accepted: bool,
+    },
+    /// A picture of the guide was stored; without a hash, it was deleted.
+    GuidePicture {
+        name: String,
+        hash: Option<String>,
+    },
 }
 
 impl Body {
@@ -199,6 +233,10 @@ impl Body {
             Self::RoleChanged { .. } => LogKind::RoleChanged,
             Self::SettingsChanged { .. } => LogKind::SettingsChanged,
             Self::Exported { .. } => LogKind::Exported,
+            Self::Assigned { .. } => LogKind::Assigned,
+            Self::Retargeted { .. } => LogKind::Retargeted,
+            Self::GuidePicture { .. } => LogKind::GuidePicture,
+            Self::ParaphraseJudged { .. } => LogKind::ParaphraseJudged,
         }
     }
 

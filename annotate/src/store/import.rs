@@ -5,7 +5,7 @@ use super::draw::{draw, percent};
 use super::entry::{Body, Entry, LoggedTask};
 use super::project;
 use super::records::{Imported, Millis, NewTask};
-use super::{log, rows};
+use super::{log, rows, rules};
 use crate::Error;
 use crate::wire::Settings;
 
@@ -32,7 +32,7 @@ pub(super) fn import(
             done.known += 1;
             continue;
         }
-        put_task(tx, actor, next, task, &settings, now)?;
+        put_task(tx, actor, next, task, false, &settings, now)?;
         done.new += 1;
         next += 1;
     }
@@ -44,23 +44,20 @@ fn put_task(
     actor: Option<i64>,
     id: i64,
     task: &NewTask,
+    practice: bool,
     settings: &Settings,
     now: Millis,
 ) -> Result<(), Error> {
-    // All tasks of a bundle go to the same people.
-    let group = task.bundle.as_deref().unwrap_or(&task.key);
-    let wanted = if task.gold.is_some() {
-        GOLD_WANTED
-    } else if percent(&["overlap", group]) < settings.overlap_percent {
-        settings.answers_per_task
-    } else {
-        1
-    };
     // Ids of bundles are below 2^53, which JavaScript numbers hold exactly.
     let bundle = task
         .bundle
         .as_deref()
         .map(|name| (draw(&["bundle", name]) >> 12) as i64);
+    let wanted = if task.gold.is_some() {
+        GOLD_WANTED
+    } else {
+        wanted(settings, &task.key, bundle)
+    };
     let entry = Entry {
         at: now,
         actor,
@@ -82,6 +79,7 @@ fn put_task(
                 shuffle: percent(&["shuffle", &task.key]).into(),
                 wanted,
                 gold: task.gold.clone(),
+                practice,
                 extra: task.extra.clone(),
                 accepted: task.accepted.clone(),
             }),
@@ -94,24 +92,92 @@ fn put_task(
     Ok(())
 }
 
-/// Copies an accepted task as a hidden gold task.
-pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Result<i64, Error> {
+/// Number of people who shall answer a task. The tasks of a bundle go to the same people.
+fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
+    let group = bundle.map_or_else(|| key.to_owned(), |bundle| bundle.to_string());
+    if percent(&["overlap", &group]) < settings.overlap_percent {
+        settings.answers_per_task
+    } else {
+        1
+    }
+}
+
+/// Tasks that one transaction of [`retarget`] looks at.
+const RETARGETED_AT_ONCE: i64 = 1000;
+
+/// Gives the next unanswered and half-answered tasks after `after` the number of people that the settings ask for,
+/// and returns the last task looked at. Answers and leases that exist are kept, so a task never wants fewer.
+pub(super) fn retarget(
+    tx: &mut dyn Tx,
+    actor: i64,
+    after: i64,
+    now: Millis,
+) -> Result<Option<i64>, Error> {
+    let settings = project::settings(tx)?;
+    let found = tx.query(
+        "SELECT id, key, bundle, wanted, submitted + leases FROM task
+         WHERE id > ?1 AND gold IS NULL AND state IN ('open', 'leased', 'returned') ORDER BY id LIMIT ?2",
+        params![after, RETARGETED_AT_ONCE],
+    )?;
+    for row in &found {
+        let task = row.int(0)?;
+        let wanted = wanted(&settings, row.text(1)?, row.opt_int(2)?).max(row.count(4)?);
+        if wanted == row.count(3)? {
+            continue;
+        }
+        let entry = Entry {
+            at: now,
+            actor: Some(actor),
+            task: Some(task),
+            epoch: None,
+            body: Body::Retargeted { wanted },
+        };
+        log::note(tx, &entry)?;
+        rules::on_answer(tx, &settings, task, now)?;
+    }
+    found.last().map(|row| row.int(0)).transpose()
+}
+
+/// What a task with a known answer is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Known {
+    /// Hidden among others, to measure people.
+    Gold,
+    /// To learn from: the known answer is shown afterwards.
+    Practice,
+}
+
+/// Copies an accepted task as a gold or a practice task.
+pub(super) fn copy_known(
+    tx: &mut dyn Tx,
+    actor: i64,
+    id: i64,
+    known: Known,
+    now: Millis,
+) -> Result<i64, Error> {
     let task = rows::task(tx, id)?;
+    let (name, prefix) = match known {
+        Known::Gold => ("gold", GOLD_KEY),
+        Known::Practice => ("practice", "practice:"),
+    };
     let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
     let Some(row) = row else {
         return Err(Error::wrong_state(
             task.state,
-            "made gold; only accepted tasks can",
+            &format!("made {name}; only accepted tasks can"),
         ));
     };
-    let key = format!("{GOLD_KEY}{}", task.key);
+    let key = format!("{prefix}{}", task.key);
     if tx
         .one("SELECT 1 FROM task WHERE key = ?1", params![&key])?
         .is_some()
     {
-        return Err(Error::wrong_state(task.state, "made gold twice"));
+        return Err(Error::wrong_state(
+            task.state,
+            &format!("made {name} twice"),
+        ));
     }
-    let gold = NewTask {
+    let copy = NewTask {
         key,
         kind: task.kind,
         source: task.source,
@@ -131,6 +197,7 @@ pub(super) fn make_gold(tx: &mut dyn Tx, actor: i64, id: i64, now: Millis) -> Re
     };
     let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
     let settings = project::settings(tx)?;
-    put_task(tx, Some(actor), next, &gold, &settings, now)?;
+    let practice = known == Known::Practice;
+    put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)
 }

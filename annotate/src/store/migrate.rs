@@ -34,6 +34,26 @@ const STEPS: &[&str] = &[
   bytes BYTEA NOT NULL,
   PRIMARY KEY (job, name, part)
 )",
+    // 5: searchable texts, how an answer was accepted, practice; pictures of the guide, paraphrases.
+    "CREATE TABLE picture (
+  name TEXT PRIMARY KEY,
+  mime TEXT NOT NULL,
+  bytes TEXT NOT NULL,
+  at BIGINT NOT NULL
+);
+
+CREATE TABLE paraphrase (
+  id BIGINT PRIMARY KEY,
+  instruction TEXT NOT NULL,
+  text TEXT NOT NULL,
+  model TEXT NOT NULL,
+  prompt_hash TEXT NOT NULL,
+  state TEXT NOT NULL,
+  judge BIGINT,
+  at BIGINT NOT NULL,
+  UNIQUE (instruction, text)
+);
+CREATE INDEX paraphrase_state ON paraphrase (state, id);",
 ];
 
 /// Version of the tables of this program.

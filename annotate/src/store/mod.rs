@@ -5,11 +5,13 @@
 //! the log.
 //!
 //! [`Store`] lists the operations. They are implemented in `claim` (leases), `append` (drafts,
-//! submissions, skips), `review`, `import` and `people`; `read` holds queries, `project` writes the tables
+//! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser and bulk
+//! actions), `mine`, `import` and `people`; `read` holds queries, `project` writes the tables
 //! beside the log, `db` abstracts from the database.
 
 mod append;
 mod apply;
+mod browse;
 mod claim;
 pub(crate) mod db;
 mod draw;
@@ -18,11 +20,15 @@ mod group;
 mod import;
 mod log;
 mod migrate;
+mod mine;
+mod paraphrases;
 mod people;
+mod pictures;
 #[cfg(feature = "postgres")]
 mod postgres;
 #[cfg(feature = "postgres")]
 mod postgres_address;
+mod practice;
 mod project;
 mod read;
 mod readers;
@@ -31,24 +37,27 @@ mod records;
 mod replies;
 mod review;
 mod rows;
+mod rules;
 mod sqlite;
 #[expect(
     clippy::module_inception,
     reason = "the type the module is named after"
 )]
 mod store;
+mod work;
 
 use std::path::Path;
 use std::sync::Arc;
 
 use crate::Error;
 
+pub use browse::{DecisionQuery, PageQuery};
 pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Imported, IssuedToken, KeyRange, Label,
-    Millis, MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed,
-    ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse,
-    WeekCounts, Who,
+    Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture,
+    Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail,
+    TaskRecord, TokenUse, WeekCounts, Who,
 };
 pub use store::Store;
 

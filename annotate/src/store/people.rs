@@ -195,6 +195,66 @@ pub(super) fn issue(
     })
 }
 
+/// Users that one request can add.
+const MAX_LINES: usize = 1000;
+
+/// Reads users from lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines
+/// and a heading `name,role` are passed over.
+pub(super) fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Error> {
+    let mut users = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let number = index + 1;
+        let unquoted = |text: &str| text.trim().trim_matches('"').trim().to_owned();
+        let (name, second) = match line.rsplit_once([',', ';', '\t']) {
+            Some((name, role)) => (unquoted(name), unquoted(role)),
+            None => (unquoted(line), String::new()),
+        };
+        if name.is_empty() && second.is_empty() || number == 1 && name == "name" {
+            continue;
+        }
+        let role = match second.as_str() {
+            "" => Role::Annotator,
+            text => Role::parse(text).ok_or_else(|| {
+                Error::invalid(
+                    &format!("lines.{number}"),
+                    format!("line {number}: {text:?} is no role; use annotator, reviewer or admin"),
+                )
+            })?,
+        };
+        users.push((number, name, role));
+    }
+    if users.is_empty() || users.len() > MAX_LINES {
+        return Err(Error::invalid(
+            "lines",
+            format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
+        ));
+    }
+    Ok(users)
+}
+
+/// Adds users with a token each.
+pub(super) fn add_all(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    users: &[(usize, String, Role)],
+    expires: Millis,
+    now: Millis,
+) -> Result<Vec<IssuedToken>, Error> {
+    users
+        .iter()
+        .map(|(number, name, role)| {
+            let user = add(tx, actor, name, *role, now).map_err(|error| match error {
+                Error::Refused(problem) => Error::invalid(
+                    &format!("lines.{number}"),
+                    format!("line {number}: {}; no user was added", problem.detail),
+                ),
+                other => other,
+            })?;
+            issue(tx, user.id, TokenUse::Token, expires, now)
+        })
+        .collect()
+}
+
 /// Owner of a token.
 #[derive(Clone)]
 pub(super) struct Found {

@@ -2,8 +2,8 @@
 
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry, read_stored};
-use super::log;
 use super::records::{Millis, MotionRecord, NewSuggestion};
+use super::{import, log, pictures, rules};
 use crate::Error;
 use crate::wire::{Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource};
 
@@ -29,6 +29,9 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
     }
 }
 
+/// Note that holds the last task whose number of people was brought up to date, while that goes on.
+pub(super) const RETARGETING: &str = "note:retargeting";
+
 pub(super) fn put_settings(
     tx: &mut dyn Tx,
     actor: i64,
@@ -36,11 +39,12 @@ pub(super) fn put_settings(
     now: Millis,
 ) -> Result<(), Error> {
     check(&settings)?;
-    let body = json("setting", &settings)?;
-    tx.execute(
-        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
-        params![SETTINGS, body],
-    )?;
+    let before = self::settings(tx)?;
+    let people = |settings: &Settings| (settings.answers_per_task, settings.overlap_percent);
+    if people(&before) != people(&settings) {
+        put(tx, RETARGETING, "0")?;
+    }
+    put(tx, SETTINGS, &json("setting", &settings)?)?;
     let entry = Entry {
         at: now,
         actor: Some(actor),
@@ -54,6 +58,35 @@ pub(super) fn put_settings(
     Ok(())
 }
 
+/// Stores a value under a name.
+pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
+        params![name, body],
+    )?;
+    Ok(())
+}
+
+/// Brings the number of people of some more tasks up to date, and returns whether all are.
+pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
+    let row = tx.one(
+        "SELECT body FROM setting WHERE name = ?1",
+        params![RETARGETING],
+    )?;
+    let Some(row) = row else { return Ok(true) };
+    let after = row.text(0)?.parse().unwrap_or(0);
+    match import::retarget(tx, actor, after, now)? {
+        Some(last) => {
+            put(tx, RETARGETING, &last.to_string())?;
+            Ok(false)
+        }
+        None => {
+            tx.execute("DELETE FROM setting WHERE name = ?1", params![RETARGETING])?;
+            Ok(true)
+        }
+    }
+}
+
 /// Checks settings.
 fn check(settings: &Settings) -> Result<(), Error> {
     const MAX_NAMES: usize = 200;
@@ -63,6 +96,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
         ("gold_percent", settings.gold_percent),
         ("blind_percent", settings.blind_percent),
         ("review_percent", settings.review_percent),
+        ("practice_percent", settings.practice_percent),
     ];
     for (field, share) in shares {
         if share > 100 {
@@ -76,6 +110,13 @@ fn check(settings: &Settings) -> Result<(), Error> {
         ("answers_per_task", settings.answers_per_task, 1, 50),
         ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
         ("returned_days", settings.returned_days, 1, 365),
+        (
+            "take_back_minutes",
+            settings.take_back_minutes,
+            0,
+            7 * 24 * 60,
+        ),
+        ("practice_tasks", settings.practice_tasks, 0, 100),
     ];
     for (field, value, least, most) in ranges {
         if !(least..=most).contains(&value) {
@@ -103,6 +144,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
     for (field, names) in [
         ("styles", &settings.styles),
         ("templates", &settings.templates),
+        ("mask_templates", &settings.mask_templates),
         ("style_templates", &settings.style_templates),
     ] {
         let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
@@ -121,6 +163,18 @@ fn check(settings: &Settings) -> Result<(), Error> {
                 settings.time_zone
             ),
         ));
+    }
+    rules::check(&settings.rules)?;
+    for (kind, guide) in &settings.guides {
+        if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
+            return Err(Error::invalid(
+                &format!("guides.{kind}"),
+                format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
+            ));
+        }
+        for picture in &guide.pictures {
+            pictures::check_name(&picture.name)?;
+        }
     }
     if settings.guide.chars().count() > MAX_GUIDE {
         return Err(Error::invalid(

@@ -18,6 +18,7 @@ CREATE TABLE task (
   shuffle BIGINT NOT NULL,
   wanted BIGINT NOT NULL,
   gold TEXT,
+  practice BIGINT NOT NULL,
   extra TEXT,
   state TEXT NOT NULL,
   submitted BIGINT NOT NULL,
@@ -25,15 +26,19 @@ CREATE TABLE task (
   epoch BIGINT NOT NULL,
   claimable BIGINT NOT NULL,
   came_back BIGINT NOT NULL,
-  distance DOUBLE PRECISION
+  distance DOUBLE PRECISION,
+  touched BIGINT NOT NULL
 );
 CREATE INDEX task_claim ON task (kind, priority DESC, id) WHERE claimable = 1;
 CREATE INDEX task_state ON task (kind, state);
 CREATE INDEX task_review ON task (state, id);
 CREATE INDEX task_bundle ON task (bundle, bundle_index);
+CREATE INDEX task_distance ON task (COALESCE(distance, -1), id);
+CREATE INDEX task_touched ON task (touched, id);
 CREATE INDEX task_gold ON task (kind, id) WHERE gold IS NOT NULL;
 
--- A lease on a task: to answer it, to review it, or reserved for an author whose answer was returned.
+-- A lease on a task: to answer it, to review it, or reserved for an author whose answer was returned or a person whom
+-- it was given to.
 CREATE TABLE lease (
   id BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
@@ -59,8 +64,11 @@ CREATE TABLE revision (
   blind BIGINT NOT NULL,
   verdict TEXT,
   edit_type TEXT,
+  words TEXT NOT NULL,
+  parts TEXT NOT NULL,
   PRIMARY KEY (task, author)
 );
+CREATE INDEX revision_mine ON revision (author, at, task);
 CREATE INDEX revision_author ON revision (author, state, at);
 CREATE INDEX revision_at ON revision (state, at);
 
@@ -72,7 +80,8 @@ CREATE TABLE review (
   decision TEXT NOT NULL,
   author BIGINT,
   comment TEXT NOT NULL,
-  at BIGINT NOT NULL
+  at BIGINT NOT NULL,
+  rule TEXT
 );
 CREATE INDEX review_task ON review (task, seq);
 
@@ -84,9 +93,13 @@ CREATE TABLE accepted (
   answer TEXT NOT NULL,
   merged BIGINT NOT NULL,
   at BIGINT NOT NULL,
-  seq BIGINT NOT NULL
+  seq BIGINT NOT NULL,
+  basis TEXT NOT NULL,
+  words TEXT NOT NULL,
+  parts TEXT NOT NULL
 );
 CREATE INDEX accepted_seq ON accepted (seq);
+CREATE INDEX accepted_basis ON accepted (basis, task);
 
 -- Skipped and postponed tasks by user.
 CREATE TABLE skip (
@@ -109,7 +122,7 @@ CREATE TABLE suggestion_use (
 );
 CREATE INDEX suggestion_use_task ON suggestion_use (task);
 
--- Scores of answers to gold tasks.
+-- Scores of answers to gold and practice tasks.
 CREATE TABLE gold_score (
   task BIGINT NOT NULL,
   usr BIGINT NOT NULL,
@@ -118,15 +131,19 @@ CREATE TABLE gold_score (
   PRIMARY KEY (task, usr)
 );
 
--- Seconds of work that entries of the log report: on answers, skips and reviews.
+-- Work that entries of the log report: seconds, answers, skips and reviews.
 CREATE TABLE work (
   seq BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
   usr BIGINT NOT NULL,
   at BIGINT NOT NULL,
-  secs DOUBLE PRECISION NOT NULL
+  secs DOUBLE PRECISION NOT NULL,
+  answers BIGINT NOT NULL,
+  skips BIGINT NOT NULL,
+  reviews BIGINT NOT NULL
 );
 CREATE INDEX work_usr ON work (usr, at);
+CREATE INDEX work_at ON work (at);
 CREATE INDEX work_task ON work (task);
 
 -- The place in a bundle where a gold task stands in for another task of a user.

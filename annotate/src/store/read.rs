@@ -257,7 +257,8 @@ fn worked(tx: &mut dyn Tx, user: i64, since: Millis) -> Result<f64, Error> {
     row.map_or(Ok(0.0), |row| row.real(0))
 }
 
-fn like(text: &str) -> String {
+/// The pattern of a text anywhere in a lower-case column.
+pub(super) fn like(text: &str) -> String {
     let escaped = text
         .to_lowercase()
         .replace('\\', "\\\\")
@@ -275,14 +276,14 @@ pub(super) fn shelf(
     let part = filter
         .part
         .as_deref()
-        .map_or(String::new(), |part| like(&format!("\"{part}\"")));
+        .map_or(String::new(), |part| format!("%|{part}|%"));
     let text = filter.text.as_deref().map_or(String::new(), like);
     // Exclude the motions of tasks that the user holds: their answers would be visible.
     let sql = format!(
         "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
          WHERE a.seq < ?1 AND (?2 = '' OR t.kind = ?2)
-           AND (?3 = '' OR lower(a.answer) LIKE ?3 ESCAPE '\\')
-           AND (?4 = '' OR lower(a.answer) LIKE ?4 ESCAPE '\\')
+           AND (?3 = '' OR a.parts LIKE ?3)
+           AND (?4 = '' OR a.words LIKE ?4 ESCAPE '\\')
            AND NOT EXISTS (SELECT 1 FROM lease l JOIN task h ON h.id = l.task WHERE l.usr = ?5
              AND (h.source = t.source OR h.target = t.source OR h.source = t.target OR h.target = t.target))
          ORDER BY a.seq DESC LIMIT ?6"
@@ -343,10 +344,26 @@ pub(super) fn accepted(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<AcceptedA
         .collect()
 }
 
+const LABEL_COLUMNS: &str = "t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.category, t.source, t.target, t.split, r.blind";
+
+/// Reads a label of the columns of a revision and [`LABEL_COLUMNS`].
+fn read_label(row: &Row) -> Result<Label, Error> {
+    Ok(Label {
+        revision: rows::read_revision(row, 0)?,
+        task: row.int(0)?,
+        kind: rows::task_kind(row.text(7)?)?,
+        gold: row.flag(8)?,
+        category: row.opt_text(9)?,
+        source: row.string(10)?,
+        target: row.opt_text(11)?,
+        split: row.string(12)?,
+        blind: row.flag(13)?,
+    })
+}
+
 pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<Label>, Error> {
     let sql = format!(
-        "SELECT {}, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.category, t.source, t.target, t.split, r.blind
-         FROM revision r JOIN task t ON t.id = r.task
+        "SELECT {}, {LABEL_COLUMNS} FROM revision r JOIN task t ON t.id = r.task
          WHERE r.state <> 'draft' AND r.task > ?1 AND r.task <= (
            SELECT COALESCE(MAX(x.task), 0) FROM (
              SELECT DISTINCT task FROM revision WHERE state <> 'draft' AND task > ?1 ORDER BY task LIMIT ?2) x)
@@ -355,20 +372,61 @@ pub(super) fn labels(tx: &mut dyn Tx, after: i64, limit: usize) -> Result<Vec<La
     );
     tx.query(&sql, params![after, limit as i64])?
         .iter()
-        .map(|row| {
-            Ok(Label {
-                revision: rows::read_revision(row, 0)?,
-                task: row.int(0)?,
-                kind: rows::task_kind(row.text(7)?)?,
-                gold: row.flag(8)?,
-                category: row.opt_text(9)?,
-                source: row.string(10)?,
-                target: row.opt_text(11)?,
-                split: row.string(12)?,
-                blind: row.flag(13)?,
-            })
-        })
+        .map(read_label)
         .collect()
+}
+
+/// Tasks that still want answers and have no draft of a language model.
+pub(super) fn undrafted(
+    tx: &mut dyn Tx,
+    kind: Option<TaskKind>,
+    after: i64,
+    limit: usize,
+) -> Result<Vec<TaskRecord>, Error> {
+    let sql = format!(
+        "SELECT {} FROM task t WHERE t.id > ?1 AND (?2 = '' OR t.kind = ?2) AND t.gold IS NULL
+           AND t.state IN ('open', 'leased', 'returned')
+           AND NOT EXISTS (SELECT 1 FROM suggestion g WHERE g.task = t.id AND g.source = 'llm')
+         ORDER BY t.id LIMIT ?3",
+        rows::TASK_COLUMNS
+    );
+    let kind = kind.map_or("", TaskKind::as_str);
+    tx.query(&sql, params![after, kind, limit as i64])?
+        .iter()
+        .map(rows::read_task)
+        .collect()
+}
+
+/// Submitted answers to some tasks.
+pub(super) fn labels_to(tx: &mut dyn Tx, tasks: &[i64]) -> Result<Vec<Label>, Error> {
+    let sql = format!(
+        "SELECT {}, {LABEL_COLUMNS} FROM revision r JOIN task t ON t.id = r.task
+         WHERE r.state <> 'draft' AND r.task = ?1 ORDER BY r.author",
+        rows::REVISION_COLUMNS
+    );
+    let mut labels = Vec::new();
+    for task in tasks {
+        for row in tx.query(&sql, params![*task])? {
+            labels.push(read_label(&row)?);
+        }
+    }
+    Ok(labels)
+}
+
+/// Tasks whose answers changed after a place in the log, and its last place.
+pub(super) fn answered_since(tx: &mut dyn Tx, after: i64) -> Result<(Vec<i64>, i64), Error> {
+    let last = tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[])?;
+    let tasks = tx
+        .query(
+            "SELECT DISTINCT task FROM event WHERE seq > ?1 AND task IS NOT NULL
+               AND kind IN ('submitted', 'undone', 'draft_saved', 'accepted', 'merged', 'returned', 'reopened')
+             ORDER BY task",
+            params![after],
+        )?
+        .iter()
+        .map(|row| row.int(0))
+        .collect::<Result<_, _>>()?;
+    Ok((tasks, last))
 }
 
 pub(super) fn labels_of(
@@ -553,7 +611,8 @@ pub(super) fn people(tx: &mut dyn Tx) -> Result<Vec<PersonCounts>, Error> {
         )?;
         let gold = tx
             .query(
-                "SELECT score FROM gold_score WHERE usr = ?1 ORDER BY task",
+                "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
+                 WHERE g.usr = ?1 AND t.practice = 0 ORDER BY g.task",
                 params![id],
             )?
             .iter()

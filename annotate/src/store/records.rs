@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, Empty, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Suggestion,
+    Answer, Empty, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Standing, Suggestion,
     SuggestionSource, TaskKind, TaskState, User, Verdict,
 };
 
@@ -138,6 +138,8 @@ pub struct TaskRecord {
     pub shuffle: i64,
     /// Distance of its answers.
     pub distance: Option<f64>,
+    /// Whether it is a practice task: its known answer is shown to those who answered it.
+    pub practice: bool,
 }
 
 /// A task of a bundle, as a user sees it.
@@ -313,6 +315,19 @@ pub struct SkippedFilter {
     pub limit: usize,
 }
 
+/// Which of a person's answers to list.
+#[derive(Clone, Debug, Default)]
+pub struct MineQuery {
+    /// Of this standing.
+    pub standing: Option<Standing>,
+    /// Of this kind.
+    pub kind: Option<TaskKind>,
+    /// Cursor of the page before.
+    pub before: Option<String>,
+    /// Maximum number.
+    pub limit: usize,
+}
+
 /// A task that somebody skipped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skipped {
@@ -322,6 +337,36 @@ pub struct Skipped {
     pub skips: Vec<Skip>,
     /// Whether nobody who annotates is left to get it.
     pub by_all: bool,
+}
+
+/// An answer of a person, and where it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnAnswer {
+    /// The task.
+    pub task: TaskRecord,
+    /// The answer.
+    pub mine: Revision,
+    /// Where it stands.
+    pub standing: Standing,
+    /// The comment it was sent back with, or the task was dropped with.
+    pub comment: Option<String>,
+    /// The answer that was accepted instead.
+    pub accepted: Option<Answer>,
+    /// How it was accepted.
+    pub accepted_by: Option<String>,
+    /// Whether its author can take it back.
+    pub can_take_back: bool,
+    /// When a returned task is offered to others.
+    pub until: Option<Millis>,
+}
+
+/// A picture of the guide.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Type of its content.
+    pub mime: String,
+    /// Its content.
+    pub bytes: Vec<u8>,
 }
 
 /// Totals of one person.

@@ -12,8 +12,8 @@ use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
-    Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, RevisionState,
-    TaskKind,
+    Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
+    RevisionState, TaskKind,
 };
 
 const DAY: Millis = 24 * 60 * MINUTE;
@@ -51,11 +51,14 @@ pub(super) fn next(
             };
             let sql = format!(
                 "SELECT t.id FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND (?2 = '' OR t.kind = ?2)
-                   AND t.shuffle < ?3 AND t.came_back >= ?4
-                   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft')
+                   AND (t.shuffle + ?5) % 100 < ?3 AND t.came_back >= ?4
+                   AND (?6 = 1 OR NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft'))
                  ORDER BY {order} LIMIT 1"
             );
-            let found = tx.one(&sql, params![user, kinds, share, back])?;
+            let found = tx.one(
+                &sql,
+                params![user, kinds, share, back, settings.seed, settings.solo],
+            )?;
             let task = found.map(|row| row.int(0)).transpose()?;
             if let Some(task) = task {
                 take(tx, user, task, Purpose::Review, &settings, now)?;
@@ -90,16 +93,13 @@ pub(super) fn next(
 fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
     let task = rows::task(tx, id)?;
     let lease = rows::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
-    let sql = format!(
-        "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-         WHERE r.task = ?1 AND r.state IN ('submitted', 'returned') ORDER BY r.state DESC, r.author",
-        rows::REVISION_COLUMNS
-    );
-    let candidates = tx
-        .query(&sql, params![id])?
-        .iter()
-        .map(|row| Ok((rows::read_revision(row, 0)?, row.string(7)?)))
-        .collect::<Result<_, Error>>()?;
+    let mut candidates = answers_to(tx, id)?;
+    candidates.retain(|(own, _)| {
+        matches!(
+            own.state,
+            RevisionState::Submitted | RevisionState::Returned
+        )
+    });
     let comments = tx
         .query(
             "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq",
@@ -114,6 +114,20 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
         candidates,
         comments,
     })
+}
+
+/// Answers to a task that were handed in, with the names of their authors. Returned ones come last.
+pub(super) fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>, Error> {
+    let sql = format!(
+        "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+         WHERE r.task = ?1 AND r.state <> 'draft'
+         ORDER BY CASE WHEN r.state = 'returned' THEN 1 ELSE 0 END, r.author",
+        rows::REVISION_COLUMNS
+    );
+    tx.query(&sql, params![task])?
+        .iter()
+        .map(|row| Ok((rows::read_revision(row, 0)?, row.string(7)?)))
+        .collect()
 }
 
 /// Applies a reviewer's decision.
@@ -131,7 +145,8 @@ pub(super) fn review(
     let settings = project::settings(tx)?;
     let task = rows::task(tx, review.task)?;
     let mine = rows::revision(tx, task.id, user)?;
-    if mine.is_some_and(|mine| mine.state != RevisionState::Draft) {
+    let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
+    if own && !settings.solo {
         return Err(Error::refused(
             Code::OwnWork,
             "you answered this task yourself; somebody else has to review it",
@@ -206,6 +221,8 @@ pub(super) fn review(
                 comment,
                 secs,
                 request,
+                rule: None,
+                own: own && *author == user,
             },
             _ => {
                 return Err(Error::invalid(
@@ -225,6 +242,7 @@ pub(super) fn review(
                 comment,
                 secs,
                 request,
+                own,
             }
         }
         Decision::Return => Body::Returned {
@@ -239,7 +257,11 @@ pub(super) fn review(
             secs,
             request,
         },
-        Decision::Reopen => Body::Reopened { comment, request },
+        Decision::Reopen => Body::Reopened {
+            comment,
+            request,
+            rule: None,
+        },
     };
     let entry = Entry {
         at: now,

@@ -82,3 +82,23 @@ CREATE TABLE job_file (
   bytes BYTEA NOT NULL,
   PRIMARY KEY (job, name, part)
 );
+
+CREATE TABLE picture (
+  name TEXT PRIMARY KEY,
+  mime TEXT NOT NULL,
+  bytes TEXT NOT NULL,
+  at BIGINT NOT NULL
+);
+
+CREATE TABLE paraphrase (
+  id BIGINT PRIMARY KEY,
+  instruction TEXT NOT NULL,
+  text TEXT NOT NULL,
+  model TEXT NOT NULL,
+  prompt_hash TEXT NOT NULL,
+  state TEXT NOT NULL,
+  judge BIGINT,
+  at BIGINT NOT NULL,
+  UNIQUE (instruction, text)
+);
+CREATE INDEX paraphrase_state ON paraphrase (state, id);

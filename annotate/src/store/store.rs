@@ -1,26 +1,36 @@
 //! The operations of the store, each one transaction.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use super::browse::{self, DecisionQuery, PageQuery};
 use super::db::{self, Database, Tx, params};
 use super::entry::{Body, Entry};
+use super::import::Known;
 use super::migrate::{self, Upgrade};
 use super::records::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
-    MotionRecord, NewSuggestion, NewTask, PersonCounts, Reject, ReviewClaimed, ShelfFilter,
-    Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
+    MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture, Reject,
+    ReviewClaimed, ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse,
+    WeekCounts, Who,
 };
-use super::{append, claim, import, people, project, read, review};
-use super::{log, rebuild, rows};
+use super::{
+    append, claim, import, mine, paraphrases, people, pictures, practice, project, read, review,
+    work,
+};
+use super::{log, rebuild, rows, rules};
 use crate::Error;
 use crate::clock::{Clock, SharedClock};
 use crate::lock::lock;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{
-    Audit, AuditEntry, Code, EventResult, HeldLease, Home, Job, Lease, NewEvent, NewReview, Prefs,
-    ReviewDone, ReviewQueue, Role, Settings, Suggestion, TaskKind, TaskState, TokenInfo, User,
+    Answer, Audit, AuditEntry, BulkDone, BulkRequest, Code, DayWork, DecisionRow, Decisions,
+    EventResult, HeldLease, Home, Job, JudgeParaphrase, Lease, NewEvent, NewReview, Outlook,
+    Paraphrase, ParaphraseState, Paraphrases, PictureInfo, Practice, Prefs, ReviewDone,
+    ReviewQueue, Revision, Role, RuleState, RuleUndone, RulesApplied, Settings, Suggestion,
+    TaskKind, TaskPage, TaskRow, TaskState, TokenInfo, User,
 };
 
 /// Bytes of a file written per transaction.
@@ -169,7 +179,7 @@ impl Store {
                 )
             })?;
             // A reservation for an author cannot be renewed.
-            if held.purpose == Purpose::Returned {
+            if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
             claim::prolong_bundle(tx, &held, &settings, now)
@@ -253,12 +263,297 @@ impl Store {
         self.write(move |tx| review::review(tx, user, &new, now))
     }
 
+    /// The rules of acceptance with their counts.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn rules(&self) -> Result<Vec<RuleState>, Error> {
+        self.read(rules::states)
+    }
+
+    /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied, Error> {
+        self.write(move |tx| rules::apply(tx, after, now))
+    }
+
+    /// Disables a rule and takes back up to 2,000 of its acceptances.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone, Error> {
+        let rule = rule.to_owned();
+        self.write(move |tx| rules::undo(tx, actor, &rule, now))
+    }
+
+    /// A page of the task browser.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn browse(&self, query: PageQuery) -> Result<TaskPage, Error> {
+        self.read(move |tx| browse::page(tx, &query))
+    }
+
+    /// The row of a task in the browser, and the decisions on it.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>), Error> {
+        self.read(move |tx| {
+            let record = rows::task(tx, task)?;
+            Ok((
+                browse::task_row(tx, record)?,
+                browse::decisions_on(tx, task)?,
+            ))
+        })
+    }
+
+    /// All answers to a task that were handed in, with the names of their authors.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn answers_to(&self, task: i64) -> Result<Vec<(Revision, String)>, Error> {
+        self.read(move |tx| review::answers_to(tx, task))
+    }
+
+    /// The accepted answer to a task.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn accepted_answer(&self, task: i64) -> Result<Option<Answer>, Error> {
+        self.read(move |tx| {
+            let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![task])?;
+            row.map(|row| row.json(0)).transpose()
+        })
+    }
+
+    /// Suggestions of a task.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn suggestions_of(&self, task: i64) -> Result<Vec<Suggestion>, Error> {
+        self.read(move |tx| project::suggestions_of(tx, task))
+    }
+
+    /// Decisions of reviewers, newest first.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions, Error> {
+        self.read(move |tx| browse::decisions(tx, &query))
+    }
+
+    /// Counts what a bulk action would change.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn preview_bulk(
+        &self,
+        who: &Who,
+        request: BulkRequest,
+        now: Millis,
+    ) -> Result<BulkDone, Error> {
+        let who = who.clone();
+        self.read(move |tx| browse::bulk(tx, &who, &request, false, now))
+    }
+
+    /// Acts on up to 2,000 tasks of a filter.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone, Error> {
+        let who = who.clone();
+        self.write(move |tx| browse::bulk(tx, &who, &request, true, now))
+    }
+
+    /// A person's answers, newest first, with the cursor of the next page.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn answers_of(
+        &self,
+        user: i64,
+        query: MineQuery,
+        now: Millis,
+    ) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
+        self.read(move |tx| mine::answers(tx, user, &query, now))
+    }
+
     /// Copies an accepted task as a hidden gold task.
     ///
     /// # Errors
     /// `wrong_state`, `not_found`; or the store fails.
     pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
-        self.write(move |tx| import::make_gold(tx, actor, task, now))
+        self.write(move |tx| import::copy_known(tx, actor, task, Known::Gold, now))
+    }
+
+    /// Copies an accepted task as a practice task.
+    ///
+    /// # Errors
+    /// `wrong_state`, `not_found`; or the store fails.
+    pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+        self.write(move |tx| import::copy_known(tx, actor, task, Known::Practice, now))
+    }
+
+    /// A user's practice of each kind.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn practice(&self, user: i64) -> Result<Vec<Practice>, Error> {
+        self.read(move |tx| {
+            let settings = project::settings(tx)?;
+            TaskKind::ALL
+                .iter()
+                .map(|&kind| practice::standing(tx, user, kind, &settings))
+                .collect()
+        })
+    }
+
+    /// Adds many users, each with a token, or none if a line is wrong.
+    ///
+    /// # Errors
+    /// `invalid` names the line; or the store fails.
+    pub fn add_users(
+        &self,
+        actor: Option<i64>,
+        lines: &str,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<Vec<IssuedToken>, Error> {
+        let new = people::parse_lines(lines)?;
+        self.write_people(move |tx| people::add_all(tx, actor, &new, expires, now))
+    }
+
+    /// Tasks that still want answers and have no draft of a language model, with ids above `after`.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn undrafted(
+        &self,
+        kind: Option<TaskKind>,
+        after: i64,
+        limit: usize,
+    ) -> Result<Vec<TaskRecord>, Error> {
+        self.read(move |tx| read::undrafted(tx, kind, after, limit))
+    }
+
+    /// Instructions that have paraphrases.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn paraphrased(&self) -> Result<BTreeSet<String>, Error> {
+        self.read(paraphrases::paraphrased)
+    }
+
+    /// Stores proposed paraphrases of an instruction, and returns the number of new ones.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn put_paraphrases(
+        &self,
+        instruction: &str,
+        texts: Vec<String>,
+        model: &str,
+        prompt_hash: &str,
+        now: Millis,
+    ) -> Result<usize, Error> {
+        let (instruction, model) = (instruction.to_owned(), model.to_owned());
+        let hash = prompt_hash.to_owned();
+        self.write(move |tx| paraphrases::put(tx, &instruction, &texts, &model, &hash, now))
+    }
+
+    /// Paraphrases of a state with ids above `after`.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn paraphrases(
+        &self,
+        state: ParaphraseState,
+        after: i64,
+        limit: usize,
+    ) -> Result<Paraphrases, Error> {
+        self.read(move |tx| paraphrases::page(tx, state, after, limit))
+    }
+
+    /// Applies a reviewer's judgement of a paraphrase.
+    ///
+    /// # Errors
+    /// `invalid`, `not_found`; or the store fails.
+    pub fn judge_paraphrase(
+        &self,
+        user: i64,
+        id: i64,
+        judgement: JudgeParaphrase,
+        now: Millis,
+    ) -> Result<Paraphrase, Error> {
+        self.write(move |tx| paraphrases::judge(tx, user, id, &judgement, now))
+    }
+
+    /// Accepted paraphrases by their instructions.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn accepted_paraphrases(&self) -> Result<BTreeMap<String, Vec<String>>, Error> {
+        self.read(paraphrases::accepted)
+    }
+
+    /// Pictures of the guide, without their content.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn pictures(&self) -> Result<Vec<PictureInfo>, Error> {
+        self.read(pictures::list)
+    }
+
+    /// A picture of the guide.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn picture(&self, name: &str) -> Result<Picture, Error> {
+        let name = name.to_owned();
+        self.read(move |tx| pictures::get(tx, &name))
+    }
+
+    /// Stores a picture of the guide, in place of one of the same name.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn put_picture(
+        &self,
+        actor: i64,
+        name: &str,
+        bytes: Vec<u8>,
+        now: Millis,
+    ) -> Result<PictureInfo, Error> {
+        let name = name.to_owned();
+        self.write(move |tx| pictures::put(tx, actor, &name, &bytes, now))
+    }
+
+    /// Deletes a picture of the guide.
+    ///
+    /// # Errors
+    /// `not_found`; or the store fails.
+    pub fn delete_picture(&self, actor: i64, name: &str, now: Millis) -> Result<(), Error> {
+        let name = name.to_owned();
+        self.write(move |tx| pictures::delete(tx, actor, &name, now))
+    }
+
+    /// Work by person, day and kind between two times. Days begin in the project's time zone.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn work(&self, from: Millis, to: Millis) -> Result<Vec<DayWork>, Error> {
+        self.read(move |tx| work::days(tx, from, to))
+    }
+
+    /// What is left to do, and how fast it goes.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn outlook(&self, now: Millis) -> Result<Vec<Outlook>, Error> {
+        self.read(move |tx| work::outlook(tx, now))
     }
 
     /// Motions by their hashes.
@@ -340,6 +635,22 @@ impl Store {
     /// The store fails.
     pub fn labels(&self, after: i64, limit: usize) -> Result<Vec<Label>, Error> {
         self.read(move |tx| read::labels(tx, after, limit))
+    }
+
+    /// Tasks whose answers changed after a place in the log, and the last place of the log.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn answered_since(&self, after: i64) -> Result<(Vec<i64>, i64), Error> {
+        self.read(move |tx| read::answered_since(tx, after))
+    }
+
+    /// Submitted answers to these tasks, by task.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>, Error> {
+        self.read(move |tx| read::labels_to(tx, &tasks))
     }
 
     /// The range of the next keys after a key, or `None` after the last.
@@ -491,12 +802,15 @@ impl Store {
         self.read(project::settings)
     }
 
-    /// Changes the settings.
+    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
+    /// a time.
     ///
     /// # Errors
     /// `invalid`; or the store fails.
     pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
-        self.write(move |tx| project::put_settings(tx, actor, settings, now))
+        self.write(move |tx| project::put_settings(tx, actor, settings, now))?;
+        while !self.write(move |tx| project::retarget(tx, actor, now))? {}
+        Ok(())
     }
 
     /// A user's preferences.

@@ -12,6 +12,7 @@ use serde_json::Value;
 use super::release;
 use super::tables::AnnotationRow;
 use crate::Error;
+use crate::answer::completion;
 use crate::store::{Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
     Answer, BUNDLE, CountReason, EditType, Extent, MaskAnswer, SuggestionSource, TaskKind, Verdict,
@@ -244,7 +245,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
                 .map(|row| MaskAnswer {
                     parts: row.parts.clone(),
                     soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
-                    text: row.text.clone(),
+                    text: completion(&row.text).to_owned(),
                     suggestion: None,
                 })
                 .collect(),

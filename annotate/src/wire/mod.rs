@@ -4,41 +4,55 @@
 //! names of enums are `snake_case`.
 
 mod answer;
+mod browse;
 mod home;
 mod jobs;
 mod log;
+mod mine;
 mod names;
+mod paraphrase;
 mod people;
 mod problem;
 mod review;
+mod rules;
 mod stats;
 mod task;
 #[cfg(test)]
 mod typescript;
 
 pub use answer::{Answer, MaskAnswer, Revision, Suggestion};
+pub use browse::{
+    AnswerBrief, BulkDone, BulkRequest, DecisionRow, Decisions, Holder, SkipBrief, TaskFile,
+    TaskFilter, TaskPage, TaskRow,
+};
 pub use home::{Home, QueueInfo, ReturnedTask, Shelf, ShelfItem};
 pub use jobs::{ExportRequest, Job};
-pub use log::{Audit, AuditEntry, Change, Guide};
+pub use log::{Audit, AuditEntry, Change, Guide, GuidePicture, KindGuide, PictureInfo};
+pub use mine::{MyAnswer, MyAnswers};
 pub(crate) use names::names;
 pub use names::{
-    Action, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent, ImportFormat,
-    ReviewQueue, RevisionState, Role, SkipReason, SuggestionSource, SuggestionUse, TaskKind,
-    TaskState, Verdict,
+    Action, BulkAction, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent,
+    ImportFormat, ParaphraseState, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter,
+    SkipReason, Standing, SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm,
+    Verdict,
 };
+pub use paraphrase::{JudgeParaphrase, Paraphrase, Paraphrases};
 pub use people::{
-    Limits, Login, Me, NewToken, NewUser, Prefs, Project, Settings, TokenInfo, TokenShown, User,
-    UserChange,
+    Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings,
+    TokenInfo, TokenShown, User, UserChange,
 };
 pub use problem::Problem;
 pub use review::{
     Candidate, NewReview, ReviewDone, ReviewEmpty, ReviewNext, ReviewRequest, ReviewView,
 };
-pub use stats::{Agreement, Estimate, Funnel, PartAgreement, Person, QuotaRow, Week};
+pub use rules::{ApplyRules, Rule, RuleState, RuleUndone, RulesApplied};
+pub use stats::{
+    Agreement, DayWork, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow, Week,
+};
 pub use task::{
-    BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, HeldLease,
-    Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, SkeletonInfo, Skip, SkippedTask,
-    SkippedTasks, SuggestRequest, Task, TaskView,
+    BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, Feedback,
+    HeldLease, Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, Practice, SkeletonInfo,
+    Skip, SkippedTask, SkippedTasks, SuggestRequest, Task, TaskView,
 };
 
 /// Maximum characters of a text.
@@ -49,6 +63,8 @@ pub const MAX_EVENTS: usize = 64;
 pub const MAX_BODY_BYTES: usize = 256 * 1024;
 /// Maximum bytes of the body of an import.
 pub const MAX_IMPORT_BYTES: usize = 64 * 1024 * 1024;
+/// Maximum bytes of a picture of the guide.
+pub const MAX_PICTURE_BYTES: usize = 2 * 1024 * 1024;
 /// Maximum masks of an answer.
 pub const MAX_MASKS: usize = 16;
 /// Maximum pairs of a bundle.

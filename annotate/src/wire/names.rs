@@ -417,6 +417,110 @@ names! {
 }
 
 names! {
+    /// What a rule of acceptance looks at.
+    pub enum RuleKind {
+        /// Tasks whose answers all reject the pair.
+        Rejects = "rejects",
+        /// Tasks that a trusted person answered.
+        Trusted = "trusted",
+        /// All tasks, but for the share left to reviewers.
+        Sampled = "sampled",
+    }
+}
+
+names! {
+    /// What a bulk action does with each task.
+    pub enum BulkAction {
+        /// Accept the answer of a task that waits for review; of several equal answers the first one.
+        Accept = "accept",
+        /// Return all answers of a task that waits for review.
+        Return = "return",
+        /// Drop an undecided task.
+        Drop = "drop",
+        /// Undo the decision on an accepted or dropped task.
+        Reopen = "reopen",
+        /// Reserve an open task for a person.
+        Assign = "assign",
+    }
+}
+
+names! {
+    /// Orders of the task browser.
+    pub enum TaskSort {
+        /// By id: the order of import.
+        Id = "id",
+        /// By the distance of the answers, largest first; tasks with fewer than two answers come last.
+        Distance = "distance",
+        /// By the last answer, skip or decision, newest first.
+        Touched = "touched",
+    }
+}
+
+names! {
+    /// Which skipped tasks the browser lists.
+    pub enum SkipFilter {
+        /// Skipped by somebody.
+        Any = "any",
+        /// Skipped by every active annotator who has not answered it: nobody would be given it.
+        Everybody = "everybody",
+    }
+}
+
+names! {
+    /// State of a paraphrase.
+    pub enum ParaphraseState {
+        /// Nobody has judged it.
+        Proposed = "proposed",
+        /// The composer may use it.
+        Accepted = "accepted",
+        /// It is not used.
+        Rejected = "rejected",
+    }
+}
+
+names! {
+    /// What a text of an answer is.
+    pub enum TextForm {
+        /// It completes "The person is …": "waving with the left arm".
+        Completion = "completion",
+        /// An instruction that turns the first motion into the second: "raise the left arm higher".
+        Instruction = "instruction",
+    }
+}
+
+impl TaskKind {
+    /// What the texts of its answers are. Guide, text box, phrases and drafts follow it.
+    pub fn text_form(self) -> TextForm {
+        match self {
+            Self::MaskText => TextForm::Completion,
+            Self::Pair | Self::Style => TextForm::Instruction,
+        }
+    }
+}
+
+names! {
+    /// Where an answer stands, for its author.
+    pub enum Standing {
+        /// Unfinished.
+        Draft = "draft",
+        /// The task waits for the answer of another person.
+        WaitsForOthers = "waits_for_others",
+        /// It waits for a reviewer.
+        WaitsForReview = "waits_for_review",
+        /// A reviewer looks at it.
+        InReview = "in_review",
+        /// It was accepted as it is.
+        Accepted = "accepted",
+        /// A reviewer accepted another answer, or one merged from several.
+        Superseded = "superseded",
+        /// It was sent back.
+        Returned = "returned",
+        /// The task was dropped.
+        Dropped = "dropped",
+    }
+}
+
+names! {
     /// The code of a problem. Codes are stable; texts are not.
     pub enum Code {
         /// 401: no valid session or token.

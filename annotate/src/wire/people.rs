@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::names::{Action, Role};
+use super::log::KindGuide;
+use super::names::{Action, Role, TaskKind, TextForm};
+use super::rules::Rule;
 
 /// `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -89,6 +91,10 @@ pub struct Project {
     pub templates: Vec<String>,
     /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
     pub style_templates: Vec<String>,
+    /// Phrases to start the description of a mask with: they complete "The person is …".
+    pub mask_templates: Vec<String>,
+    /// What the texts of each kind are.
+    pub text_forms: BTreeMap<TaskKind, TextForm>,
 }
 
 /// `GET`/`PUT settings`.
@@ -98,7 +104,8 @@ pub struct Project {
 pub struct Settings {
     /// Name of the project.
     pub name: String,
-    /// People a task wants, for the share `overlap_percent` of tasks imported from now on.
+    /// People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want
+    /// answers.
     pub answers_per_task: u32,
     /// Share of tasks that want more than one person.
     pub overlap_percent: u32,
@@ -120,6 +127,9 @@ pub struct Settings {
     pub styles: Vec<String>,
     /// Phrases to complete the instruction of a fine-grained pair with.
     pub templates: Vec<String>,
+    /// Phrases to start the description of a mask with: they complete "The person is …".
+    #[serde(default)]
+    pub mask_templates: Vec<String>,
     /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
     pub style_templates: Vec<String>,
     /// Pairs wanted of each category and edit type; 0 for no bound.
@@ -128,6 +138,36 @@ pub struct Settings {
     pub guide: String,
     /// Name of the time zone in which days begin, such as `Europe/Berlin`.
     pub time_zone: String,
+    /// Guidelines of each kind.
+    #[serde(default)]
+    pub guides: BTreeMap<TaskKind, KindGuide>,
+    /// Rules that accept answers without a reviewer, tried in this order.
+    #[serde(default)]
+    pub rules: Vec<Rule>,
+    /// Minutes in which an author may take back an answer that a rule accepted.
+    #[serde(default = "take_back_minutes")]
+    pub take_back_minutes: u32,
+    /// Seed of the draws that leave tasks to reviewers.
+    #[serde(default)]
+    pub seed: u32,
+    /// Practice tasks that an annotator does before real work of a kind; 0 for none.
+    #[serde(default)]
+    pub practice_tasks: u32,
+    /// Mean score that opens real work, in percent.
+    #[serde(default = "practice_percent")]
+    pub practice_percent: u32,
+    /// Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in
+    /// every export.
+    #[serde(default)]
+    pub solo: bool,
+}
+
+fn take_back_minutes() -> u32 {
+    60
+}
+
+fn practice_percent() -> u32 {
+    80
 }
 
 /// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them.
@@ -156,6 +196,35 @@ pub struct NewUser {
     pub name: String,
     /// What they may do.
     pub role: Role,
+}
+
+/// `POST users/bulk`: many users at once, all or none.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct NewUsers {
+    /// Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab.
+    pub lines: String,
+    /// Days until their tokens end, 1 to 365.
+    #[serde(default = "token_days")]
+    pub days: u32,
+}
+
+fn token_days() -> u32 {
+    90
+}
+
+/// Answer to `POST users/bulk`: a new user with a link to log in.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct NewUserLink {
+    /// The user.
+    pub user: User,
+    /// What follows the address of the server: it logs the user in until the token ends. Shown this once.
+    pub path: String,
+    /// When the token ends.
+    pub expires: i64,
 }
 
 /// `PATCH users/{id}`.
@@ -250,9 +319,36 @@ impl Default for Settings {
                 "with a {style} upper body",
                 "with {style} arms",
             ]),
+            mask_templates: words(&[
+                "raising",
+                "lowering",
+                "swinging",
+                "bending",
+                "stretching out",
+                "holding still",
+            ]),
             quota: 0,
-            guide: include_str!("../guide.txt").to_owned(),
+            guide: include_str!("../guide/all.txt").to_owned(),
             time_zone: "UTC".to_owned(),
+            guides: [
+                (TaskKind::MaskText, include_str!("../guide/mask_text.txt")),
+                (TaskKind::Pair, include_str!("../guide/pair.txt")),
+                (TaskKind::Style, include_str!("../guide/style.txt")),
+            ]
+            .map(|(kind, text)| {
+                let guide = KindGuide {
+                    text: text.to_owned(),
+                    ..KindGuide::default()
+                };
+                (kind, guide)
+            })
+            .into(),
+            rules: Vec::new(),
+            take_back_minutes: take_back_minutes(),
+            seed: 0,
+            practice_tasks: 0,
+            practice_percent: practice_percent(),
+            solo: false,
         }
     }
 }

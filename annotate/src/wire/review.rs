@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::answer::{Answer, Revision};
+use super::answer::{Answer, Revision, Suggestion};
 use super::names::{Decision, ReviewQueue, TaskKind, TaskState};
 use super::task::{Lease, Task};
 
@@ -57,6 +57,8 @@ pub struct ReviewView {
     pub distance: Option<f64>,
     /// Comments of earlier rounds, oldest first.
     pub comments: Vec<String>,
+    /// Suggestions that the annotators were offered, unless theirs was a blind task.
+    pub suggestions: Vec<Suggestion>,
 }
 
 /// An answer to review.

@@ -48,6 +48,10 @@ pub struct Week {
     pub returned: i64,
     /// Median seconds of an answer.
     pub median_secs: Option<f64>,
+    /// Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets.
+    pub agreement: Option<f64>,
+    /// Number of those tasks.
+    pub shared_items: usize,
 }
 
 /// `GET stats/people`: one for each person.
@@ -136,4 +140,52 @@ pub struct QuotaRow {
     pub kept: i64,
     /// Pairs wanted; 0 for no bound.
     pub wanted: i64,
+}
+
+/// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct DayWork {
+    /// Midnight at which the day begins in the project's time zone.
+    pub start: i64,
+    /// Id of the person.
+    pub user: i64,
+    /// Name of the person.
+    pub name: String,
+    /// Kind of task.
+    pub kind: TaskKind,
+    /// Seconds of work.
+    pub secs: f64,
+    /// Answers handed in.
+    pub answers: i64,
+    /// Tasks skipped or postponed.
+    pub skips: i64,
+    /// Decisions as a reviewer. Bulk actions are not counted.
+    pub reviews: i64,
+}
+
+/// `GET stats/outlook`: what is left of a kind, at the pace of the last seven days.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct Outlook {
+    /// Kind.
+    pub kind: TaskKind,
+    /// Answers that tasks still want.
+    pub answers_left: i64,
+    /// Tasks that wait for a reviewer.
+    pub reviews_left: i64,
+    /// Answers in a day.
+    pub answers_per_day: f64,
+    /// Decisions of reviewers in a day.
+    pub reviews_per_day: f64,
+    /// Mean seconds of an answer.
+    pub secs_per_answer: Option<f64>,
+    /// Hours of work left: the median seconds of an answer for each.
+    pub hours_left: Option<f64>,
+    /// Days left.
+    pub days_left: Option<f64>,
+    /// When it ends.
+    pub ends: Option<i64>,
 }

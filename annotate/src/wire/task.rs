@@ -91,6 +91,8 @@ pub struct Task {
     pub submitted: u32,
     /// The bundle, for pairs.
     pub bundle: Option<Bundle>,
+    /// Whether it is practice: the known answer is shown after mine.
+    pub practice: bool,
 }
 
 /// Pairs that are leased together and submitted one by one.
@@ -327,6 +329,40 @@ pub struct EventResult {
     pub lease: Option<Lease>,
     /// The problem, if it failed.
     pub problem: Option<Problem>,
+    /// The known answer, after an answer to a practice task.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feedback: Option<Feedback>,
+}
+
+/// What a practice task teaches.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct Feedback {
+    /// Score of the answer: 1 minus its distance from the known one.
+    pub score: f64,
+    /// The known answer.
+    pub known: Answer,
+}
+
+/// `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives
+/// practice tasks before.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct Practice {
+    /// Kind.
+    pub kind: TaskKind,
+    /// Practice tasks to do; 0 if the kind needs no practice.
+    pub needed: i64,
+    /// Practice tasks done, up to `needed`.
+    pub done: i64,
+    /// Mean score of the last `needed` ones, 0 to 1.
+    pub score: Option<f64>,
+    /// Score to reach, 0 to 1.
+    pub threshold: f64,
+    /// Whether real work is open.
+    pub passed: bool,
 }
 
 /// `POST blend`.

@@ -105,15 +105,20 @@ macro_rules! declarations {
 
 declarations! {
     structs:
-        Agreement Answer Audit AuditEntry BlendRequest Bundle BundleItem Candidate Change Empty Estimate EventBatch
-        EventResult EventResults ExportRequest Funnel Guide HeldLease Home Job Lease Limits Login MaskAnswer Me
-        MotionInfo NewEvent NewReview NewToken NewUser Next NextRequest PartAgreement PartInfo Person Prefs Problem
-        Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest ReviewView Revision
-        Settings Shelf ShelfItem SkeletonInfo Skip SkippedTask SkippedTasks SuggestRequest Suggestion Task TaskView TokenInfo TokenShown User
+        Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
+        Candidate Change DayWork DecisionRow Decisions Empty Estimate EventBatch EventResult EventResults
+        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job JudgeParaphrase KindGuide Lease
+        Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
+        NewUsers Next NextRequest Outlook Paraphrase Paraphrases PartAgreement PartInfo Person PictureInfo Practice
+        Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
+        ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo Skip SkipBrief
+        SkippedTask SkippedTasks
+        SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
-        Action Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat ReviewQueue
-        RevisionState Role SkipReason SuggestionSource SuggestionUse TaskKind TaskState Verdict;
+        Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat
+        ParaphraseState ReviewQueue RevisionState Role RuleKind SkipFilter SkipReason Standing SuggestionSource
+        SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
 
 /// Names that `wire` makes public, read from its source.

@@ -269,7 +269,8 @@ fn a_mask_task_goes_from_claim_to_shelf() {
     );
     let _: Me = ann.get("me").ok();
     let guide: Guide = ann.get("guide").ok();
-    assert!(guide.text.contains("actively take part"));
+    let of_masks = &guide.kinds[&TaskKind::MaskText];
+    assert!(of_masks.text.contains("actively take part"));
     let skeleton: SkeletonInfo = ann.get("skeleton").ok();
     assert_eq!(skeleton.parts[3].name, "LEFT_ARM");
     let home: Home = ann.get("home").ok();
@@ -280,7 +281,7 @@ fn a_mask_task_goes_from_claim_to_shelf() {
     assert_eq!(view.task.motions[0].id, "clip00");
     assert_eq!(next.prefetch.len(), 3);
     let draft = &view.suggestions[0];
-    assert_eq!(draft.text, "The person is waving with their left arm.");
+    assert_eq!(draft.text, "waving with their left arm");
     assert!(
         view.suggestions
             .iter()

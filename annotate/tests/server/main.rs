@@ -5,6 +5,8 @@ mod deployment;
 mod hostile;
 mod load;
 mod model;
+mod scale;
+mod simulation;
 mod store;
 mod support;
 mod transfer;

@@ -5,11 +5,16 @@ use std::net::TcpListener;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
+use annotate::drafting;
 use annotate::model::Model;
-use annotate::wire::{Code, Role, Suggestion, SuggestionSource, TaskKind};
+use annotate::motions::MotionLibrary;
+use annotate::wire::{
+    Code, Paraphrase, ParaphraseState, Paraphrases, Role, Suggestion, SuggestionSource, TaskKind,
+    Verdict,
+};
 use serde_json::json;
 
-use crate::support::Site;
+use crate::support::{CLIPS, START, Site, pair};
 
 /// A mock server with a fixed response, which records its requests.
 struct Fake {
@@ -148,4 +153,105 @@ fn a_model_that_fails_blocks_nothing() {
         suggest(&site, &["LEFT_ARM"]).problem().code,
         Code::ModelFailed
     );
+}
+
+#[test]
+fn drafts_are_asked_for_in_bulk_and_once() {
+    let fake = fake(
+        "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\"waving the arm\"}}]}",
+    );
+    let model = Model::new(&fake.url, "tiny", None).expect("a model");
+    let site = Site::new();
+    let motions = MotionLibrary::open(&site.dataset).expect("motions");
+    let store = site.store.as_ref();
+    let ask = |limit: usize| {
+        let kind = Some(TaskKind::MaskText);
+        drafting::draft_all(store, &motions, &model, kind, limit, START, &mut |_| {})
+            .expect("drafts")
+    };
+    let first = ask(3);
+    assert_eq!((first.looked_at, first.failures), (3, 0));
+    assert!(first.texts >= 3 - first.without_parts);
+    let prompt = fake.asked.lock().expect("no panic")[0].clone();
+    assert!(prompt.contains("Leave out what other parts"), "{prompt}");
+    let ann = site.person("ann", Role::Annotator);
+    let view = ann.claim(TaskKind::MaskText);
+    let offered = |source: SuggestionSource| {
+        let all = view.suggestions.iter();
+        all.filter(|draft| draft.source == source)
+            .map(|draft| draft.text.as_str())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(offered(SuggestionSource::Llm), ["waving the arm"]);
+    assert_eq!(
+        offered(SuggestionSource::Import),
+        ["waving with their left arm"],
+        "a draft completes \"The person is ...\", as the guide asks"
+    );
+    let rest = ask(usize::MAX);
+    assert!(rest.looked_at >= CLIPS - 3, "{rest:?}");
+    let again = ask(usize::MAX);
+    assert_eq!(again.texts, 0, "what has a draft is not asked for again");
+}
+
+#[test]
+fn a_model_that_is_gone_ends_the_drafts_and_is_named() {
+    let model = Model::new("http://127.0.0.1:1/v1", "tiny", None).expect("a model");
+    let site = Site::new();
+    let motions = MotionLibrary::open(&site.dataset).expect("motions");
+    let done = drafting::draft_all(
+        site.store.as_ref(),
+        &motions,
+        &model,
+        Some(TaskKind::MaskText),
+        usize::MAX,
+        START,
+        &mut |_| {},
+    )
+    .expect("ends");
+    assert_eq!(done.texts, 0);
+    assert!(done.failures > 0);
+    assert!(done.last_failure.expect("a reason").contains("reached"));
+}
+
+#[test]
+fn paraphrases_are_judged_before_the_composer_gets_them() {
+    let fake = fake(
+        "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\"1. lift it further\\n2. higher\\n- raise it more\\n\"}}]}",
+    );
+    let model = Model::new(&fake.url, "tiny", None).expect("a model");
+    let site = Site::new();
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    ann.answer(TaskKind::Pair, pair(Verdict::Keep));
+    let bulk = json!({ "filter": { "kind": "pair" }, "action": "accept" });
+    let _: annotate::wire::BulkDone = eve.post("bulk", &bulk).ok();
+    let store = site.store.as_ref();
+    let ask = || {
+        drafting::paraphrase_all(store, &model, 4, usize::MAX, START, &mut |_| {}).expect("asks")
+    };
+    assert_eq!(ask().texts, 2, "the instruction itself is no paraphrase");
+    assert_eq!(ask().looked_at, 0);
+    let waiting: Paraphrases = eve.get("paraphrases").ok();
+    assert_eq!(waiting.waiting, 2);
+    assert_eq!(waiting.items[0].instruction, "higher");
+    assert!(store.accepted_paraphrases().expect("phrases").is_empty());
+    let path = |index: usize| format!("paraphrases/{}", waiting.items[index].id);
+    let corrected = json!({ "accept": true, "text": "lift the arm further" });
+    let accepted: Paraphrase = eve.post(&path(0), &corrected).ok();
+    assert_eq!(accepted.state, ParaphraseState::Accepted);
+    let _: Paraphrase = eve.post(&path(1), &json!({ "accept": false })).ok();
+    let same = json!({ "accept": true, "text": "lift the arm further" });
+    assert_eq!(eve.post(&path(1), &same).problem().code, Code::Invalid);
+    let phrases = store.accepted_paraphrases().expect("phrases");
+    assert_eq!(phrases["higher"], ["lift the arm further"]);
+    let log = store.log(0, 10_000).expect("the log");
+    let judged: Vec<_> = log
+        .iter()
+        .filter(|entry| entry.kind == "paraphrase_judged")
+        .collect();
+    assert_eq!(judged.len(), 2);
+    assert_eq!(judged[0].body["proposed"], "lift it further");
 }

@@ -16,7 +16,7 @@ use crate::support::{
 };
 
 /// Runs a test on a fresh store of each database.
-fn on_each(test: &str, check: impl Fn(Arc<Store>)) {
+pub(crate) fn on_each(test: &str, check: impl Fn(Arc<Store>)) {
     let folder = tempfile::tempdir().expect("a folder");
     check(open_sqlite(&folder.path().join("store.sqlite")).expect("a store"));
     on_postgres(test, &check);
@@ -52,14 +52,14 @@ pub(crate) fn skipped(test: &str) {
 }
 
 /// A store with users and tasks of a kind.
-struct Fixture {
-    store: Arc<Store>,
-    ann: i64,
-    bob: i64,
-    eve: Who,
+pub(crate) struct Fixture {
+    pub(crate) store: Arc<Store>,
+    pub(crate) ann: i64,
+    pub(crate) bob: i64,
+    pub(crate) eve: Who,
 }
 
-fn fixture(store: Arc<Store>, tasks: Vec<NewTask>) -> Fixture {
+pub(crate) fn fixture(store: Arc<Store>, tasks: Vec<NewTask>) -> Fixture {
     plain_settings(store.as_ref());
     let user = |name: &str, role| store.add_user(None, name, role, START).expect("a user").id;
     let (ann, bob) = (user("ann", Role::Annotator), user("bob", Role::Annotator));
@@ -78,14 +78,14 @@ fn fixture(store: Arc<Store>, tasks: Vec<NewTask>) -> Fixture {
     }
 }
 
-fn mask_tasks(count: usize) -> Vec<NewTask> {
+pub(crate) fn mask_tasks(count: usize) -> Vec<NewTask> {
     (0..count)
         .map(|number| bare_task(number, TaskKind::MaskText))
         .collect()
 }
 
 impl Fixture {
-    fn who(&self, id: i64) -> Who {
+    pub(crate) fn who(&self, id: i64) -> Who {
         Who {
             id,
             name: String::new(),
@@ -93,11 +93,11 @@ impl Fixture {
         }
     }
 
-    fn claim(&self, user: i64, now: i64) -> Option<i64> {
+    pub(crate) fn claim(&self, user: i64, now: i64) -> Option<i64> {
         self.claim_kind(user, TaskKind::MaskText, now)
     }
 
-    fn claim_kind(&self, user: i64, kind: TaskKind, now: i64) -> Option<i64> {
+    pub(crate) fn claim_kind(&self, user: i64, kind: TaskKind, now: i64) -> Option<i64> {
         match self.store.claim(user, kind, 3, now).expect("claims") {
             Claimed::Task { detail, .. } => Some(detail.task.id),
             Claimed::Nothing(_) => None,
@@ -122,12 +122,12 @@ impl Fixture {
         task
     }
 
-    fn epoch(&self, user: i64, task: i64) -> i64 {
+    pub(crate) fn epoch(&self, user: i64, task: i64) -> i64 {
         let detail = self.store.task(&self.who(user), task).expect("a task");
         detail.lease.map_or(0, |lease| lease.epoch)
     }
 
-    fn send(&self, user: i64, task: i64, event: NewEvent, now: i64) -> EventResult {
+    pub(crate) fn send(&self, user: i64, task: i64, event: NewEvent, now: i64) -> EventResult {
         let mut results = self
             .store
             .append(user, task, vec![event], now)
@@ -135,7 +135,7 @@ impl Fixture {
         results.pop().expect("one result")
     }
 
-    fn answer(&self, user: i64, text: &str, now: i64) -> i64 {
+    pub(crate) fn answer(&self, user: i64, text: &str, now: i64) -> i64 {
         let task = self.claim(user, now).expect("a task");
         let sent = event(
             EventKind::Submit,
@@ -147,11 +147,11 @@ impl Fixture {
         task
     }
 
-    fn state(&self, task: i64) -> TaskState {
+    pub(crate) fn state(&self, task: i64) -> TaskState {
         self.store.task_record(task).expect("a task").state
     }
 
-    fn review(&self, now: i64) -> (i64, i64) {
+    pub(crate) fn review(&self, now: i64) -> (i64, i64) {
         match self
             .store
             .review_next(self.eve.id, ReviewQueue::Disagreement, None, now)
@@ -162,7 +162,7 @@ impl Fixture {
         }
     }
 
-    fn decide(
+    pub(crate) fn decide(
         &self,
         task: i64,
         epoch: i64,
@@ -185,12 +185,12 @@ impl Fixture {
         }
     }
 
-    fn whole(&self) {
+    pub(crate) fn whole(&self) {
         assert_eq!(self.store.verify().expect("checks"), Vec::<String>::new());
     }
 }
 
-fn problem(result: &EventResult) -> Code {
+pub(crate) fn problem(result: &EventResult) -> Code {
     result.problem.as_ref().expect("a problem").code
 }
 

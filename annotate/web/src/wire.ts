@@ -38,6 +38,12 @@ export const ACTIONS: readonly Action[] = [
   "screen_dashboard", "screen_admin",
 ];
 
+/** What a bulk action does with each task. */
+export type BulkAction = "accept" | "return" | "drop" | "reopen" | "assign";
+export const BULK_ACTIONS: readonly BulkAction[] = [
+  "accept", "return", "drop", "reopen", "assign",
+];
+
 /** The code of a problem. Codes are stable; texts are not. */
 export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
 export const CODES: readonly Code[] = [
@@ -88,6 +94,12 @@ export const IMPORT_FORMATS: readonly ImportFormat[] = [
   "dataset", "stance", "annotations",
 ];
 
+/** State of a paraphrase. */
+export type ParaphraseState = "proposed" | "accepted" | "rejected";
+export const PARAPHRASE_STATES: readonly ParaphraseState[] = [
+  "proposed", "accepted", "rejected",
+];
+
 /** Review queues. */
 export type ReviewQueue = "disagreement" | "sample" | "returned";
 export const REVIEW_QUEUES: readonly ReviewQueue[] = [
@@ -106,10 +118,29 @@ export const ROLES: readonly Role[] = [
   "annotator", "reviewer", "admin",
 ];
 
+/** What a rule of acceptance looks at. */
+export type RuleKind = "rejects" | "trusted" | "sampled";
+export const RULE_KINDS: readonly RuleKind[] = [
+  "rejects", "trusted", "sampled",
+];
+
+/** Which skipped tasks the browser lists. */
+export type SkipFilter = "any" | "everybody";
+export const SKIP_FILTERS: readonly SkipFilter[] = [
+  "any", "everybody",
+];
+
 /** Reason for skipping a task. */
 export type SkipReason = "broken_motion" | "cannot_tell" | "wrong_caption" | "not_for_me" | "other";
 export const SKIP_REASONS: readonly SkipReason[] = [
   "broken_motion", "cannot_tell", "wrong_caption", "not_for_me", "other",
+];
+
+/** Where an answer stands, for its author. */
+export type Standing = "draft" | "waits_for_others" | "waits_for_review" | "in_review" | "accepted" | "superseded" | "returned" | "dropped";
+export const STANDINGS: readonly Standing[] = [
+  "draft", "waits_for_others", "waits_for_review", "in_review", "accepted", "superseded", "returned",
+  "dropped",
 ];
 
 /** Origin of a suggestion. */
@@ -130,10 +161,22 @@ export const TASK_KINDS: readonly TaskKind[] = [
   "mask_text", "pair", "style",
 ];
 
+/** Orders of the task browser. */
+export type TaskSort = "id" | "distance" | "touched";
+export const TASK_SORTS: readonly TaskSort[] = [
+  "id", "distance", "touched",
+];
+
 /** State of a task. `state::MOVES` has the transitions. */
 export type TaskState = "open" | "leased" | "submitted" | "in_review" | "accepted" | "returned" | "dropped";
 export const TASK_STATES: readonly TaskState[] = [
   "open", "leased", "submitted", "in_review", "accepted", "returned", "dropped",
+];
+
+/** What a text of an answer is. */
+export type TextForm = "completion" | "instruction";
+export const TEXT_FORMS: readonly TextForm[] = [
+  "completion", "instruction",
 ];
 
 /** Verdict on a pair. */
@@ -196,6 +239,30 @@ export type Answer = { "kind": "mask_text",
   /** Note. */
   note: string, };
 
+/** An answer in short. */
+export type AnswerBrief = {
+  /** Id of its author. */
+  author: number,
+  /** Name of its author. */
+  name: string,
+  /** State. */
+  state: RevisionState,
+  /** Its texts, joined. */
+  text: string,
+  /** Parts that it names. */
+  parts: Array<string>,
+  /** Verdict. */
+  verdict: Verdict | null,
+  /** Edit type. */
+  edit_type: EditType | null,
+  /** When it was last written. */
+  at: number, };
+
+/** `POST rules/apply`: applies the enabled rules to the tasks that wait for review. */
+export type ApplyRules = {
+  /** Go on after this task; from the beginning if missing. */
+  after: number | null, };
+
 /** `GET audit`: newest first. */
 export type Audit = {
   /** Entries. */
@@ -232,6 +299,30 @@ export type BlendRequest = {
   soft: boolean,
   /** Weight of `tgt` on the soft ring, 0 to 1. */
   alpha: number, };
+
+/** Answer to `POST bulk` and `POST bulk/preview`. A preview looks at all tasks and changes nothing; `POST bulk` looks at up to 2,000. */
+export type BulkDone = {
+  /** Tasks of the filter that were looked at. */
+  looked_at: number,
+  /** Tasks changed, or that would be changed. */
+  done: number,
+  /** Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`, `answered` (by the person), `task_full`. */
+  left_alone: { [key in string]: number },
+  /** Value of `after` for the next request; `null` once all are done. */
+  next: number | null, };
+
+/** `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter. */
+export type BulkRequest = {
+  /** Which tasks. */
+  filter: TaskFilter,
+  /** What to do with each. */
+  action: BulkAction,
+  /** Required for `return`, `drop` and `reopen`. */
+  comment: string,
+  /** The person, for `assign`. */
+  person: number | null,
+  /** Go on after this task; from the beginning if missing. */
+  after: number | null, };
 
 /** Pairs that are leased together and submitted one by one. */
 export type Bundle = {
@@ -272,6 +363,59 @@ export type Change = {
   task: number | null,
   /** Whether the task is one of mine. */
   mine: boolean, };
+
+/** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. */
+export type DayWork = {
+  /** Midnight at which the day begins in the project's time zone. */
+  start: number,
+  /** Id of the person. */
+  user: number,
+  /** Name of the person. */
+  name: string,
+  /** Kind of task. */
+  kind: TaskKind,
+  /** Seconds of work. */
+  secs: number,
+  /** Answers handed in. */
+  answers: number,
+  /** Tasks skipped or postponed. */
+  skips: number,
+  /** Decisions as a reviewer. Bulk actions are not counted. */
+  reviews: number, };
+
+/** A decision on a task. */
+export type DecisionRow = {
+  /** Its sequence number in the log. */
+  seq: number,
+  /** Task. */
+  task: number,
+  /** Key of the task. */
+  key: string,
+  /** `accepted`, `merged`, `returned`, `dropped` or `reopened`. */
+  decision: string,
+  /** Id of the reviewer; 0 for a rule. */
+  reviewer: number,
+  /** Name of the reviewer; empty for a rule. */
+  reviewer_name: string,
+  /** The author whose answer was accepted or sent back; `null` if it concerns all authors. */
+  author: number | null,
+  /** Names of the authors it concerns. */
+  authors: Array<string>,
+  /** The rule that accepted the task, or whose acceptance was taken back. */
+  rule: string | null,
+  /** Comment. */
+  comment: string,
+  /** When. */
+  at: number,
+  /** State of the task now. */
+  state: TaskState, };
+
+/** `GET reviews`: decisions, newest first. */
+export type Decisions = {
+  /** The decisions. */
+  items: Array<DecisionRow>,
+  /** Value of `before` for the next page. */
+  next: number | null, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = {
@@ -321,7 +465,9 @@ export type EventResult = {
   /** My lease after it. */
   lease: Lease | null,
   /** The problem, if it failed. */
-  problem: Problem | null, };
+  problem: Problem | null,
+  /** The known answer, after an answer to a practice task. */
+  feedback?: Feedback | null, };
 
 /** Answer to `POST tasks/{id}/events`. The status is 200; each event has its own. */
 export type EventResults = {
@@ -337,6 +483,13 @@ export type ExportRequest = {
   /** Also write the log (format `parquet` only). */
   events: boolean, };
 
+/** What a practice task teaches. */
+export type Feedback = {
+  /** Score of the answer: 1 minus its distance from the known one. */
+  score: number,
+  /** The known answer. */
+  known: Answer, };
+
 /** `GET stats/funnel`. */
 export type Funnel = {
   /** Tasks by kind and state. */
@@ -346,8 +499,21 @@ export type Funnel = {
 
 /** `GET guide`. */
 export type Guide = {
-  /** Plain text. */
-  text: string, };
+  /** What holds for all kinds, plain text. */
+  text: string,
+  /** Guidelines of each kind. */
+  kinds: { [key in TaskKind]?: KindGuide },
+  /** What the texts of each kind are. */
+  forms: { [key in TaskKind]?: TextForm }, };
+
+/** A picture of a right or a wrong answer. */
+export type GuidePicture = {
+  /** Name, at `guide/pictures/{name}`. */
+  name: string,
+  /** What it shows. */
+  caption: string,
+  /** Whether the answer it shows is right. */
+  right: boolean, };
 
 /** A held lease, as the dashboard lists it. */
 export type HeldLease = {
@@ -359,6 +525,17 @@ export type HeldLease = {
   kind: TaskKind,
   /** `annotate`, `review`, or `returned` (reserved for the author). */
   purpose: string, };
+
+/** Who holds a task. */
+export type Holder = {
+  /** Id. */
+  user: number,
+  /** Name. */
+  name: string,
+  /** `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`. */
+  purpose: string,
+  /** When the lease or the reservation ends. */
+  until: number, };
 
 /** `GET home`. */
 export type Home = {
@@ -405,6 +582,20 @@ export type Job = {
   finished: number | null,
   /** When its server last reported on it. */
   heartbeat: number, };
+
+/** `POST paraphrases/{id}`. */
+export type JudgeParaphrase = {
+  /** Whether the composer may use it. */
+  accept: boolean,
+  /** The wording as the reviewer corrected it. */
+  text: string | null, };
+
+/** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
+export type KindGuide = {
+  /** Plain text. */
+  text: string,
+  /** Examples. */
+  pictures: Array<GuidePicture>, };
 
 /** A lease: the right to work on a task for a limited time. */
 export type Lease = {
@@ -486,6 +677,34 @@ export type MotionInfo = {
   /** Style label of the source. */
   style: string | null, };
 
+/** An answer of mine. */
+export type MyAnswer = {
+  /** The task. */
+  task: Task,
+  /** The answer as I last wrote it. */
+  mine: Revision,
+  /** Where it stands. */
+  standing: Standing,
+  /** Answers that the task still waits for. */
+  missing: number,
+  /** The comment it was sent back with, or the task was dropped with. */
+  comment: string | null,
+  /** The answer that was accepted instead, if it is another one. */
+  accepted: Answer | null,
+  /** How it was accepted: `review`, `own`, `rule:NAME` or `import`. */
+  accepted_by: string | null,
+  /** Whether the event `undo` of `POST tasks/{id}/events` takes it back now. */
+  can_take_back: boolean,
+  /** When a returned task is offered to others. */
+  until: number | null, };
+
+/** `GET answers?standing=&kind=&before=&limit=`: my answers, newest first. */
+export type MyAnswers = {
+  /** The answers. */
+  items: Array<MyAnswer>,
+  /** Value of `before` for the next page. */
+  next: string | null, };
+
 /** An event of a task in the browser. */
 export type NewEvent = {
   /** Unique key made by the browser: 8 to 64 letters, digits and dashes. */
@@ -540,6 +759,22 @@ export type NewUser = {
   /** What they may do. */
   role: Role, };
 
+/** Answer to `POST users/bulk`: a new user with a link to log in. */
+export type NewUserLink = {
+  /** The user. */
+  user: User,
+  /** What follows the address of the server: it logs the user in until the token ends. Shown this once. */
+  path: string,
+  /** When the token ends. */
+  expires: number, };
+
+/** `POST users/bulk`: many users at once, all or none. */
+export type NewUsers = {
+  /** Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. */
+  lines: string,
+  /** Days until their tokens end, 1 to 365. */
+  days: number, };
+
 /** Answer to `POST queue/next`: a task, or why there is none. */
 export type Next = {
   /** The task and the lease on it. */
@@ -553,6 +788,53 @@ export type Next = {
 export type NextRequest = {
   /** Kind of task. */
   kind: TaskKind, };
+
+/** `GET stats/outlook`: what is left of a kind, at the pace of the last seven days. */
+export type Outlook = {
+  /** Kind. */
+  kind: TaskKind,
+  /** Answers that tasks still want. */
+  answers_left: number,
+  /** Tasks that wait for a reviewer. */
+  reviews_left: number,
+  /** Answers in a day. */
+  answers_per_day: number,
+  /** Decisions of reviewers in a day. */
+  reviews_per_day: number,
+  /** Mean seconds of an answer. */
+  secs_per_answer: number | null,
+  /** Hours of work left: the median seconds of an answer for each. */
+  hours_left: number | null,
+  /** Days left. */
+  days_left: number | null,
+  /** When it ends. */
+  ends: number | null, };
+
+/** A paraphrase. */
+export type Paraphrase = {
+  /** Id. */
+  id: number,
+  /** The accepted instruction. */
+  instruction: string,
+  /** Another wording of it. */
+  text: string,
+  /** Name of the model that proposed it. */
+  model: string,
+  /** State. */
+  state: ParaphraseState,
+  /** Id of the person who judged it. */
+  judge: number | null,
+  /** When it was proposed or judged. */
+  at: number, };
+
+/** `GET paraphrases?state=&after=&limit=`. */
+export type Paraphrases = {
+  /** Paraphrases of the state, oldest first. */
+  items: Array<Paraphrase>,
+  /** Value of `after` for the next page. */
+  next: number | null,
+  /** Paraphrases that nobody has judged. */
+  waiting: number, };
 
 /** Agreement on one decision. */
 export type PartAgreement = {
@@ -609,6 +891,30 @@ export type Person = {
   /** Time of the last log entry. */
   last_seen: number | null, };
 
+/** `GET guide/pictures`: a stored picture. */
+export type PictureInfo = {
+  /** Name: up to 60 letters, digits, dashes, dots and underscores. */
+  name: string,
+  /** Type of its content. */
+  mime: string,
+  /** Size in bytes. */
+  bytes: number, };
+
+/** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
+export type Practice = {
+  /** Kind. */
+  kind: TaskKind,
+  /** Practice tasks to do; 0 if the kind needs no practice. */
+  needed: number,
+  /** Practice tasks done, up to `needed`. */
+  done: number,
+  /** Mean score of the last `needed` ones, 0 to 1. */
+  score: number | null,
+  /** Score to reach, 0 to 1. */
+  threshold: number,
+  /** Whether real work is open. */
+  passed: boolean, };
+
 /** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
 export type Prefs = {
   /** Keys that differ from the defaults. */
@@ -654,7 +960,11 @@ export type Project = {
   /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
   /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
-  style_templates: Array<string>, };
+  style_templates: Array<string>,
+  /** Phrases to start the description of a mask with: they complete "The person is …". */
+  mask_templates: Array<string>,
+  /** What the texts of each kind are. */
+  text_forms: { [key in TaskKind]?: TextForm }, };
 
 /** A queue as I see it. */
 export type QueueInfo = {
@@ -732,7 +1042,9 @@ export type ReviewView = {
   /** Largest distance of the answers, 0 to 1; `null` for a single answer. */
   distance: number | null,
   /** Comments of earlier rounds, oldest first. */
-  comments: Array<string>, };
+  comments: Array<string>,
+  /** Suggestions that the annotators were offered, unless theirs was a blind task. */
+  suggestions: Array<Suggestion>, };
 
 /** The current answer of a user to a task. */
 export type Revision = {
@@ -751,11 +1063,59 @@ export type Revision = {
   /** Seconds of work. */
   secs: number, };
 
+/** A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold task. */
+export type Rule = {
+  /** Name, unique in the project: 1 to 40 letters, digits and dashes. Every acceptance records it. */
+  name: string,
+  /** Whether it is applied. */
+  enabled: boolean,
+  /** What it looks at. */
+  accepts: RuleKind,
+  /** Kinds of task; all if empty. */
+  kinds: Array<TaskKind>,
+  /** Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules it is the answer handed in first. */
+  people: Array<number>,
+  /** Fewest answers of a task. */
+  min_answers: number,
+  /** Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different verdicts have distance 1. */
+  max_distance: number,
+  /** Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the project's seed alone. */
+  review_percent: number, };
+
+/** `GET rules`: a rule, and what it does. The rules are edited as a part of the settings. */
+export type RuleState = {
+  /** The rule. A rule that was removed is listed while acceptances of it stand. */
+  rule: Rule,
+  /** Whether the settings have it. */
+  known: boolean,
+  /** Tasks that are accepted by it. */
+  accepted: number,
+  /** Waiting tasks that it would accept now, whether or not it is enabled. */
+  would_accept: number,
+  /** Waiting tasks that fit it and are left to reviewers. */
+  left_to_review: number, };
+
+/** Answer to `POST rules/{name}/undo`: the rule is disabled, and its acceptances are taken back, up to 2,000 in one request. The tasks wait for review again. */
+export type RuleUndone = {
+  /** Acceptances taken back by this request. */
+  reopened: number,
+  /** Acceptances that still stand: repeat the request until it is 0. */
+  left: number, };
+
+/** Answer to `POST rules/apply`. One request looks at up to 2,000 tasks. */
+export type RulesApplied = {
+  /** Waiting tasks looked at. */
+  looked_at: number,
+  /** Tasks accepted, by the name of the rule. */
+  accepted: { [key in string]: number },
+  /** Value of `after` for the next request; `null` once all are done. */
+  next: number | null, };
+
 /** `GET`/`PUT settings`. */
 export type Settings = {
   /** Name of the project. */
   name: string,
-  /** People a task wants, for the share `overlap_percent` of tasks imported from now on. */
+  /** People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want answers. */
   answers_per_task: number,
   /** Share of tasks that want more than one person. */
   overlap_percent: number,
@@ -777,6 +1137,8 @@ export type Settings = {
   styles: Array<string>,
   /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
+  /** Phrases to start the description of a mask with: they complete "The person is …". */
+  mask_templates: Array<string>,
   /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
   style_templates: Array<string>,
   /** Pairs wanted of each category and edit type; 0 for no bound. */
@@ -784,7 +1146,21 @@ export type Settings = {
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
-  time_zone: string, };
+  time_zone: string,
+  /** Guidelines of each kind. */
+  guides: { [key in TaskKind]?: KindGuide },
+  /** Rules that accept answers without a reviewer, tried in this order. */
+  rules: Array<Rule>,
+  /** Minutes in which an author may take back an answer that a rule accepted. */
+  take_back_minutes: number,
+  /** Seed of the draws that leave tasks to reviewers. */
+  seed: number,
+  /** Practice tasks that an annotator does before real work of a kind; 0 for none. */
+  practice_tasks: number,
+  /** Mean score that opens real work, in percent. */
+  practice_percent: number,
+  /** Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in every export. */
+  solo: boolean, };
 
 /** `GET shelf`: accepted answers. */
 export type Shelf = {
@@ -824,6 +1200,21 @@ export type Skip = {
   /** Their name. */
   user_name: string,
   /** Reason. */
+  reason: SkipReason | null,
+  /** More about it. */
+  note: string,
+  /** When. */
+  at: number, };
+
+/** A skip. */
+export type SkipBrief = {
+  /** Id. */
+  user: number,
+  /** Name. */
+  name: string,
+  /** Whether it was only postponed. */
+  postponed: boolean,
+  /** Why; `null` for a postponed task. */
   reason: SkipReason | null,
   /** More about it. */
   note: string,
@@ -885,7 +1276,103 @@ export type Task = {
   /** Submitted answers. */
   submitted: number,
   /** The bundle, for pairs. */
-  bundle: Bundle | null, };
+  bundle: Bundle | null,
+  /** Whether it is practice: the known answer is shown after mine. */
+  practice: boolean, };
+
+/** `GET tasks/{id}/record`: everything about a task, for reviewers. */
+export type TaskFile = {
+  /** The task. */
+  task: Task,
+  /** Its row in the browser. */
+  row: TaskRow,
+  /** All answers that were handed in, with their authors. */
+  answers: Array<Candidate>,
+  /** The accepted answer. */
+  accepted: Answer | null,
+  /** Decisions, oldest first. */
+  decisions: Array<DecisionRow>,
+  /** Suggestions the annotators were offered. */
+  suggestions: Array<Suggestion>, };
+
+/** Which tasks: those that fit every given field. Gold and practice tasks are left out. */
+export type TaskFilter = {
+  /** Kind. */
+  kind: TaskKind | null,
+  /** State. */
+  state: TaskState | null,
+  /** Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored; names of fields and parts are not searched. */
+  q: string | null,
+  /** A person who answered, skipped or holds it. */
+  person: number | null,
+  /** A part that an answer names. */
+  part: string | null,
+  /** An edit type that an answer names. */
+  edit_type: EditType | null,
+  /** A verdict that an answer gives. */
+  verdict: Verdict | null,
+  /** Category. */
+  category: string | null,
+  /** train, val or test. */
+  split: string | null,
+  /** Least distance of its answers, 0 to 1: it has two or more. */
+  min_distance: number | null,
+  /** Largest distance of its answers, 0 to 1: it has two or more. */
+  max_distance: number | null,
+  /** Skipped tasks. */
+  skipped: SkipFilter | null,
+  /** Accepted by the rule of this name. */
+  rule: string | null, };
+
+/** `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and `limit` (up to 200). */
+export type TaskPage = {
+  /** The rows, in order. */
+  rows: Array<TaskRow>,
+  /** Value of `after` for the next page. */
+  next: string | null,
+  /** Number of tasks that fit; given for the first page alone. */
+  total: number | null,
+  /** Order of the rows. */
+  sort: TaskSort, };
+
+/** A task in the browser. */
+export type TaskRow = {
+  /** Id. */
+  id: number,
+  /** Key: the same in every store and export of the dataset. */
+  key: string,
+  /** Kind. */
+  kind: TaskKind,
+  /** State. */
+  state: TaskState,
+  /** Id of its motion, or of the one before the edit. */
+  source_id: string,
+  /** Id of the motion after the edit. */
+  target_id: string | null,
+  /** train, val or test. */
+  split: string,
+  /** Category. */
+  category: string | null,
+  /** Edit that the pair was made for. */
+  hint: string | null,
+  /** Style label of the source. */
+  style: string | null,
+  /** Answers wanted. */
+  wanted: number,
+  /** Answers handed in. */
+  submitted: number,
+  /** Largest distance of its answers, 0 to 1; `null` below two answers. */
+  distance: number | null,
+  /** When it last got an answer, a skip or a decision; 0 before. */
+  touched: number,
+  /** Answers in short, in the order they were handed in. Drafts are left out. */
+  answers: Array<AnswerBrief>,
+  /** Who holds it, and until when. */
+  holders: Array<Holder>,
+  /** Who skipped it, and why. */
+  skips: Array<SkipBrief>,
+  /** How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`. */
+  accepted_by: string | null, };
 
 /** `GET tasks/{id}`. */
 export type TaskView = {
@@ -957,4 +1444,8 @@ export type Week = {
   /** Answers returned. */
   returned: number,
   /** Median seconds of an answer. */
-  median_secs: number | null, };
+  median_secs: number | null,
+  /** Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets. */
+  agreement: number | null,
+  /** Number of those tasks. */
+  shared_items: number, };

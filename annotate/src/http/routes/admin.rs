@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::http::app::{Context, Reply, json};
 use crate::store::{IssuedToken, TokenUse};
-use crate::wire::{NewToken, NewUser, Settings, TokenShown, UserChange};
+use crate::wire::{NewToken, NewUser, NewUserLink, NewUsers, Settings, TokenShown, UserChange};
 
 /// Days a new user's token is valid.
 const TOKEN_DAYS: u32 = 90;
@@ -47,6 +47,31 @@ pub(super) fn add_user(cx: &Context) -> Result<Reply, Error> {
     )?))
 }
 
+pub(super) fn add_users(cx: &Context) -> Result<Reply, Error> {
+    let new: NewUsers = cx.body()?;
+    check_days(new.days)?;
+    let expires = cx.now + i64::from(new.days) * DAY;
+    let users: Vec<NewUserLink> = cx
+        .app
+        .store
+        .add_users(Some(cx.who()?.id), &new.lines, expires, cx.now)?
+        .into_iter()
+        .map(|token| NewUserLink {
+            user: token.user,
+            path: format!("/#token={}", token.token),
+            expires: token.expires,
+        })
+        .collect();
+    json(&users)
+}
+
+fn check_days(days: u32) -> Result<(), Error> {
+    if (1..=365).contains(&days) {
+        return Ok(());
+    }
+    Err(Error::invalid("days", "a token is valid for 1 to 365 days"))
+}
+
 pub(super) fn change_user(cx: &Context) -> Result<Reply, Error> {
     let change: UserChange = cx.body()?;
     let user = cx.app.store.change_user(
@@ -65,9 +90,7 @@ pub(super) fn tokens(cx: &Context) -> Result<Reply, Error> {
 
 pub(super) fn add_token(cx: &Context) -> Result<Reply, Error> {
     let new: NewToken = cx.body()?;
-    if !(1..=365).contains(&new.days) {
-        return Err(Error::invalid("days", "a token is valid for 1 to 365 days"));
-    }
+    check_days(new.days)?;
     let expires = cx.now + i64::from(new.days) * DAY;
     json(&shown(cx.app.store.issue(
         cx.id()?,

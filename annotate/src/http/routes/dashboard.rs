@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use crate::Error;
 use crate::http::app::{App, Context, Reply, json};
-use crate::lock::lock;
 use crate::quality::Figures;
 use crate::state::LogKind;
 use crate::store::AuditFilter;
@@ -14,19 +13,9 @@ use crate::wire::{EditType, Funnel, Person, QuotaRow, TaskKind, Week};
 const WEEKS: i64 = 12;
 const DAY: i64 = 24 * 60 * 60 * 1000;
 
-/// Maximum age of cached agreement figures in milliseconds.
-const FIGURES_AGE: i64 = 60_000;
-
+/// Figures of all answers; those of the last minute are not computed again.
 pub(super) fn figures(app: &App, now: i64) -> Result<Arc<Figures>, Error> {
-    let known = lock(&app.figures).clone();
-    if let Some((at, figures)) = known
-        && (0..FIGURES_AGE).contains(&(now - at))
-    {
-        return Ok(figures);
-    }
-    let figures = Arc::new(Figures::of(app.store.as_ref())?);
-    *lock(&app.figures) = Some((now, Arc::clone(&figures)));
-    Ok(figures)
+    app.figures.get(app.store.as_ref(), now)
 }
 
 pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
@@ -47,20 +36,25 @@ pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
         .map(|back| this + week - (WEEKS - back) * week)
         .collect();
     let counts = cx.app.store.weeks(bounds.clone())?;
-    let medians = &figures(&cx.app, cx.now)?.secs_by_time;
+    let figures = figures(&cx.app, cx.now)?;
     for (index, counts) in counts.into_iter().enumerate() {
-        let inside = |at: &&(i64, f64)| (bounds[index]..bounds[index + 1]).contains(&at.0);
-        let mut secs: Vec<f64> = medians
-            .iter()
-            .filter(inside)
-            .map(|(_, secs)| *secs)
-            .collect();
+        let inside = |values: &[(i64, f64)]| -> Vec<f64> {
+            let within = values
+                .iter()
+                .filter(|(at, _)| (bounds[index]..bounds[index + 1]).contains(at));
+            within.map(|(_, value)| *value).collect()
+        };
+        let mut secs = inside(&figures.secs_by_time);
+        let agreed = inside(&figures.agreed_by_time);
         funnel.weeks.push(Week {
             start: bounds[index],
             submitted: counts.submitted,
             accepted: counts.accepted,
             returned: counts.returned,
             median_secs: datasets_spec::quantile::median(&mut secs),
+            agreement: (!agreed.is_empty())
+                .then(|| agreed.iter().sum::<f64>() / agreed.len() as f64),
+            shared_items: agreed.len(),
         });
     }
     json(&funnel)
@@ -119,6 +113,20 @@ pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
         })
         .collect();
     json(&rows)
+}
+
+/// Days that `stats/days` shows if the query names none.
+const DAYS_SHOWN: i64 = 28;
+
+pub(super) fn days(cx: &Context) -> Result<Reply, Error> {
+    cx.only(&["from", "to"])?;
+    let to = cx.number("to")?.unwrap_or(cx.now + DAY);
+    let from = cx.number("from")?.unwrap_or(to - DAYS_SHOWN * DAY);
+    json(&cx.app.store.work(from, to)?)
+}
+
+pub(super) fn outlook(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.outlook(cx.now)?)
 }
 
 pub(super) fn audit(cx: &Context) -> Result<Reply, Error> {

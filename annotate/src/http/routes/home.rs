@@ -1,4 +1,4 @@
-//! The home page, preferences, the guide, and the shelf of accepted answers.
+//! The home page, preferences, and the shelf of accepted answers.
 
 use super::dashboard::figures;
 use super::tasks::task_of;
@@ -6,7 +6,7 @@ use crate::Error;
 use crate::body::skeleton_info;
 use crate::http::app::{Context, Reply, json};
 use crate::store::{AcceptedAnswer, ShelfFilter};
-use crate::wire::{Guide, Prefs, Shelf, ShelfItem, TaskKind};
+use crate::wire::{Prefs, Shelf, ShelfItem, TaskKind};
 
 pub(super) fn prefs(cx: &Context) -> Result<Reply, Error> {
     json(&cx.app.store.prefs(cx.who()?.id)?)
@@ -16,12 +16,6 @@ pub(super) fn put_prefs(cx: &Context) -> Result<Reply, Error> {
     let prefs: Prefs = cx.body()?;
     cx.app.store.put_prefs(cx.who()?.id, prefs.clone())?;
     json(&prefs)
-}
-
-pub(super) fn guide(cx: &Context) -> Result<Reply, Error> {
-    json(&Guide {
-        text: cx.app.store.settings()?.guide,
-    })
 }
 
 pub(super) fn skeleton(_: &Context) -> Result<Reply, Error> {

@@ -1,18 +1,22 @@
 //! The table of routes.
 
 mod admin;
+mod browse;
 mod dashboard;
+mod guide;
 mod health;
 mod home;
 mod jobs;
 mod motions;
+mod paraphrases;
 mod review;
+mod rules;
 mod session;
 mod tasks;
 
 use super::app::{Access, Context, Handler, Reply, Route};
 use crate::Error;
-use crate::wire::{MAX_BODY_BYTES, MAX_IMPORT_BYTES, Role};
+use crate::wire::{MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, Role};
 
 const PUBLIC: Access = Access::Public;
 const ANNOTATOR: Access = Access::Role(Role::Annotator);
@@ -41,7 +45,28 @@ pub static ROUTES: &[Route] = &[
     row("GET", "/api/v1/me", ANNOTATOR, session::me),
     row("GET", "/api/v1/prefs", ANNOTATOR, home::prefs),
     row("PUT", "/api/v1/prefs", ANNOTATOR, home::put_prefs),
-    row("GET", "/api/v1/guide", ANNOTATOR, home::guide),
+    row("GET", "/api/v1/guide", ANNOTATOR, guide::guide),
+    row("PUT", "/api/v1/guide/{kind}", ADMIN, guide::put_guide),
+    row("GET", "/api/v1/guide/pictures", ANNOTATOR, guide::pictures),
+    row(
+        "GET",
+        "/api/v1/guide/pictures/{name}",
+        ANNOTATOR,
+        guide::picture,
+    ),
+    Route {
+        method: "PUT",
+        path: "/api/v1/guide/pictures/{name}",
+        access: ADMIN,
+        max_body: MAX_PICTURE_BYTES,
+        handler: Handler::Work(guide::put_picture),
+    },
+    row(
+        "DELETE",
+        "/api/v1/guide/pictures/{name}",
+        ADMIN,
+        guide::delete_picture,
+    ),
     row("GET", "/api/v1/skeleton", ANNOTATOR, home::skeleton),
     row("GET", "/api/v1/home", ANNOTATOR, home::home),
     row("GET", "/api/v1/shelf", ANNOTATOR, home::shelf),
@@ -50,7 +75,10 @@ pub static ROUTES: &[Route] = &[
     row("POST", "/api/v1/leases/{id}/renew", ANNOTATOR, tasks::renew),
     row("DELETE", "/api/v1/leases/{id}", ANNOTATOR, tasks::release),
     row("GET", "/api/v1/skipped", REVIEWER, tasks::skipped),
+    row("GET", "/api/v1/answers", ANNOTATOR, browse::mine),
+    row("GET", "/api/v1/tasks", REVIEWER, browse::tasks),
     row("GET", "/api/v1/tasks/{id}", ANNOTATOR, tasks::task),
+    row("GET", "/api/v1/tasks/{id}/record", REVIEWER, browse::task),
     row("POST", "/api/v1/tasks/{id}/claim", ANNOTATOR, tasks::claim),
     row(
         "POST",
@@ -65,6 +93,13 @@ pub static ROUTES: &[Route] = &[
         tasks::suggest,
     ),
     row("POST", "/api/v1/tasks/{id}/gold", ADMIN, tasks::make_gold),
+    row(
+        "POST",
+        "/api/v1/tasks/{id}/practice",
+        ADMIN,
+        tasks::make_practice,
+    ),
+    row("GET", "/api/v1/practice", ANNOTATOR, tasks::practice),
     row(
         "GET",
         "/api/v1/tasks/{id}/history",
@@ -98,6 +133,24 @@ pub static ROUTES: &[Route] = &[
     row("POST", "/api/v1/blend", ANNOTATOR, motions::blend),
     row("POST", "/api/v1/review/next", REVIEWER, review::review_next),
     row("POST", "/api/v1/reviews", REVIEWER, review::review),
+    row("GET", "/api/v1/reviews", REVIEWER, browse::decisions),
+    row("POST", "/api/v1/bulk/preview", REVIEWER, browse::preview),
+    row("POST", "/api/v1/bulk", REVIEWER, browse::bulk),
+    row(
+        "GET",
+        "/api/v1/paraphrases",
+        REVIEWER,
+        paraphrases::paraphrases,
+    ),
+    row(
+        "POST",
+        "/api/v1/paraphrases/{id}",
+        REVIEWER,
+        paraphrases::judge,
+    ),
+    row("GET", "/api/v1/rules", REVIEWER, rules::rules),
+    row("POST", "/api/v1/rules/apply", ADMIN, rules::apply),
+    row("POST", "/api/v1/rules/{name}/undo", ADMIN, rules::undo),
     row("GET", "/api/v1/stats/funnel", REVIEWER, dashboard::funnel),
     row("GET", "/api/v1/stats/people", REVIEWER, dashboard::people),
     row(
@@ -107,6 +160,8 @@ pub static ROUTES: &[Route] = &[
         dashboard::agreement,
     ),
     row("GET", "/api/v1/stats/quota", REVIEWER, dashboard::quota),
+    row("GET", "/api/v1/stats/days", REVIEWER, dashboard::days),
+    row("GET", "/api/v1/stats/outlook", REVIEWER, dashboard::outlook),
     Route {
         method: "GET",
         path: "/api/v1/stream",
@@ -118,6 +173,7 @@ pub static ROUTES: &[Route] = &[
     row("PUT", "/api/v1/settings", ADMIN, admin::put_settings),
     row("GET", "/api/v1/users", ADMIN, admin::users),
     row("POST", "/api/v1/users", ADMIN, admin::add_user),
+    row("POST", "/api/v1/users/bulk", ADMIN, admin::add_users),
     row("PATCH", "/api/v1/users/{id}", ADMIN, admin::change_user),
     row("GET", "/api/v1/users/{id}/tokens", ADMIN, admin::tokens),
     row("POST", "/api/v1/users/{id}/tokens", ADMIN, admin::add_token),

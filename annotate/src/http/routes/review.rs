@@ -5,7 +5,9 @@ use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, Reply, json};
 use crate::store::ReviewClaimed;
-use crate::wire::{Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView};
+use crate::wire::{
+    Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView, Revision,
+};
 
 pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
     let request: ReviewRequest = cx.body()?;
@@ -23,24 +25,13 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
         }
         ReviewClaimed::Task(detail) => *detail,
     };
+    let id = detail.task.id;
     let answers: Vec<_> = detail
         .candidates
         .iter()
         .map(|(revision, _)| revision.answer.clone())
         .collect();
-    let mut candidates = Vec::new();
-    for (revision, author_name) in detail.candidates {
-        let mask = revision.answer.joints();
-        candidates.push(Candidate {
-            draft_distance: crate::quality::draft_distance(
-                cx.app.store.as_ref(),
-                &revision.answer,
-            )?,
-            joints: mask.iter().map(datasets_spec::Joint::index).collect(),
-            author_name,
-            revision,
-        });
-    }
+    let candidates = candidates_of(cx, detail.candidates)?;
     json(&ReviewNext {
         review: Some(ReviewView {
             task: task_of(&cx.app, detail.task, None)?,
@@ -48,9 +39,34 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             candidates,
             distance: answer::spread(&answers),
             comments: detail.comments,
+            suggestions: cx.app.store.suggestions_of(id)?,
         }),
         empty: None,
     })
+}
+
+/// Answers as a reviewer sees them.
+pub(super) fn candidates_of(
+    cx: &Context,
+    answers: Vec<(Revision, String)>,
+) -> Result<Vec<Candidate>, Error> {
+    answers
+        .into_iter()
+        .map(|(revision, author_name)| {
+            let store = cx.app.store.as_ref();
+            Ok(Candidate {
+                draft_distance: crate::quality::draft_distance(store, &revision.answer)?,
+                joints: revision
+                    .answer
+                    .joints()
+                    .iter()
+                    .map(datasets_spec::Joint::index)
+                    .collect(),
+                author_name,
+                revision,
+            })
+        })
+        .collect()
 }
 
 pub(super) fn review(cx: &Context) -> Result<Reply, Error> {

@@ -1,5 +1,7 @@
 //! Login, logout, and the current user.
 
+use std::collections::BTreeMap;
+
 use axum::http::header;
 use axum::response::Response;
 use serde::Serialize;
@@ -10,7 +12,9 @@ use crate::http::proxy;
 use crate::lock::lock;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::Who;
-use crate::wire::{Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project};
+use crate::wire::{
+    Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project, TaskKind, TextForm,
+};
 
 /// Maximum number of logins per minute from one address.
 const LOGINS_PER_MINUTE: u32 = 10;
@@ -59,6 +63,14 @@ pub(super) fn me(cx: &Context) -> Result<Reply, Error> {
     json(&me_of(&cx.app, cx.who()?)?)
 }
 
+/// What the texts of each kind are.
+pub(super) fn text_forms() -> BTreeMap<TaskKind, TextForm> {
+    TaskKind::ALL
+        .iter()
+        .map(|&kind| (kind, kind.text_form()))
+        .collect()
+}
+
 fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
     let settings = app.store.settings()?;
     let read_only = lock(&app.read_only).clone();
@@ -87,6 +99,8 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             styles: settings.styles,
             templates: settings.templates,
             style_templates: settings.style_templates,
+            mask_templates: settings.mask_templates,
+            text_forms: text_forms(),
         },
         prefs: app.store.prefs(who.id)?,
         model: app

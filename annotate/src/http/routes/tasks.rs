@@ -7,7 +7,7 @@ use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{AuditFilter, Claimed, MotionRecord, SkippedFilter, TaskDetail, TaskRecord};
 use crate::wire::{
     Bundle, BundleItem, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
-    SkippedTask, SkippedTasks, SuggestRequest, Task, TaskKind, TaskView,
+    SkippedTask, SkippedTasks, SuggestRequest, Task, TaskKind, TaskView, TextForm,
 };
 
 /// Tasks whose motions the browser prefetches.
@@ -45,6 +45,7 @@ pub(super) fn task_of(
         wanted: record.wanted,
         submitted: record.submitted,
         bundle,
+        practice: record.practice,
     })
 }
 
@@ -64,6 +65,11 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     });
     let blind = detail.blind;
     let mut suggestions = detail.suggestions;
+    if detail.task.kind.text_form() == TextForm::Completion {
+        for suggestion in &mut suggestions {
+            suggestion.text = answer::completion(&suggestion.text).to_owned();
+        }
+    }
     if detail.task.kind == TaskKind::MaskText && !blind {
         // Active parts are suggestions too, computed on request.
         let parts = app.motions.active_parts(&detail.task.source)?;
@@ -229,6 +235,16 @@ pub(super) fn skipped(cx: &Context) -> Result<Reply, Error> {
         })
         .collect::<Result<_, Error>>()?;
     json(&SkippedTasks { items, next })
+}
+
+pub(super) fn make_practice(cx: &Context) -> Result<Reply, Error> {
+    let store = &cx.app.store;
+    let practice = store.make_practice(cx.who()?.id, cx.id()?, cx.now)?;
+    json(&task_of(&cx.app, store.task_record(practice)?, None)?)
+}
+
+pub(super) fn practice(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.practice(cx.who()?.id)?)
 }
 
 pub(super) fn history(cx: &Context) -> Result<Reply, Error> {

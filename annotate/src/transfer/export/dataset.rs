@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, JointSet, MASK_DEF_VERSION, MotionId, Split};
 
 use super::exporter::{Exported, Exporter, pseudonym};
 use crate::Error;
-use crate::answer::mask_of;
+use crate::answer::{mask_of, sentence};
 use crate::transfer::import::PAIR_SOURCE;
 use crate::wire::{Answer, Extent, TaskKind, Verdict};
 
@@ -123,7 +123,7 @@ fn mask_rows(
             hard_joints: JointSet::names(joints.hard()),
             soft_joints: JointSet::names(joints.soft()),
             mask_def_version: MASK_DEF_VERSION,
-            text: mask.text.trim().to_owned(),
+            text: sentence(&mask.text),
             text_origin: "human".to_owned(),
             author: author.to_owned(),
         });

@@ -1,0 +1,204 @@
+//! Texts of a language model for a whole project: drafts before people start, and paraphrases of accepted instructions.
+//!
+//! Both are proposals. An annotator judges each draft; a reviewer judges each paraphrase before the composer uses it.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use datasets_spec::BodyPart;
+
+use crate::Error;
+use crate::answer::known_parts;
+use crate::model::Model;
+use crate::motions::MotionLibrary;
+use crate::store::{Millis, Store, TaskRecord};
+use crate::wire::{Answer, SuggestionSource, TaskKind, Verdict};
+
+/// Tasks or instructions that are asked for at a time.
+const BATCH: usize = 64;
+/// Requests to the model at the same time.
+const PARALLEL: usize = 4;
+/// Failures after which nothing more is asked for: the model is gone, or the key is wrong.
+const MAX_FAILURES: usize = 20;
+
+/// What was asked for, and what came.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Drafted {
+    /// Tasks or instructions looked at.
+    pub looked_at: usize,
+    /// New texts.
+    pub texts: usize,
+    /// Tasks without parts to describe.
+    pub without_parts: usize,
+    /// Requests that failed; run the command again for them.
+    pub failures: usize,
+    /// Why the last of them failed.
+    pub last_failure: Option<String>,
+}
+
+/// Runs `ask` for every item on a few threads, until too many fail.
+fn each<T: Sync>(
+    items: &[T],
+    done: &mut Drafted,
+    ask: impl Fn(&T) -> Result<usize, Error> + Sync,
+) -> Result<(), Error> {
+    let (next, failures) = (AtomicUsize::new(0), AtomicUsize::new(done.failures));
+    let work = || {
+        let mut mine = (0, None);
+        while failures.load(Ordering::Relaxed) < MAX_FAILURES
+            && let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed))
+        {
+            match ask(item) {
+                Ok(texts) => mine.0 += texts,
+                Err(Error::Refused(problem)) => {
+                    failures.fetch_add(1, Ordering::Relaxed);
+                    mine.1 = Some(problem.detail);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(mine)
+    };
+    let results: Vec<Result<(usize, Option<String>), Error>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..PARALLEL).map(|_| scope.spawn(work)).collect();
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap_or(Err(Error::Closed)))
+            .collect()
+    });
+    done.looked_at += items.len();
+    done.failures = failures.load(Ordering::Relaxed);
+    for result in results {
+        let (texts, failure) = result?;
+        done.texts += texts;
+        done.last_failure = failure.or(done.last_failure.take());
+    }
+    Ok(())
+}
+
+/// Asks for drafts of up to `limit` tasks that still want answers and have no draft of a model: one for each suggested
+/// mask, or for each active part if none is suggested. Running it again goes on where it ended.
+///
+/// # Errors
+/// A motion cannot be read, or the store fails. Failures of the model are counted.
+pub fn draft_all(
+    store: &Store,
+    motions: &MotionLibrary,
+    model: &Model,
+    kind: Option<TaskKind>,
+    limit: usize,
+    now: Millis,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Drafted, Error> {
+    let mut done = Drafted::default();
+    let without_parts = AtomicUsize::new(0);
+    let mut after = 0;
+    while done.looked_at < limit && done.failures < MAX_FAILURES {
+        let tasks = store.undrafted(kind, after, BATCH.min(limit - done.looked_at))?;
+        let Some(last) = tasks.last() else { break };
+        after = last.id;
+        each(&tasks, &mut done, |task| {
+            let parts = parts_to_describe(store, motions, task)?;
+            if parts.is_empty() {
+                without_parts.fetch_add(1, Ordering::Relaxed);
+            }
+            let hashes = std::iter::once(task.source.clone()).chain(task.target.clone());
+            let clips = store.motions(hashes.collect())?;
+            let captions: Vec<&str> = clips
+                .iter()
+                .flat_map(|motion| motion.captions.iter().map(String::as_str))
+                .collect();
+            for parts in &parts {
+                let draft = model.suggest(store, task, &captions, parts)?;
+                store.put_suggestion(task.id, draft, now)?;
+            }
+            Ok(parts.len())
+        })?;
+        progress(done.looked_at);
+    }
+    done.without_parts = without_parts.into_inner();
+    Ok(done)
+}
+
+/// The parts that each draft of a task describes.
+fn parts_to_describe(
+    store: &Store,
+    motions: &MotionLibrary,
+    task: &TaskRecord,
+) -> Result<Vec<Vec<BodyPart>>, Error> {
+    let suggested: BTreeSet<Vec<String>> = store
+        .suggestions_of(task.id)?
+        .into_iter()
+        .filter(|suggestion| suggestion.source == SuggestionSource::Import)
+        .map(|suggestion| suggestion.parts)
+        .collect();
+    let mut parts: Vec<Vec<BodyPart>> = suggested
+        .iter()
+        .map(|parts| known_parts(parts))
+        .filter(|parts| !parts.is_empty())
+        .collect();
+    if parts.is_empty() && task.kind == TaskKind::MaskText {
+        let active = motions.active_parts(&task.source)?;
+        parts = active.into_iter().map(|part| vec![part]).collect();
+    }
+    Ok(parts)
+}
+
+/// Asks for `count` paraphrases of each accepted instruction of a pair that has none yet, up to `limit` instructions.
+///
+/// # Errors
+/// The store fails. Failures of the model are counted.
+pub fn paraphrase_all(
+    store: &Store,
+    model: &Model,
+    count: usize,
+    limit: usize,
+    now: Millis,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Drafted, Error> {
+    let known = store.paraphrased()?;
+    let wanted: Vec<String> = accepted_instructions(store)?
+        .into_iter()
+        .filter(|instruction| !known.contains(instruction))
+        .take(limit)
+        .collect();
+    let mut done = Drafted::default();
+    for some in wanted.chunks(BATCH) {
+        if done.failures >= MAX_FAILURES {
+            break;
+        }
+        each(some, &mut done, |instruction| {
+            let (texts, prompt_hash) = model.paraphrases(instruction, count)?;
+            store.put_paraphrases(instruction, texts, model.name(), &prompt_hash, now)
+        })?;
+        progress(done.looked_at);
+    }
+    Ok(done)
+}
+
+/// The texts of accepted pairs, each once.
+fn accepted_instructions(store: &Store) -> Result<BTreeSet<String>, Error> {
+    const KEYS: usize = 2000;
+    let mut all = BTreeSet::new();
+    let mut after = String::new();
+    while let Some(keys) = store.next_keys(&after, KEYS)? {
+        for accepted in store.accepted(&keys)? {
+            if let Answer::Pair {
+                verdict: Verdict::Keep,
+                text,
+                ..
+            }
+            | Answer::Style {
+                verdict: Verdict::Keep,
+                text,
+                ..
+            } = accepted.answer
+                && !text.trim().is_empty()
+            {
+                all.insert(text);
+            }
+        }
+        after = keys.up_to;
+    }
+    Ok(all)
+}

@@ -1,0 +1,143 @@
+//! What a person handed in, and where it stands.
+
+use super::append::take_back_window;
+use super::db::{Tx, params};
+use super::records::{Millis, MineQuery, OwnAnswer};
+use super::rows::{self, NUM_TASK_COLUMNS};
+use super::{project, read};
+use crate::Error;
+use crate::wire::{RevisionState, Standing, TaskState};
+
+/// Columns of a revision, after those of its task.
+const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
+
+/// A person's answers, newest first, from a cursor `at:task` on.
+pub(super) fn answers(
+    tx: &mut dyn Tx,
+    user: i64,
+    query: &MineQuery,
+    now: Millis,
+) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
+    let bad = || Error::invalid("before", "this is no cursor of a page; begin at the first");
+    let (mut at, mut task) = match &query.before {
+        None => (i64::MAX, i64::MAX),
+        Some(cursor) => {
+            let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
+            (
+                at.parse::<i64>().map_err(|_| bad())?,
+                task.parse::<i64>().map_err(|_| bad())?,
+            )
+        }
+    };
+    let window = take_back_window(&project::settings(tx)?);
+    let sql = format!(
+        "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
+         JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
+         WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
+         ORDER BY r.at DESC, r.task DESC LIMIT ?5",
+        rows::TASK_COLUMNS,
+        rows::REVISION_COLUMNS
+    );
+    let kind = query.kind.map_or("", |kind| kind.as_str());
+    let batch = query.limit as i64 + 1;
+    let mut found = Vec::new();
+    // The standing is not a column, so rows of another standing are read and passed over.
+    loop {
+        let rows = tx.query(&sql, params![user, at, task, kind, batch])?;
+        let read = rows.len() as i64;
+        for row in &rows {
+            let own = own_answer(tx, user, row, window, now)?;
+            (at, task) = (own.mine.at, own.mine.task);
+            if query.standing.is_none_or(|wanted| wanted == own.standing) {
+                found.push(own);
+            }
+            if found.len() > query.limit {
+                found.truncate(query.limit);
+                let cursor = found
+                    .last()
+                    .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
+                return Ok((found, cursor));
+            }
+        }
+        if read < batch {
+            return Ok((found, None));
+        }
+    }
+}
+
+fn own_answer(
+    tx: &mut dyn Tx,
+    user: i64,
+    row: &super::db::Row,
+    window: Millis,
+    now: Millis,
+) -> Result<OwnAnswer, Error> {
+    let task = rows::read_task(row)?;
+    let mine = rows::read_revision(row, NUM_TASK_COLUMNS)?;
+    let accepted_author = row.opt_int(AFTER_REVISION)?;
+    let accepted_at = row.opt_int(AFTER_REVISION + 3)?;
+    let accepted_by = row.opt_text(AFTER_REVISION + 4)?;
+    let merged = row.opt_int(AFTER_REVISION + 1)? == Some(1);
+    let task = read::shown(tx, task, user)?;
+    let standing = standing(task.state, mine.state);
+    let by_rule = accepted_by
+        .as_deref()
+        .is_some_and(|basis| basis.starts_with("rule:"));
+    let can_take_back = match standing {
+        Standing::WaitsForOthers | Standing::WaitsForReview => true,
+        Standing::Accepted | Standing::Superseded => {
+            by_rule && accepted_at.is_some_and(|at| now - at <= window)
+        }
+        Standing::Draft | Standing::InReview | Standing::Returned | Standing::Dropped => false,
+    };
+    let comment = match standing {
+        Standing::Returned | Standing::Draft | Standing::Dropped => {
+            let decision = if standing == Standing::Dropped {
+                "dropped"
+            } else {
+                "returned"
+            };
+            tx.one(
+                "SELECT comment FROM review WHERE task = ?1 AND decision = ?2
+                   AND (author IS NULL OR author = ?3) ORDER BY seq DESC LIMIT 1",
+                params![task.id, decision, user],
+            )?
+            .map(|row| row.string(0))
+            .transpose()?
+        }
+        _ => None,
+    };
+    let until = if standing == Standing::Returned {
+        rows::lease_of(tx, task.id, user)?.map(|held| held.lease.expires)
+    } else {
+        None
+    };
+    let other = accepted_author.is_some() && (merged || accepted_author != Some(user));
+    Ok(OwnAnswer {
+        standing,
+        comment,
+        accepted: other.then(|| row.json(AFTER_REVISION + 2)).transpose()?,
+        // Names of rules and reviewers' ways are the project's own facts; the author may know them.
+        accepted_by,
+        can_take_back,
+        until,
+        task,
+        mine,
+    })
+}
+
+/// Where an answer stands.
+fn standing(task: TaskState, mine: RevisionState) -> Standing {
+    match mine {
+        RevisionState::Returned => Standing::Returned,
+        RevisionState::Draft if task != TaskState::Dropped => Standing::Draft,
+        RevisionState::Accepted => Standing::Accepted,
+        RevisionState::Superseded => Standing::Superseded,
+        RevisionState::Submitted | RevisionState::Draft => match task {
+            TaskState::Dropped => Standing::Dropped,
+            TaskState::InReview => Standing::InReview,
+            TaskState::Submitted => Standing::WaitsForReview,
+            _ => Standing::WaitsForOthers,
+        },
+    }
+}

@@ -1,0 +1,161 @@
+//! Pictures of the guide. They are stored as Base64 text, since both databases hold text.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+
+use super::db::{Tx, params};
+use super::entry::{Body, Entry};
+use super::log;
+use super::records::{Millis, Picture};
+use crate::Error;
+use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
+
+/// Maximum number of pictures.
+const MAX_PICTURES: i64 = 100;
+/// Types of pictures by the bytes they begin with.
+const TYPES: [(&[u8], &str); 4] = [
+    (b"\x89PNG\r\n\x1a\n", "image/png"),
+    (b"\xff\xd8\xff", "image/jpeg"),
+    (b"GIF8", "image/gif"),
+    (b"RIFF", "image/webp"),
+];
+
+/// The type of a picture; none for anything else, SVG with its scripts among them.
+fn mime(bytes: &[u8]) -> Option<&'static str> {
+    let (_, mime) = TYPES.iter().find(|(start, _)| bytes.starts_with(start))?;
+    let is_webp = bytes.get(8..12) == Some(b"WEBP");
+    (*mime != "image/webp" || is_webp).then_some(*mime)
+}
+
+/// Checks a name of a picture.
+pub(super) fn check_name(name: &str) -> Result<(), Error> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if (1..=60).contains(&name.len()) && name.chars().all(allowed) {
+        return Ok(());
+    }
+    Err(Error::invalid(
+        "name",
+        format!(
+            "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
+        ),
+    ))
+}
+
+pub(super) fn list(tx: &mut dyn Tx) -> Result<Vec<PictureInfo>, Error> {
+    tx.query("SELECT name, mime, bytes FROM picture ORDER BY name", &[])?
+        .iter()
+        .map(|row| {
+            Ok(PictureInfo {
+                name: row.string(0)?,
+                mime: row.string(1)?,
+                bytes: decoded(row.text(2)?)?.len(),
+            })
+        })
+        .collect()
+}
+
+fn decoded(text: &str) -> Result<Vec<u8>, Error> {
+    STANDARD.decode(text).map_err(|error| Error::Row {
+        table: "picture",
+        problem: error.to_string(),
+    })
+}
+
+pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Picture, Error> {
+    let row = tx.one(
+        "SELECT mime, bytes FROM picture WHERE name = ?1",
+        params![name],
+    )?;
+    let row = row.ok_or_else(|| Error::not_found("picture"))?;
+    Ok(Picture {
+        mime: row.string(0)?,
+        bytes: decoded(row.text(1)?)?,
+    })
+}
+
+/// Stores a picture, in place of one of the same name.
+pub(super) fn put(
+    tx: &mut dyn Tx,
+    actor: i64,
+    name: &str,
+    bytes: &[u8],
+    now: Millis,
+) -> Result<PictureInfo, Error> {
+    check_name(name)?;
+    let mime = mime(bytes).ok_or_else(|| {
+        Error::invalid(
+            "body",
+            "this is no PNG, JPEG, GIF or WebP; convert the picture",
+        )
+    })?;
+    if bytes.len() > MAX_PICTURE_BYTES {
+        return Err(Error::invalid("body", "the picture is larger than 2 MB"));
+    }
+    let others = tx.number(
+        "SELECT COUNT(*) FROM picture WHERE name <> ?1",
+        params![name],
+    )?;
+    if others >= MAX_PICTURES {
+        return Err(Error::invalid(
+            "name",
+            format!("there are {MAX_PICTURES} pictures already; delete one"),
+        ));
+    }
+    tx.execute(
+        "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
+         ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",
+        params![name, mime, STANDARD.encode(bytes), now],
+    )?;
+    let hash = blake3::hash(bytes).to_hex().to_string();
+    logged(tx, actor, name, Some(hash), now)?;
+    Ok(PictureInfo {
+        name: name.to_owned(),
+        mime: mime.to_owned(),
+        bytes: bytes.len(),
+    })
+}
+
+pub(super) fn delete(tx: &mut dyn Tx, actor: i64, name: &str, now: Millis) -> Result<(), Error> {
+    if tx.execute("DELETE FROM picture WHERE name = ?1", params![name])? == 0 {
+        return Err(Error::not_found("picture"));
+    }
+    logged(tx, actor, name, None, now)
+}
+
+fn logged(
+    tx: &mut dyn Tx,
+    actor: i64,
+    name: &str,
+    hash: Option<String>,
+    now: Millis,
+) -> Result<(), Error> {
+    let entry = Entry {
+        at: now,
+        actor: Some(actor),
+        task: None,
+        epoch: None,
+        body: Body::GuidePicture {
+            name: name.to_owned(),
+            hash,
+        },
+    };
+    log::note(tx, &entry).map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_pictures_without_scripts_are_pictures() {
+        assert_eq!(mime(b"\x89PNG\r\n\x1a\n...."), Some("image/png"));
+        assert_eq!(mime(b"RIFF....WEBPVP8 "), Some("image/webp"));
+        for other in [&b"RIFF....WAVEfmt "[..], b"<svg onload='x'>", b"GIF", b""] {
+            assert_eq!(mime(other), None);
+        }
+        assert!(check_name("right-1.png").is_ok());
+        for bad in ["", "../x", "a b", "a/b"] {
+            assert!(check_name(bad).is_err(), "{bad:?}");
+        }
+    }
+}

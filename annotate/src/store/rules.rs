@@ -1,0 +1,355 @@
+//! Rules of acceptance: answers that need no reviewer.
+//!
+//! A rule looks at a task that has all its answers (`submitted`). It leaves tasks alone that a reviewer returned or
+//! reopened: a person has an eye on those.
+
+use std::collections::BTreeMap;
+
+use super::db::{Tx, params};
+use super::entry::{Body, Entry};
+use super::records::{Millis, TaskRecord};
+use super::{log, project, rows};
+use crate::Error;
+use crate::answer;
+use crate::wire::{Revision, Rule, RuleKind, RuleState, RuleUndone, RulesApplied, Settings};
+
+/// Tasks that one request looks at.
+const AT_ONCE: i64 = 2000;
+/// Share of a whole, as draws and percentages count it.
+const WHOLE: i64 = 100;
+
+/// SQL condition: no reviewer has returned or reopened task `t`.
+const UNTOUCHED: &str = "NOT EXISTS (SELECT 1 FROM review v WHERE v.task = t.id
+  AND v.decision IN ('returned', 'reopened') AND v.rule IS NULL)";
+
+/// What a rule says about a task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fit {
+    /// It does not fit.
+    No,
+    /// It fits, and is drawn for review.
+    Review,
+    /// It fits: the answer of this author is accepted.
+    Accept(i64),
+}
+
+/// Whether a task is among the `percent` of tasks left to reviewers. It depends on the seed and the task alone, and a
+/// larger share holds the smaller ones.
+fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
+    (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
+}
+
+/// Applies a rule to a task with its answers in the order they were handed in.
+fn fit(rule: &Rule, seed: u32, task: &TaskRecord, answers: &[Revision]) -> Fit {
+    let (Some(first), false) = (answers.first(), task.gold.is_some()) else {
+        return Fit::No;
+    };
+    if !rule.kinds.is_empty() && !rule.kinds.contains(&task.kind)
+        || answers.len() < rule.min_answers as usize
+    {
+        return Fit::No;
+    }
+    let author = match rule.accepts {
+        RuleKind::Rejects => {
+            let rejects = |own: &Revision| own.answer.is_reject();
+            answers.iter().all(rejects).then_some(first.author)
+        }
+        RuleKind::Trusted => {
+            let answered = |person: &&i64| answers.iter().any(|own| own.author == **person);
+            rule.people.iter().find(answered).copied()
+        }
+        RuleKind::Sampled => Some(first.author),
+    };
+    let Some(author) = author else {
+        return Fit::No;
+    };
+    let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
+    if answer::spread(&all).is_some_and(|distance| distance > rule.max_distance) {
+        return Fit::No;
+    }
+    if is_sampled(seed, task, rule.review_percent) {
+        Fit::Review
+    } else {
+        Fit::Accept(author)
+    }
+}
+
+/// Answers of a task that wait for review, in the order they were handed in.
+pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>, Error> {
+    let sql = format!(
+        "SELECT {} FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author",
+        rows::REVISION_COLUMNS
+    );
+    tx.query(&sql, params![task])?
+        .iter()
+        .map(|row| rows::read_revision(row, 0))
+        .collect()
+}
+
+/// Accepts a task if a rule says so, and returns the name of the rule.
+fn decide(
+    tx: &mut dyn Tx,
+    settings: &Settings,
+    task: &TaskRecord,
+    now: Millis,
+) -> Result<Option<String>, Error> {
+    let answers = waiting_answers(tx, task.id)?;
+    for rule in settings.rules.iter().filter(|rule| rule.enabled) {
+        match fit(rule, settings.seed, task, &answers) {
+            Fit::No => {}
+            // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
+            Fit::Review => return Ok(None),
+            Fit::Accept(author) => {
+                let entry = Entry {
+                    at: now,
+                    actor: None,
+                    task: Some(task.id),
+                    epoch: None,
+                    body: Body::Accepted {
+                        author,
+                        comment: String::new(),
+                        secs: 0.0,
+                        request: String::new(),
+                        rule: Some(rule.name.clone()),
+                        own: false,
+                    },
+                };
+                log::note(tx, &entry)?;
+                return Ok(Some(rule.name.clone()));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Applies the rules to a task that has just got an answer.
+pub(super) fn on_answer(
+    tx: &mut dyn Tx,
+    settings: &Settings,
+    task: i64,
+    now: Millis,
+) -> Result<(), Error> {
+    if !settings.rules.iter().any(|rule| rule.enabled) {
+        return Ok(());
+    }
+    if let Some(task) = waiting(tx, task - 1, task, 1)?.pop() {
+        decide(tx, settings, &task, now)?;
+    }
+    Ok(())
+}
+
+/// Waiting tasks that rules may decide, with ids above `after` up to `up_to`.
+fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>, Error> {
+    let sql = format!(
+        "SELECT {} FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2
+           AND {UNTOUCHED} ORDER BY t.id LIMIT ?3",
+        rows::TASK_COLUMNS
+    );
+    tx.query(&sql, params![after, up_to, limit])?
+        .iter()
+        .map(rows::read_task)
+        .collect()
+}
+
+/// Applies the enabled rules to the next waiting tasks.
+pub(super) fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied, Error> {
+    let settings = project::settings(tx)?;
+    let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+    let mut done = RulesApplied {
+        looked_at: tasks.len() as i64,
+        next: (tasks.len() as i64 == AT_ONCE)
+            .then(|| tasks.last().map(|task| task.id))
+            .flatten(),
+        ..RulesApplied::default()
+    };
+    for task in tasks {
+        if let Some(rule) = decide(tx, &settings, &task, now)? {
+            *done.accepted.entry(rule).or_default() += 1;
+        }
+    }
+    Ok(done)
+}
+
+/// The rules of the settings, and removed ones whose acceptances stand, with their counts.
+pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
+    let settings = project::settings(tx)?;
+    let mut accepted: BTreeMap<String, i64> = BTreeMap::new();
+    for row in tx.query(
+        "SELECT basis, COUNT(*) FROM accepted WHERE basis LIKE 'rule:%' GROUP BY basis",
+        &[],
+    )? {
+        let name = row.text(0)?.trim_start_matches("rule:").to_owned();
+        accepted.insert(name, row.int(1)?);
+    }
+    let mut states: Vec<RuleState> = settings
+        .rules
+        .iter()
+        .map(|rule| RuleState {
+            rule: rule.clone(),
+            known: true,
+            accepted: accepted.remove(&rule.name).unwrap_or(0),
+            would_accept: 0,
+            left_to_review: 0,
+        })
+        .collect();
+    let mut after = 0;
+    loop {
+        let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+        let Some(last) = tasks.last() else { break };
+        after = last.id;
+        for task in &tasks {
+            let answers = waiting_answers(tx, task.id)?;
+            for state in &mut states {
+                match fit(&state.rule, settings.seed, task, &answers) {
+                    Fit::No => {}
+                    Fit::Review => state.left_to_review += 1,
+                    Fit::Accept(_) => state.would_accept += 1,
+                }
+            }
+        }
+    }
+    states.extend(accepted.into_iter().map(|(name, accepted)| RuleState {
+        rule: Rule {
+            name,
+            enabled: false,
+            accepts: RuleKind::Sampled,
+            kinds: Vec::new(),
+            people: Vec::new(),
+            min_answers: 1,
+            max_distance: 0.0,
+            review_percent: 0,
+        },
+        known: false,
+        accepted,
+        would_accept: 0,
+        left_to_review: 0,
+    }));
+    Ok(states)
+}
+
+/// Disables a rule and takes its acceptances back, some at a time.
+pub(super) fn undo(
+    tx: &mut dyn Tx,
+    actor: i64,
+    name: &str,
+    now: Millis,
+) -> Result<RuleUndone, Error> {
+    let mut settings = project::settings(tx)?;
+    let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
+    let known = rule.is_some();
+    if let Some(rule) = rule
+        && rule.enabled
+    {
+        rule.enabled = false;
+        project::put_settings(tx, actor, settings, now)?;
+    }
+    let basis = format!("rule:{name}");
+    let tasks = tx.query(
+        "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2",
+        params![&basis, AT_ONCE],
+    )?;
+    if tasks.is_empty() && !known {
+        return Err(Error::not_found("rule"));
+    }
+    for row in &tasks {
+        reopen(tx, Some(actor), row.int(0)?, name, "", now)?;
+    }
+    Ok(RuleUndone {
+        reopened: tasks.len() as i64,
+        left: tx.number(
+            "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
+            params![&basis],
+        )?,
+    })
+}
+
+/// Takes back an acceptance of a rule.
+pub(super) fn reopen(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    task: i64,
+    rule: &str,
+    comment: &str,
+    now: Millis,
+) -> Result<(), Error> {
+    let entry = Entry {
+        at: now,
+        actor,
+        task: Some(task),
+        epoch: None,
+        body: Body::Reopened {
+            comment: comment.to_owned(),
+            request: String::new(),
+            rule: Some(rule.to_owned()),
+        },
+    };
+    log::note(tx, &entry)?;
+    Ok(())
+}
+
+/// The rule that accepted a task, and when.
+pub(super) fn accepted_by_rule(
+    tx: &mut dyn Tx,
+    task: i64,
+) -> Result<Option<(String, Millis)>, Error> {
+    let row = tx.one(
+        "SELECT basis, at FROM accepted WHERE task = ?1",
+        params![task],
+    )?;
+    let Some(row) = row else { return Ok(None) };
+    let rule = row.text(0)?.strip_prefix("rule:").map(str::to_owned);
+    Ok(rule.zip(Some(row.int(1)?)))
+}
+
+/// Checks the rules of new settings.
+pub(super) fn check(rules: &[Rule]) -> Result<(), Error> {
+    const MAX_RULES: usize = 20;
+    let refuse = |index: usize, field: &str, problem: String| {
+        Err(Error::invalid(&format!("rules.{index}.{field}"), problem))
+    };
+    if rules.len() > MAX_RULES {
+        return Err(Error::invalid(
+            "rules",
+            format!("use up to {MAX_RULES} rules"),
+        ));
+    }
+    for (index, rule) in rules.iter().enumerate() {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
+        if !(1..=40).contains(&rule.name.len()) || !rule.name.chars().all(allowed) {
+            return refuse(
+                index,
+                "name",
+                format!(
+                    "{:?} is no name of a rule; use 1 to 40 letters, digits and dashes",
+                    rule.name
+                ),
+            );
+        }
+        if rules[..index].iter().any(|other| other.name == rule.name) {
+            return refuse(index, "name", format!("two rules are called {}", rule.name));
+        }
+        if rule.accepts == RuleKind::Trusted && rule.people.is_empty() {
+            return refuse(index, "people", "name the people to trust".to_owned());
+        }
+        if rule.accepts != RuleKind::Trusted && !rule.people.is_empty() {
+            return refuse(
+                index,
+                "people",
+                format!(
+                    "a rule that accepts {} has no people; leave them out",
+                    rule.accepts
+                ),
+            );
+        }
+        if !(1..=50).contains(&rule.min_answers) {
+            return refuse(index, "min_answers", "use 1 to 50".to_owned());
+        }
+        if !(0.0..=1.0).contains(&rule.max_distance) {
+            return refuse(index, "max_distance", "use 0 to 1".to_owned());
+        }
+        if rule.review_percent > 100 {
+            return refuse(index, "review_percent", "use 0 to 100".to_owned());
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,549 @@
+//! A whole project in simulated time: people answer, rules accept, a share is reviewed, and the export holds what the
+//! log says. A short version runs with the other tests; one of the size of the paper's project is
+//!
+//! ```sh
+//! ANNOTATE_SIMULATION=40000x5000x13 cargo test --release --workspace --test server simulated -- --nocapture
+//! ```
+//!
+//! with the number of pairs, of clips and of people.
+
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use annotate::store::{
+    Claimed, MotionRecord, NewTask, PageQuery, ReviewClaimed, Store, TaskDetail,
+};
+use annotate::wire::{
+    Answer, Decision, EditType, EventKind, NewReview, ReviewQueue, Role, Rule, RuleKind,
+    SkipReason, TaskFilter, TaskKind, TaskSort, TaskState, Verdict,
+};
+use datasets_spec::Seed;
+use rand::RngExt;
+
+use crate::store::on_each;
+use crate::support::{
+    MINUTE, START, all_keys, bare_task, event, key, masks, pair, peak_memory_mb, plain_settings,
+};
+
+const HOUR: i64 = 60 * MINUTE;
+const DAY: i64 = 24 * HOUR;
+/// Share of the tasks that reviewers look at.
+const REVIEWED: u32 = 20;
+/// Categories of the pairs.
+const CATEGORIES: [&str; 4] = ["walk", "run", "jump", "wave"];
+
+fn size() -> [usize; 3] {
+    let text = std::env::var("ANNOTATE_SIMULATION").unwrap_or_else(|_| "240x40x5".to_owned());
+    let numbers: Vec<usize> = text
+        .split('x')
+        .filter_map(|number| number.parse().ok())
+        .collect();
+    numbers
+        .try_into()
+        .expect("ANNOTATE_SIMULATION is pairs x clips x people")
+}
+
+/// Durations of one operation.
+#[derive(Default)]
+struct Times(BTreeMap<&'static str, Vec<Duration>>);
+
+impl Times {
+    fn of<T>(&mut self, what: &'static str, work: impl FnOnce() -> T) -> T {
+        let clock = Instant::now();
+        let value = work();
+        self.0.entry(what).or_default().push(clock.elapsed());
+        value
+    }
+
+    fn print(&mut self) {
+        use std::io::Write;
+        for (what, times) in &mut self.0 {
+            times.sort();
+            let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
+            let _said = writeln!(
+                std::io::stderr().lock(),
+                "  {what:<28} {:>7} times, p50 {:>9.2?} p99 {:>9.2?} total {:>8.1?}",
+                times.len(),
+                at(0.5),
+                at(0.99),
+                times.iter().sum::<Duration>()
+            );
+        }
+    }
+}
+
+struct Project {
+    store: Arc<Store>,
+    people: Vec<i64>,
+    reviewers: Vec<i64>,
+    rng: datasets_spec::Rng,
+    times: Times,
+    /// Acknowledged answers that stand, by task and author.
+    handed_in: BTreeSet<(i64, i64)>,
+    reviews: i64,
+}
+
+fn project(store: Arc<Store>, [pairs, clips, people]: [usize; 3]) -> Project {
+    plain_settings(store.as_ref());
+    let mut settings = store.settings().expect("settings");
+    settings.answers_per_task = 2;
+    settings.overlap_percent = 10;
+    settings.blind_percent = 10;
+    settings.seed = 20;
+    let rule = |name: &str, accepts: RuleKind, max_distance: f64| Rule {
+        name: name.to_owned(),
+        enabled: true,
+        accepts,
+        kinds: Vec::new(),
+        people: Vec::new(),
+        min_answers: 1,
+        max_distance,
+        review_percent: REVIEWED,
+    };
+    settings.rules = vec![
+        rule("rejects", RuleKind::Rejects, 1.0),
+        rule("sample", RuleKind::Sampled, 0.5),
+    ];
+    store.put_settings(1, settings, START).expect("settings");
+    let user = |name: String, role| store.add_user(None, &name, role, START).expect("a user").id;
+    let reviewers = (0..people.div_ceil(6))
+        .map(|number| user(format!("reviewer{number}"), Role::Reviewer))
+        .collect();
+    let people = (0..people)
+        .map(|number| user(format!("person{number:02}"), Role::Annotator))
+        .collect();
+    let motions: Vec<MotionRecord> = (0..clips)
+        .map(|clip| MotionRecord {
+            hash: format!("hash{clip:05}"),
+            id: format!("clip{clip:05}"),
+            split: "train".to_owned(),
+            frames: 100,
+            fps: 20.0,
+            captions: vec![format!("a person waves, take {clip}")],
+            style: None,
+            action: None,
+        })
+        .collect();
+    store.put_motions(motions).expect("motions");
+    let mut tasks: Vec<NewTask> = (0..clips)
+        .map(|clip| NewTask {
+            source: format!("hash{clip:05}"),
+            ..bare_task(clip, TaskKind::MaskText)
+        })
+        .collect();
+    tasks.extend((0..pairs).map(|number| NewTask {
+        key: format!("pair{number:06}"),
+        source: format!("hash{:05}", number % clips),
+        target: Some(format!("hash{:05}", (number + 1) % clips)),
+        bundle: Some(format!("bundle{}", number / 8)),
+        bundle_index: (number % 8) as i64,
+        category: Some(CATEGORIES[number / 8 % CATEGORIES.len()].to_owned()),
+        ..bare_task(number, TaskKind::Pair)
+    }));
+    let mut times = Times::default();
+    times.of("import of all tasks", || {
+        store.import(None, tasks, START).expect("tasks");
+    });
+    Project {
+        store,
+        people,
+        reviewers,
+        rng: Seed(20).rng(&["simulation"]),
+        times,
+        handed_in: BTreeSet::new(),
+        reviews: 0,
+    }
+}
+
+impl Project {
+    fn draw(&mut self, percent: u32) -> bool {
+        self.rng.random_range(0..100) < percent
+    }
+
+    /// What a person says about a task: mostly what the task calls for, else something of their own.
+    fn answer(&mut self, task: &TaskDetail) -> Answer {
+        let number = if self.draw(90) {
+            Seed(20).draw_u64(&["truth", &task.task.key])
+        } else {
+            self.rng.random_range(0..u64::MAX)
+        };
+        match task.task.kind {
+            TaskKind::MaskText => masks(&format!("waving {}", number % 7)),
+            _ => match number % 10 {
+                0..=3 => pair(Verdict::Unnatural),
+                4 => pair(Verdict::Unclear),
+                5 => pair(Verdict::Identical),
+                _ => match pair(Verdict::Keep) {
+                    Answer::Pair {
+                        verdict,
+                        parts,
+                        text,
+                        suggestion,
+                        note,
+                        ..
+                    } => Answer::Pair {
+                        verdict,
+                        parts,
+                        edit_type: Some(
+                            EditType::ALL[(number / 10) as usize % EditType::ALL.len()],
+                        ),
+                        text,
+                        suggestion,
+                        note,
+                    },
+                    other => other,
+                },
+            },
+        }
+    }
+
+    /// One turn of a person. Returns the seconds it took, or `None` if there is nothing to do.
+    fn work(&mut self, person: i64, kind: TaskKind, now: i64) -> Option<f64> {
+        let store = Arc::clone(&self.store);
+        let claimed = self.times.of("claim", || {
+            store.claim(person, kind, 3, now).expect("claims")
+        });
+        let Claimed::Task { detail, .. } = claimed else {
+            return None;
+        };
+        let (task, lease) = (detail.task.id, detail.lease.as_ref().expect("a lease"));
+        let mut rev = detail.mine.as_ref().map_or(0, |mine| mine.rev);
+        let epoch = lease.epoch;
+        let secs = if kind == TaskKind::Pair {
+            self.rng.random_range(10.0..40.0)
+        } else {
+            self.rng.random_range(40.0..90.0)
+        };
+        if self.draw(1) {
+            // The browser is closed: the lease runs out.
+            return Some(1200.0);
+        }
+        let send = |project: &mut Self, kind, rev, answer: Option<Answer>| {
+            let mut sent = event(kind, epoch, rev, answer);
+            sent.secs = secs;
+            if kind == EventKind::Skip {
+                sent.reason = Some(SkipReason::CannotTell);
+            }
+            let results = project.times.of("draft, answer or skip", || {
+                store
+                    .append(person, task, vec![sent], now)
+                    .expect("takes events")
+            });
+            assert_eq!(results[0].status, 200, "{:?}", results[0].problem);
+            results[0].rev
+        };
+        if self.draw(1) {
+            send(self, EventKind::Skip, rev, None);
+            return Some(secs / 2.0);
+        }
+        let answer = self.answer(&detail);
+        if self.draw(20) {
+            rev = send(self, EventKind::Draft, rev, Some(answer.clone()));
+        }
+        rev = send(self, EventKind::Submit, rev, Some(answer.clone()));
+        if self.draw(1) {
+            let undone = store
+                .append(
+                    person,
+                    task,
+                    vec![event(EventKind::Undo, 0, rev, None)],
+                    now,
+                )
+                .expect("takes events")
+                .remove(0);
+            assert_eq!(undone.status, 200, "{:?}", undone.problem);
+            let epoch = undone.lease.expect("a lease again").epoch;
+            let again = event(EventKind::Submit, epoch, undone.rev, Some(answer));
+            let again = store
+                .append(person, task, vec![again], now)
+                .expect("takes events");
+            assert_eq!(again[0].status, 200, "{:?}", again[0].problem);
+        }
+        self.handed_in.insert((task, person));
+        Some(secs)
+    }
+
+    /// A working day of everybody, from 9 to 17.
+    fn day(&mut self, morning: i64) {
+        let mut turns: BinaryHeap<_> = self
+            .people
+            .iter()
+            .enumerate()
+            .map(|(number, &person)| std::cmp::Reverse((morning, person, number)))
+            .collect();
+        while let Some(std::cmp::Reverse((now, person, number))) = turns.pop() {
+            if now >= morning + 8 * HOUR {
+                continue;
+            }
+            // A few people describe masks; everybody helps where work is left.
+            let kinds = if number % 4 == 0 {
+                [TaskKind::MaskText, TaskKind::Pair]
+            } else {
+                [TaskKind::Pair, TaskKind::MaskText]
+            };
+            let took = self
+                .work(person, kinds[0], now)
+                .or_else(|| self.work(person, kinds[1], now));
+            if let Some(secs) = took {
+                turns.push(std::cmp::Reverse((
+                    now + (secs * 1000.0) as i64 + 1,
+                    person,
+                    number,
+                )));
+            } else {
+                // Nothing is left but what others hold: look again in a quarter of an hour.
+                turns.push(std::cmp::Reverse((now + 15 * MINUTE, person, number)));
+            }
+        }
+    }
+
+    /// Reviewers empty the queue.
+    fn review(&mut self, now: i64) {
+        for index in 0.. {
+            let reviewer = self.reviewers[index % self.reviewers.len()];
+            let store = Arc::clone(&self.store);
+            let claimed = self.times.of("claim of a review", || {
+                store
+                    .review_next(reviewer, ReviewQueue::Sample, None, now)
+                    .expect("claims")
+            });
+            let ReviewClaimed::Task(detail) = claimed else {
+                return;
+            };
+            let decision = match self.rng.random_range(0..100) {
+                0..5 if detail.comments.is_empty() => Decision::Return,
+                5..7 => Decision::Drop,
+                _ => Decision::Accept,
+            };
+            let author = detail
+                .candidates
+                .iter()
+                .find(|(own, _)| own.state == annotate::wire::RevisionState::Submitted)
+                .map(|(own, _)| own.author);
+            let review = NewReview {
+                idem_key: key(),
+                task: detail.task.id,
+                lease_epoch: detail.lease.epoch,
+                decision,
+                author: (decision == Decision::Accept).then_some(author).flatten(),
+                answer: None,
+                comment: "as the guide says".to_owned(),
+                secs: 5.0,
+            };
+            let done = self.times.of("decision of a reviewer", || {
+                store.review(reviewer, review, now).expect("decides")
+            });
+            self.reviews += 1;
+            if done.state == TaskState::Returned {
+                let task = detail.task.id;
+                self.handed_in.retain(|(known, _)| *known != task);
+            }
+        }
+    }
+}
+
+/// What the log says is accepted: the task's key, its author, and the basis.
+fn accepted_by_the_log(store: &Store) -> BTreeMap<i64, (i64, Option<String>)> {
+    let mut accepted = BTreeMap::new();
+    let mut after = 0;
+    loop {
+        let some = store.log(after, 5000).expect("the log");
+        let Some(last) = some.last() else {
+            return accepted;
+        };
+        after = last.seq;
+        for entry in some {
+            let Some(task) = entry.task else { continue };
+            match entry.kind.as_str() {
+                "accepted" => {
+                    let author = entry.body["author"].as_i64().expect("an author");
+                    let rule = entry.body["rule"].as_str().map(str::to_owned);
+                    assert!(
+                        accepted.insert(task, (author, rule)).is_none(),
+                        "task {task} is accepted twice"
+                    );
+                }
+                "reopened" => {
+                    accepted.remove(&task);
+                }
+                _ => {}
+            }
+        }
+    }
+}
+
+#[test]
+fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
+    use std::io::Write;
+    let size = size();
+    let is_full = size[0] >= 10_000;
+    let simulate = |store: Arc<Store>| {
+        let begun = Instant::now();
+        let mut project = project(store, size);
+        // START is a Tuesday evening; the week begins with the next morning.
+        let morning = START.div_euclid(DAY) * DAY + DAY + 9 * HOUR;
+        for day in 0..7 {
+            project.day(morning + day * DAY);
+            project.review(morning + day * DAY + 9 * HOUR);
+        }
+        let end = morning + 7 * DAY;
+        let store = Arc::clone(&project.store);
+        check_answers(&project, size);
+        let funnel = store.funnel().expect("a funnel");
+        let of = |wanted: &[TaskState]| -> i64 {
+            funnel
+                .iter()
+                .filter(|(_, state, _)| wanted.contains(state))
+                .map(|(_, _, count)| count)
+                .sum()
+        };
+        let total = (size[0] + size[1]) as i64;
+        let (accepted, dropped) = (of(&[TaskState::Accepted]), of(&[TaskState::Dropped]));
+        let log = accepted_by_the_log(&store);
+        assert_eq!(accepted, log.len() as i64);
+        let by_rule = log.values().filter(|(_, rule)| rule.is_some()).count() as i64;
+        let exported = store.accepted(&all_keys()).expect("answers");
+        let exported: BTreeMap<i64, i64> = exported
+            .iter()
+            .map(|answer| (answer.task.id, answer.author))
+            .collect();
+        let logged: BTreeMap<i64, i64> = log
+            .iter()
+            .map(|(task, (author, _))| (*task, *author))
+            .collect();
+        assert!(exported == logged, "the export equals the log");
+        let reviewed = project.reviews as f64 / total as f64;
+        if is_full {
+            assert!((0.19..0.27).contains(&reviewed), "{reviewed}");
+            assert!(accepted + dropped > total * 99 / 100, "{funnel:?}");
+        }
+        assert!(by_rule > 0 && reviewed > 0.0);
+        measure(&mut project, end);
+        let times = &mut project.times;
+        assert_eq!(
+            times.of("check of the store", || store.verify().expect("checks")),
+            Vec::<String>::new()
+        );
+        let _said = writeln!(
+            std::io::stderr().lock(),
+            "simulation: {} pairs, {} clips, {} people: {accepted} accepted ({by_rule} by rules), {dropped} dropped, \
+             {} decisions of reviewers ({:.1} % of the tasks), {} answers, {} log entries, {:.0?}, peak memory {} MB",
+            size[0],
+            size[1],
+            size[2],
+            project.reviews,
+            100.0 * reviewed,
+            project.handed_in.len(),
+            store.last_seq().expect("a place"),
+            begun.elapsed(),
+            peak_memory_mb().unwrap_or(0)
+        );
+        times.print();
+    };
+    if is_full {
+        let folder = tempfile::tempdir().expect("a folder");
+        simulate(
+            annotate::store::open_sqlite(&folder.path().join("store.sqlite")).expect("a store"),
+        );
+    } else {
+        on_each("simulation", simulate);
+    }
+}
+
+/// Every acknowledged answer is in the store once, and no task has more than it wants.
+fn check_answers(project: &Project, size: [usize; 3]) {
+    let mut stored = BTreeSet::new();
+    let mut after = 0;
+    loop {
+        let labels = project.store.labels(after, 2000).expect("labels");
+        let Some(last) = labels.last() else { break };
+        after = last.task;
+        for label in labels {
+            if label.revision.state != annotate::wire::RevisionState::Returned {
+                assert!(
+                    stored.insert((label.task, label.revision.author)),
+                    "an answer is there twice"
+                );
+            }
+        }
+    }
+    let lost: Vec<_> = project.handed_in.difference(&stored).take(5).collect();
+    assert!(lost.is_empty(), "lost: {lost:?}");
+    let mut answers: BTreeMap<i64, u32> = BTreeMap::new();
+    for (task, _) in &stored {
+        *answers.entry(*task).or_default() += 1;
+    }
+    assert!(answers.len() <= size[0] + size[1]);
+    for (task, count) in answers {
+        let record = project.store.task_record(task).expect("a task");
+        assert!(count <= record.wanted, "task {task} has {count} answers");
+    }
+}
+
+/// Measures what a dashboard and a task browser ask for.
+fn measure(project: &mut Project, now: i64) {
+    let store = Arc::clone(&project.store);
+    let times = &mut project.times;
+    let filters = [
+        ("page: all", TaskFilter::default()),
+        (
+            "page: a text that is rare",
+            TaskFilter {
+                q: Some("take 17".to_owned()),
+                ..TaskFilter::default()
+            },
+        ),
+        (
+            "page: a text that is nowhere",
+            TaskFilter {
+                q: Some("no such text".to_owned()),
+                ..TaskFilter::default()
+            },
+        ),
+        (
+            "page: a person's keeps",
+            TaskFilter {
+                person: Some(project.people[0]),
+                verdict: Some(Verdict::Keep),
+                ..TaskFilter::default()
+            },
+        ),
+        (
+            "page: disagreement",
+            TaskFilter {
+                min_distance: Some(0.5),
+                ..TaskFilter::default()
+            },
+        ),
+    ];
+    for (what, filter) in filters {
+        for sort in [TaskSort::Id, TaskSort::Distance, TaskSort::Touched] {
+            let mut after = None;
+            for _ in 0..20 {
+                let query = PageQuery {
+                    filter: filter.clone(),
+                    sort: Some(sort),
+                    after,
+                    limit: 100,
+                    ..PageQuery::default()
+                };
+                let name = if query.after.is_none() {
+                    what
+                } else {
+                    "page: a later one"
+                };
+                let page = times.of(name, || store.browse(query).expect("a page"));
+                after = page.next;
+                if after.is_none() {
+                    break;
+                }
+            }
+        }
+    }
+    times.of("rules with their counts", || store.rules().expect("rules"));
+    times.of("hours by person and day", || {
+        store.work(now - 14 * DAY, now).expect("days")
+    });
+    times.of("outlook", || store.outlook(now).expect("an outlook"));
+}
