@@ -66,7 +66,8 @@ impl<R: Fn() -> Result<Millis, Error>> SharedClock<R> {
 
 #[cfg(test)]
 mod tests {
-    use super::{DAY, is_zone, midnight};
+    use super::{DAY, SharedClock, is_zone, midnight};
+    use crate::Error;
 
     const HOUR: i64 = 60 * 60 * 1000;
     /// 2026-03-29 00:00 UTC.
@@ -86,6 +87,15 @@ mod tests {
         // Summer time begins on this day, which has 23 hours.
         let next = midnight("Europe/Berlin", noon + DAY);
         assert_eq!(next - midnight("Europe/Berlin", noon), 23 * HOUR);
+    }
+
+    #[test]
+    fn a_shared_clock_counts_on_from_what_it_read() {
+        let clock = SharedClock::new(|| Ok(5000)).expect("a reading");
+        let first = clock.now();
+        assert!((5000..65_000).contains(&first), "{first}");
+        assert!(clock.now() >= first);
+        assert!(SharedClock::new(|| Err(Error::Closed)).is_err());
     }
 
     #[test]
