@@ -120,7 +120,7 @@ enum Action {
     },
     /// Do one thing to all tasks of a filter; without --yes only count them
     Bulk(Box<BulkArgs>),
-    /// Ask the language model for drafts of tasks that still want answers and have none
+    /// Ask the language model for drafts of tasks that have none
     Drafts {
         /// Only tasks of this kind
         #[arg(long, value_parser = ["mask_text", "pair", "style"])]
@@ -129,7 +129,7 @@ enum Action {
         #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "TASKS")]
         limit: usize,
     },
-    /// Ask the language model for other wordings of accepted instructions, or write those that reviewers accepted
+    /// Ask the language model for other wordings of instructions, or write the accepted ones
     Paraphrases {
         /// Write the accepted ones to this file, for `stance triplets --phrases`
         #[arg(long, value_name = "TOML")]

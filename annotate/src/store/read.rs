@@ -358,6 +358,7 @@ fn read_label(row: &Row) -> Result<Label, Error> {
         target: row.opt_text(11)?,
         split: row.string(12)?,
         blind: row.flag(13)?,
+        accepted_by: None,
     })
 }
 
@@ -435,7 +436,8 @@ pub(super) fn labels_of(
 ) -> Result<Vec<(TaskRecord, Label)>, Error> {
     let (task, revision) = (rows::TASK_COLUMNS, rows::REVISION_COLUMNS);
     let sql = format!(
-        "SELECT {task}, r.blind, {revision} FROM task t JOIN revision r ON r.task = t.id
+        "SELECT {task}, r.blind, {revision}, a.basis FROM task t JOIN revision r ON r.task = t.id
+         LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
          WHERE r.state <> 'draft' AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author"
     );
     tx.query(&sql, params![keys.after.as_str(), keys.up_to.as_str()])?
@@ -452,10 +454,22 @@ pub(super) fn labels_of(
                 target: task.target.clone(),
                 split: task.split.clone(),
                 blind: row.flag(NUM_TASK_COLUMNS)?,
+                accepted_by: row.opt_text(NUM_TASK_COLUMNS + 8)?,
             };
             Ok((task, label))
         })
         .collect()
+}
+
+/// Number of accepted answers by how they were accepted.
+pub(super) fn accepted_by(tx: &mut dyn Tx) -> Result<Vec<(String, i64)>, Error> {
+    tx.query(
+        "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis",
+        &[],
+    )?
+    .iter()
+    .map(|row| Ok((row.string(0)?, row.int(1)?)))
+    .collect()
 }
 
 pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, Error> {

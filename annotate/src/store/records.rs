@@ -240,6 +240,8 @@ pub struct Label {
     pub revision: Revision,
     /// Whether suggestions were withheld.
     pub blind: bool,
+    /// How it was accepted: `review`, `own`, `rule:NAME`. Only exports read it.
+    pub accepted_by: Option<String>,
 }
 
 /// An accepted answer with its task.

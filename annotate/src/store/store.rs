@@ -680,6 +680,14 @@ impl Store {
         self.read(move |tx| read::accepted(tx, &keys))
     }
 
+    /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME` or `import`.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn accepted_by(&self) -> Result<Vec<(String, i64)>, Error> {
+        self.read(read::accepted_by)
+    }
+
     /// Dropped and skipped tasks of a range.
     ///
     /// # Errors

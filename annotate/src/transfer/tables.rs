@@ -165,6 +165,8 @@ sheet! {
         pub gold: u32 [""],
         /// When it was handed in, milliseconds since the epoch
         pub at: u64 ["ms"],
+        /// How it was accepted: review, own (by its author), rule:NAME; missing if it was not
+        pub accepted_by: Option<String> [""],
     }
 }
 

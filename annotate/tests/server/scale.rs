@@ -7,9 +7,11 @@ use std::sync::Arc;
 use annotate::store::{
     DecisionQuery, MineQuery, NewTask, OwnAnswer, PageQuery, ReviewClaimed, Store, Who,
 };
+use annotate::transfer::{Selection, export};
 use annotate::wire::{
-    Answer, BulkAction, BulkRequest, Code, Decision, EventKind, ReviewQueue, Role, Rule, RuleKind,
-    Settings, SkipFilter, SkipReason, Standing, TaskFilter, TaskKind, TaskSort, TaskState, Verdict,
+    Answer, BulkAction, BulkRequest, Code, Decision, EventKind, ExportFormat, ReviewQueue, Role,
+    Rule, RuleKind, Settings, SkipFilter, SkipReason, Standing, TaskFilter, TaskKind, TaskSort,
+    TaskState, Verdict,
 };
 
 use crate::store::{Fixture, fixture, mask_tasks, on_each, problem};
@@ -887,6 +889,28 @@ fn one_researcher_may_accept_their_own_work_and_it_is_marked() {
             .expect("accepts");
         assert_eq!(done.state, TaskState::Accepted);
         assert_eq!(site.basis(task).as_deref(), Some("own"));
+        let folder = tempfile::tempdir().expect("a folder");
+        for format in [
+            ExportFormat::Csv,
+            ExportFormat::Parquet,
+            ExportFormat::Stance,
+        ] {
+            let selection = Selection {
+                format,
+                splits: Vec::new(),
+                events: false,
+            };
+            let path = folder.path();
+            let done = export(&site.store, path, path, &selection, "test").expect("exports");
+            assert_eq!(done.counts["accepted_by own"], 1, "{format}");
+            assert!(
+                done.messages
+                    .iter()
+                    .any(|text| text.contains("own authors"))
+            );
+        }
+        let csv = std::fs::read_to_string(folder.path().join("labels.csv")).expect("a file");
+        assert!(csv.lines().any(|line| line.contains(",own,")), "{csv}");
         site.whole();
     });
 }

@@ -15,7 +15,7 @@ impl Exporter<'_> {
                 let written = file.write_all(line.as_bytes());
                 written.map_err(Error::io("write", path))
             };
-            put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,answer\r\n".to_owned())?;
+            put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n".to_owned())?;
             self.labels(&mut |row| {
                 count += 1;
                 let distance = row.draft_distance.map(|distance| distance.to_string());
@@ -30,6 +30,7 @@ impl Exporter<'_> {
                     row.secs.to_string(),
                     distance.unwrap_or_default(),
                     row.at.to_string(),
+                    row.accepted_by.unwrap_or_default(),
                     row.answer,
                 ];
                 put(cells.map(|cell| csv_cell(&cell)).join(",") + "\r\n")

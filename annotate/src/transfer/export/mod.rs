@@ -34,5 +34,14 @@ pub fn export(
         ExportFormat::Stance => exporter.stance(folder)?,
         ExportFormat::Csv => exporter.csv(folder)?,
     }
+    for (basis, count) in store.accepted_by()? {
+        let count = usize::try_from(count).unwrap_or(0);
+        exporter.done.count(&format!("accepted_by {basis}"), count);
+        if basis == "own" {
+            exporter.done.messages.push(format!(
+                "{count} answers of the store were accepted by their own authors"
+            ));
+        }
+    }
     Ok(exporter.done)
 }

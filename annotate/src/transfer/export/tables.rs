@@ -184,6 +184,7 @@ impl Exporter<'_> {
                     blind: u32::from(label.blind),
                     gold: u32::from(label.gold),
                     at: u64::try_from(label.revision.at).unwrap_or(0),
+                    accepted_by: label.accepted_by,
                 });
             }
             rows.sort_by(|a, b| (&a.task, &a.author).cmp(&(&b.task, &b.author)));
