@@ -1,6 +1,6 @@
 /** Requests. After a 401 a request waits for login and is then repeated. */
 
-import type { EventKind, NewEvent, Problem } from "./wire";
+import type { Decision, EventKind, NewEvent, NewReview, Problem } from "./wire";
 
 export class ApiError extends Error {
   constructor(readonly problem: Problem) {
@@ -128,6 +128,11 @@ export function newEvent(kind: EventKind, fields: Partial<NewEvent> = {}): NewEv
     secs: 0,
     ...fields,
   };
+}
+
+/** A decision with a new idempotency key. */
+export function newReview(task: number, decision: Decision): NewReview {
+  return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
 }
 
 /** Message for the user about a failure. */

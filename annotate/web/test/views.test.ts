@@ -6,8 +6,8 @@ import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
-import type { Candidate, PartInfo } from "../src/wire";
-import type { MaskTextAnswer } from "../src/words";
+import type { Candidate, PartInfo, Task } from "../src/wire";
+import { factsOf, type MaskTextAnswer } from "../src/words";
 
 const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
   name,
@@ -152,4 +152,10 @@ test("charts draw what there is, and nothing of nothing", () => {
   assert.deepEqual([0, 0.3, 1, 7, 26, 101].map(roundUp), [1, 0.5, 1, 10, 50, 200]);
   assert.equal(typeof throughput([]), "symbol");
   assert.equal(typeof agreementChart([]), "symbol");
+});
+
+test("annotators and reviewers are told what the source says about a task", () => {
+  const task = { hint: "raise the arm", category: "wave", style: null } as Task;
+  assert.deepEqual(factsOf(task), ["raise the arm", "category: wave"]);
+  assert.deepEqual(factsOf({ ...task, hint: "", category: null, style: "proud" }), ["source style: proud"]);
 });

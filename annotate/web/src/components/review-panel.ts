@@ -1,7 +1,7 @@
 /** The answers to one task side by side, and what a reviewer decides about them. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { ApiError, randomName, reason } from "../api";
+import { ApiError, newReview, randomName, reason } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
 import type { ActionId, Scope } from "../keys";
@@ -17,7 +17,7 @@ import {
   type ReviewDone,
   type ReviewView,
 } from "../wire";
-import { KIND_WORDS } from "../words";
+import { KIND_WORDS, factsOf } from "../words";
 import { WorkClock } from "../work";
 import { Component, action, define, keyHint } from "./component";
 import { MaskEditor, type MaskStage } from "./mask-editor";
@@ -253,13 +253,15 @@ export class ReviewPanel extends Component {
 
   protected override render(): TemplateResult {
     const { task, distance, comments, candidates } = this.review;
-    const caption = task.motions[0]?.captions[0];
+    const captions = task.motions[0]?.captions ?? [];
+    const facts = factsOf(task);
     const apart = distance === null ? "One answer." : `Answers are ${percent(distance)} apart; what differs glows.`;
     return html`
       <div class="panel-scroll">
         ${this.tabs}
         <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
-        ${caption === undefined ? nothing : html`<p class="note">Caption: ${caption}</p>`}
+        ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
+        ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
         ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
         ${this.merging
           ? this.mergeBox(this.merging)
@@ -320,11 +322,6 @@ export class ReviewPanel extends Component {
       ${action("Drop", keys.hint("review_drop"), () => void this.withComment("drop"))}
     </div>`;
   }
-}
-
-/** A decision with a new idempotency key. */
-function newReview(task: number, decision: Decision): NewReview {
-  return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
 }
 
 /** The unfinished merge of an earlier page load, or else the chosen answer. */

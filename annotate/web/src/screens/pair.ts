@@ -11,6 +11,7 @@ import { Strip } from "../strips";
 import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import type { BundleItem, Next, Suggestion, Task, TaskKind, TaskView, Verdict } from "../wire";
+import { factsOf } from "../words";
 import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
@@ -255,9 +256,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     task.kind === "style" && keyButton("Align", keys.hint("align"), () => perform("align", false)),
   );
   pair.viewer.transport.append(viewButtons);
-  const facts = [task.hint, task.category && `category: ${task.category}`, task.style && `source style: ${task.style}`].filter(
-    (fact): fact is string => typeof fact === "string" && fact !== "",
-  );
+  const facts = factsOf(task);
   const panel = h(
     "aside",
     { class: "panel", attrs: { "aria-label": task.kind === "style" ? "Style pair" : "Fine-grained pair" }, data: { region: "panel" } },
