@@ -57,6 +57,91 @@ pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     }
 }
 
+/// Whether an answer says what an imported one says. Fields that the imported answer leaves empty do not count, because
+/// most layouts cannot represent all of them.
+pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
+    fn given<T: PartialEq>(ours: Option<&T>, imported: Option<&T>) -> bool {
+        imported.is_none() || ours == imported
+    }
+    let same_text = |ours: &str, imported: &str| ours.trim() == imported.trim();
+    let noted = |ours: &str, imported: &str| imported.is_empty() || ours == imported;
+    match (ours, imported) {
+        (
+            Answer::MaskText {
+                masks,
+                count_reason,
+                note,
+            },
+            Answer::MaskText {
+                masks: their_masks,
+                count_reason: their_reason,
+                note: their_note,
+            },
+        ) => {
+            masks.len() == their_masks.len()
+                && masks.iter().zip(their_masks).all(|(mask, theirs)| {
+                    mask.parts == theirs.parts
+                        && same_text(&mask.text, &theirs.text)
+                        && (theirs.soft || !mask.soft)
+                })
+                && given(count_reason.as_ref(), their_reason.as_ref())
+                && noted(note, their_note)
+        }
+        (
+            Answer::Pair {
+                verdict,
+                parts,
+                edit_type,
+                text,
+                note,
+                ..
+            },
+            Answer::Pair {
+                verdict: their_verdict,
+                parts: their_parts,
+                edit_type: their_type,
+                text: their_text,
+                note: their_note,
+                ..
+            },
+        ) => {
+            verdict == their_verdict
+                && parts == their_parts
+                && given(edit_type.as_ref(), their_type.as_ref())
+                && same_text(text, their_text)
+                && noted(note, their_note)
+        }
+        (
+            Answer::Style {
+                verdict,
+                parts,
+                style,
+                extent,
+                text,
+                note,
+                ..
+            },
+            Answer::Style {
+                verdict: their_verdict,
+                parts: their_parts,
+                style: their_style,
+                extent: their_extent,
+                text: their_text,
+                note: their_note,
+                ..
+            },
+        ) => {
+            verdict == their_verdict
+                && parts == their_parts
+                && given(style.as_ref(), their_style.as_ref())
+                && given(extent.as_ref(), their_extent.as_ref())
+                && same_text(text, their_text)
+                && noted(note, their_note)
+        }
+        _ => false,
+    }
+}
+
 /// Checks a submitted answer.
 ///
 /// # Errors

@@ -266,7 +266,7 @@ pub fn log_export(
 ) -> Result<(), Error> {
     store.log_export(
         actor,
-        serde_json::json!({ "format": format, "counts": done.counts }),
+        serde_json::json!({ "format": format, "counts": done.counts, "up_to": done.seq }),
         now,
     )
 }

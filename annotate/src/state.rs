@@ -8,6 +8,12 @@ names! {
     pub enum LogKind {
         /// A task was created.
         Imported = "imported",
+        /// An imported answer was accepted for a task that nobody had worked on.
+        Filled = "filled",
+        /// A clip of the task was ingested anew, with other content.
+        ClipChanged = "clip_changed",
+        /// Somebody said that the answers hold for the new content of the clip.
+        ClipKept = "clip_kept",
         /// A lease was taken, to answer or to review.
         Claimed = "claimed",
         /// A lease was renewed.
@@ -104,6 +110,7 @@ const ANY_UNDECIDED: &[TaskState] = &[Open, Leased, Returned, Submitted];
 
 /// All legal transitions. Others are refused with `wrong_state`.
 pub const MOVES: &[Move] = &[
+    row(Open, E::Filled, &[Accepted]),
     row(Open, E::Claimed, &[Leased]),
     row(Open, E::DraftSaved, &[Open]),
     row(Open, E::Undone, &[Leased]),
@@ -154,6 +161,20 @@ pub const MOVES: &[Move] = &[
     row(Dropped, E::DraftSaved, &[Dropped]),
     row(Dropped, E::Reopened, ANY_UNDECIDED),
     row(Dropped, E::SuggestionUsed, &[Dropped]),
+    row(Open, E::ClipChanged, &[Open]),
+    row(Leased, E::ClipChanged, &[Leased]),
+    row(Returned, E::ClipChanged, &[Returned]),
+    row(Submitted, E::ClipChanged, &[Submitted]),
+    row(InReview, E::ClipChanged, &[InReview]),
+    row(Accepted, E::ClipChanged, &[Accepted]),
+    row(Dropped, E::ClipChanged, &[Dropped]),
+    row(Open, E::ClipKept, &[Open]),
+    row(Leased, E::ClipKept, &[Leased]),
+    row(Returned, E::ClipKept, &[Returned]),
+    row(Submitted, E::ClipKept, &[Submitted]),
+    row(InReview, E::ClipKept, &[InReview]),
+    row(Accepted, E::ClipKept, &[Accepted]),
+    row(Dropped, E::ClipKept, &[Dropped]),
 ];
 
 /// Possible next states of an event; empty if it is not legal.

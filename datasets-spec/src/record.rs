@@ -125,6 +125,8 @@ table! {
         pub parts: Vec<String> [""],
         /// What turns the one into the other; empty where the source gives no words
         pub instruction: String [""],
+        /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other, if somebody said so
+        pub edit_type: Option<String> ["", newer],
     }
 }
 

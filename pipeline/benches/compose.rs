@@ -69,6 +69,7 @@ fn library() -> Arc<Library> {
             style: Some("old".to_owned()),
             parts: Vec::new(),
             instruction: String::new(),
+            edit_type: None,
         })
         .collect();
     let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);

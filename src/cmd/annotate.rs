@@ -41,8 +41,11 @@ const STORE: &str = "STANCE_STORE";
 const FIRST_ADMIN: &str = "admin";
 /// Source of the last import.
 const IMPORTED: &str = "imported dataset";
+/// File of an export that can be imported.
+const ANNOTATIONS: &str = "annotations.parquet";
 const MINUTE: i64 = 60_000;
-const DAY: i64 = 24 * 60 * MINUTE;
+const HOUR: i64 = 60 * MINUTE;
+const DAY: i64 = 24 * HOUR;
 
 /// Annotate a dataset in the browser: masks with descriptions, pairs, styles, and their review.
 ///
@@ -73,6 +76,12 @@ pub(crate) struct Args {
     /// Second address to listen on, for /metrics, /healthz and /readyz without login
     #[arg(long, value_name = "ADDR")]
     metrics: Option<SocketAddr>,
+    /// Copy the store this often while the server runs, into folder `annotate/backups` of the dataset [default: never]
+    #[arg(long, value_name = "HOURS", value_parser = clap::value_parser!(u16).range(1..))]
+    backup_hours: Option<u16>,
+    /// Copies to keep; older ones are removed
+    #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..))]
+    backups: u16,
     #[command(subcommand)]
     action: Option<Action>,
 }
@@ -93,10 +102,22 @@ enum Action {
         days: u16,
     },
     /// Take tasks of the dataset, or annotations of a file
+    ///
+    /// Annotations become accepted answers of tasks that nobody has worked on. Those of other tasks are left out; if
+    /// they differ, they are listed.
     Import {
-        /// Folder of a STANCE release with mask_all.json and part_annotations.json, or
-        /// annotations.parquet of an export [default: the dataset]
+        /// Folder of a STANCE release with mask_all.json and part_annotations.json, or of an export, or its
+        /// annotations.parquet [default: the dataset]
         file: Option<PathBuf>,
+    },
+    /// List tasks with answers about a clip that was ingested anew since, with other content, or decide about them
+    Changed {
+        /// All these answers hold
+        #[arg(long)]
+        keep: bool,
+        /// All these accepted answers go back to review
+        #[arg(long, conflicts_with = "keep")]
+        reopen: bool,
     },
     /// Write accepted annotations
     Export {
@@ -143,12 +164,15 @@ enum Action {
     },
     /// Copy the store to a new file; servers may keep running
     Backup {
-        /// New file
+        /// New file, or a folder that gets a copy named by the time
         file: PathBuf,
+        /// Copies to keep in the folder; older ones are removed [default: all]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+        keep: Option<u16>,
     },
-    /// Rebuild all tables from the log
+    /// Derive all tables from the log and repair those that differ; servers may keep running
     Rebuild,
-    /// Check that the log is complete and that all tables match it
+    /// Check that the log is complete and that all tables match it; servers may keep running
     Check,
 }
 
@@ -293,6 +317,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ));
     }
     let store = open(args)?;
+    if let Some(upgrade) = store.upgrade() {
+        report::note(&format!(
+            "the store was upgraded from version {} to {}; it is as it was before in {}",
+            upgrade.from, upgrade.to, upgrade.copy
+        ));
+    }
     match &args.action {
         None => serve(args, store, global),
         Some(Action::User { action }) => user(store.as_ref(), action, global),
@@ -324,12 +354,25 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             Some(to) => write_phrases(store.as_ref(), to, global),
             None => ask_paraphrases(store.as_ref(), usize::from(*each), *limit, global),
         },
-        Some(Action::Backup { file }) => {
-            store.backup(file)?;
+        Some(Action::Changed { keep, reopen }) => {
+            changed_clips(store.as_ref(), *keep, *reopen, global)
+        }
+        Some(Action::Backup { file, keep }) => {
+            let copy = if keep.is_some() || file.is_dir() {
+                store::back_up(
+                    store.as_ref(),
+                    file,
+                    keep.map_or(usize::MAX, usize::from),
+                    now(),
+                )?
+            } else {
+                store.backup(file)?;
+                file.clone()
+            };
             say(
                 global,
-                &serde_json::json!({ "backup": file }),
-                &format!("copied to {}", file.display()),
+                &serde_json::json!({ "backup": copy }),
+                &format!("copied to {}", copy.display()),
             )
         }
         Some(Action::Rebuild) => {
@@ -403,6 +446,24 @@ fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
     bail!(
         "this stance was built without PostgreSQL; build it with `cargo build --release --features postgres`"
     )
+}
+
+/// Lists tasks whose clip was ingested anew after somebody answered, or decides about them.
+fn changed_clips(store: &Store, keep: bool, reopen: bool, global: &Global) -> anyhow::Result<Exit> {
+    let tasks = store.changed_tasks()?;
+    if keep || reopen {
+        let ids: Vec<i64> = tasks.iter().map(|task| task.id).collect();
+        store.settle_changed(None, &ids, keep, now())?;
+    }
+    let rows: Vec<serde_json::Value> = tasks
+        .iter()
+        .map(|task| serde_json::json!({ "task": task.id, "key": task.key, "state": task.state }))
+        .collect();
+    let lines: Vec<String> = tasks
+        .iter()
+        .map(|task| format!("{:>8} {:<10} {}", task.id, task.state.as_str(), task.key))
+        .collect();
+    say(global, &rows.into(), &lines.join("\n"))
 }
 
 fn find(store: &Store, name: &str) -> anyhow::Result<User> {
@@ -776,13 +837,16 @@ fn import(
         None => import_dataset(args, store, global)?,
         Some(file) => {
             // Annotations refer to tasks, so the tasks come first.
-            import_dataset(args, store, global)?;
+            let messages = import_dataset(args, store, global)?.messages;
             let motions: BTreeMap<_, _> = store
                 .all_motions()?
                 .into_iter()
                 .map(|motion| (motion.id.clone(), motion))
                 .collect();
-            if file.is_dir() {
+            let annotations = file.join(ANNOTATIONS);
+            let mut taken = if annotations.is_file() {
+                transfer::from_annotations(store, &motions, &annotations, None, now())?
+            } else if file.is_dir() {
                 let mut both = serde_json::Map::new();
                 for name in ["mask_all", "part_annotations"] {
                     let path = [file.to_owned(), file.join("regen")]
@@ -801,7 +865,9 @@ fn import(
                 transfer::from_annotations(store, &motions, file, None, now())?
             } else {
                 transfer::from_release(store, &motions, &read_json(file)?, None, now())?
-            }
+            };
+            taken.messages.splice(..0, messages);
+            taken
         }
     };
     say(global, &serde_json::to_value(&taken)?, &taken_text(&taken))
@@ -889,6 +955,8 @@ fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit
         Some(admin) => admin,
         None => store.add_user(None, FIRST_ADMIN, Role::Admin, now())?,
     };
+    let mut schedule = Schedule::new(args);
+    schedule.run(store.as_ref());
     let motions = Arc::new(MotionLibrary::open(&args.dataset)?);
     for warning in warnings(args) {
         report::note(&format!("warning: {warning}"));
@@ -947,7 +1015,50 @@ fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit
         .context("cannot write to stdout")?;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(50));
+        schedule.run(store.as_ref());
     }
     drop(server);
     Ok(Exit::Done)
+}
+
+/// Copies of the store at regular times.
+struct Schedule {
+    folder: PathBuf,
+    /// Milliseconds between copies; none without a schedule.
+    every: Option<i64>,
+    keep: usize,
+    /// When to look for the newest copy again.
+    next: i64,
+}
+
+impl Schedule {
+    fn new(args: &Args) -> Self {
+        Self {
+            folder: folder(args).join("backups"),
+            every: args.backup_hours.map(|hours| i64::from(hours) * HOUR),
+            keep: args.backups.into(),
+            next: 0,
+        }
+    }
+
+    /// Makes a copy if one is due. The server goes on without it if it fails.
+    fn run(&mut self, store: &Store) {
+        let now = now();
+        let Some(every) = self.every.filter(|_| self.next <= now) else {
+            return;
+        };
+        self.next = now + MINUTE;
+        let copied = store::backup_is_due(&self.folder, every, now).and_then(|due| {
+            if due {
+                store::back_up(store, &self.folder, self.keep, now)?;
+            }
+            Ok(())
+        });
+        if let Err(error) = copied {
+            report::note(&format!(
+                "the store was not copied: {error:#}; the next try is in an hour"
+            ));
+            self.next = now + HOUR;
+        }
+    }
 }

@@ -8,12 +8,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use annotate::store::{NewTask, open_sqlite};
+use annotate::store::{Claimed, NewTask, ReviewClaimed, open_sqlite};
 use annotate::wire::{
-    Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, Settings, TaskKind, TaskView,
-    User, Verdict,
+    Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, ReviewQueue, Role, Settings,
+    TaskKind, TaskView, User, Verdict,
 };
-use datasets_spec::Seed;
+use datasets_spec::{Dataset, Seed};
 use rand::RngExt;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -101,6 +101,7 @@ fn bare_task(key: String, motion: &str) -> NewTask {
         extra: None,
         suggestions: Vec::new(),
         accepted: None,
+        credit: None,
     }
 }
 
@@ -308,6 +309,173 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         "16",
     ])
     .expect_code(0);
+}
+
+/// Answers some tasks of a store and accepts the answers, without a server.
+fn answer_and_accept(file: &Path) {
+    let store = open_sqlite(file).expect("a store");
+    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+    let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+    for (kind, answer, count) in [
+        (TaskKind::MaskText, masks("testing"), 4),
+        (TaskKind::Pair, pair(), 4),
+    ] {
+        for number in 0..count {
+            let Claimed::Task { detail, .. } = store.claim(ann, kind, 0, 0).expect("claims") else {
+                panic!("a task of kind {kind}")
+            };
+            let epoch = detail.lease.map_or(0, |lease| lease.epoch);
+            let submit = json!({ "idem_key": format!("submit-{}", detail.task.id), "kind": "submit",
+                "lease_epoch": epoch, "answer": answer });
+            let submit = serde_json::from_value(submit).expect("an event");
+            let done = store
+                .append(ann, detail.task.id, vec![submit], 0)
+                .expect("takes events");
+            assert_eq!(done[0].status, 200, "{number}: {:?}", done[0].problem);
+            let next = store
+                .review_next(eve, ReviewQueue::Sample, None, 0)
+                .expect("claims");
+            let ReviewClaimed::Task(review) = next else {
+                panic!("a task to review")
+            };
+            let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,
+                "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann });
+            let accept = serde_json::from_value(accept).expect("a review");
+            store.review(eve, accept, 0).expect("accepts");
+        }
+    }
+}
+
+#[test]
+fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
+    let (dir, dataset) = dataset(24);
+    let file = |name: &str| dir.path().join(name);
+    let run = |store: &str, words: &[&str]| -> Value {
+        let store = file(store);
+        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
+        stance(&[&options[..], words].concat())
+            .expect_code(0)
+            .json()
+    };
+    let settings = Settings {
+        overlap_percent: 0,
+        gold_percent: 0,
+        blind_percent: 0,
+        ..Settings::default()
+    };
+    for name in ["first.sqlite", "second.sqlite", "third.sqlite"] {
+        let store = open_sqlite(&file(name)).expect("a store");
+        store
+            .put_settings(1, settings.clone(), 0)
+            .expect("settings");
+    }
+    let tasks = run("first.sqlite", &["import"])["counts"]["new_tasks"].clone();
+    answer_and_accept(&file("first.sqlite"));
+    let export = |store: &str, format: &str, to: &str| {
+        run(
+            store,
+            &["export", "--format", format, "--to", arg(&file(to))],
+        )
+    };
+    export("first.sqlite", "parquet", "parquet1");
+    export("first.sqlite", "stance", "stance1");
+    // A server creates the tasks of a dataset at its first start; the files come later.
+    assert_eq!(
+        run("second.sqlite", &["import"])["counts"]["new_tasks"],
+        tasks
+    );
+    let filled = run("second.sqlite", &["import", arg(&file("parquet1"))]);
+    assert_eq!(filled["counts"]["filled_tasks"], 8, "{filled}");
+    assert_eq!(filled["counts"]["new_tasks"], 0, "{filled}");
+    assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
+    export("second.sqlite", "parquet", "parquet2");
+    export("second.sqlite", "stance", "stance2");
+    assert_eq!(
+        run("third.sqlite", &["import"])["counts"]["new_tasks"],
+        tasks
+    );
+    let filled = run("third.sqlite", &["import", arg(&file("stance1"))]);
+    assert_eq!(filled["counts"]["filled_tasks"], 4, "{filled}");
+    export("third.sqlite", "stance", "stance3");
+    for (name, folders) in [
+        ("annotations.parquet", &["parquet1", "parquet2"][..]),
+        ("pairs.json", &["stance1", "stance2"]),
+        ("mask_all.json", &["stance1", "stance2", "stance3"]),
+        ("part_annotations.json", &["stance1", "stance2", "stance3"]),
+    ] {
+        let read = |folder: &str| std::fs::read(file(folder).join(name)).expect("a file");
+        for folder in &folders[1..] {
+            assert!(read(folder) == read(folders[0]), "{folder}/{name} differs");
+        }
+    }
+    // By way of the dataset itself, a store that takes it writes the same tables.
+    run("first.sqlite", &["export"]);
+    let tables = |name: &str| -> Value {
+        let folder = Dataset::open(&dataset).expect("a dataset");
+        let files = &folder.manifest().tables[name];
+        serde_json::to_value(files.iter().map(|file| &file.blake3).collect::<Vec<_>>())
+            .expect("JSON")
+    };
+    let before = (tables("masks"), tables("pairs"));
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+    stance(&["triplets", "stats", arg(&dataset), "--count", "8", "--json"]).expect_code(0);
+    run("fourth.sqlite", &["import"]);
+    run("fourth.sqlite", &["export"]);
+    assert_eq!((tables("masks"), tables("pairs")), before);
+    for store in [
+        "first.sqlite",
+        "second.sqlite",
+        "third.sqlite",
+        "fourth.sqlite",
+    ] {
+        assert_eq!(run(store, &["check"])["findings"], json!([]));
+    }
+}
+
+#[test]
+fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
+    let (dir, dataset) = dataset(2);
+    let data = arg(&dataset);
+    let folder = dataset.join("annotate").join("backups");
+    let mut command = command(&["annotate", data, "--listen", "127.0.0.1:0"]);
+    command.args(["--backup-hours", "1", "--backups", "1"]);
+    // The first copy is made before the server says where it listens.
+    drop(Process::spawn(command));
+    let copies = |folder: &Path| -> Vec<PathBuf> {
+        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+            .expect("a folder")
+            .map(|entry| entry.expect("an entry").path())
+            .collect();
+        files.sort();
+        files
+    };
+    let made = copies(&folder);
+    assert_eq!(made.len(), 1);
+    assert!(
+        !open_sqlite(&made[0])
+            .expect("a store")
+            .all_motions()
+            .expect("motions")
+            .is_empty()
+    );
+    let other = dir.path().join("copies");
+    std::fs::create_dir(&other).expect("a folder");
+    std::fs::write(other.join("store-20200101T000000Z.sqlite"), "").expect("an old copy");
+    let made: Value = stance(&[
+        "annotate",
+        data,
+        "--json",
+        "backup",
+        arg(&other),
+        "--keep",
+        "1",
+    ])
+    .expect_code(0)
+    .json();
+    assert_eq!(
+        copies(&other),
+        [PathBuf::from(made["backup"].as_str().expect("a path"))]
+    );
 }
 
 #[test]

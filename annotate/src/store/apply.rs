@@ -2,11 +2,11 @@
 
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, LoggedTask, json};
-use super::records::Millis;
+use super::records::{Credit, Millis};
 use super::rows::state;
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
-use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState};
+use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState, Verdict};
 
 /// Maximum number of leases of one entry. The id of a lease is the sequence number of its entry times this,
 /// plus its index.
@@ -107,8 +107,10 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
     let claimable = task.accepted.is_none() && task.gold.is_none();
     tx.execute(
         "INSERT INTO task (id, key, kind, source, target, split, bundle, bundle_index, category, hint, style,
-           priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, distance, touched, practice)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, NULL, 0, ?19)",
+           priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, changed,
+           counted, distance, touched, practice)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, 0, ?19,
+           NULL, 0, ?20)",
         params![
             id,
             &task.key,
@@ -128,17 +130,51 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
             task.extra.as_ref().map(json).transpose()?,
             state.as_str(),
             claimable,
+            task.accepted.as_ref().is_some_and(is_kept_pair),
             task.practice
         ],
     )?;
     if let Some(answer) = &task.accepted {
-        let actor = entry.actor.unwrap_or(0);
-        tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
-             VALUES (?1, ?2, ?2, ?3, 0, ?4, ?5, 'import', ?6, ?7)",
-            params![id, actor, json(answer)?, entry.at, seq, words(answer), part_list(answer)],
-        )?;
+        accept_imported(tx, seq, entry, id, answer, task.credit.as_ref())?;
     }
+    Ok(())
+}
+
+/// Whether an answer keeps a fine-grained pair, which counts toward the quota of its category.
+fn is_kept_pair(answer: &Answer) -> bool {
+    matches!(
+        answer,
+        Answer::Pair {
+            verdict: Verdict::Keep,
+            ..
+        }
+    )
+}
+
+fn accept_imported(
+    tx: &mut dyn Tx,
+    seq: i64,
+    entry: &Entry,
+    task: i64,
+    answer: &Answer,
+    credit: Option<&Credit>,
+) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts)
+         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 'import', ?9, ?10)",
+        params![
+            task,
+            entry.actor.unwrap_or(0),
+            json(answer)?,
+            credit.is_some_and(|credit| credit.merged),
+            credit.map(|credit| credit.author.clone()),
+            is_kept_pair(answer),
+            entry.at,
+            seq,
+            words(answer),
+            part_list(answer)
+        ],
+    )?;
     Ok(())
 }
 
@@ -195,6 +231,32 @@ pub(crate) fn lease_id(seq: i64, number: usize) -> i64 {
 fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Error> {
     let actor = entry.actor.unwrap_or(0);
     match &entry.body {
+        Body::Filled {
+            answer,
+            credit,
+            extra,
+        } => {
+            accept_imported(tx, seq, entry, task, answer, credit.as_ref())?;
+            if let Some(extra) = extra {
+                tx.execute(
+                    "UPDATE task SET extra = ?2 WHERE id = ?1",
+                    params![task, json(extra)?],
+                )?;
+            }
+            set_state(tx, task, TaskState::Accepted)
+        }
+        Body::ClipChanged { source, target } => {
+            // Nobody has to be asked about a task without an answer.
+            tx.execute(
+                "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
+                     OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
+                     OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
+                 WHERE id = ?1",
+                params![task, source, target.clone()],
+            )?;
+            Ok(())
+        }
+        Body::ClipKept => settle_clip(tx, task),
         Body::Claimed {
             purpose,
             expires,
@@ -293,9 +355,12 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
                 "DELETE FROM skip WHERE task = ?1 AND usr = ?2",
                 params![task, actor],
             )?;
+            // Its author saw the clip as it is now.
             tx.execute(
-                "UPDATE task SET distance = ?2 WHERE id = ?1",
-                params![task, *distance],
+                "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
+                     SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
+                 WHERE id = ?1",
+                params![task, *distance, actor],
             )?;
             refresh(tx, task)
         }
@@ -358,8 +423,9 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
                 params![task, *author],
             )?;
             tx.execute(
-                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
-                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts)
+                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CASE WHEN verdict = 'keep' THEN 1 ELSE 0 END,
+                   CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts
                  FROM revision WHERE task = ?1 AND author = ?2",
                 params![task, *author, actor, entry.at, seq, basis(rule.as_deref(), *own)],
             )?;
@@ -373,6 +439,7 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
                 comment,
                 rule.as_deref(),
             )?;
+            settle_clip(tx, task)?;
             set_state(tx, task, TaskState::Accepted)
         }
         Body::Merged {
@@ -386,12 +453,13 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
                 params![task],
             )?;
             tx.execute(
-                "INSERT INTO accepted (task, author, reviewer, answer, merged, at, seq, basis, words, parts)
-                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8)",
+                "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts)
+                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?9)",
                 params![
                     task,
                     actor,
                     json(answer)?,
+                    is_kept_pair(answer),
                     entry.at,
                     seq,
                     basis(None, *own),
@@ -401,11 +469,13 @@ fn change(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Err
             )?;
             end_leases(tx, task)?;
             put_review(tx, seq, entry, task, None, comment, None)?;
+            settle_clip(tx, task)?;
             set_state(tx, task, TaskState::Accepted)
         }
         Body::Dropped { comment, .. } => {
             end_leases(tx, task)?;
             put_review(tx, seq, entry, task, None, comment, None)?;
+            settle_clip(tx, task)?;
             set_state(tx, task, TaskState::Dropped)
         }
         Body::Reopened { comment, rule, .. } => {
@@ -594,11 +664,33 @@ fn put_revision(
     Ok(())
 }
 
+/// Notes that somebody decided about a task with its clip as it is now.
+fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute("UPDATE task SET changed = 0 WHERE id = ?1", params![task])?;
+    Ok(())
+}
+
 fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> {
     tx.execute(
         "UPDATE task SET state = ?2, claimable = 0,
            leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
         params![task, state.as_str()],
+    )?;
+    count(tx, task)
+}
+
+/// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
+/// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work.
+fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute(
+        "UPDATE task SET counted = CASE
+             WHEN gold IS NOT NULL OR state = 'dropped' THEN 0
+             WHEN state = 'accepted' THEN COALESCE((SELECT a.keeps FROM accepted a WHERE a.task = ?1), 0)
+             WHEN EXISTS (SELECT 1 FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' AND r.verdict = 'keep')
+               OR EXISTS (SELECT 1 FROM lease l WHERE l.task = ?1 AND l.purpose <> 'review') THEN 1
+             ELSE 0 END
+         WHERE id = ?1 AND kind = 'pair'",
+        params![task],
     )?;
     Ok(())
 }
@@ -631,5 +723,5 @@ fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
         "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1",
         params![task, state.as_str(), submitted, active + kept, claimable],
     )?;
-    Ok(())
+    count(tx, task)
 }

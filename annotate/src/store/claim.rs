@@ -1,6 +1,8 @@
 //! Leases: assignment of tasks to people for a limited time.
 
-use super::db::{Tx, params};
+use std::collections::BTreeMap;
+
+use super::db::{Row, Tx, Value, params};
 use super::draw::percent;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
 use super::import::GOLD_KEY;
@@ -303,12 +305,17 @@ pub(super) fn claim(
         take(tx, user, task, Purpose::Annotate, &settings, now)?;
         return Ok(Ok(task));
     }
-    let (first, bundle) = loop {
-        if let Some(found) = candidate(tx, user, kind)? {
-            break found;
+    let (first, bundle, mut room) = loop {
+        let room = room(tx, kind, &settings)?;
+        if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref())? {
+            break (first, bundle, room);
         }
         if expired == 0 {
-            return Ok(Err(empty(tx, user, kind)?));
+            let mut empty = empty(tx, user, kind)?;
+            if let Some(room) = &room {
+                empty.quota_full = room.values().map(|category| category.held_back).sum();
+            }
+            return Ok(Err(empty));
         }
         expired = expire(tx, user, now)?;
     };
@@ -317,14 +324,27 @@ pub(super) fn claim(
         None => places.push((first, None)),
         Some(bundle) => {
             let sql = format!(
-                "SELECT t.id, t.bundle_index FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
+                "SELECT t.id, t.bundle_index, t.category, t.counted FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
                    AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
                  ORDER BY t.bundle_index, t.id"
             );
-            for row in tx.query(&sql, params![bundle, user])? {
-                let index = row.int(1)?;
-                places.push((row.int(0)?, Some(Place { bundle, index })));
+            let mut has_room = |row: &Row| -> Result<bool, Error> {
+                let name = row.opt_text(2)?;
+                let category = room.as_mut().and_then(|room| room.get_mut(&name));
+                Ok(row.flag(3)? || category.is_none_or(Category::use_one))
+            };
+            let (mine, others): (Vec<Row>, Vec<Row>) = tx
+                .query(&sql, params![bundle, user])?
+                .into_iter()
+                .partition(|row| row.int(0).is_ok_and(|id| id == first));
+            // The task that was found uses the room first.
+            for row in mine.iter().chain(&others) {
+                if has_room(row)? {
+                    let index = row.int(1)?;
+                    places.push((row.int(0)?, Some(Place { bundle, index })));
+                }
             }
+            places.sort_by_key(|(task, place)| (place.as_ref().map(|place| place.index), *task));
         }
     }
     let golds = gold_tasks(tx, user, kind, places.len(), &settings)?;
@@ -338,25 +358,106 @@ pub(super) fn claim(
     Ok(Ok(taken.first().copied().unwrap_or(first)))
 }
 
-/// The next task of a user with its bundle: a new one, else a postponed one.
+/// A category of pairs, with regard to its quota.
+struct Category {
+    /// Pairs that count toward it.
+    counted: i64,
+    /// Pairs that may still be given out.
+    room: i64,
+    /// Pairs that are not given out because the quota is reached.
+    held_back: i64,
+}
+
+impl Category {
+    /// Whether there was room for one more pair.
+    fn use_one(&mut self) -> bool {
+        let has_room = self.room > 0;
+        self.room -= i64::from(has_room);
+        has_room
+    }
+}
+
+/// The categories of pairs that can be claimed; tasks without a category are one.
+type Room = BTreeMap<Option<String>, Category>;
+
+/// The room in each category, if the project has a quota for tasks of this kind.
+fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>, Error> {
+    if kind != TaskKind::Pair || settings.category_quota == 0 {
+        return Ok(None);
+    }
+    let mut counted: BTreeMap<Option<String>, i64> = BTreeMap::new();
+    let sql =
+        "SELECT category, COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1 GROUP BY category";
+    for row in tx.query(sql, &[])? {
+        counted.insert(row.opt_text(0)?, row.int(1)?);
+    }
+    let sql = "SELECT category, CAST(SUM(1 - counted) AS BIGINT) FROM task WHERE kind = 'pair' AND claimable = 1 GROUP BY category";
+    let mut room = Room::new();
+    for row in tx.query(sql, &[])? {
+        let category = row.opt_text(0)?;
+        let counted = counted.get(&category).copied().unwrap_or(0);
+        let left = (i64::from(settings.category_quota) - counted).max(0);
+        let held_back = if left == 0 { row.int(1)? } else { 0 };
+        room.insert(
+            category,
+            Category {
+                counted,
+                room: left,
+                held_back,
+            },
+        );
+    }
+    Ok(Some(room))
+}
+
+/// The next task of a user with its bundle: a new one, else a postponed one. With a quota, of the category that has
+/// the fewest pairs; of a category whose quota is reached, only pairs that count already and want another answer.
 fn candidate(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
+    room: Option<&Room>,
 ) -> Result<Option<(i64, Option<i64>)>, Error> {
-    let fresh = format!(
-        "SELECT t.id, t.bundle FROM task t WHERE t.kind = ?1 AND {FOR_ME}
-           AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
-         ORDER BY t.priority DESC, t.id LIMIT 1"
-    );
-    let postponed = format!(
-        "SELECT t.id, t.bundle FROM skip s JOIN task t ON t.id = s.task
-         WHERE t.kind = ?1 AND s.usr = ?2 AND s.postponed = 1 AND {FOR_ME}
-         ORDER BY s.at, t.id LIMIT 1"
-    );
-    for sql in [fresh, postponed] {
-        if let Some(row) = tx.one(&sql, params![kind.as_str(), user])? {
-            return Ok(Some((row.int(0)?, row.opt_int(1)?)));
+    let mut limits: Vec<(&str, Option<&String>)> = Vec::new();
+    match room {
+        None => limits.push(("", None)),
+        Some(room) => {
+            let mut categories: Vec<_> = room.iter().collect();
+            categories
+                .sort_by_key(|(name, category)| (category.room == 0, category.counted, *name));
+            limits.extend(categories.into_iter().map(|(name, category)| {
+                let limit = match (name, category.room > 0) {
+                    (Some(_), true) => "AND t.category = ?3",
+                    (Some(_), false) => "AND t.category = ?3 AND t.counted = 1",
+                    (None, true) => "AND t.category IS NULL",
+                    (None, false) => "AND t.category IS NULL AND t.counted = 1",
+                };
+                (limit, name.as_ref())
+            }));
+        }
+    }
+    let fresh = |limit: &str| {
+        format!(
+            "SELECT t.id, t.bundle FROM task t WHERE t.kind = ?1 AND {FOR_ME} {limit}
+               AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
+             ORDER BY t.priority DESC, t.id LIMIT 1"
+        )
+    };
+    let postponed = |limit: &str| {
+        format!(
+            "SELECT t.id, t.bundle FROM skip s JOIN task t ON t.id = s.task
+             WHERE t.kind = ?1 AND s.usr = ?2 AND s.postponed = 1 AND {FOR_ME} {limit}
+             ORDER BY s.at, t.id LIMIT 1"
+        )
+    };
+    let sorts: [&dyn Fn(&str) -> String; 2] = [&fresh, &postponed];
+    for sql in sorts {
+        for (limit, category) in &limits {
+            let mut values = vec![Value::from(kind.as_str()), Value::from(user)];
+            values.extend(category.map(Value::from));
+            if let Some(row) = tx.one(&sql(limit), &values)? {
+                return Ok(Some((row.int(0)?, row.opt_int(1)?)));
+            }
         }
     }
     Ok(None)

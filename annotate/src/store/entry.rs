@@ -4,7 +4,7 @@ use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::db::Row;
-use super::records::Millis;
+use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Answer, Role, Settings, SkipReason, SuggestionUse, TaskKind};
@@ -33,6 +33,8 @@ pub(crate) struct LoggedTask {
     pub(crate) practice: bool,
     pub(crate) extra: Option<serde_json::Value>,
     pub(crate) accepted: Option<Answer>,
+    #[serde(default)]
+    pub(crate) credit: Option<Credit>,
 }
 
 /// Reads a value that another version of this program may have stored: missing fields get their default values,
@@ -71,12 +73,26 @@ pub(crate) struct Place {
 }
 
 /// Body of an entry. `request` is a hash of the request; it shows whether a repeated key repeats the request.
+///
+/// Fields that hold ids of people are called `user`, `author` or `authors`: an export of the log replaces them by
+/// pseudonyms.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub(crate) enum Body {
     Imported {
         task: Box<LoggedTask>,
     },
+    Filled {
+        answer: Answer,
+        credit: Option<Credit>,
+        extra: Option<serde_json::Value>,
+    },
+    /// The clips have other content since; the hashes are the new ones.
+    ClipChanged {
+        source: String,
+        target: Option<String>,
+    },
+    ClipKept,
     Claimed {
         purpose: Purpose,
         expires: Millis,
@@ -216,6 +232,9 @@ impl Body {
     pub(crate) fn kind(&self) -> LogKind {
         match self {
             Self::Imported { .. } => LogKind::Imported,
+            Self::Filled { .. } => LogKind::Filled,
+            Self::ClipChanged { .. } => LogKind::ClipChanged,
+            Self::ClipKept => LogKind::ClipKept,
             Self::Claimed { .. } => LogKind::Claimed,
             Self::Renewed { .. } => LogKind::Renewed,
             Self::Released { .. } => LogKind::Released,

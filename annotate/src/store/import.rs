@@ -1,4 +1,4 @@
-//! Import of tasks into the store.
+//! Import of tasks into the store, and of answers into tasks that exist.
 
 use super::db::{Tx, params};
 use super::draw::{draw, percent};
@@ -7,14 +7,16 @@ use super::project;
 use super::records::{Imported, Millis, NewTask};
 use super::{log, rows, rules};
 use crate::Error;
-use crate::wire::Settings;
+use crate::answer;
+use crate::wire::{Answer, Settings, TaskState};
 
 /// What the key of a gold task has before that of the task it was copied from.
 pub(super) const GOLD_KEY: &str = "gold:";
 /// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
-/// Imports tasks; tasks with a known key stay unchanged.
+/// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody has
+/// worked on.
 pub(super) fn import(
     tx: &mut dyn Tx,
     actor: Option<i64>,
@@ -25,18 +27,75 @@ pub(super) fn import(
     let mut done = Imported::default();
     let mut next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
     for task in tasks {
-        if tx
-            .one("SELECT 1 FROM task WHERE key = ?1", params![&task.key])?
-            .is_some()
-        {
-            done.known += 1;
-            continue;
+        let known = tx.one("SELECT id FROM task WHERE key = ?1", params![&task.key])?;
+        match (known, &task.accepted) {
+            (None, _) => {
+                put_task(tx, actor, next, task, false, &settings, now)?;
+                done.new += 1;
+                next += 1;
+            }
+            (Some(_), None) => done.known += 1,
+            (Some(row), Some(answer)) => {
+                let filled = fill(tx, actor, row.int(0)?, task, answer, now)?;
+                match filled {
+                    Filled::Now => done.filled += 1,
+                    Filled::Before => done.known += 1,
+                    Filled::Otherwise => done.conflicts.push(task.key.clone()),
+                }
+            }
         }
-        put_task(tx, actor, next, task, false, &settings, now)?;
-        done.new += 1;
-        next += 1;
     }
     Ok(done)
+}
+
+/// What became of an imported answer to a known task.
+enum Filled {
+    /// It was accepted.
+    Now,
+    /// The task has an accepted answer that says the same.
+    Before,
+    /// The task has another answer, or somebody is at work on it or has decided about it.
+    Otherwise,
+}
+
+fn fill(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    id: i64,
+    new: &NewTask,
+    answer: &Answer,
+    now: Millis,
+) -> Result<Filled, Error> {
+    let accepted = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
+    if let Some(row) = accepted {
+        return Ok(if answer::says(&row.json(0)?, answer) {
+            Filled::Before
+        } else {
+            Filled::Otherwise
+        });
+    }
+    let touched = tx.number(
+        "SELECT (SELECT COUNT(*) FROM revision WHERE task = ?1) + (SELECT COUNT(*) FROM lease WHERE task = ?1)
+           + (SELECT COUNT(*) FROM review WHERE task = ?1)",
+        params![id],
+    )?;
+    let task = rows::task(tx, id)?;
+    if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
+        return Ok(Filled::Otherwise);
+    }
+    let entry = Entry {
+        at: now,
+        actor,
+        task: Some(id),
+        epoch: None,
+        body: Body::Filled {
+            answer: answer.clone(),
+            credit: new.credit.clone(),
+            extra: new.extra.clone(),
+        },
+    };
+    log::note(tx, &entry)?;
+    Ok(Filled::Now)
 }
 
 fn put_task(
@@ -82,6 +141,7 @@ fn put_task(
                 practice,
                 extra: task.extra.clone(),
                 accepted: task.accepted.clone(),
+                credit: task.credit.clone(),
             }),
         },
     };
@@ -194,6 +254,7 @@ pub(super) fn copy_known(
         // Without drafts it would be told from other tasks.
         suggestions: project::drafts_of(tx, id)?,
         accepted: None,
+        credit: None,
     };
     let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
     let settings = project::settings(tx)?;

@@ -54,6 +54,22 @@ CREATE TABLE paraphrase (
   UNIQUE (instruction, text)
 );
 CREATE INDEX paraphrase_state ON paraphrase (state, id);",
+    // 6: imported answers have an author; a clip may have had other content before; categories have a quota.
+    "CREATE TABLE motion_now (
+       hash TEXT PRIMARY KEY,
+       id TEXT NOT NULL,
+       split TEXT NOT NULL,
+       frames BIGINT NOT NULL,
+       fps DOUBLE PRECISION NOT NULL,
+       captions TEXT NOT NULL,
+       style TEXT,
+       action TEXT,
+       current BIGINT NOT NULL
+     );
+     INSERT INTO motion_now SELECT hash, id, split, frames, fps, captions, style, action, 1 FROM motion;
+     DROP TABLE motion;
+     ALTER TABLE motion_now RENAME TO motion;
+     CREATE UNIQUE INDEX motion_id ON motion (id) WHERE current = 1;",
 ];
 
 /// Version of the tables of this program.

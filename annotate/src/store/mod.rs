@@ -11,6 +11,7 @@
 
 mod append;
 mod apply;
+mod backup;
 mod browse;
 mod claim;
 pub(crate) mod db;
@@ -51,12 +52,13 @@ use std::sync::Arc;
 
 use crate::Error;
 
+pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
 pub use migrate::Upgrade;
 pub use records::{
-    AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Imported, IssuedToken, KeyRange, Label,
-    Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture,
-    Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail,
+    AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
+    Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts,
+    Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail,
     TaskRecord, TokenUse, WeekCounts, Who,
 };
 pub use store::Store;

@@ -1,11 +1,16 @@
 //! Settings, preferences, motions, suggestions and jobs.
 
+use std::collections::BTreeMap;
+
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry, read_stored};
+use super::read::CHANGED;
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::{import, log, pictures, rules};
+use super::{import, log, pictures, rows, rules};
 use crate::Error;
-use crate::wire::{Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource};
+use crate::wire::{
+    Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource, TaskState,
+};
 
 /// Key of the settings.
 const SETTINGS: &str = "settings";
@@ -236,23 +241,119 @@ fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
 
 pub(super) fn put_motions(tx: &mut dyn Tx, motions: &[MotionRecord]) -> Result<(), Error> {
     for motion in motions {
-        tx.execute(
-            "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)
-             ON CONFLICT (hash) DO NOTHING",
-            params![
-                &motion.hash,
-                &motion.id,
-                &motion.split,
-                motion.frames,
-                motion.fps,
-                json("motion", &motion.captions)?,
-                motion.style.clone(),
-                motion.action.clone()
-            ],
-        )?;
+        put_motion(tx, motion, "NOTHING")?;
     }
     Ok(())
+}
+
+fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<(), Error> {
+    let sql = format!(
+        "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action, current)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1)
+         ON CONFLICT (hash) DO {on_conflict}"
+    );
+    tx.execute(
+        &sql,
+        params![
+            &motion.hash,
+            &motion.id,
+            &motion.split,
+            motion.frames,
+            motion.fps,
+            json("motion", &motion.captions)?,
+            motion.style.clone(),
+            motion.action.clone()
+        ],
+    )?;
+    Ok(())
+}
+
+/// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so
+/// ([`TaskRecord::changed`]). Returns the number of tasks.
+///
+/// [`TaskRecord::changed`]: super::records::TaskRecord::changed
+pub(super) fn replace_motions(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    motions: &[MotionRecord],
+    now: Millis,
+) -> Result<i64, Error> {
+    let mut replaced: BTreeMap<String, String> = BTreeMap::new();
+    for motion in motions {
+        let before = tx.one(
+            "SELECT hash FROM motion WHERE id = ?1 AND current = 1",
+            params![&motion.id],
+        )?;
+        if let Some(row) = before
+            && row.text(0)? != motion.hash
+        {
+            replaced.insert(row.string(0)?, motion.hash.clone());
+        }
+    }
+    // Two clips may have changed places, so all earlier contents go before the first new one comes.
+    for hash in replaced.keys() {
+        tx.execute(
+            "UPDATE motion SET current = 0 WHERE hash = ?1",
+            params![hash],
+        )?;
+    }
+    for motion in motions {
+        let update =
+            "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
+           style = excluded.style, action = excluded.action, current = 1";
+        put_motion(tx, motion, update)?;
+    }
+    let mut count = 0;
+    for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
+        let (source, target) = (row.string(1)?, row.opt_text(2)?);
+        let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
+        let new = (now_of(&source), target.as_ref().map(now_of));
+        if new == (source, target) {
+            continue;
+        }
+        let entry = Entry {
+            at: now,
+            actor,
+            task: Some(row.int(0)?),
+            epoch: None,
+            body: Body::ClipChanged {
+                source: new.0,
+                target: new.1,
+            },
+        };
+        log::note(tx, &entry)?;
+        count += 1;
+    }
+    Ok(count)
+}
+
+/// Decides about a task whose clip was ingested anew: its answers hold, or it goes back to review.
+pub(super) fn settle_changed(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    task: i64,
+    keep: bool,
+    now: Millis,
+) -> Result<(), Error> {
+    let state = rows::task(tx, task)?.state;
+    let body = match (keep, state) {
+        (true, _) => Body::ClipKept,
+        (false, TaskState::Accepted) => Body::Reopened {
+            comment: CHANGED.to_owned(),
+            rule: None,
+            request: String::new(),
+        },
+        // Somebody decides about it in any case, and is told.
+        (false, _) => return Ok(()),
+    };
+    let entry = Entry {
+        at: now,
+        actor,
+        task: Some(task),
+        epoch: None,
+        body,
+    };
+    log::note(tx, &entry).map(|_| ())
 }
 
 const MOTION_COLUMNS: &str = "hash, id, split, frames, fps, captions, style, action";
@@ -283,7 +384,7 @@ pub(super) fn motions(tx: &mut dyn Tx, hashes: &[String]) -> Result<Vec<MotionRe
 }
 
 pub(super) fn all_motions(tx: &mut dyn Tx) -> Result<Vec<MotionRecord>, Error> {
-    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion ORDER BY id");
+    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE current = 1 ORDER BY id");
     tx.query(&sql, &[])?.iter().map(read_motion).collect()
 }
 
@@ -301,7 +402,8 @@ pub(super) fn partners(
     let mut found = Vec::new();
     for comparison in [">", "<"] {
         let sql = format!(
-            "SELECT {MOTION_COLUMNS} FROM motion WHERE split = ?1 AND hash {comparison} ?2 ORDER BY hash LIMIT ?3"
+            "SELECT {MOTION_COLUMNS} FROM motion
+             WHERE split = ?1 AND current = 1 AND hash {comparison} ?2 ORDER BY hash LIMIT ?3"
         );
         let wanted = limit - found.len();
         for row in tx.query(&sql, params![&split, hash, wanted as i64])? {

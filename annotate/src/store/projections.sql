@@ -26,10 +26,17 @@ CREATE TABLE task (
   epoch BIGINT NOT NULL,
   claimable BIGINT NOT NULL,
   came_back BIGINT NOT NULL,
+  -- Whether the clip was ingested anew after somebody answered.
+  changed BIGINT NOT NULL,
+  -- Whether the pair counts toward the quota of its category: it is kept, or somebody is at work on it.
+  counted BIGINT NOT NULL,
   distance DOUBLE PRECISION,
   touched BIGINT NOT NULL
 );
 CREATE INDEX task_claim ON task (kind, priority DESC, id) WHERE claimable = 1;
+CREATE INDEX task_category ON task (kind, category, priority DESC, id) WHERE claimable = 1;
+CREATE INDEX task_counted ON task (kind, category) WHERE counted = 1;
+CREATE INDEX task_changed ON task (id) WHERE changed = 1;
 CREATE INDEX task_state ON task (kind, state);
 CREATE INDEX task_review ON task (state, id);
 CREATE INDEX task_bundle ON task (bundle, bundle_index);
@@ -85,13 +92,15 @@ CREATE TABLE review (
 );
 CREATE INDEX review_task ON review (task, seq);
 
--- The accepted answer.
+-- The accepted answer. `credit` is the author that an import named; `keeps` is 1 for a pair that is usable.
 CREATE TABLE accepted (
   task BIGINT PRIMARY KEY,
   author BIGINT NOT NULL,
   reviewer BIGINT NOT NULL,
   answer TEXT NOT NULL,
   merged BIGINT NOT NULL,
+  credit TEXT,
+  keeps BIGINT NOT NULL,
   at BIGINT NOT NULL,
   seq BIGINT NOT NULL,
   basis TEXT NOT NULL,

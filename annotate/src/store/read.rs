@@ -51,10 +51,13 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, 
         lease: held
             .filter(|held| held.purpose == Purpose::Annotate)
             .map(|held| held.lease),
-        comment: comment
-            .filter(|_| came_back)
-            .map(|row| row.string(0))
-            .transpose()?,
+        comment: question(
+            task.changed && mine.is_some(),
+            comment
+                .filter(|_| came_back)
+                .map(|row| row.string(0))
+                .transpose()?,
+        ),
         suggestions: if blind {
             Vec::new()
         } else {
@@ -91,6 +94,38 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
         task.bundle_index = place.int(1)?;
     }
     Ok(task)
+}
+
+/// What the task asks its author beside the comment of a reviewer.
+pub(super) const CHANGED: &str =
+    "The clip was ingested anew, with other content, after this was written. Does it still hold?";
+
+fn question(changed: bool, comment: Option<String>) -> Option<String> {
+    match (changed, comment) {
+        (false, comment) => comment,
+        (true, None) => Some(CHANGED.to_owned()),
+        (true, Some(comment)) => Some(format!("{comment} {CHANGED}")),
+    }
+}
+
+/// Key and motions of each task about two motions.
+pub(super) fn pairs(tx: &mut dyn Tx) -> Result<Vec<(String, String, String)>, Error> {
+    tx.query(
+        "SELECT key, source, target FROM task WHERE target IS NOT NULL AND gold IS NULL ORDER BY id",
+        &[],
+    )?
+    .iter()
+    .map(|row| Ok((row.string(0)?, row.string(1)?, row.string(2)?)))
+    .collect()
+}
+
+/// Tasks whose clip was ingested anew after somebody answered.
+pub(super) fn changed(tx: &mut dyn Tx) -> Result<Vec<TaskRecord>, Error> {
+    let sql = format!(
+        "SELECT {} FROM task t WHERE t.changed = 1 ORDER BY t.id",
+        rows::TASK_COLUMNS
+    );
+    tx.query(&sql, &[])?.iter().map(rows::read_task).collect()
 }
 
 fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>, Error> {
@@ -280,7 +315,7 @@ pub(super) fn shelf(
     let text = filter.text.as_deref().map_or(String::new(), like);
     // Exclude the motions of tasks that the user holds: their answers would be visible.
     let sql = format!(
-        "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq FROM accepted a JOIN task t ON t.id = a.task
+        "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq, a.credit FROM accepted a JOIN task t ON t.id = a.task
          WHERE a.seq < ?1 AND (?2 = '' OR t.kind = ?2)
            AND (?3 = '' OR a.parts LIKE ?3)
            AND (?4 = '' OR a.words LIKE ?4 ESCAPE '\\')
@@ -313,6 +348,7 @@ fn read_accepted(row: &Row) -> Result<AcceptedAnswer, Error> {
         answer: row.json(from + 2)?,
         at: row.int(from + 3)?,
         seq: row.int(from + 4)?,
+        credit: row.opt_text(from + 5)?,
     })
 }
 
@@ -334,7 +370,7 @@ pub(super) fn next_keys(
 
 pub(super) fn accepted(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
     let sql = format!(
-        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq FROM task t JOIN accepted a ON a.task = t.id
+        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq, a.credit FROM task t JOIN accepted a ON a.task = t.id
          WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key",
         rows::TASK_COLUMNS
     );

@@ -74,8 +74,20 @@ pub struct NewTask {
     pub extra: Option<serde_json::Value>,
     /// Suggestions.
     pub suggestions: Vec<NewSuggestion>,
-    /// A decided answer of the source: the task starts as accepted.
+    /// A decided answer of the source: the task starts as accepted. If the task exists already and nobody has worked
+    /// on it, it becomes accepted.
     pub accepted: Option<Answer>,
+    /// Who gave `accepted`, as an export says it.
+    pub credit: Option<Credit>,
+}
+
+/// Author of an imported answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Credit {
+    /// Pseudonym, from the export of another store.
+    pub author: String,
+    /// Whether a reviewer merged it from several answers.
+    pub merged: bool,
 }
 
 /// A suggestion to be stored.
@@ -140,6 +152,8 @@ pub struct TaskRecord {
     pub distance: Option<f64>,
     /// Whether it is a practice task: its known answer is shown to those who answered it.
     pub practice: bool,
+    /// Whether a clip of it was ingested anew, with other content, after somebody answered.
+    pub changed: bool,
 }
 
 /// A task of a bundle, as a user sees it.
@@ -253,6 +267,8 @@ pub struct AcceptedAnswer {
     pub author: i64,
     /// Whether a reviewer merged it from several answers.
     pub merged: bool,
+    /// Pseudonym of the author of an imported answer.
+    pub credit: Option<String>,
     /// The answer.
     pub answer: Answer,
     /// When it was accepted.
@@ -417,8 +433,12 @@ pub struct IssuedToken {
 pub struct Imported {
     /// New tasks.
     pub new: i64,
-    /// Tasks that existed before.
+    /// Tasks that existed before and stay as they are.
     pub known: i64,
+    /// Tasks that existed before, untouched, and are accepted now.
+    pub filled: i64,
+    /// Keys of tasks whose imported answer was left out, because of an answer or a decision they have already.
+    pub conflicts: Vec<String>,
 }
 
 /// Purpose of a token.

@@ -15,9 +15,10 @@ pub(crate) fn state(text: &str) -> Result<TaskState, Error> {
 
 /// Columns of [`read_task`].
 pub(crate) const TASK_COLUMNS: &str = "t.id, t.key, t.kind, t.source, t.target, t.split, t.bundle, t.bundle_index,
-  t.category, t.hint, t.style, t.wanted, t.gold, t.extra, t.state, t.submitted, t.shuffle, t.distance, t.practice";
+  t.category, t.hint, t.style, t.wanted, t.gold, t.extra, t.state, t.submitted, t.shuffle, t.distance, t.practice,
+  t.changed";
 /// Their number.
-pub(crate) const NUM_TASK_COLUMNS: usize = 19;
+pub(crate) const NUM_TASK_COLUMNS: usize = 20;
 
 /// Reads a task of [`TASK_COLUMNS`].
 pub(crate) fn read_task(row: &Row) -> Result<TaskRecord, Error> {
@@ -54,6 +55,7 @@ pub(crate) fn read_task(row: &Row) -> Result<TaskRecord, Error> {
         shuffle: row.int(16)?,
         distance: row.opt_real(17)?,
         practice: row.flag(18)?,
+        changed: row.flag(19)?,
     })
 }
 

@@ -35,16 +35,19 @@ CREATE TABLE suggestion (
 CREATE INDEX suggestion_task ON suggestion (task, id);
 CREATE INDEX suggestion_prompt ON suggestion (prompt_hash);
 
+-- Motions by their content. `current` is 0 for the earlier content of a clip that was ingested anew.
 CREATE TABLE motion (
   hash TEXT PRIMARY KEY,
-  id TEXT NOT NULL UNIQUE,
+  id TEXT NOT NULL,
   split TEXT NOT NULL,
   frames BIGINT NOT NULL,
   fps DOUBLE PRECISION NOT NULL,
   captions TEXT NOT NULL,
   style TEXT,
-  action TEXT
+  action TEXT,
+  current BIGINT NOT NULL
 );
+CREATE UNIQUE INDEX motion_id ON motion (id) WHERE current = 1;
 
 CREATE TABLE usr (
   id BIGINT PRIMARY KEY,

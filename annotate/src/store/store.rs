@@ -108,7 +108,60 @@ impl Store {
         Ok(())
     }
 
-    /// Imports tasks; tasks with a known key stay unchanged.
+    /// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so until somebody
+    /// has decided about them again. Returns the number of tasks.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn replace_motions(
+        &self,
+        actor: Option<i64>,
+        motions: Vec<MotionRecord>,
+        now: Millis,
+    ) -> Result<i64, Error> {
+        self.write(move |tx| project::replace_motions(tx, actor, &motions, now))
+    }
+
+    /// Key, source and target of each task about two motions, without gold tasks.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn pairs(&self) -> Result<Vec<(String, String, String)>, Error> {
+        self.read(read::pairs)
+    }
+
+    /// Tasks with an answer about a clip that was ingested anew since, with other content.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>, Error> {
+        self.read(read::changed)
+    }
+
+    /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers hold, else accepted ones go back to
+    /// review.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn settle_changed(
+        &self,
+        actor: Option<i64>,
+        tasks: &[i64],
+        keep: bool,
+        now: Millis,
+    ) -> Result<(), Error> {
+        for some in tasks.chunks(IMPORT_GROUP) {
+            let some = some.to_vec();
+            self.write(move |tx| {
+                some.iter()
+                    .try_for_each(|task| project::settle_changed(tx, actor, *task, keep, now))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
+    /// has worked on.
     ///
     /// # Errors
     /// The store fails.
@@ -124,6 +177,8 @@ impl Store {
             let some = self.write(move |tx| import::import(tx, actor, &group, now))?;
             done.new += some.new;
             done.known += some.known;
+            done.filled += some.filled;
+            done.conflicts.extend(some.conflicts);
         }
         Ok(done)
     }

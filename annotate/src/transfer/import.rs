@@ -13,15 +13,19 @@ use super::release;
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::completion;
-use crate::store::{Millis, MotionRecord, NewSuggestion, NewTask, Store};
+use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
     Answer, BUNDLE, CountReason, EditType, Extent, MaskAnswer, SuggestionSource, TaskKind, Verdict,
 };
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
-/// Maximum number of clips per action for candidate pairs.
-const TAKES_AT_MOST: usize = 16;
+/// Begin of the key of a candidate pair, and of its id in table `pairs`.
+const CANDIDATE: &str = "takes:";
+/// Begin of the key of other pairs; the rest is the id of the pair.
+const PAIR: &str = "pair:";
+/// Conflicts that an import lists by name.
+const LISTED_CONFLICTS: usize = 50;
 
 /// Result of an import.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -35,6 +39,25 @@ pub struct Taken {
 impl Taken {
     fn count(&mut self, what: &str, count: i64) {
         *self.counts.entry(what.to_owned()).or_default() += count;
+    }
+
+    /// Takes the result of an import of answers.
+    fn take(&mut self, done: Imported) {
+        self.count("new_tasks", done.new);
+        self.count("filled_tasks", done.filled);
+        self.count("known_tasks", done.known);
+        self.count("conflicts", done.conflicts.len() as i64);
+        let conflicts = done.conflicts.iter().take(LISTED_CONFLICTS);
+        self.messages.extend(conflicts.map(|key| {
+            format!(
+                "task {key:?} has another answer, or somebody is at work on it; the imported answer is left out"
+            )
+        }));
+        let more = done.conflicts.len().saturating_sub(LISTED_CONFLICTS);
+        if more > 0 {
+            self.messages
+                .push(format!("{more} more conflicts are not listed"));
+        }
     }
 }
 
@@ -55,11 +78,34 @@ fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTask {
         extra: None,
         suggestions: Vec::new(),
         accepted: None,
+        credit: None,
     }
 }
 
 pub(super) fn mask_key(motion: &str) -> String {
     format!("mask:{motion}")
+}
+
+/// Key of the task of a pair. A candidate that was accepted is in table `pairs`, and keeps its key.
+fn pair_key(pair: &PairRow) -> String {
+    if pair.source == PAIR_SOURCE && pair.id.starts_with(CANDIDATE) {
+        pair.id.clone()
+    } else {
+        format!("{PAIR}{}", pair.id)
+    }
+}
+
+/// Id in table `pairs` of the pair that a task with this key judges.
+pub(super) fn pair_id(key: &str) -> &str {
+    key.strip_prefix(PAIR).unwrap_or(key)
+}
+
+/// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset
+/// under a second key.
+fn current_key(key: &str) -> &str {
+    key.strip_prefix(PAIR)
+        .filter(|id| id.starts_with(CANDIDATE))
+        .unwrap_or(key)
 }
 
 struct Clip {
@@ -118,10 +164,10 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 
 /// Creates the tasks of a dataset: a mask task for each clip that is not a mirrored copy, a pair task for each
 /// fine-grained pair (in bundles of eight), and a style task for each style pair. Masks of the pipeline become
-/// suggestions; masks by people and pairs written by this program become accepted answers. Without fine-grained
-/// pairs, clips of one action are paired as candidates.
+/// suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
+/// paired as candidates.
 ///
-/// Existing tasks stay unchanged.
+/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on.
 ///
 /// # Errors
 /// The dataset cannot be read, or the store fails.
@@ -151,6 +197,7 @@ pub fn from_dataset(
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
         .collect();
+    replace_changed(store, &clips, actor, now, &mut taken)?;
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
 
@@ -193,7 +240,7 @@ pub fn from_dataset(
                 continue;
             }
         };
-        let mut new = task(format!("pair:{}", pair.id), kind, &source.record);
+        let mut new = task(pair_key(pair), kind, &source.record);
         new.target = Some(target.record.hash.clone());
         new.style.clone_from(&pair.style);
         if pair.source == PAIR_SOURCE {
@@ -209,29 +256,80 @@ pub fn from_dataset(
             TaskKind::Style | TaskKind::MaskText => tasks.push(new),
         }
     }
-    if fine.is_empty() {
-        let takes = takes(&clips);
-        taken.count(
-            "candidates",
-            takes.values().map(|list| list.len() as i64).sum(),
-        );
-        fine = takes;
-    }
-    for (name, list) in fine {
+    let mut candidates = candidates(&clips);
+    // Two clips are judged once: pairs of the dataset are no candidates, nor those that it lost because somebody judged
+    // them unusable.
+    let known: BTreeSet<(&str, &str)> = pairs
+        .iter()
+        .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
+        .collect();
+    let judged: BTreeMap<(String, String), String> = store
+        .pairs()?
+        .into_iter()
+        .map(|(key, source, target)| ((source, target), key))
+        .collect();
+    candidates.retain(|(source, target)| {
+        let (source, target) = (&source.record, &target.record);
+        let task = judged.get(&(source.hash.clone(), target.hash.clone()));
+        !known.contains(&(source.id.as_str(), target.id.as_str()))
+            && task.is_none_or(|key| *key == candidate_key(source, target))
+    });
+    taken.count("candidates", candidates.len() as i64);
+    // Pairs that were made for an instruction come before candidates.
+    for (name, list) in fine.into_iter().chain(takes(&candidates)) {
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
+    let mut seen = 0;
     for chunk in tasks.chunks(2000) {
         let done = store.import(actor, chunk.to_vec(), now)?;
         taken.count("new_tasks", done.new);
-        taken.count("known_tasks", done.known);
-        progress(
-            taken.counts.get("new_tasks").copied().unwrap_or(0)
-                + taken.counts.get("known_tasks").copied().unwrap_or(0),
-            total,
-        );
+        taken.count("filled_tasks", done.filled);
+        // The dataset may hold an earlier export of this store: what people decided since stays, without a message.
+        taken.count("known_tasks", done.known + done.conflicts.len() as i64);
+        seen += chunk.len() as i64;
+        progress(seen, total);
     }
     Ok(taken)
+}
+
+/// Gives clips that were ingested anew, under the same id, their new content.
+fn replace_changed(
+    store: &Store,
+    clips: &[&Clip],
+    actor: Option<i64>,
+    now: Millis,
+    taken: &mut Taken,
+) -> Result<(), Error> {
+    let known = store.all_motions()?;
+    let known: BTreeMap<&str, &str> = known
+        .iter()
+        .map(|motion| (motion.id.as_str(), motion.hash.as_str()))
+        .collect();
+    let changed: Vec<MotionRecord> = clips
+        .iter()
+        .map(|clip| &clip.record)
+        .filter(|clip| {
+            known
+                .get(clip.id.as_str())
+                .is_some_and(|hash| *hash != clip.hash)
+        })
+        .cloned()
+        .collect();
+    if changed.is_empty() {
+        return Ok(());
+    }
+    taken.count("changed_motions", changed.len() as i64);
+    let tasks = store.replace_motions(actor, changed, now)?;
+    taken.count("changed_tasks", tasks);
+    let asked = store.changed_tasks()?.len();
+    if asked > 0 {
+        taken.messages.push(format!(
+            "{asked} tasks have answers about clips that were ingested anew, with other content; `stance annotate \
+             DATASET changed` lists them and takes the decision"
+        ));
+    }
+    Ok(())
 }
 
 fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
@@ -252,12 +350,25 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
             count_reason: None,
             note: String::new(),
         });
+        new.credit = credit(&people[0].author, false);
     }
     new.suggestions = drafts
         .into_iter()
         .map(|row| suggestion(row.parts.clone(), &row.text, &row.author))
         .collect();
     new
+}
+
+/// The author of an answer, if it is a pseudonym of this program. Other names are not carried into exports.
+fn credit(author: &str, merged: bool) -> Option<Credit> {
+    let rest = author.strip_prefix('a')?;
+    let (number, store) = rest.split_once('-').unwrap_or((rest, "0"));
+    let is_number = number.len() >= 3 && number.bytes().all(|byte| byte.is_ascii_digit());
+    let is_store = store.bytes().all(|byte| byte.is_ascii_hexdigit());
+    (is_number && is_store).then(|| Credit {
+        author: author.to_owned(),
+        merged,
+    })
 }
 
 /// Whether the parts have a soft ring.
@@ -292,7 +403,7 @@ fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
         TaskKind::Pair | TaskKind::MaskText => Answer::Pair {
             verdict: Verdict::Keep,
             parts: pair.parts.clone(),
-            edit_type: None,
+            edit_type: pair.edit_type.as_deref().and_then(EditType::parse),
             text: pair.instruction.clone(),
             suggestion: None,
             note: String::new(),
@@ -300,44 +411,54 @@ fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
     }
 }
 
-/// Candidate pairs: each clip of an action with the next one of the same split, sorted by style, up to sixteen
-/// clips per action.
-fn takes(clips: &[&Clip]) -> BTreeMap<String, Vec<NewTask>> {
-    let mut groups: BTreeMap<(String, String), Vec<&Clip>> = BTreeMap::new();
-    for clip in clips.iter().filter(|clip| !clip.mirrored) {
-        let Some(action) = clip.record.action.clone() else {
-            continue;
-        };
-        groups
-            .entry((action, clip.record.split.clone()))
-            .or_default()
-            .push(clip);
-    }
-    let mut tasks: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for ((action, split), mut group) in groups {
-        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
-        let group = &group[..group.len().min(TAKES_AT_MOST)];
-        for pair in group.windows(2) {
-            if pair[0].source_clip == pair[1].source_clip {
-                continue;
-            }
-            let key = format!("takes:{}|{}", pair[0].record.id, pair[1].record.id);
-            let mut new = task(key, TaskKind::Pair, &pair[0].record);
-            new.target = Some(pair[1].record.hash.clone());
-            tasks
-                .entry(format!("takes {split} {action}"))
+/// Candidate pairs: each clip of an action with the next one of the same split, sorted by style.
+fn candidates<'a>(clips: &[&'a Clip]) -> Vec<(&'a Clip, &'a Clip)> {
+    let mut groups: BTreeMap<(&str, &str), Vec<&Clip>> = BTreeMap::new();
+    for &clip in clips.iter().filter(|clip| !clip.mirrored) {
+        if let Some(action) = &clip.record.action {
+            groups
+                .entry((action.as_str(), clip.record.split.as_str()))
                 .or_default()
-                .push(new);
+                .push(clip);
         }
+    }
+    let mut pairs = Vec::new();
+    for mut group in groups.into_values() {
+        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
+        pairs.extend(
+            group
+                .windows(2)
+                .map(|pair| (pair[0], pair[1]))
+                .filter(|(a, b)| a.source_clip != b.source_clip),
+        );
+    }
+    pairs
+}
+
+fn candidate_key(source: &MotionRecord, target: &MotionRecord) -> String {
+    format!("{CANDIDATE}{}|{}", source.id, target.id)
+}
+
+/// Tasks of candidate pairs, by the name of their bundles.
+fn takes(candidates: &[(&Clip, &Clip)]) -> BTreeMap<String, Vec<NewTask>> {
+    let mut tasks: BTreeMap<(&str, &str), Vec<NewTask>> = BTreeMap::new();
+    for (source, target) in candidates {
+        let key = candidate_key(&source.record, &target.record);
+        let mut new = task(key, TaskKind::Pair, &source.record);
+        new.target = Some(target.record.hash.clone());
+        let action = source.record.action.as_deref().unwrap_or_default();
+        tasks
+            .entry((source.record.split.as_str(), action))
+            .or_default()
+            .push(new);
     }
     // Actions with few takes share bundles within their split, so that bundles are not too small.
     let mut merged: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for (name, list) in tasks {
-        let split = name.split(' ').nth(1).unwrap_or_default();
+    for ((split, action), list) in tasks {
         let place = if list.len() < BUNDLE {
             format!("takes {split}")
         } else {
-            name.clone()
+            format!("takes {split} {action}")
         };
         merged.entry(place).or_default().extend(list);
     }
@@ -357,7 +478,8 @@ fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
     tasks
 }
 
-/// Imports the table `annotations` of an export: every answer becomes an accepted task.
+/// Imports the table `annotations` of an export: every answer fills its task if nobody has worked on it, or becomes a
+/// new, accepted task. Answers to tasks with another answer are left out and reported.
 ///
 /// # Errors
 /// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
@@ -379,9 +501,7 @@ pub fn from_annotations(
             })?,
         );
     }
-    let done = store.import(actor, tasks, now)?;
-    taken.count("new_tasks", done.new);
-    taken.count("known_tasks", done.known);
+    taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }
 
@@ -398,7 +518,7 @@ fn annotation_task(
     let kind = TaskKind::parse(&first.kind)
         .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
     let source = find(&first.motion_id)?;
-    let mut new = task(first.task.clone(), kind, source);
+    let mut new = task(current_key(&first.task).to_owned(), kind, source);
     new.target = match &first.target_id {
         Some(id) => Some(find(id)?.hash.clone()),
         None => None,
@@ -467,11 +587,13 @@ fn annotation_task(
     };
     crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
+    new.credit = credit(&first.author, first.merged != 0);
     Ok(new)
 }
 
 /// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, given as one object with both. The
-/// annotations become accepted answers; unknown fields are kept for export.
+/// annotations become accepted answers of tasks that nobody has worked on; unknown fields are kept for export. Those of
+/// tasks with another answer are left out and reported.
 ///
 /// # Errors
 /// It is not such an object, or the store fails.
@@ -511,15 +633,6 @@ pub fn from_release(
         });
         tasks.push(new);
     }
-    let total = tasks.len() as i64;
-    let done = store.import(actor, tasks, now)?;
-    taken.count("new_tasks", done.new);
-    taken.count("known_tasks", done.known);
-    if done.known > 0 {
-        taken.messages.push(format!(
-            "{} of {total} motions have a task already; their annotations are not overwritten",
-            done.known
-        ));
-    }
+    taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }

@@ -132,8 +132,10 @@ pub struct Settings {
     pub mask_templates: Vec<String>,
     /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
     pub style_templates: Vec<String>,
-    /// Pairs wanted of each category and edit type; 0 for no bound.
+    /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
     pub quota: u32,
+    /// Pairs kept of each category, after which its other pairs are not given out; 0 for no bound.
+    pub category_quota: u32,
     /// The guide, plain text.
     pub guide: String,
     /// Name of the time zone in which days begin, such as `Europe/Berlin`.
@@ -328,6 +330,7 @@ impl Default for Settings {
                 "holding still",
             ]),
             quota: 0,
+            category_quota: 0,
             guide: include_str!("../guide/all.txt").to_owned(),
             time_zone: "UTC".to_owned(),
             guides: [

@@ -213,6 +213,8 @@ pub struct Empty {
     pub skipped_by_me: i64,
     /// Dropped by reviewers.
     pub dropped: i64,
+    /// Pairs that are not given out because their category has as many as the project wants.
+    pub quota_full: i64,
 }
 
 /// `GET skipped`: undecided tasks that somebody skipped.

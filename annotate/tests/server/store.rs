@@ -1476,3 +1476,93 @@ fn a_task_that_nobody_took_is_not_said_to_be_taken() {
         site.whole();
     });
 }
+
+#[test]
+fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
+    on_each("a category quota", |store| {
+        let tasks = (0..40)
+            .map(|number| NewTask {
+                category: Some(if number < 20 { "walk" } else { "wave" }.to_owned()),
+                bundle: Some(format!("bundle {}", number / 8)),
+                bundle_index: number as i64 % 8,
+                ..bare_task(number, TaskKind::Pair)
+            })
+            .collect();
+        let fixture = fixture(store, tasks);
+        let settings = Settings {
+            category_quota: 6,
+            ..fixture.store.settings().expect("settings")
+        };
+        fixture
+            .store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        let category = |task: i64| {
+            let task = fixture.store.task_record(task).expect("a task");
+            task.category.expect("a category")
+        };
+        let answer = |user: i64, verdict: Verdict| {
+            let task = fixture
+                .claim_kind(user, TaskKind::Pair, START)
+                .expect("a task");
+            let sent = event(
+                EventKind::Submit,
+                fixture.epoch(user, task),
+                0,
+                Some(pair(verdict)),
+            );
+            assert_eq!(fixture.send(user, task, sent, START).status, 200);
+            category(task)
+        };
+        // Ann is at work on six walks, which is all there is room for; Bob gets the other category.
+        assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
+        assert_eq!(fixture.store.leases(START).expect("leases").len(), 5);
+        assert_eq!(answer(fixture.bob, Verdict::Unclear), "wave");
+        // A pair that is not kept makes room again.
+        for _ in 0..5 {
+            assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
+        }
+        let mut bob = BTreeMap::new();
+        for _ in 0..100 {
+            if fixture
+                .claim_kind(fixture.bob, TaskKind::Pair, START)
+                .is_none()
+            {
+                break;
+            }
+            *bob.entry(answer(fixture.bob, Verdict::Keep)).or_insert(0) += 1;
+        }
+        assert_eq!(bob, BTreeMap::from([("wave".to_owned(), 6)]));
+        let Claimed::Nothing(empty) = fixture
+            .store
+            .claim(fixture.ann, TaskKind::Pair, 0, START)
+            .expect("claims")
+        else {
+            panic!("both quotas are reached")
+        };
+        assert_eq!(empty.quota_full, 14 + 13);
+        let kept: Vec<i64> = fixture
+            .store
+            .kept()
+            .expect("counts")
+            .iter()
+            .map(|row| row.2)
+            .collect();
+        assert_eq!(kept, [6, 6]);
+        assert_eq!(
+            fixture.store.verify().expect("checks"),
+            Vec::<String>::new()
+        );
+        // With a larger quota the emptiest category comes first.
+        let settings = Settings {
+            category_quota: 8,
+            ..fixture.store.settings().expect("settings")
+        };
+        fixture
+            .store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
+        assert_eq!(answer(fixture.bob, Verdict::Keep), "wave");
+    });
+}

@@ -30,7 +30,7 @@ pub(crate) const MINUTE: i64 = 60_000;
 pub(crate) const CLIPS: usize = 20;
 
 /// 40 frames in which an arm swings; `variant` makes clips differ.
-fn motion(variant: usize) -> Motion {
+pub(crate) fn motion(variant: usize) -> Motion {
     let joint = if variant.is_multiple_of(2) { 16 } else { 17 };
     let poses: Vec<Pose> = (0..40)
         .map(|frame| {
@@ -44,7 +44,7 @@ fn motion(variant: usize) -> Motion {
     Motion::from_poses(Fps::STORE, &poses).expect("finite")
 }
 
-fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
+pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
     MotionRow {
         id: MotionId::parse(id).expect("valid"),
         split,
@@ -138,6 +138,7 @@ pub(crate) fn dataset(root: &Path) {
         } else {
             "raise the arm higher".to_owned()
         },
+        edit_type: None,
     };
     let mut pairs: Vec<PairRow> = (0..9)
         .map(|number| pair(number, "fine-grained", None))
@@ -530,6 +531,7 @@ pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
         extra: None,
         suggestions: Vec::new(),
         accepted: None,
+        credit: None,
     }
 }
 

@@ -36,14 +36,18 @@ fn old_sqlite(folder: &Path, version: i64) -> PathBuf {
     path
 }
 
-/// Definitions of all tables and indices.
+/// Definitions of all tables and indices, without the line breaks and quotes that an upgrade may write.
 fn definitions(path: &Path) -> Vec<String> {
     let db = Connection::open(path).expect("a file");
     let mut rows = db
         .prepare("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY type, name")
         .expect("a query");
     let all = rows.query_map([], |row| row.get(0)).expect("rows");
-    all.map(|row| row.expect("a row")).collect()
+    all.map(|row: Result<String, _>| {
+        let sql = row.expect("a row").replace('"', "");
+        sql.split_whitespace().collect::<Vec<_>>().join(" ")
+    })
+    .collect()
 }
 
 fn user_version(path: &Path) -> i64 {

@@ -432,7 +432,9 @@ export type Empty = {
   /** Skipped by me. */
   skipped_by_me: number,
   /** Dropped by reviewers. */
-  dropped: number, };
+  dropped: number,
+  /** Pairs that are not given out because their category has as many as the project wants. */
+  quota_full: number, };
 
 /** A figure with its interval. */
 export type Estimate = {
@@ -1141,8 +1143,10 @@ export type Settings = {
   mask_templates: Array<string>,
   /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
   style_templates: Array<string>,
-  /** Pairs wanted of each category and edit type; 0 for no bound. */
+  /** Pairs wanted of each category and edit type, for the dashboard; 0 for no bound. */
   quota: number,
+  /** Pairs kept of each category, after which its other pairs are not given out; 0 for no bound. */
+  category_quota: number,
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */

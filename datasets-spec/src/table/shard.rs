@@ -422,6 +422,7 @@ mod tests {
                     style: (number % 2 == 0).then(|| "proud".to_owned()),
                     parts: vec!["LEFT_ARM".to_owned(); number % 3],
                     instruction: format!("be proud {number}"),
+                    edit_type: None,
                 })
                 .collect();
             let (path, facts) = (Path::new("pairs.parquet"), [("fact", "value".to_owned())]);

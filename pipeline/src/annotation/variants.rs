@@ -221,6 +221,7 @@ pub fn candidates(
                 style: None,
                 parts: Vec::new(),
                 instruction: group.text.clone(),
+                edit_type: None,
             });
             made.motions.extend([source.clone(), target.clone()]);
         }

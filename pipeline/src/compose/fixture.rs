@@ -128,5 +128,6 @@ pub(crate) fn pair_row(kind: &str, split: Split, source: usize, target: usize) -
         style: Some("old".to_owned()),
         parts: Vec::new(),
         instruction: String::new(),
+        edit_type: None,
     }
 }

@@ -246,6 +246,7 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
         style: edit.style,
         parts: part_names(&edit.parts),
         instruction: edit.instruction,
+        edit_type: None,
     })
 }
 

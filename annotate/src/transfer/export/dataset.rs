@@ -1,32 +1,38 @@
 //! Layout `dataset`: the tables `masks` and `pairs` of the dataset itself.
 
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::dataset::commit_rows;
+use datasets_spec::dataset::{Commit, Transaction};
 use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::table::Row;
 use datasets_spec::{Dataset, JointSet, MASK_DEF_VERSION, MotionId, Split};
 
-use super::exporter::{Exported, Exporter, pseudonym};
+use super::exporter::{Exported, Exporter};
 use crate::Error;
 use crate::answer::{mask_of, sentence};
-use crate::transfer::import::PAIR_SOURCE;
+use crate::transfer::import::{PAIR_SOURCE, pair_id};
 use crate::wire::{Answer, Extent, TaskKind, Verdict};
 
+/// Facts of the manifest that say which point in time of which store the tables hold.
+const STORE_FACT: &str = "annotate_store";
+const SEQ_FACT: &str = "annotate_seq";
+
+/// Judgements of pairs, by the id of the pair: when each was accepted, and the row of a pair that is kept.
+type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
+
 impl Exporter<'_> {
-    /// Writes the tables `masks` and `pairs` of the dataset. Motions with an accepted answer get its masks, the
-    /// others keep theirs; accepted pairs replace the pairs they judge.
-    pub(super) fn dataset(&mut self, root: &Path, holder: &str) -> Result<(), Error> {
-        let dataset = Dataset::open(root)?;
+    /// Writes the tables `masks` and `pairs` of the dataset in one commit. Motions with an accepted answer get its
+    /// masks, the others keep theirs; accepted pairs replace the pairs they judge.
+    pub(super) fn dataset(&mut self, transaction: Transaction) -> Result<(), Error> {
+        let dataset = Dataset::open(transaction.root())?;
         let mut masks: Vec<MaskRow> = Vec::new();
-        let mut pairs: Vec<PairRow> = Vec::new();
+        let mut judged = Judged::new();
         let mut answered: BTreeSet<String> = BTreeSet::new();
-        let mut judged: BTreeSet<String> = BTreeSet::new();
         self.each_accepted::<Error>(|exporter, accepted| {
             let (motion, target) = exporter.ids(&accepted.task)?;
             let key = &accepted.task.key;
             let split: Split = accepted.task.split.parse()?;
-            let author = pseudonym(accepted.author);
+            let author = exporter.author(&accepted);
             let (answer, done) = (&accepted.answer, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
                 answered.insert(motion.clone());
@@ -34,56 +40,59 @@ impl Exporter<'_> {
                 return Ok(());
             }
             done.count("pairs_judged", 1);
-            if let Some(id) = key.strip_prefix("pair:") {
-                judged.insert(id.to_owned());
+            let id = pair_id(key).to_owned();
+            // A store of an earlier version may have two tasks for one candidate: the later decision counts.
+            if judged.get(&id).is_none_or(|(seq, _)| *seq < accepted.seq) {
+                let row = pair_row(&id, &motion, target, split, answer)?;
+                judged.insert(id, (accepted.seq, row));
             }
-            pairs.extend(pair_row(key, &motion, target, split, answer)?);
             Ok(())
         })?;
-        let mut imported = masks;
-        imported.extend(
+        masks.extend(
             dataset
                 .read::<MaskRow>(None)?
                 .into_iter()
                 .filter(|row| !answered.contains(row.motion_id.as_str())),
         );
-        imported.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-        let old_pairs: Vec<PairRow> = dataset.read(None)?;
-        let ids: BTreeSet<String> = pairs.iter().map(|pair| pair.id.clone()).collect();
-        pairs.extend(
-            old_pairs
-                .into_iter()
-                .filter(|pair| !judged.contains(&pair.id) && !ids.contains(&pair.id)),
-        );
+        masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
+        let mut pairs: Vec<PairRow> = dataset.read(None)?;
+        pairs.retain(|pair| !judged.contains_key(&pair.id));
+        pairs.extend(judged.into_values().filter_map(|(_, row)| row));
         pairs.sort_by(|a, b| a.id.cmp(&b.id));
-        self.done.count("masks", imported.len());
+        self.done.count("masks", masks.len());
         self.done.count("motions_described", answered.len());
         self.done.count("pairs", pairs.len());
+        let plan = blake3::hash(format!("annotate {masks:?} {pairs:?}").as_bytes());
+        let plan = plan.to_hex().to_string();
+        let manifest = dataset.manifest();
+        let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
+        if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) {
+            return Ok(());
+        }
         let skeleton = dataset.skeleton()?;
-        let plan = |table: &str, rows: &dyn std::fmt::Debug| {
-            blake3::hash(format!("annotate {table} {rows:?}").as_bytes())
-                .to_hex()
-                .to_string()
-        };
-        let mask_split = |row: &MaskRow| row.split;
-        let pair_split = |row: &PairRow| row.split;
-        let (mask_plan, pair_plan) = (plan("masks", &imported), plan("pairs", &pairs));
-        commit_rows(
-            root,
-            &imported,
-            Some(mask_split),
-            &skeleton,
-            &mask_plan,
-            holder,
-        )?;
-        commit_rows(
-            root,
-            &pairs,
-            Some(pair_split),
-            &skeleton,
-            &pair_plan,
-            holder,
-        )?;
+        let mask_split: fn(&MaskRow) -> Split = |row| row.split;
+        let pair_split: fn(&PairRow) -> Split = |row| row.split;
+        let tables = BTreeMap::from([
+            (
+                MaskRow::TABLE.to_owned(),
+                transaction.write_rows(&masks, Some(mask_split), &skeleton, &plan)?,
+            ),
+            (
+                PairRow::TABLE.to_owned(),
+                transaction.write_rows(&pairs, Some(pair_split), &skeleton, &plan)?,
+            ),
+        ]);
+        let facts = BTreeMap::from([
+            (STORE_FACT.to_owned(), self.done.store.clone()),
+            (SEQ_FACT.to_owned(), self.done.seq.to_string()),
+        ]);
+        transaction.commit(Commit {
+            tables,
+            plan_hash: plan,
+            skeleton,
+            facts,
+            ..Commit::default()
+        })?;
         Ok(())
     }
 }
@@ -132,19 +141,20 @@ fn mask_rows(
 }
 
 fn pair_row(
-    key: &str,
+    id: &str,
     motion: &str,
     target: Option<String>,
     split: Split,
     answer: &Answer,
 ) -> Result<Option<PairRow>, Error> {
-    let (named, text, style, kind) = match answer {
+    let (named, text, style, edit_type, kind) = match answer {
         Answer::Pair {
             verdict: Verdict::Keep,
             parts,
+            edit_type,
             text,
             ..
-        } => (parts.clone(), text, None, "fine-grained"),
+        } => (parts.clone(), text, None, *edit_type, "fine-grained"),
         Answer::Style {
             verdict: Verdict::Keep,
             parts,
@@ -164,7 +174,7 @@ fn pair_row(
             } else {
                 parts.clone()
             };
-            (named, text, style.clone(), "style")
+            (named, text, style.clone(), None, "style")
         }
         _ => return Ok(None),
     };
@@ -172,7 +182,7 @@ fn pair_row(
         return Ok(None);
     };
     Ok(Some(PairRow {
-        id: key.strip_prefix("pair:").unwrap_or(key).to_owned(),
+        id: id.to_owned(),
         split,
         source: PAIR_SOURCE.to_owned(),
         kind: kind.to_owned(),
@@ -181,5 +191,6 @@ fn pair_row(
         style,
         parts: named,
         instruction: text.clone(),
+        edit_type: edit_type.map(|kind| kind.to_string()),
     }))
 }

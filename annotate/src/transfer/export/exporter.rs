@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::store::{AcceptedAnswer, KeyRange, MotionRecord, Store, TaskRecord};
-use crate::wire::ExportFormat;
+use crate::wire::{ExportFormat, TaskState};
 
 /// Tasks read at a time.
 pub(super) const BATCH: usize = 2000;
@@ -27,6 +27,10 @@ pub struct Selection {
 /// Result of an export.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Exported {
+    /// Id of the store.
+    pub store: String,
+    /// Last sequence number of the log that the export knows of.
+    pub seq: i64,
     /// Counts of rows by table, and of omitted items.
     pub counts: BTreeMap<String, i64>,
     /// Messages about omitted items.
@@ -41,14 +45,10 @@ impl Exported {
     }
 }
 
-/// Pseudonym of a person: the same in every export of a store.
-pub(super) fn pseudonym(user: i64) -> String {
-    if user == 0 {
-        "imported".to_owned()
-    } else {
-        format!("a{user:03}")
-    }
-}
+/// File that says where an export is from.
+pub(super) const STAMP: &str = "export.json";
+/// Characters of the store's id in a pseudonym.
+const STORE_CHARS: usize = 6;
 
 pub(super) struct Exporter<'a> {
     pub(super) store: &'a Store,
@@ -59,12 +59,60 @@ pub(super) struct Exporter<'a> {
 }
 
 impl<'a> Exporter<'a> {
-    pub(super) fn new(store: &'a Store, splits: &'a [String]) -> Self {
-        Self {
+    /// Takes a snapshot of a store.
+    pub(super) fn new(store: &'a Store, splits: &'a [String]) -> Result<Self, Error> {
+        Ok(Self {
             store,
             splits,
             motions: BTreeMap::new(),
-            done: Exported::default(),
+            done: Exported {
+                store: store.id()?,
+                seq: store.last_seq()?,
+                ..Exported::default()
+            },
+        })
+    }
+
+    /// Says how answers were accepted, and how many before their clip was ingested anew.
+    pub(super) fn note_decisions(&mut self) -> Result<(), Error> {
+        for (basis, count) in self.store.accepted_by()? {
+            let count = usize::try_from(count).unwrap_or(0);
+            self.done.count(&format!("accepted_by {basis}"), count);
+            if basis == "own" {
+                self.done.messages.push(format!(
+                    "{count} answers of the store were accepted by their own authors"
+                ));
+            }
+        }
+        let changed = self.store.changed_tasks()?;
+        let accepted = changed
+            .iter()
+            .filter(|task| task.state == TaskState::Accepted && self.wanted(&task.split))
+            .count();
+        if accepted > 0 {
+            self.done.count("accepted_before_clip_changed", accepted);
+            self.done.messages.push(format!(
+                "{accepted} accepted answers were given before their clip was ingested anew; decide about them with \
+                 `stance annotate DATASET changed`"
+            ));
+        }
+        Ok(())
+    }
+
+    /// Pseudonym of a person: the same in every export of a store, and none of another store.
+    pub(super) fn pseudonym(&self, user: i64) -> String {
+        if user == 0 {
+            return "imported".to_owned();
+        }
+        let store: String = self.done.store.chars().take(STORE_CHARS).collect();
+        format!("a{user:03}-{store}")
+    }
+
+    /// The author of an accepted answer: a person of this store, or whom an import named.
+    pub(super) fn author(&self, accepted: &AcceptedAnswer) -> String {
+        match &accepted.credit {
+            Some(author) => author.clone(),
+            None => self.pseudonym(accepted.author),
         }
     }
 

@@ -8,15 +8,24 @@ mod tables;
 
 use std::path::Path;
 
+use datasets_spec::Dataset;
+use datasets_spec::dataset::Transaction;
+use serde_json::json;
+
 use exporter::Exporter;
 pub use exporter::{Exported, Selection};
+use exporter::{STAMP, write_file};
 
 use crate::Error;
 use crate::store::Store;
 use crate::wire::ExportFormat;
 
-/// Exports accepted answers. `folder` takes the files; layout `dataset` writes the tables `masks` and
-/// `pairs` of the dataset instead.
+/// Exports accepted answers as they are at one point in time, whatever is written meanwhile. `folder` takes the files;
+/// layout `dataset` writes the tables `masks` and `pairs` of the dataset instead, together, while it holds the
+/// dataset's lock.
+///
+/// The place in the log is in [`Exported::seq`], in the file `export.json` beside the files, and in the facts of the
+/// dataset's manifest.
 ///
 /// # Errors
 /// A file cannot be written, a pair crosses splits, the dataset is locked, or the store fails.
@@ -27,21 +36,45 @@ pub fn export(
     selection: &Selection,
     holder: &str,
 ) -> Result<Exported, Error> {
-    let mut exporter = Exporter::new(store, &selection.splits);
+    if selection.format == ExportFormat::Dataset {
+        // A lock creates its folder, which must not be made of a typing error.
+        Dataset::open_unverified(dataset)?;
+        let transaction = Transaction::begin(dataset, holder)?;
+        // Taken under the lock, so that a later version of the dataset holds a later point in time.
+        let now = store.snapshot()?;
+        let mut exporter = Exporter::new(&now, &selection.splits)?;
+        exporter.dataset(transaction)?;
+        exporter.note_decisions()?;
+        return Ok(exporter.done);
+    }
+    let now = store.snapshot()?;
+    let mut exporter = Exporter::new(&now, &selection.splits)?;
+    // Files without a stamp are those of an export that did not end.
+    match std::fs::remove_file(folder.join(STAMP)) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            return Err(Error::io("remove", folder.join(STAMP))(error));
+        }
+        _ => {}
+    }
     match selection.format {
-        ExportFormat::Dataset => exporter.dataset(dataset, holder)?,
         ExportFormat::Parquet => exporter.parquet(folder, selection.events)?,
         ExportFormat::Stance => exporter.stance(folder)?,
         ExportFormat::Csv => exporter.csv(folder)?,
+        ExportFormat::Dataset => {}
     }
-    for (basis, count) in store.accepted_by()? {
-        let count = usize::try_from(count).unwrap_or(0);
-        exporter.done.count(&format!("accepted_by {basis}"), count);
-        if basis == "own" {
-            exporter.done.messages.push(format!(
-                "{count} answers of the store were accepted by their own authors"
-            ));
-        }
-    }
+    exporter.note_decisions()?;
+    let stamp = json!({
+        "store": exporter.done.store,
+        "seq": exporter.done.seq,
+        "format": selection.format,
+        "splits": selection.splits,
+        "counts": exporter.done.counts,
+        "tool": format!("stance {}", env!("CARGO_PKG_VERSION")),
+    });
+    write_file(folder, STAMP, |file, path| {
+        use std::io::Write;
+        writeln!(file, "{stamp:#}").map_err(Error::io("write", path))
+    })?;
+    exporter.done.files.push(STAMP.to_owned());
     Ok(exporter.done)
 }

@@ -102,11 +102,12 @@ impl Exporter<'_> {
                 Answer::Pair {
                     verdict: Verdict::Keep,
                     parts,
+                    edit_type,
                     text,
                     ..
                 } => json!({
                     "kind": "fine-grained", "src": motion, "tgt": target,
-                    "body_part": parts.join("+"), "text": text, "split": split,
+                    "body_part": parts.join("+"), "text": text, "edit_type": edit_type, "split": split,
                 }),
                 Answer::Style {
                     verdict: Verdict::Keep,

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use datasets_spec::table::{Row, RowWriter};
 use datasets_spec::{JointSet, MASK_DEF_VERSION};
+use serde_json::Value;
 
-use super::exporter::{BATCH, Exporter, pseudonym, write_file};
+use super::exporter::{BATCH, Exporter, write_file};
 use crate::Error;
 use crate::answer::mask_of;
 use crate::quality::{Figures, draft_distance};
@@ -65,6 +66,7 @@ impl Exporter<'_> {
         put: Put<'_, AnnotationRow>,
     ) -> Result<(), Error> {
         let (motion_id, target_id) = self.ids(&accepted.task)?;
+        let author = self.author(&accepted);
         let task = &accepted.task;
         let empty = AnnotationRow {
             task: task.key.clone(),
@@ -88,7 +90,7 @@ impl Exporter<'_> {
             extent: None,
             count_reason: None,
             note: String::new(),
-            author: pseudonym(accepted.author),
+            author,
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
         };
@@ -176,7 +178,7 @@ impl Exporter<'_> {
                     motion_id,
                     target_id,
                     split: label.split,
-                    author: pseudonym(label.revision.author),
+                    author: exporter.pseudonym(label.revision.author),
                     state: label.revision.state.to_string(),
                     draft_distance: draft_distance(exporter.store, answer)?,
                     answer: serde_json::to_string(answer).unwrap_or_default(),
@@ -220,7 +222,7 @@ impl Exporter<'_> {
                 split: task.split,
                 reason: reject.reason,
                 note: reject.note,
-                author: pseudonym(reject.user.unwrap_or(0)),
+                author: self.pseudonym(reject.user.unwrap_or(0)),
             });
         }
         for accepted in self.accepted(keys)? {
@@ -229,6 +231,7 @@ impl Exporter<'_> {
                 continue;
             };
             let (motion_id, target_id) = self.ids(&accepted.task)?;
+            let author = self.author(&accepted);
             rows.push(RejectRow {
                 task: accepted.task.key,
                 kind: accepted.task.kind.to_string(),
@@ -237,7 +240,7 @@ impl Exporter<'_> {
                 split: accepted.task.split,
                 reason: verdict.to_string(),
                 note: String::new(),
-                author: pseudonym(accepted.author),
+                author,
             });
         }
         Ok(rows)
@@ -255,13 +258,38 @@ impl Exporter<'_> {
                 put(EventRow {
                     seq: u64::try_from(entry.seq).unwrap_or(0),
                     at: u64::try_from(entry.at).unwrap_or(0),
-                    actor: entry.actor.map(pseudonym),
+                    actor: entry.actor.map(|user| self.pseudonym(user)),
                     kind: entry.kind,
                     task: entry.task.and_then(|task| u64::try_from(task).ok()),
-                    body: entry.body.to_string(),
+                    body: self.without_people(entry.body).to_string(),
                 })?;
             }
         }
+    }
+}
+
+impl Exporter<'_> {
+    /// The body of a log entry with pseudonyms instead of the ids and names of people.
+    fn without_people(&self, body: Value) -> Value {
+        let Value::Object(fields) = body else {
+            return body;
+        };
+        let names_somebody = fields.contains_key("user");
+        let hidden = |value: &Value| match value.as_i64() {
+            Some(user) => Value::String(self.pseudonym(user)),
+            None => Value::Null,
+        };
+        let fields = fields.into_iter().map(|(name, value)| {
+            let value = match (name.as_str(), value) {
+                ("user" | "author", value) => hidden(&value),
+                ("authors", Value::Array(users)) => users.iter().map(hidden).collect(),
+                // The name of `user`, whose pseudonym is beside it.
+                ("name", _) if names_somebody => Value::Null,
+                (_, value) => value,
+            };
+            (name, value)
+        });
+        Value::Object(fields.collect())
     }
 }
 

@@ -220,6 +220,7 @@ const NUMBERS: readonly (readonly [NumberKey, string])[] = [
   ["min_masks", "Fewest masks"],
   ["max_masks", "Most masks"],
   ["quota", "Pairs wanted per category and edit type (0: any)"],
+  ["category_quota", "Pairs kept per category (0: any)"],
 ];
 
 async function settingsSection(app: App): Promise<HTMLElement> {

@@ -17,6 +17,7 @@ export function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Scre
       lines.push(`${empty.leased_by_others} are held by others${next}.`);
     }
     if (empty.skipped_by_me > 0) lines.push(`${empty.skipped_by_me} were skipped by you.`);
+    if (empty.quota_full > 0) lines.push(`${empty.quota_full} are of categories that have enough pairs.`);
     if (empty.dropped > 0) lines.push(`${empty.dropped} were dropped by reviewers.`);
   }
   const home = app.link("home", "Home", "button primary");

@@ -215,6 +215,7 @@ impl Line {
             style: Some(self.style.clone()),
             parts: Vec::new(),
             instruction: self.instruction.clone(),
+            edit_type: None,
         })
     }
 }

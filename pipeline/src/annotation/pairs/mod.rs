@@ -140,6 +140,7 @@ pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> St
                 style: Some(style.clone()),
                 parts: Vec::new(),
                 instruction: style_instruction(style),
+                edit_type: None,
             });
         }
     }

@@ -145,6 +145,7 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
         style: style.map(str::to_owned),
         parts: vec!["HEAD".to_owned()],
         instruction: format!("as {target}"),
+        edit_type: None,
     };
     let pairs = [
         pair("fine-grained", "cmu/a", "x/d_1", None),
