@@ -7,7 +7,7 @@ use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{AuditFilter, Claimed, MotionRecord, SkippedFilter, TaskDetail, TaskRecord};
 use crate::wire::{
     Bundle, BundleItem, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
-    SkippedTask, SkippedTasks, SuggestRequest, Task, TaskKind, TaskView, TextForm,
+    SkippedTask, SkippedTasks, SuggestRequest, Suggestion, Task, TaskKind, TaskView, TextForm,
 };
 
 /// Tasks whose motions the browser prefetches.
@@ -49,6 +49,14 @@ pub(super) fn task_of(
     })
 }
 
+/// A suggestion in the form that texts of a kind of task have.
+fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
+    if kind.text_form() == TextForm::Completion {
+        suggestion.text = answer::completion(&suggestion.text).to_owned();
+    }
+    suggestion
+}
+
 fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     let bundle = detail.task.bundle.map(|id| Bundle {
         id,
@@ -64,17 +72,15 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
             .collect(),
     });
     let blind = detail.blind;
-    let mut suggestions = detail.suggestions;
-    if detail.task.kind.text_form() == TextForm::Completion {
-        for suggestion in &mut suggestions {
-            suggestion.text = answer::completion(&suggestion.text).to_owned();
-        }
-    }
+    let suggestions = detail.suggestions.into_iter();
+    let mut suggestions: Vec<Suggestion> = suggestions
+        .map(|suggestion| shown(suggestion, detail.task.kind))
+        .collect();
     if detail.task.kind == TaskKind::MaskText && !blind {
         // Active parts are suggestions too, computed on request.
         let parts = app.motions.active_parts(&detail.task.source)?;
         if !parts.is_empty() {
-            suggestions.push(crate::wire::Suggestion {
+            suggestions.push(Suggestion {
                 id: 0,
                 source: crate::wire::SuggestionSource::Heat,
                 parts: parts.iter().map(|part| part.name().to_owned()).collect(),
@@ -193,11 +199,11 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
         .flat_map(|motion| motion.captions.iter().map(String::as_str))
         .collect();
     let suggestion = model.suggest(cx.app.store.as_ref(), &detail.task, &captions, &parts)?;
-    json(
-        &cx.app
-            .store
-            .put_suggestion(detail.task.id, suggestion, cx.now)?,
-    )
+    let kept = cx
+        .app
+        .store
+        .put_suggestion(detail.task.id, suggestion, cx.now)?;
+    json(&shown(kept, detail.task.kind))
 }
 
 pub(super) fn make_gold(cx: &Context) -> Result<Reply, Error> {
