@@ -209,6 +209,25 @@ impl Browser {
         }
     }
 
+    /// Waits until the server answers a request as expected: the page says what was done before it is stored.
+    ///
+    /// # Panics
+    /// It does not happen within [`PATIENCE`].
+    pub async fn until_stored(&self, what: &str, path: &str, is_so: impl Fn(&Value) -> bool) {
+        let begun = Instant::now();
+        loop {
+            let reply = self.request("GET", path, None).await;
+            if is_so(&reply["body"]) {
+                return;
+            }
+            assert!(
+                begun.elapsed() <= PATIENCE,
+                "not within {PATIENCE:?}: {what}; the server says {reply}"
+            );
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
     /// Presses and releases keys, one after the other.
     pub async fn press(&self, pressed: &[&str]) {
         self.press_with(&[], pressed).await;

@@ -401,8 +401,12 @@ async fn remapped_keys_hold_and_stay() {
             "!document.querySelector('dialog[open]')",
         )
         .await;
-    let prefs = browser.request("GET", "prefs", None).await;
-    assert_eq!(prefs["body"]["keys"], json!({ "mask_new": ["KeyJ"] }));
+    let expected = json!({ "mask_new": ["KeyJ"] });
+    browser
+        .until_stored("the key is stored", "prefs", |prefs| {
+            prefs["keys"] == expected
+        })
+        .await;
     browser.client().refresh().await.expect("the page reloads");
     browser.task().await;
     browser.press(&["4", "n"]).await;
