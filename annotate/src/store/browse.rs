@@ -162,7 +162,7 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
-/// A page of tasks. The cursor holds the sort value and the id of the last row, so every page costs the same.
+/// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
 pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
     check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);

@@ -35,7 +35,7 @@ pub(super) fn paraphrased(tx: &mut dyn Tx) -> Result<BTreeSet<String>, Error> {
         .collect()
 }
 
-/// Stores new paraphrases of an instruction, and returns their number.
+/// Stores the paraphrases of an instruction that are not stored yet, and returns how many those were.
 pub(super) fn put(
     tx: &mut dyn Tx,
     instruction: &str,

@@ -12,7 +12,7 @@ use tokio_postgres_rustls::MakeRustlsConnect;
 
 use crate::Error;
 
-/// Address of a database and how to connect to it.
+/// The address of a PostgreSQL database, with its TLS settings.
 #[derive(Clone)]
 pub(super) struct Address {
     config: Config,
@@ -107,7 +107,7 @@ fn ssl_mode(text: &str) -> Option<SslMode> {
     match text {
         "disable" => Some(SslMode::Disable),
         "prefer" => Some(SslMode::Prefer),
-        // Certificates are always checked, so these are the same.
+        // `require` alone would not check the certificate in other clients. This one always does.
         "require" | "verify-full" => Some(SslMode::Require),
         _ => None,
     }

@@ -1037,7 +1037,7 @@ impl Store {
         self.write(move |tx| project::put_job(tx, job, now))
     }
 
-    /// Whether servers on several machines can share the store, which then keeps their files.
+    /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
     pub(crate) fn is_shared(&self) -> bool {
         self.db.is_shared()
     }
@@ -1088,7 +1088,7 @@ impl Store {
         self.write(move |tx| project::beat(tx, job, now))
     }
 
-    /// Marks jobs as failed that have not been heard of since a time.
+    /// Marks running jobs as failed if their server last reported them before `since`.
     ///
     /// # Errors
     /// The store fails.

@@ -257,8 +257,8 @@ pub fn from_dataset(
         }
     }
     let mut candidates = candidates(&clips);
-    // Two clips are judged once: pairs of the dataset are no candidates, nor those that it lost because somebody judged
-    // them unusable.
+    // Two clips are judged only once. A pair of the dataset is no candidate, and neither is one that people judged
+    // unusable, which is no longer in the dataset.
     let known: BTreeSet<(&str, &str)> = pairs
         .iter()
         .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))

@@ -238,7 +238,7 @@ pub struct BulkRequest {
     /// The person, for `assign`.
     #[serde(default)]
     pub person: Option<i64>,
-    /// Go on after this task; from the beginning if missing.
+    /// Id of the last task that was looked at; without it, begins with the first task.
     #[serde(default)]
     pub after: Option<i64>,
 }

@@ -437,7 +437,7 @@ names! {
         Return = "return",
         /// Drop an undecided task.
         Drop = "drop",
-        /// Undo the decision on an accepted or dropped task.
+        /// Take back the acceptance or the drop of a task.
         Reopen = "reopen",
         /// Reserve an open task for a person.
         Assign = "assign",

@@ -65,7 +65,7 @@ pub struct RuleState {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields, default)]
 pub struct ApplyRules {
-    /// Go on after this task; from the beginning if missing.
+    /// Id of the last task that was looked at; without it, begins with the first task.
     pub after: Option<i64>,
 }
 

@@ -147,7 +147,7 @@ pub struct QuotaRow {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct DayWork {
-    /// Midnight at which the day begins in the project's time zone.
+    /// First millisecond of the day in the project's time zone, in Unix time.
     pub start: i64,
     /// Id of the person.
     pub user: i64,

@@ -260,7 +260,7 @@ export type AnswerBrief = {
 
 /** `POST rules/apply`: applies the enabled rules to the tasks that wait for review. */
 export type ApplyRules = {
-  /** Go on after this task; from the beginning if missing. */
+  /** Id of the last task that was looked at; without it, begins with the first task. */
   after: number | null, };
 
 /** `GET audit`: newest first. */
@@ -321,7 +321,7 @@ export type BulkRequest = {
   comment: string,
   /** The person, for `assign`. */
   person: number | null,
-  /** Go on after this task; from the beginning if missing. */
+  /** Id of the last task that was looked at; without it, begins with the first task. */
   after: number | null, };
 
 /** Pairs that are leased together and submitted one by one. */
@@ -366,7 +366,7 @@ export type Change = {
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. */
 export type DayWork = {
-  /** Midnight at which the day begins in the project's time zone. */
+  /** First millisecond of the day in the project's time zone, in Unix time. */
   start: number,
   /** Id of the person. */
   user: number,

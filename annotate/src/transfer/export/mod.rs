@@ -37,7 +37,7 @@ pub fn export(
     holder: &str,
 ) -> Result<Exported, Error> {
     if selection.format == ExportFormat::Dataset {
-        // A lock creates its folder, which must not be made of a typing error.
+        // Taking the lock creates the folder. A mistyped path must not.
         Dataset::open_unverified(dataset)?;
         let transaction = Transaction::begin(dataset, holder)?;
         // Taken under the lock, so that a later version of the dataset holds a later point in time.
