@@ -33,6 +33,7 @@ pub mod keys {
     pub const F1: &str = "\u{e031}";
     pub const F2: &str = "\u{e032}";
     pub const F3: &str = "\u{e033}";
+    pub const F4: &str = "\u{e034}";
     pub const F6: &str = "\u{e036}";
     pub const SHIFT: char = '\u{e008}';
     pub const CONTROL: char = '\u{e009}';

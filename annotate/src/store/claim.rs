@@ -1,6 +1,6 @@
 //! Leases: assignment of tasks to people for a limited time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::db::{Row, Tx, Value, params};
 use super::draw::percent;
@@ -85,25 +85,113 @@ fn reservation(
     Ok(None)
 }
 
-/// Number of tasks that the next claim of a user would free of expired leases, and could give to them.
-pub(super) fn freed(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<i64, Error> {
+/// Tasks of a category that claims would give a user.
+#[derive(Default)]
+struct Offer {
+    /// Tasks that count toward the quota of the category already, and want another answer.
+    counted: i64,
+    /// Other tasks.
+    others: i64,
+    /// Tasks whose leases have expired: the next claim frees room for as many.
+    freed: i64,
+}
+
+/// Number of new and postponed tasks that claims would give a user now. Pairs that the quota of their category holds
+/// back are left out.
+pub(super) fn on_offer(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    settings: &Settings,
+    now: Millis,
+) -> Result<i64, Error> {
+    let quota = (kind == TaskKind::Pair && settings.category_quota > 0)
+        .then(|| i64::from(settings.category_quota));
+    let (columns, group) = match quota {
+        Some(_) => ("t.category, t.counted", "GROUP BY t.category, t.counted"),
+        None => ("CAST(NULL AS TEXT), 0", ""),
+    };
+    let mut offers: BTreeMap<Option<String>, Offer> = BTreeMap::new();
+    let mut add = |row: &Row, sign: i64| -> Result<(), Error> {
+        let offer = offers.entry(row.opt_text(0)?).or_default();
+        let count = sign * row.int(2)?;
+        if row.flag(1)? {
+            offer.counted += count;
+        } else {
+            offer.others += count;
+        }
+        Ok(())
+    };
+    let claimable = format!(
+        "SELECT {columns}, COUNT(*) FROM task t WHERE t.kind = ?1 AND t.claimable = 1 {group}"
+    );
+    for row in tx.query(&claimable, params![kind.as_str()])? {
+        add(&row, 1)?;
+    }
+    // From the user's side, which is short, rather than for each of the open tasks.
+    let not_for_me = format!(
+        "SELECT {columns}, COUNT(*) FROM (
+           SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
+           UNION SELECT task FROM skip WHERE usr = ?2 AND postponed = 0
+           UNION SELECT task FROM lease WHERE usr = ?2
+         ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1 {group}"
+    );
+    for row in tx.query(&not_for_me, params![kind.as_str(), user])? {
+        add(&row, -1)?;
+    }
+    expired_offers(tx, user, kind, quota.is_some(), now, &mut offers)?;
+    let Some(quota) = quota else {
+        return Ok(offers.values().map(|offer| offer.others).sum());
+    };
+    let counted = counted(tx)?;
+    Ok(offers
+        .iter()
+        .map(|(category, offer)| {
+            let used = counted.get(category).copied().unwrap_or(0) - offer.freed;
+            offer.counted + offer.others.min((quota - used).max(0))
+        })
+        .sum())
+}
+
+/// Adds the tasks that the next claim of a user would free of expired leases.
+fn expired_offers(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    by_category: bool,
+    now: Millis,
+    offers: &mut BTreeMap<Option<String>, Offer>,
+) -> Result<(), Error> {
     let sql = format!(
-        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.expires <= ?1 AND l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?3
-           AND t.claimable = 0 AND t.gold IS NULL
-           AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
-           AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
-           AND NOT EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.usr = ?2)",
+        "SELECT {}, CASE WHEN t.claimable = 0
+             AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
+             AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
+             AND NOT EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.usr = ?2) THEN 1 ELSE 0 END,
+           CASE WHEN EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state = 'submitted' AND r.verdict = 'keep')
+             OR EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.purpose <> 'review' AND (m.expires > ?1 OR m.usr = ?2))
+             THEN 1 ELSE 0 END, t.category
+         FROM lease l JOIN task t ON t.id = l.task
+         WHERE l.expires <= ?1 AND l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?3 AND t.gold IS NULL",
         rows::LEASE_COLUMNS
     );
-    let mut tasks = std::collections::BTreeSet::new();
+    let mut seen = BTreeSet::new();
     for row in tx.query(&sql, params![now, user, kind.as_str()])? {
         let held = rows::read_lease(&row)?;
-        if reserved_after(tx, &held, ReleaseReason::Expired, now)?.is_none() {
-            tasks.insert(held.lease.task);
+        let reserved = reserved_after(tx, &held, ReleaseReason::Expired, now)?.is_some();
+        if reserved || !seen.insert(held.lease.task) {
+            continue;
+        }
+        let (for_me, counts) = (row.flag(7)?, row.flag(8)?);
+        let category = if by_category { row.opt_text(9)? } else { None };
+        let offer = offers.entry(category).or_default();
+        if by_category && counts {
+            offer.counted += i64::from(for_me);
+        } else {
+            offer.others += i64::from(for_me);
+            offer.freed += 1;
         }
     }
-    Ok(tasks.len() as i64)
+    Ok(())
 }
 
 /// Until when the task of a lease that ends is kept for its holder.
@@ -380,17 +468,22 @@ impl Category {
 /// The categories of pairs that can be claimed; tasks without a category are one.
 type Room = BTreeMap<Option<String>, Category>;
 
+/// Pairs that count toward the quota of each category.
+fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
+    let sql =
+        "SELECT category, COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1 GROUP BY category";
+    tx.query(sql, &[])?
+        .iter()
+        .map(|row| Ok((row.opt_text(0)?, row.int(1)?)))
+        .collect()
+}
+
 /// The room in each category, if the project has a quota for tasks of this kind.
 fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>, Error> {
     if kind != TaskKind::Pair || settings.category_quota == 0 {
         return Ok(None);
     }
-    let mut counted: BTreeMap<Option<String>, i64> = BTreeMap::new();
-    let sql =
-        "SELECT category, COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1 GROUP BY category";
-    for row in tx.query(sql, &[])? {
-        counted.insert(row.opt_text(0)?, row.int(1)?);
-    }
+    let counted = counted(tx)?;
     let sql = "SELECT category, CAST(SUM(1 - counted) AS BIGINT) FROM task WHERE kind = 'pair' AND claimable = 1 GROUP BY category";
     let mut room = Room::new();
     for row in tx.query(sql, &[])? {

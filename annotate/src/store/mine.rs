@@ -2,11 +2,11 @@
 
 use super::append::take_back_window;
 use super::db::{Tx, params};
-use super::records::{Millis, MineQuery, OwnAnswer};
+use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
 use super::rows::{self, NUM_TASK_COLUMNS};
 use super::{project, read};
 use crate::Error;
-use crate::wire::{RevisionState, Standing, TaskState};
+use crate::wire::{Feedback, RevisionState, Standing, TaskState};
 
 /// Columns of a revision, after those of its task.
 const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
@@ -34,6 +34,7 @@ pub(super) fn answers(
         "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
          JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
          WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
+           AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
          ORDER BY r.at DESC, r.task DESC LIMIT ?5",
         rows::TASK_COLUMNS,
         rows::REVISION_COLUMNS
@@ -43,7 +44,10 @@ pub(super) fn answers(
     let mut found = Vec::new();
     // The standing is not a column, so rows of another standing are read and passed over.
     loop {
-        let rows = tx.query(&sql, params![user, at, task, kind, batch])?;
+        let rows = tx.query(
+            &sql,
+            params![user, at, task, kind, batch, query.task.unwrap_or(0)],
+        )?;
         let read = rows.len() as i64;
         for row in &rows {
             let own = own_answer(tx, user, row, window, now)?;
@@ -79,12 +83,20 @@ fn own_answer(
     let accepted_by = row.opt_text(AFTER_REVISION + 4)?;
     let merged = row.opt_int(AFTER_REVISION + 1)? == Some(1);
     let task = read::shown(tx, task, user)?;
-    let standing = standing(task.state, mine.state);
+    let feedback = if task.practice && mine.state != RevisionState::Draft {
+        feedback(tx, user, &task)?
+    } else {
+        None
+    };
+    let standing = match feedback {
+        Some(_) => Standing::Practice,
+        None => standing(task.state, mine.state),
+    };
     let by_rule = accepted_by
         .as_deref()
         .is_some_and(|basis| basis.starts_with("rule:"));
     let can_take_back = match standing {
-        Standing::WaitsForOthers | Standing::WaitsForReview => true,
+        Standing::WaitsForOthers | Standing::WaitsForReview | Standing::Practice => true,
         Standing::Accepted | Standing::Superseded => {
             by_rule && accepted_at.is_some_and(|at| now - at <= window)
         }
@@ -121,9 +133,22 @@ fn own_answer(
         accepted_by,
         can_take_back,
         until,
+        feedback,
         task,
         mine,
     })
+}
+
+/// What a practice task teaches a user who handed it in.
+fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>, Error> {
+    let row = tx.one(
+        "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2",
+        params![task.id, user],
+    )?;
+    let score = row.map(|row| row.real(0)).transpose()?;
+    Ok(score
+        .zip(task.gold.clone())
+        .map(|(score, known)| Feedback { score, known }))
 }
 
 /// Where an answer stands.

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry, read_stored};
-use super::read::CHANGED;
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::{import, log, pictures, rows, rules};
 use crate::Error;
@@ -339,7 +338,8 @@ pub(super) fn settle_changed(
     let body = match (keep, state) {
         (true, _) => Body::ClipKept,
         (false, TaskState::Accepted) => Body::Reopened {
-            comment: CHANGED.to_owned(),
+            comment: "the clip was ingested anew, with other content, after this was accepted"
+                .to_owned(),
             rule: None,
             request: String::new(),
         },

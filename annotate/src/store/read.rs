@@ -9,7 +9,7 @@ use super::records::{
 };
 use super::rows;
 use super::rows::NUM_TASK_COLUMNS;
-use super::{claim, people, project};
+use super::{claim, people, practice, project};
 use crate::Error;
 use crate::clock;
 use crate::state::Purpose;
@@ -51,13 +51,11 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, 
         lease: held
             .filter(|held| held.purpose == Purpose::Annotate)
             .map(|held| held.lease),
-        comment: question(
-            task.changed && mine.is_some(),
-            comment
-                .filter(|_| came_back)
-                .map(|row| row.string(0))
-                .transpose()?,
-        ),
+        comment: comment
+            .filter(|_| came_back)
+            .map(|row| row.string(0))
+            .transpose()?,
+        clip_changed: task.changed && mine.is_some(),
         suggestions: if blind {
             Vec::new()
         } else {
@@ -94,18 +92,6 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
         task.bundle_index = place.int(1)?;
     }
     Ok(task)
-}
-
-/// What the task asks its author beside the comment of a reviewer.
-pub(super) const CHANGED: &str =
-    "The clip was ingested anew, with other content, after this was written. Does it still hold?";
-
-fn question(changed: bool, comment: Option<String>) -> Option<String> {
-    match (changed, comment) {
-        (false, comment) => comment,
-        (true, None) => Some(CHANGED.to_owned()),
-        (true, Some(comment)) => Some(format!("{comment} {CHANGED}")),
-    }
 }
 
 /// Key and motions of each task about two motions.
@@ -188,7 +174,8 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
 }
 
 pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Error> {
-    let midnight = clock::midnight(&project::settings(tx)?.time_zone, now);
+    let settings = project::settings(tx)?;
+    let midnight = clock::midnight(&settings.time_zone, now);
     let mut queues = Vec::new();
     for &kind in TaskKind::ALL {
         let name = kind.as_str();
@@ -201,34 +188,42 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
             params![name],
         )?;
         let mine = tx.number(
-            "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
-             WHERE r.author = ?2 AND r.state IN ('submitted', 'accepted', 'superseded') AND t.kind = ?1",
-            params![name, user],
-        )?;
-        let claimable = tx.number(
-            "SELECT COUNT(*) FROM task WHERE kind = ?1 AND claimable = 1",
-            params![name],
-        )?;
-        // From the user's side, which is short, rather than for each of the open tasks.
-        let not_for_me = tx.number(
             "SELECT COUNT(*) FROM (
-               SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
-               UNION SELECT task FROM skip WHERE usr = ?2 AND postponed = 0
-               UNION SELECT task FROM lease WHERE usr = ?2
-             ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1",
+               SELECT task FROM revision WHERE author = ?2 AND state IN ('submitted', 'accepted', 'superseded')
+               UNION SELECT task FROM lease WHERE usr = ?2 AND purpose <> 'review'
+             ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.practice = 0",
             params![name, user],
         )?;
+        // Practice that is begun is counted with the practice that is left.
         let kept = tx.number(
             "SELECT COUNT(*) FROM lease l JOIN task t ON t.id = l.task
-             WHERE l.usr = ?2 AND l.purpose <> 'review' AND t.kind = ?1",
+             WHERE l.usr = ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.practice = 0",
             params![name, user],
         )?;
+        let held = tx.one(
+            "SELECT COUNT(*), MIN(l.expires) FROM lease l JOIN task t ON t.id = l.task
+             WHERE l.usr = ?2 AND l.purpose = 'annotate' AND t.kind = ?1",
+            params![name, user],
+        )?;
+        let (held, held_until) = match &held {
+            Some(row) => (row.int(0)?, row.opt_int(1)?),
+            None => (0, None),
+        };
+        let practice = practice::standing(tx, user, kind, &settings)?;
+        let new = if practice.passed {
+            claim::on_offer(tx, user, kind, &settings, now)?
+        } else {
+            // After the last one, those with a low score are given again.
+            (practice.needed - practice.done).max(1)
+        };
         queues.push(QueueInfo {
             kind,
             total,
             done,
             mine,
-            open: claimable - not_for_me + kept + claim::freed(tx, user, kind, now)?,
+            held,
+            held_until,
+            open: kept + new,
         });
     }
     let returned = tx
@@ -258,17 +253,18 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         .iter()
         .map(|row| rows::read_lease(row).map(|held| held.lease))
         .collect::<Result<_, _>>()?;
-    let handed_in = "state IN ('submitted', 'accepted', 'superseded', 'returned')";
+    let handed_in = "JOIN task t ON t.id = r.task
+         WHERE r.state IN ('submitted', 'accepted', 'superseded', 'returned') AND t.practice = 0";
     let mut secs = tx
         .query(
-            &format!("SELECT secs FROM revision WHERE author = ?1 AND at >= ?2 AND {handed_in}"),
+            &format!("SELECT r.secs FROM revision r {handed_in} AND r.author = ?1 AND r.at >= ?2"),
             params![user, midnight],
         )?
         .iter()
         .map(|row| row.real(0))
         .collect::<Result<Vec<f64>, _>>()?;
     let today_all = tx.number(
-        &format!("SELECT COUNT(*) FROM revision WHERE at >= ?1 AND {handed_in}"),
+        &format!("SELECT COUNT(*) FROM revision r {handed_in} AND r.at >= ?1"),
         params![midnight],
     )?;
     Ok(Home {

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, Empty, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Standing, Suggestion,
-    SuggestionSource, TaskKind, TaskState, User, Verdict,
+    Answer, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Standing,
+    Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict,
 };
 
 /// Milliseconds since the epoch.
@@ -186,6 +186,8 @@ pub struct TaskDetail {
     pub suggestions: Vec<Suggestion>,
     /// Whether suggestions are withheld.
     pub blind: bool,
+    /// Whether the clip was ingested anew after the user wrote an answer.
+    pub clip_changed: bool,
 }
 
 /// Result of a claim.
@@ -340,6 +342,8 @@ pub struct MineQuery {
     pub standing: Option<Standing>,
     /// Of this kind.
     pub kind: Option<TaskKind>,
+    /// To this task.
+    pub task: Option<i64>,
     /// Cursor of the page before.
     pub before: Option<String>,
     /// Maximum number.
@@ -376,6 +380,8 @@ pub struct OwnAnswer {
     pub can_take_back: bool,
     /// When a returned task is offered to others.
     pub until: Option<Millis>,
+    /// The known answer and the score of practice.
+    pub feedback: Option<Feedback>,
 }
 
 /// A picture of the guide.

@@ -5,7 +5,6 @@ use super::claim::{MINUTE, expire, lease_end, prolong, take};
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, Reply};
 use super::project;
-use super::read::CHANGED;
 use super::records::{Millis, ReviewClaimed, ReviewDetail};
 use super::replies::{full_key, hash_of, parsed, replay};
 use super::{apply, log, rows};
@@ -108,7 +107,6 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
         )?
         .iter()
         .map(|row| row.string(0))
-        .chain(task.changed.then(|| Ok(CHANGED.to_owned())))
         .collect::<Result<_, Error>>()?;
     Ok(ReviewDetail {
         task,

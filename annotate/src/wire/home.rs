@@ -18,7 +18,7 @@ pub struct Home {
     pub returned: Vec<ReturnedTask>,
     /// Tasks I hold leases on, the one last renewed first.
     pub held: Vec<Lease>,
-    /// Answers I submitted today, which begins at midnight in the project's time zone.
+    /// Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out.
     pub today: i64,
     /// Seconds I worked today: on answers, skips and reviews.
     pub today_secs: f64,
@@ -41,9 +41,14 @@ pub struct QueueInfo {
     pub total: i64,
     /// Tasks with all wanted answers.
     pub done: i64,
-    /// Tasks I answered.
+    /// Tasks I answered, hold, or was sent back. Practice is left out.
     pub mine: i64,
-    /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me.
+    /// Tasks I hold now.
+    pub held: i64,
+    /// When the first of them goes to others unless I go on.
+    pub held_until: Option<i64>,
+    /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before
+    /// practice is passed, the practice tasks that are left stand for the new ones.
     pub open: i64,
 }
 

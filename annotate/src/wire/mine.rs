@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::answer::{Answer, Revision};
 use super::names::Standing;
-use super::task::Task;
+use super::task::{Feedback, Task};
 
-/// `GET answers?standing=&kind=&before=&limit=`: my answers, newest first.
+/// `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
@@ -40,4 +40,6 @@ pub struct MyAnswer {
     pub can_take_back: bool,
     /// When a returned task is offered to others.
     pub until: Option<i64>,
+    /// The known answer and my score, if it is practice that I handed in.
+    pub feedback: Option<Feedback>,
 }

@@ -413,6 +413,16 @@ names! {
         ScreenDashboard = "screen_dashboard",
         /// Open the administration.
         ScreenAdmin = "screen_admin",
+        /// Open what I handed in.
+        ScreenMine = "screen_mine",
+        /// Open or close the guide beside the work.
+        GuideBeside = "guide_beside",
+        /// Practice: go on after the feedback.
+        PracticeNext = "practice_next",
+        /// Practice: try the task again.
+        PracticeAgain = "practice_again",
+        /// Practice: show the known answer on the body, or one's own.
+        PracticeCompare = "practice_compare",
     }
 }
 
@@ -517,6 +527,8 @@ names! {
         Returned = "returned",
         /// The task was dropped.
         Dropped = "dropped",
+        /// Practice: it was compared with the known answer, and nobody reviews it.
+        Practice = "practice",
     }
 }
 

@@ -59,6 +59,8 @@ pub struct ReviewView {
     pub comments: Vec<String>,
     /// Suggestions that the annotators were offered, unless theirs was a blind task.
     pub suggestions: Vec<Suggestion>,
+    /// Whether the clip was ingested anew, with other content, after the answers were written.
+    pub clip_changed: bool,
 }
 
 /// An answer to review.

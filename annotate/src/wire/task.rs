@@ -170,6 +170,8 @@ pub struct TaskView {
     pub suggestions: Vec<Suggestion>,
     /// Whether suggestions are withheld, to measure their effect.
     pub blind: bool,
+    /// Whether the clip was ingested anew, with other content, after I wrote my answer.
+    pub clip_changed: bool,
 }
 
 /// `POST queue/next`.
@@ -363,7 +365,7 @@ pub struct Practice {
     pub score: Option<f64>,
     /// Score to reach, 0 to 1.
     pub threshold: f64,
-    /// Whether real work is open.
+    /// Whether real work is open. It always is to reviewers and admins.
     pub passed: bool,
 }
 

@@ -993,11 +993,56 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
             assert_eq!(site.send(site.ann, task, sent, now), result, "asked again");
             result.feedback.expect("feedback")
         };
+        let home = |user: i64| {
+            let home = site.store.home(user, START).expect("home");
+            let queue = home
+                .queues
+                .into_iter()
+                .find(|queue| queue.kind == TaskKind::Pair);
+            (queue.expect("pairs"), home.today)
+        };
+        let own = || site.mine(site.ann, START + 1).remove(0);
+        assert_eq!(home(site.ann).0.open, 1, "practice, and no real work yet");
         let wrong = try_it(Verdict::Keep, 0, START);
-        assert_eq!((wrong.score, wrong.known), (0.0, pair(Verdict::Unclear)));
-        let right = try_it(Verdict::Unclear, 1, START + 1);
+        assert_eq!((wrong.score, &wrong.known), (0.0, &pair(Verdict::Unclear)));
+        assert_eq!(own().standing, Standing::Practice);
+        assert_eq!(own().feedback, Some(wrong));
+        assert_eq!(home(site.ann).0.open, 1, "it is given again");
+        // She tries it again herself; the known answer is not shown beside a draft.
+        let undone = site.send(
+            site.ann,
+            practice,
+            event(EventKind::Undo, 0, 1, None),
+            START,
+        );
+        assert_eq!(undone.status, 200);
+        assert_eq!((own().standing, own().feedback), (Standing::Draft, None));
+        assert_eq!(standing(site.ann).done, 0);
+        let right = try_it(Verdict::Unclear, 2, START + 1);
         assert_eq!(right.score, 1.0);
         assert!(standing(site.ann).passed);
+        assert!(standing(site.eve.id).passed, "reviewers need no practice");
+        let (queue, today) = home(site.ann);
+        assert_eq!(
+            (queue.mine, today, queue.open),
+            (0, 0, 3),
+            "practice is no answer"
+        );
+        let query = MineQuery {
+            task: Some(practice),
+            limit: 5,
+            ..MineQuery::default()
+        };
+        let found = site
+            .store
+            .answers_of(site.ann, query, START)
+            .expect("answers")
+            .0;
+        assert_eq!(found.len(), 1);
+        assert_eq!(
+            found[0].feedback.as_ref().map(|found| found.score),
+            Some(1.0)
+        );
         let real = site
             .claim_kind(site.ann, TaskKind::Pair, START)
             .expect("work");

@@ -937,6 +937,67 @@ fn home_promises_what_a_claim_gives() {
 }
 
 #[test]
+fn home_leaves_out_pairs_that_the_quota_of_their_category_holds_back() {
+    on_each("promised pairs", |store| {
+        let tasks = (0..9).map(|number| NewTask {
+            category: Some(if number < 6 { "walk" } else { "wave" }.to_owned()),
+            ..bare_task(number, TaskKind::Pair)
+        });
+        let site = fixture(store, tasks.collect());
+        let open = |user: i64, now: i64| site.open(user, TaskKind::Pair, now);
+        assert_eq!(open(site.ann, START), 9);
+        let settings = Settings {
+            category_quota: 2,
+            ..site.store.settings().expect("settings")
+        };
+        site.store
+            .put_settings(1, settings, START)
+            .expect("settings");
+        assert_eq!(open(site.ann, START), 4, "two of each category");
+        // Ann takes all that there is room for, two keeps of each category.
+        let mut taken = Vec::new();
+        while let Some(task) = site.claim_kind(site.ann, TaskKind::Pair, START) {
+            assert_eq!(open(site.ann, START), 4 - taken.len() as i64);
+            let epoch = site.epoch(site.ann, task);
+            if taken.len() == 3 {
+                break;
+            }
+            let sent = event(EventKind::Submit, epoch, 0, Some(pair(Verdict::Keep)));
+            assert_eq!(site.send(site.ann, task, sent, START).status, 200);
+            taken.push(task);
+        }
+        assert_eq!(taken.len(), 3);
+        assert_eq!(open(site.ann, START), 1, "the one she holds");
+        assert_eq!(open(site.bob, START), 0);
+        assert_eq!(site.claim_kind(site.bob, TaskKind::Pair, START), None);
+        // Her lease expires: the pair and its place in the category are free again.
+        let later = START + 16 * MINUTE;
+        assert_eq!(open(site.bob, later), 1);
+        assert!(site.claim_kind(site.bob, TaskKind::Pair, later).is_some());
+        assert_eq!(open(site.ann, later), 0);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_held_task_is_mine_on_the_home_page() {
+    on_each("held", |store| {
+        let site = fixture(store, mask_tasks(3));
+        let queue = |user: i64| {
+            let home = site.store.home(user, START).expect("home");
+            home.queues.into_iter().next().expect("masks")
+        };
+        let before = queue(site.ann);
+        assert_eq!((before.mine, before.held, before.held_until), (0, 0, None));
+        site.answer(site.ann, "waving", START);
+        site.claim(site.ann, START).expect("a task");
+        let after = queue(site.ann);
+        assert_eq!((after.mine, after.held, after.open), (2, 1, 2));
+        assert_eq!(after.held_until, Some(START + 15 * MINUTE));
+    });
+}
+
+#[test]
 fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_anybody() {
     on_each("reserved", |store| {
         let site = fixture(store, mask_tasks(1));

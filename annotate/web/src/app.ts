@@ -1,10 +1,11 @@
 /** State shared by all screens: the user, requests, keys, the outbox, and the page frame. */
 
-import { Api, ApiError, Unreachable, randomName, reason } from "./api";
+import { Api, ApiError, Unreachable, reason } from "./api";
 import { ConflictBox, type Version } from "./components/conflict-box";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
+import { GuideBeside } from "./guide";
 import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
@@ -14,11 +15,12 @@ import { Parts } from "./parts";
 import { CanvasRenderer } from "./stage/canvas2d";
 import { PARENTS } from "./stage/body";
 import { rendererPool } from "./stage/webgl";
+import { leaveTab, nameOfTab, returnToTab } from "./tab";
 import type { MakeRenderer } from "./stage/stage";
-import { Toasts } from "./ui";
+import { Toasts, keyButton } from "./ui";
 import { showUnsent } from "./unsent";
 import { Viewer } from "./viewer";
-import type { EventResult, Me, NewEvent, Prefs, Role, SkeletonInfo } from "./wire";
+import type { EventResult, Guide, Me, NewEvent, Prefs, Role, SkeletonInfo, TaskKind } from "./wire";
 
 export interface Screen {
   readonly element: HTMLElement;
@@ -29,6 +31,8 @@ export interface Screen {
   perform(action: ActionId, ten: boolean): boolean;
   /** Element focused while no text is typed. */
   readonly focusTarget: HTMLElement | null;
+  /** The kind of task on the screen, whose guide can be opened beside it. */
+  readonly guide?: TaskKind;
   draw?(nowMs: number): void;
   /** The user pressed a key or the pointer. */
   active?(): void;
@@ -101,7 +105,9 @@ export class App {
     after: (ms, run) => window.setTimeout(run, ms),
   });
   private readonly header: HTMLElement;
-  private readonly tab: string;
+  private tab = "";
+  /** The guide beside the work, while it is open. */
+  private beside: GuideBeside | null = null;
   /** Number of navigations, so that a slow one does not replace a newer one. */
   private opening = 0;
 
@@ -109,9 +115,6 @@ export class App {
     private readonly routes: Readonly<Record<string, Route>>,
     private readonly showLogin: ShowLogin,
   ) {
-    const known = sessionStorage.getItem("tab");
-    this.tab = known ?? randomName().slice(0, 8);
-    sessionStorage.setItem("tab", this.tab);
     this.stuck.hidden = true;
     this.banner.hidden = true;
     this.ended.hidden = true;
@@ -123,6 +126,7 @@ export class App {
   /** Logs in, fetches constant data, and shows the screen of the URL. */
   async start(token: string | null): Promise<void> {
     document.body.append(this.ended, this.banner, this.header, this.main, this.toasts.element);
+    this.tab = await nameOfTab(sessionStorage, navigator.locks);
     // Pasting a login URL over this page changes only the fragment and does not reload it.
     window.addEventListener("hashchange", () => {
       if (window.location.hash.startsWith("#token=")) window.location.reload();
@@ -213,6 +217,48 @@ export class App {
       enter: () => box.enter(),
       close: () => box.remove(),
     };
+  }
+
+  /** Opens the guide beside the work, or closes it. The focus stays where it is. False if no task is shown. */
+  toggleGuide(): boolean {
+    const kind = this.screen?.guide;
+    if (!this.screen || !kind) return false;
+    if (this.beside) {
+      this.closeGuide();
+    } else {
+      const close = h(
+        "button",
+        { attrs: { type: "button", "aria-label": "Close the guide" }, on: { click: () => this.closeGuide() } },
+        h("kbd", {}, this.keys.hint("guide_beside")),
+        "Close",
+      );
+      this.beside = new GuideBeside(() => this.api.get<Guide>("guide"), this.me.project.styles, close);
+      this.placeGuide(this.screen);
+    }
+    return true;
+  }
+
+  /** A button that opens the guide beside the work and leaves the focus in the text. */
+  guideButton(): HTMLButtonElement {
+    const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button");
+    button.addEventListener("mousedown", (event) => event.preventDefault());
+    return button;
+  }
+
+  private closeGuide(): void {
+    const inside = this.beside?.element.contains(document.activeElement) ?? false;
+    this.beside?.element.remove();
+    this.beside = null;
+    this.screen?.element.classList.remove("with-guide");
+    if (inside) this.focusStage();
+  }
+
+  /** Puts the open guide beside the work of a screen. */
+  private placeGuide(screen: Screen): void {
+    if (!this.beside || !screen.guide) return;
+    screen.element.classList.add("with-guide");
+    screen.element.prepend(this.beside.element);
+    void this.beside.show(screen.guide);
   }
 
   /** The screen takes no input until `work` is done. `null` if another screen was opened meanwhile. */
@@ -443,6 +489,7 @@ export class App {
     if (this.screen !== screen) this.leave();
     this.screen = screen;
     document.title = `${screen.title} · ${this.me.project.name || "annotation"}`;
+    this.placeGuide(screen);
     fill(this.main, screen.element);
     this.focusStage();
   }
@@ -459,7 +506,9 @@ export class App {
       if (document.visibilityState !== "hidden") return;
       for (const session of this.sessions) void session.flushDraft();
     });
+    window.addEventListener("pageshow", (event) => event.persisted && returnToTab(sessionStorage));
     window.addEventListener("pagehide", () => {
+      leaveTab(sessionStorage);
       for (const session of this.sessions) void session.flushDraft();
     });
     // After a mouse click return the focus to the stage, so that keys keep working.
@@ -491,6 +540,7 @@ export class App {
     let done = true;
     if (found.id === "key_sheet") void this.showKeys();
     else if (found.id === "next_region") this.nextRegion();
+    else if (found.id === "guide_beside") done = this.toggleGuide() || this.openScreen("guide");
     else if (found.id.startsWith("screen_")) done = this.openScreen(found.id.slice("screen_".length));
     else done = this.screen.perform(found.id, found.ten);
     if (!done && found.id === "stage") {

@@ -6,7 +6,7 @@
 
 import { KEY_CODES, KEY_MODIFIERS, type Action as WireAction } from "./wire";
 
-export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "review";
+export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "practice" | "review";
 
 export interface Action {
   id: ActionId;
@@ -31,6 +31,8 @@ const ACTIONS = [
   ["screen_review", "Review", "global", ["Shift+Digit7"]],
   ["screen_dashboard", "Dashboard", "global", ["Shift+Digit8"]],
   ["screen_admin", "Admin", "global", ["Shift+Digit9"]],
+  ["screen_mine", "My answers", "global", ["Shift+KeyM"]],
+  ["guide_beside", "Guide beside the work", "global", ["F4"]],
 
   ["text", "Go to the text", "work", ["KeyT", "Enter"]],
   ["submit", "Submit and next", "work", ["Ctrl+Enter"]],
@@ -88,6 +90,10 @@ const ACTIONS = [
   ["bundle_previous", "Previous pair of the bundle", "pair", ["PageUp"]],
   ["bundle_next", "Next pair of the bundle", "pair", ["PageDown"]],
 
+  ["practice_next", "Go on", "practice", ["Enter", "Ctrl+Enter"]],
+  ["practice_again", "Try again", "practice", ["KeyA"]],
+  ["practice_compare", "Known parts, yours, what differs", "practice", ["KeyS"]],
+
   ["review_accept", "Accept", "review", ["KeyA"]],
   ["review_return", "Return with a comment", "review", ["KeyR"]],
   ["review_merge", "Merge and edit", "review", ["KeyM"]],
@@ -98,10 +104,11 @@ const ACTIONS = [
   ["candidate_4", "Fourth answer", "review", ["Digit4"]],
 ] as const satisfies readonly (readonly [WireAction, string, Scope, readonly string[]])[];
 
-/** Scopes that are active together: on the screens for masks, pairs and reviews. */
+/** Scopes that are active together: on the screens for masks, pairs, feedback on practice, and reviews. */
 export const TOGETHER: readonly (readonly Scope[])[] = [
   ["global", "work", "transport", "parts", "mask"],
   ["global", "work", "transport", "parts", "pair"],
+  ["global", "transport", "pair", "practice"],
   ["global", "transport", "review"],
 ];
 

@@ -5,10 +5,14 @@ import { App } from "./app";
 import { fill, h } from "./dom";
 import { openAdmin } from "./screens/admin";
 import { openDashboard } from "./screens/dashboard";
-import { openGuide, openHome } from "./screens/home";
+import { openFeedback } from "./screens/feedback";
+import { openGuide } from "./screens/guide";
+import { openHome } from "./screens/home";
 import { showLogin } from "./screens/login";
 import { openMask } from "./screens/mask";
+import { openMine } from "./screens/mine";
 import { openPair, openStyle } from "./screens/pair";
+import { openPractice } from "./screens/practice";
 import { openReview } from "./screens/review";
 import { openShelf } from "./screens/shelf";
 
@@ -18,8 +22,11 @@ const app = new App(
     mask: { label: "Masks", role: "annotator", listed: true, open: openMask },
     pair: { label: "Pairs", role: "annotator", listed: true, open: openPair },
     style: { label: "Styles", role: "annotator", listed: true, open: openStyle },
+    mine: { label: "My answers", role: "annotator", listed: true, open: openMine },
     shelf: { label: "Examples", role: "annotator", listed: true, open: openShelf },
     guide: { label: "Guide", role: "annotator", listed: true, open: openGuide },
+    practice: { label: "Practice", role: "annotator", listed: false, open: openPractice },
+    feedback: { label: "Feedback", role: "annotator", listed: false, open: openFeedback },
     review: { label: "Review", role: "reviewer", listed: true, open: openReview },
     dashboard: { label: "Dashboard", role: "reviewer", listed: true, open: openDashboard },
     admin: { label: "Admin", role: "admin", listed: true, open: openAdmin },

@@ -24,7 +24,7 @@ export const KEY_CODES: readonly string[] = [
 ];
 
 /** Actions that can be bound to keys. */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin";
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -35,7 +35,8 @@ export const ACTIONS: readonly Action[] = [
   "bundle_next", "bundle_previous", "candidate_1", "candidate_2", "candidate_3", "candidate_4", "review_drop",
   "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
   "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
-  "screen_dashboard", "screen_admin",
+  "screen_dashboard", "screen_admin", "screen_mine", "guide_beside", "practice_next", "practice_again",
+  "practice_compare",
 ];
 
 /** What a bulk action does with each task. */
@@ -137,10 +138,10 @@ export const SKIP_REASONS: readonly SkipReason[] = [
 ];
 
 /** Where an answer stands, for its author. */
-export type Standing = "draft" | "waits_for_others" | "waits_for_review" | "in_review" | "accepted" | "superseded" | "returned" | "dropped";
+export type Standing = "draft" | "waits_for_others" | "waits_for_review" | "in_review" | "accepted" | "superseded" | "returned" | "dropped" | "practice";
 export const STANDINGS: readonly Standing[] = [
   "draft", "waits_for_others", "waits_for_review", "in_review", "accepted", "superseded", "returned",
-  "dropped",
+  "dropped", "practice",
 ];
 
 /** Origin of a suggestion. */
@@ -547,7 +548,7 @@ export type Home = {
   returned: Array<ReturnedTask>,
   /** Tasks I hold leases on, the one last renewed first. */
   held: Array<Lease>,
-  /** Answers I submitted today, which begins at midnight in the project's time zone. */
+  /** Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out. */
   today: number,
   /** Seconds I worked today: on answers, skips and reviews. */
   today_secs: number,
@@ -698,9 +699,11 @@ export type MyAnswer = {
   /** Whether the event `undo` of `POST tasks/{id}/events` takes it back now. */
   can_take_back: boolean,
   /** When a returned task is offered to others. */
-  until: number | null, };
+  until: number | null,
+  /** The known answer and my score, if it is practice that I handed in. */
+  feedback: Feedback | null, };
 
-/** `GET answers?standing=&kind=&before=&limit=`: my answers, newest first. */
+/** `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first. */
 export type MyAnswers = {
   /** The answers. */
   items: Array<MyAnswer>,
@@ -914,7 +917,7 @@ export type Practice = {
   score: number | null,
   /** Score to reach, 0 to 1. */
   threshold: number,
-  /** Whether real work is open. */
+  /** Whether real work is open. It always is to reviewers and admins. */
   passed: boolean, };
 
 /** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
@@ -976,9 +979,13 @@ export type QueueInfo = {
   total: number,
   /** Tasks with all wanted answers. */
   done: number,
-  /** Tasks I answered. */
+  /** Tasks I answered, hold, or was sent back. Practice is left out. */
   mine: number,
-  /** Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. */
+  /** Tasks I hold now. */
+  held: number,
+  /** When the first of them goes to others unless I go on. */
+  held_until: number | null,
+  /** Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before practice is passed, the practice tasks that are left stand for the new ones. */
   open: number, };
 
 /** `GET stats/quota`: one for each category and edit type. */
@@ -1046,7 +1053,9 @@ export type ReviewView = {
   /** Comments of earlier rounds, oldest first. */
   comments: Array<string>,
   /** Suggestions that the annotators were offered, unless theirs was a blind task. */
-  suggestions: Array<Suggestion>, };
+  suggestions: Array<Suggestion>,
+  /** Whether the clip was ingested anew, with other content, after the answers were written. */
+  clip_changed: boolean, };
 
 /** The current answer of a user to a task. */
 export type Revision = {
@@ -1391,7 +1400,9 @@ export type TaskView = {
   /** Suggestions; empty if the task is blind. */
   suggestions: Array<Suggestion>,
   /** Whether suggestions are withheld, to measure their effect. */
-  blind: boolean, };
+  blind: boolean,
+  /** Whether the clip was ingested anew, with other content, after I wrote my answer. */
+  clip_changed: boolean, };
 
 /** A token, without its secret. */
 export type TokenInfo = {

@@ -95,7 +95,7 @@ test("clashes are found within a screen and not between screens", () => {
   const keys = new KeyMap();
   assert.deepEqual(keys.clashes("unnatural", "KeyU"), ["unclear"]);
   assert.deepEqual(keys.clashes("unnatural", "Space"), ["play_pause"]);
-  assert.deepEqual(keys.clashes("unnatural", "KeyA"), [], "accept belongs to the review alone");
+  assert.deepEqual(keys.clashes("unnatural", "KeyM"), [], "merge belongs to the review alone");
   assert.deepEqual(keys.clashes("unnatural", "KeyX"), []);
 });
 

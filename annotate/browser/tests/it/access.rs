@@ -179,6 +179,8 @@ async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
         ("app/pair", ".verdicts"),
         ("app/style", ".verdicts"),
         ("app/guide", ".guide"),
+        ("app/practice", ".page.practice .queue"),
+        ("app/mine", ".work.mine .shelf-list"),
         ("app/shelf", ".panel"),
         ("app/review", "#main h1, .candidates"),
         ("app/dashboard", ".dashboard table"),

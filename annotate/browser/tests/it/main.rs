@@ -3,6 +3,8 @@
 
 mod access;
 mod drafts;
+mod first_day;
+mod guide;
 mod masks;
 mod nothing_lost;
 mod pairs;

@@ -213,6 +213,54 @@ async fn two_tabs_of_one_person_meet_and_merge() {
     desk.browser.quit().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_duplicated_tab_is_a_tab_of_its_own() {
+    const NAME: &str = "return sessionStorage.getItem('tab');";
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    browser.press(&["4", "t"]).await;
+    browser.type_text("From the first tab.").await;
+    browser.saved().await;
+    let name = browser.js(NAME).await;
+    // A page that opens another one gives it a copy of its storage, as duplicating a tab does.
+    let first = browser.client().window().await.expect("a window");
+    browser.js("window.open(location.href);").await;
+    let windows = browser.client().windows().await.expect("windows");
+    let second = windows.into_iter().find(|window| *window != first);
+    browser
+        .client()
+        .switch_to_window(second.expect("a second window"))
+        .await
+        .expect("the other tab");
+    assert_eq!(browser.task().await, task);
+    let other = browser.js(NAME).await;
+    assert!(other.is_string() && other != name, "{other} and {name}");
+    browser.press(&["t"]).await;
+    browser.type_text(" And the second.").await;
+    browser.saved().await;
+    assert!(mine(browser, task).await["rev"].as_i64() > Some(1));
+    // The first one has not seen that: it is told, instead of writing over it.
+    browser
+        .client()
+        .switch_to_window(first)
+        .await
+        .expect("the first tab");
+    browser.press(&[keys::END]).await;
+    browser.type_text(" More of the first.").await;
+    browser
+        .until(
+            "both texts are shown",
+            "document.querySelector('.conflict .merge')",
+        )
+        .await;
+    // A reload keeps the name.
+    browser.open(&desk.server.page("app/mask")).await;
+    browser.task().await;
+    assert_eq!(browser.js(NAME).await, name);
+    desk.browser.quit().await;
+}
+
 /// Moves the focus into the box with two versions, once it listens.
 async fn enter_conflict(browser: &annotate_browser::Browser) {
     browser

@@ -112,8 +112,9 @@ pub(super) fn bulk(cx: &Context) -> Result<Reply, Error> {
 }
 
 pub(super) fn mine(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["standing", "kind", "before", "limit"])?;
+    cx.only(&["standing", "kind", "task", "before", "limit"])?;
     let query = MineQuery {
+        task: cx.number("task")?,
         standing: cx.one_of("standing", Standing::parse)?,
         kind: cx.one_of("kind", TaskKind::parse)?,
         before: cx
@@ -142,6 +143,7 @@ pub(super) fn mine(cx: &Context) -> Result<Reply, Error> {
                 accepted_by: own.accepted_by,
                 can_take_back: own.can_take_back,
                 until: own.until,
+                feedback: own.feedback,
             })
         })
         .collect::<Result<_, Error>>()?;

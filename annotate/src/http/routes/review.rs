@@ -25,7 +25,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
         }
         ReviewClaimed::Task(detail) => *detail,
     };
-    let id = detail.task.id;
+    let (id, clip_changed) = (detail.task.id, detail.task.changed);
     let answers: Vec<_> = detail
         .candidates
         .iter()
@@ -40,6 +40,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             distance: answer::spread(&answers),
             comments: detail.comments,
             suggestions: cx.app.store.suggestions_of(id)?,
+            clip_changed,
         }),
         empty: None,
     })

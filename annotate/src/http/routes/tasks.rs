@@ -96,6 +96,7 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
         comment: detail.comment,
         suggestions,
         blind,
+        clip_changed: detail.clip_changed,
     })
 }
 

@@ -498,7 +498,7 @@ export class MaskEditor extends Component {
       <textarea
         rows="3"
         maxlength=${MAX_TEXT_CHARS}
-        placeholder="What these parts do, as an instruction"
+        placeholder="The person is … (what these parts do)"
         aria-label=${`Description of mask ${index + 1}`}
         aria-keyshortcuts=${keys.chord("text")}
         data-card-text
@@ -507,7 +507,27 @@ export class MaskEditor extends Component {
         @blur=${() => this.host.seal()}
       ></textarea>
       ${lintList(this.lints[index] ?? [])}
+      ${mask.text.trim() === "" ? this.phrases(index) : nothing}
     `;
+  }
+
+  /** Phrases to begin a description with. */
+  private phrases(index: number): TemplateResult | typeof nothing {
+    const { mask_templates } = this.app.me.project;
+    if (mask_templates.length === 0) return nothing;
+    const use = (phrase: string): void => {
+      this.typed(index, `${phrase} `);
+      this.host.seal();
+      this.drawn(() => {
+        const field = this.querySelector<HTMLTextAreaElement>(".mask-card.selected textarea");
+        field?.focus();
+        field?.setSelectionRange(field.value.length, field.value.length);
+      });
+    };
+    return html`<div class="templates" role="group" aria-label="Phrases to begin with">
+      <span class="note">The person is</span>
+      ${mask_templates.map((phrase) => html`<button type="button" class="phrase" @click=${() => use(phrase)}>${phrase}</button>`)}
+    </div>`;
   }
 
   private partPicker(mask: MaskAnswer): TemplateResult {

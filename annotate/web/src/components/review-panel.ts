@@ -29,8 +29,8 @@ const CHOOSE: readonly ActionId[] = ["candidate_1", "candidate_2", "candidate_3"
 export interface ReviewStage {
   /** Shows one answer; `glow` are the joints where answers differ. */
   paint(candidate: Candidate | undefined, glow: number): void;
-  /** Highlights only these parts while answers are merged. */
-  paintParts(parts: readonly string[]): void;
+  /** Highlights only these parts, for example while answers are merged. */
+  paintParts(parts: readonly string[], glow?: number): void;
   /** Present for masks. */
   mask: MaskStage | null;
 }
@@ -263,6 +263,9 @@ export class ReviewPanel extends Component {
         ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
         ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
+        ${this.review.clip_changed
+          ? html`<div class="returned-note"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
+          : nothing}
         ${this.merging
           ? this.mergeBox(this.merging)
           : html`<div class="candidates">${candidates.map((candidate, index) => this.cardOf(candidate, index))}</div>`}

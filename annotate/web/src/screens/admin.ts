@@ -221,6 +221,8 @@ const NUMBERS: readonly (readonly [NumberKey, string])[] = [
   ["max_masks", "Most masks"],
   ["quota", "Pairs wanted per category and edit type (0: any)"],
   ["category_quota", "Pairs kept per category (0: any)"],
+  ["practice_tasks", "Practice tasks before real work (0: none)"],
+  ["practice_percent", "Mean score that ends practice, %"],
 ];
 
 async function settingsSection(app: App): Promise<HTMLElement> {
@@ -229,6 +231,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
   const styles = h("input", { attrs: { type: "text" } });
   const templates = h("textarea", { attrs: { rows: 4 } });
+  const maskTemplates = h("textarea", { attrs: { rows: 4 } });
   const styleTemplates = h("textarea", { attrs: { rows: 4 } });
   const guide = h("textarea", { attrs: { rows: 8 } });
   const zone = h("input", { attrs: { type: "text", placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone } });
@@ -237,6 +240,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     for (const [key, input] of numbers) input.value = String(settings[key]);
     styles.value = settings.styles.join(", ");
     templates.value = settings.templates.join("\n");
+    maskTemplates.value = settings.mask_templates.join("\n");
     styleTemplates.value = settings.style_templates.join("\n");
     guide.value = settings.guide;
     zone.value = settings.time_zone;
@@ -252,6 +256,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
     field("Time zone in which days begin, such as Europe/Berlin", zone),
     field("Styles, with commas between", styles),
+    field("Phrases to begin descriptions of masks with, one a line; they complete “The person is …”", maskTemplates),
     field("Template phrases of pairs, one a line", templates),
     field("Template phrases of style pairs, one a line; {style} is the chosen style", styleTemplates),
     field("Guide (plain text; # heading, - item)", guide),
@@ -261,6 +266,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
         name: name.value.trim(),
         styles: list(styles.value, /,/),
         templates: list(templates.value, /\n/),
+        mask_templates: list(maskTemplates.value, /\n/),
         style_templates: list(styleTemplates.value, /\n/),
         guide: guide.value,
         time_zone: zone.value.trim(),

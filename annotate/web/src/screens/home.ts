@@ -2,8 +2,9 @@
 
 import type { App, Screen } from "../app";
 import { h } from "../dom";
+import { practiceWords } from "../standing";
 import { estimate, seconds, until } from "../ui";
-import type { Home, QueueInfo, TaskKind } from "../wire";
+import type { Home, Practice, QueueInfo, TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
 
 export const ROUTE_OF: Readonly<Record<TaskKind, string>> = { mask_text: "mask", pair: "pair", style: "style" };
@@ -15,27 +16,35 @@ const WHAT: Readonly<Record<TaskKind, string>> = {
 };
 
 export async function openHome(app: App): Promise<Screen> {
-  const home = await app.api.get<Home>("home");
+  const [home, practice] = await Promise.all([app.api.get<Home>("home"), app.api.get<Practice[]>("practice")]);
   const card = (queue: QueueInfo): HTMLElement => {
-    const start = app.link(ROUTE_OF[queue.kind], queue.mine > 0 ? "Continue" : "Start", "button primary");
-    start.setAttribute("aria-label", `${start.textContent}: ${KIND_WORDS[queue.kind]}`);
+    const { kind } = queue;
+    const own = practice.find((known) => known.kind === kind);
+    // What stands between a person and the real work of this kind.
+    const practises = own !== undefined && !own.passed;
+    const label = practises ? "Practise" : queue.held > 0 ? "Continue" : "Start";
+    const start = app.link(practises ? `practice/${kind}` : ROUTE_OF[kind], label, "button primary");
+    start.setAttribute("aria-label", `${label}: ${KIND_WORDS[kind]}`);
     const share = queue.total > 0 ? queue.done / queue.total : 0;
-    const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[queue.kind]}: done by all` } });
+    const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[kind]}: done by all` } });
+    const figure = (name: string, value: number): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, value));
     return h(
       "section",
-      { class: "card queue", data: { kind: queue.kind } },
-      h("h2", {}, KIND_WORDS[queue.kind]),
-      h("p", {}, WHAT[queue.kind]),
+      { class: "card queue", data: { kind } },
+      h("h2", {}, KIND_WORDS[kind]),
+      h("p", {}, WHAT[kind]),
+      own && own.needed > 0 && h("p", { class: own.passed ? "practice-note passed" : "practice-note" }, practiceWords(own)),
       meter,
       h(
         "dl",
         { class: "figures" },
-        h("div", {}, h("dt", {}, "for you now"), h("dd", {}, queue.open)),
-        h("div", {}, h("dt", {}, "by you"), h("dd", {}, queue.mine)),
-        h("div", {}, h("dt", {}, "complete"), h("dd", {}, queue.done)),
-        h("div", {}, h("dt", {}, "in all"), h("dd", {}, queue.total)),
+        figure(practises ? "practice for you now" : "for you now", queue.open),
+        figure("yours", queue.mine),
+        figure("complete", queue.done),
+        figure("in all", queue.total),
       ),
-      queue.open > 0 || home.held.length > 0 ? start : h("p", { class: "note" }, "Nothing for you at present."),
+      queue.held > 0 && h("p", { class: "note" }, inWork(queue)),
+      queue.open > 0 ? start : h("p", { class: "note" }, "Nothing for you at present."),
     );
   };
   const returned = home.returned.map((task) =>
@@ -67,46 +76,16 @@ export async function openHome(app: App): Promise<Screen> {
         h("div", {}, h("dt", {}, "your median"), h("dd", {}, seconds(home.median_secs))),
         h("div", {}, h("dt", {}, "your agreement"), h("dd", {}, home.agreement ? estimate(home.agreement) : "after 30 shared items")),
       ),
-      h("p", {}, app.link("guide", "Guide"), " · ", app.link("shelf", "Accepted examples")),
+      h("p", {}, app.link("mine", "My answers"), " · ", app.link("guide", "Guide"), " · ", app.link("shelf", "Accepted examples")),
     ),
   );
   const first = element.querySelector<HTMLElement>("a.button");
   return { element, title: "Home", scopes: [], perform: () => false, focusTarget: first };
 }
 
-export async function openGuide(app: App): Promise<Screen> {
-  const guide = await app.api.get<{ text: string }>("guide");
-  const element = h("div", { class: "page guide", attrs: { tabindex: -1 } }, ...formatGuide(guide.text));
-  return { element, title: "Guide", scopes: [], perform: () => false, focusTarget: element };
-}
-
-/** Formats plain text: `#` before headings, `-` before list items, empty lines between paragraphs. */
-export function formatGuide(text: string): HTMLElement[] {
-  const blocks: HTMLElement[] = [];
-  let list: HTMLElement | null = null;
-  let paragraph: string[] = [];
-  const endParagraph = (): void => {
-    if (paragraph.length > 0) blocks.push(h("p", {}, paragraph.join(" ")));
-    paragraph = [];
-  };
-  for (const line of text.split("\n")) {
-    const item = /^\s*[-*]\s+(.*)$/.exec(line);
-    const heading = /^(#{1,3})\s+(.*)$/.exec(line);
-    if (!item) list = null;
-    if (item || heading || line.trim() === "") endParagraph();
-    if (item) {
-      if (!list) {
-        list = h("ul", {});
-        blocks.push(list);
-      }
-      list.append(h("li", {}, item[1] ?? ""));
-    } else if (heading) {
-      const level = heading[1]?.length ?? 1;
-      blocks.push(h(level === 1 ? "h1" : level === 2 ? "h2" : "h3", {}, heading[2] ?? ""));
-    } else if (line.trim() !== "") {
-      paragraph.push(line.trim());
-    }
-  }
-  endParagraph();
-  return blocks.length > 0 ? blocks : [h("p", {}, "No guide has been written yet.")];
+/** What is in work, and until when it is kept. */
+function inWork({ held, held_until }: QueueInfo): string {
+  const what = held === 1 ? "1 task is in work with you" : `${held} tasks are in work with you`;
+  if (held_until === null) return `${what}.`;
+  return `${what}. Unless you go on, others get ${held === 1 ? "it" : "them"} ${until(held_until)}.`;
 }

@@ -12,7 +12,9 @@ import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import type { Next, Suggestion, TaskView } from "../wire";
 import type { MaskTextAnswer } from "../words";
-import { finisher } from "./finish";
+import { afterAnswer, finisher } from "./finish";
+import { notesOf } from "./notes";
+import { practiceFirst } from "./practice";
 import { skipping } from "./skip";
 import { emptyScreen } from "./empty";
 
@@ -24,6 +26,8 @@ export async function openMask(app: App, argument: string): Promise<Screen> {
     const view = await openTask(app, Number(argument));
     return maskScreen(app, view);
   }
+  const first = await practiceFirst(app, "mask_text");
+  if (first) return first;
   const next = await app.api.post<Next>("queue/next", { kind: "mask_text" });
   app.motions.prefetch(next.prefetch);
   return next.task ? maskScreen(app, next.task) : emptyScreen(app, "mask_text", next.empty);
@@ -53,7 +57,7 @@ export function showHeat(app: App, strip: Strip, heat: Float32Array, fps: number
 async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const motion = view.task.motions[0];
   if (!motion) throw new Error(`task ${view.task.id} has no motion`);
-  const [track, heat] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
+  const [track, heat, notes] = await Promise.all([app.motions.track(motion), app.motions.heat(motion), notesOf(app, view)]);
   const viewer = app.viewer();
   const strip = heatStrip(app, viewer);
   showHeat(app, strip, heat, motion.fps);
@@ -82,11 +86,15 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
 
   const finish = finisher(app, "mask");
   const submit = (): Promise<void> =>
-    finish(async () => {
-      if (session.mustChoose()) return null;
-      const answer = await masks.complete();
-      return answer && (() => session.submit(answer));
-    });
+    finish(
+      async () => {
+        if (session.mustChoose()) return null;
+        const answer = await masks.complete();
+        return answer && (() => session.submit(answer));
+      },
+      undefined,
+      afterAnswer(view.task, "mask"),
+    );
   const skip = (): Promise<void> => finish(() => skipping(app, session));
   const postpone = (): Promise<void> => finish(async () => () => session.postpone());
 
@@ -126,13 +134,14 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
     h(
       "div",
       { class: "panel-scroll" },
-      view.comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, "Came back: "), view.comment),
+      ...notes,
       captions,
       h(
         "p",
         { class: "rule" },
         h("strong", {}, "Choose the active parts"),
-        " — not those that stand still or only support. Then describe what each mask does.",
+        " — not those that stand still or only support. Then describe what each mask does. ",
+        app.guideButton(),
       ),
       view.blind && h("p", { class: "note" }, "For this task no suggestions are shown."),
       masks,
@@ -151,6 +160,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
     element,
     title: `Masks of ${motion.id}`,
     scopes: ["work", "transport", "parts", "mask"],
+    guide: view.task.kind,
     perform,
     focusTarget: viewer.focusTarget,
     draw: (now) => viewer.draw(now),

@@ -15,7 +15,9 @@ import { factsOf } from "../words";
 import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
-import { finisher } from "./finish";
+import { afterAnswer, finisher } from "./finish";
+import { notesOf } from "./notes";
+import { practiceFirst } from "./practice";
 import { skipping } from "./skip";
 
 /** How long the toast for withdrawing a rejection is shown. */
@@ -29,6 +31,8 @@ export const openStyle = (app: App, argument: string): Promise<Screen> => open(a
 
 async function open(app: App, kind: TaskKind, argument: string): Promise<Screen> {
   if (argument !== "") return pairScreen(app, await openTask(app, Number(argument)));
+  const first = await practiceFirst(app, kind);
+  if (first) return first;
   const next = await app.api.post<Next>("queue/next", { kind });
   app.motions.prefetch(next.prefetch);
   return next.task ? pairScreen(app, next.task) : emptyScreen(app, kind, next.empty);
@@ -150,7 +154,7 @@ export class PairView {
 async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   const { task } = view;
   const route = ROUTE_OF[task.kind];
-  const pair = await PairView.open(app, task);
+  const [pair, notes] = await Promise.all([PairView.open(app, task), notesOf(app, view)]);
   let editor: PairEditor | null = null;
   const session = await TaskSession.open<TwoAnswer>(app, view, blankTwo(task), (answer) => editor?.setAnswer(answer));
 
@@ -164,6 +168,8 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     void finish(
       async () => (session.mustChoose() ? null : () => session.submit(answer)),
       () => {
+        // The feedback on practice has its own way back.
+        if (task.practice) return;
         lastVerdict = { takeBack, until: Date.now() + TOAST_MS };
         app.toasts.show(`Pair ${task.id}: ${verdict}.`, {
           id: "verdict",
@@ -171,6 +177,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
           action: { label: `Undo (${app.keys.hint("undo")})`, run: () => void takeBack() },
         });
       },
+      afterAnswer(task, route),
     );
   };
   editor = new PairEditor(
@@ -190,10 +197,14 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   const pairEditor = editor;
 
   const submit = (): Promise<void> =>
-    finish(async () => {
-      const answer = session.mustChoose() ? null : pairEditor.complete();
-      return answer && (() => session.submit(answer));
-    });
+    finish(
+      async () => {
+        const answer = session.mustChoose() ? null : pairEditor.complete();
+        return answer && (() => session.submit(answer));
+      },
+      undefined,
+      afterAnswer(task, route),
+    );
   const skip = (): Promise<void> => finish(() => skipping(app, session));
   const step = (by: 1 | -1): boolean => {
     const tasks = task.bundle?.tasks ?? [];
@@ -263,14 +274,15 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     h(
       "div",
       { class: "panel-scroll" },
-      view.comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, "Came back: "), view.comment),
+      ...notes,
       bundleDots(task, openItem),
       h(
         "p",
         { class: "rule" },
         task.kind === "style"
-          ? "In which style is the second motion done, and where does it show?"
-          : "What turns the first motion into the second? Reject the pair if a motion is unnatural, or if words cannot describe the change.",
+          ? "In which style is the second motion done, and where does it show? "
+          : "What turns the first motion into the second? Reject the pair if a motion is unnatural, or if words cannot describe the change. ",
+        app.guideButton(),
       ),
       facts.length > 0 && h("ul", { class: "facts" }, ...facts.map((fact) => h("li", {}, fact))),
       pairEditor,
@@ -289,6 +301,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     element: h("div", { class: `work ${task.kind}`, data: { task: String(task.id) } }, pair.viewer.element, panel),
     title: task.kind === "style" ? `Style pair ${task.id}` : `Pair ${task.id}`,
     scopes: ["work", "transport", "parts", "pair"],
+    guide: task.kind,
     perform,
     focusTarget: pair.viewer.focusTarget,
     draw: (now) => pair.viewer.draw(now),

@@ -50,7 +50,7 @@ function queueTabs(app: App, current: ReviewQueue): HTMLElement {
 
 async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): Promise<Screen> {
   const { task } = review;
-  const { viewer, stage, perform } = task.kind === "mask_text" ? await maskStage(app, task) : await pairStage(app, task);
+  const { viewer, stage, perform } = await stageOf(app, task);
   const panel = new ReviewPanel(app, review, stage, queueTabs(app, queue), () => app.go(`review/${queue}`));
   viewer.element.dataset.region = "stage";
   return {
@@ -59,6 +59,7 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     get scopes(): readonly Scope[] {
       return panel.scopes;
     },
+    guide: task.kind,
     perform: (action, ten) => perform(action, ten) || panel.perform(action),
     focusTarget: viewer.focusTarget,
     draw: (now) => viewer.draw(now),
@@ -67,10 +68,15 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
   };
 }
 
-interface Shown {
+export interface Shown {
   viewer: Viewer;
   stage: ReviewStage;
   perform(action: ActionId, ten: boolean): boolean;
+}
+
+/** The motions of a task, on which the parts of an answer can be shown. */
+export function stageOf(app: App, task: Task): Promise<Shown> {
+  return task.kind === "mask_text" ? maskStage(app, task) : pairStage(app, task);
 }
 
 async function maskStage(app: App, task: Task): Promise<Shown> {
@@ -89,7 +95,7 @@ async function maskStage(app: App, task: Task): Promise<Shown> {
     stage: {
       mask: { viewer, strip, motion, clip },
       paint: (candidate, glow) => viewer.setPaint(0, { hard: bits(candidate?.joints ?? []), soft: 0, masked: true, glow }),
-      paintParts: (parts) => viewer.setPaint(0, app.parts.paint(parts, true)),
+      paintParts: (parts, glow = 0) => viewer.setPaint(0, app.parts.paint(parts, true, glow)),
     },
   };
 }
@@ -105,7 +111,7 @@ async function pairStage(app: App, task: Task): Promise<Shown> {
         const answer = candidate?.revision.answer;
         pair.paint(answer && answer.kind !== "mask_text" ? answer.parts : [], glow);
       },
-      paintParts: (parts) => pair.paint(parts),
+      paintParts: (parts, glow = 0) => pair.paint(parts, glow),
     },
   };
 }

@@ -24,14 +24,15 @@ export async function openShelf(app: App): Promise<Screen> {
   let items: Item[] = [];
   let next: number | null = null;
 
-  const gold = h("button", { attrs: { type: "button" }, on: { click: () => void makeGold() } }, "Make this a hidden gold task");
-  const makeGold = async (): Promise<void> => {
+  const copy = (label: string, what: "gold" | "practice", done: string): HTMLElement =>
+    h("button", { attrs: { type: "button" }, on: { click: () => void makeCopy(what, done) } }, label);
+  const makeCopy = async (what: "gold" | "practice", done: string): Promise<void> => {
     if (!chosen) return;
     try {
-      await app.api.post<Task>(`tasks/${chosen.task.id}/gold`);
-      app.toasts.show("A copy of this task is given out as gold from now on.");
+      await app.api.post<Task>(`tasks/${chosen.task.id}/${what}`);
+      app.toasts.show(done);
     } catch (error) {
-      app.toasts.show(`Not made gold: ${reason(error)}`, { kind: "error" });
+      app.toasts.show(`Not made ${what}: ${reason(error)}`, { kind: "error" });
     }
   };
   let chosen: Item | null = null;
@@ -82,7 +83,13 @@ export async function openShelf(app: App): Promise<Screen> {
     "aside",
     { class: "panel", attrs: { "aria-label": "Accepted examples" }, data: { region: "panel" } },
     h("div", { class: "panel-scroll" }, h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part)), list),
-    app.may("admin") && h("div", { class: "panel-foot" }, gold),
+    app.may("admin") &&
+      h(
+        "div",
+        { class: "panel-foot" },
+        copy("Make this a hidden gold task", "gold", "A copy of this task is given out as gold from now on."),
+        copy("Make it practice", "practice", "A copy of this task is a practice task from now on."),
+      ),
   );
   const first = list.querySelector<HTMLElement>("button.shelf-item");
   first?.click();

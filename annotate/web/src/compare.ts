@@ -1,0 +1,93 @@
+/** Compares a practice answer with the known one, as the server scores it. */
+
+import type { Parts } from "./parts";
+import type { Answer } from "./wire";
+
+/** `open` is not scored: words may differ. */
+export type Mark = "same" | "differs" | "open";
+
+export interface Compared {
+  what: string;
+  mine: string;
+  known: string;
+  mark: Mark;
+}
+
+export const MARK_WORDS: Readonly<Record<Mark, string>> = {
+  same: "✓ same",
+  differs: "✗ differs",
+  open: "not scored",
+};
+
+const NOTHING = "—";
+
+/** The points of both answers, one a row. */
+export function compare(parts: Parts, mine: Answer, known: Answer): Compared[] {
+  if (mine.kind === "mask_text" || known.kind === "mask_text") {
+    return mine.kind === "mask_text" && known.kind === "mask_text" ? compareMasks(parts, mine, known) : [];
+  }
+  const verdict = row("verdict", mine.verdict, known.verdict);
+  // Nothing else counts once the verdicts differ, and a rejected pair has nothing else.
+  if (mine.verdict !== known.verdict || known.verdict !== "keep") return [verdict];
+  const rows = [verdict, sets(parts, "parts", mine.parts, known.parts)];
+  if (mine.kind === "pair" && known.kind === "pair") rows.push(row("edit type", mine.edit_type, known.edit_type));
+  if (mine.kind === "style" && known.kind === "style") {
+    rows.push(row("style", mine.style, known.style), { ...row("shows in", mine.extent, known.extent), mark: "open" });
+  }
+  rows.push({ what: "instruction", mine: mine.text || NOTHING, known: known.text || NOTHING, mark: "open" });
+  return rows;
+}
+
+function row(what: string, mine: string | null, known: string | null): Compared {
+  return { what, mine: mine ?? NOTHING, known: known ?? NOTHING, mark: mine === known ? "same" : "differs" };
+}
+
+function sets(parts: Parts, what: string, mine: readonly string[], known: readonly string[]): Compared {
+  const same = jointsOf(parts, mine) === jointsOf(parts, known);
+  return { what, mine: parts.phrases(mine), known: parts.phrases(known), mark: same ? "same" : "differs" };
+}
+
+/** Left with right arm equals both arms: what counts are the joints. */
+function jointsOf(parts: Parts, names: readonly string[]): number {
+  return parts.joints(names, false).hard;
+}
+
+type Masks = Extract<Answer, { kind: "mask_text" }>;
+
+function compareMasks(parts: Parts, mine: Masks, known: Masks): Compared[] {
+  const left = [...mine.masks];
+  const words = (mask: Masks["masks"][number]): string => `${parts.phrases(mask.parts)}: ${mask.text || NOTHING}`;
+  // Masks of equal joints first, so that none of them is taken by a similar one.
+  const partners = known.masks.map((mask) => {
+    const at = left.findIndex((own) => jointsOf(parts, own.parts) === jointsOf(parts, mask.parts));
+    return at < 0 ? null : (left.splice(at, 1)[0] ?? null);
+  });
+  const rows = known.masks.map((mask, index): Compared => {
+    const partner = partners[index] ?? null;
+    const other = partner ?? left.shift() ?? null;
+    return { what: `mask ${index + 1}`, mine: other ? words(other) : "no mask", known: words(mask), mark: partner ? "same" : "differs" };
+  });
+  const more = left.map((mask, index): Compared => ({
+    what: `mask ${known.masks.length + index + 1}`,
+    mine: words(mask),
+    known: "no mask",
+    mark: "differs",
+  }));
+  return [...rows, ...more];
+}
+
+/** What differed, in a sentence. */
+export function summary(rows: readonly Compared[]): string {
+  const differing = rows.filter((own) => own.mark === "differs").map((own) => own.what);
+  return differing.length === 0 ? "Your answer equals the known one." : `Different: ${differing.join(", ")}.`;
+}
+
+/** Joints that one of the answers marks and the other does not. */
+export function differingJoints(parts: Parts, mine: Answer, known: Answer): number {
+  return jointsOf(parts, partsOf(mine)) ^ jointsOf(parts, partsOf(known));
+}
+
+/** All parts of an answer. */
+export function partsOf(answer: Answer): string[] {
+  return answer.kind === "mask_text" ? [...new Set(answer.masks.flatMap((mask) => mask.parts))] : answer.parts;
+}

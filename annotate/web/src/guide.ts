@@ -1,0 +1,121 @@
+/** The guide: what it says about a kind of task, as a page and beside the work. */
+
+import { fill, h, type Child } from "./dom";
+import type { Guide, GuidePicture, TaskKind, TextForm } from "./wire";
+import { KIND_WORDS } from "./words";
+
+const FORM_WORDS: Readonly<Record<TextForm, string>> = {
+  completion: "A description completes “The person is …”: “waving with the left arm”.",
+  instruction: "An instruction speaks to the person: “raise the left arm higher”.",
+};
+
+/** Formats plain text: `#` before headings, `-` before list items, empty lines between paragraphs. */
+export function formatGuide(text: string): HTMLElement[] {
+  const blocks: HTMLElement[] = [];
+  let list: HTMLElement | null = null;
+  let paragraph: string[] = [];
+  const endParagraph = (): void => {
+    if (paragraph.length > 0) blocks.push(h("p", {}, paragraph.join(" ")));
+    paragraph = [];
+  };
+  for (const line of text.split("\n")) {
+    const item = /^\s*[-*]\s+(.*)$/.exec(line);
+    const heading = /^(#{1,3})\s+(.*)$/.exec(line);
+    if (!item) list = null;
+    if (item || heading || line.trim() === "") endParagraph();
+    if (item) {
+      if (!list) {
+        list = h("ul", {});
+        blocks.push(list);
+      }
+      list.append(h("li", {}, item[1] ?? ""));
+    } else if (heading) {
+      // Below the headings of the page.
+      blocks.push(h((heading[1]?.length ?? 1) === 1 ? "h3" : "h4", {}, heading[2] ?? ""));
+    } else if (line.trim() !== "") {
+      paragraph.push(line.trim());
+    }
+  }
+  endParagraph();
+  return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
+}
+
+/** The address of a picture. */
+export function pictureUrl(name: string): string {
+  return `/api/v1/guide/pictures/${encodeURIComponent(name)}`;
+}
+
+/** A name for an uploaded picture that the server takes and no other picture has. */
+export function pictureName(file: string, taken: ReadonlySet<string>): string {
+  const clean = (text: string): string => text.replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^-+|-+$/g, "");
+  const ending = /\.[A-Za-z0-9]{1,8}$/.exec(file)?.[0].toLowerCase() ?? "";
+  const stem = clean(file.slice(0, file.length - ending.length)).slice(0, 40) || "picture";
+  for (let number = 1; ; number += 1) {
+    const name = `${stem}${number === 1 ? "" : `-${number}`}${ending}`;
+    if (!taken.has(name)) return name;
+  }
+}
+
+/** A picture of a right or a wrong answer. */
+export function pictureFigure(picture: GuidePicture): HTMLElement {
+  const image = h("img", { attrs: { alt: picture.caption || picture.name, loading: "lazy" } });
+  image.src = pictureUrl(picture.name);
+  return h(
+    "figure",
+    { class: `example ${picture.right ? "right" : "wrong"}` },
+    image,
+    h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption),
+  );
+}
+
+/** What the guide says about a kind of task alone. */
+export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly string[]): HTMLElement[] {
+  const own = guide.kinds[kind];
+  const form = guide.forms[kind];
+  const pictures = own?.pictures ?? [];
+  return [
+    ...formatGuide(own?.text ?? ""),
+    ...(form ? [h("p", { class: "note" }, FORM_WORDS[form])] : []),
+    ...(kind === "style" && styles.length > 0 ? [h("p", {}, `Styles to choose from: ${styles.join(", ")}.`)] : []),
+    ...(pictures.length > 0 ? [h("div", { class: "examples" }, ...pictures.map(pictureFigure))] : []),
+  ];
+}
+
+/** The guide in a column beside the work. It takes no focus when it opens. */
+export class GuideBeside {
+  readonly element: HTMLElement;
+  private readonly title = h("h2", {}, "Guide");
+  private readonly body = h("div", { class: "guide-body", attrs: { tabindex: 0, role: "region", "aria-label": "Text of the guide" }, data: { region: "guide" } });
+  private shown: TaskKind | null = null;
+
+  constructor(
+    private readonly load: () => Promise<Guide>,
+    private readonly styles: readonly string[],
+    close: HTMLElement,
+  ) {
+    this.element = h(
+      "aside",
+      { class: "guide-beside", attrs: { "aria-label": "Guide" } },
+      h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close),
+      this.body,
+    );
+  }
+
+  /** Shows the guide of a kind of task. */
+  async show(kind: TaskKind): Promise<void> {
+    if (this.shown === kind) return;
+    this.shown = kind;
+    this.title.textContent = `Guide: ${KIND_WORDS[kind]}`;
+    let parts: Child[];
+    try {
+      const guide = await this.load();
+      parts = [...kindGuide(guide, kind, this.styles), h("h3", {}, "For all tasks"), ...formatGuide(guide.text)];
+    } catch (error) {
+      if (this.shown === kind) this.shown = null;
+      parts = [h("p", { class: "trouble" }, `The guide was not loaded: ${error instanceof Error ? error.message : String(error)}`)];
+    }
+    // Another kind may have been asked for meanwhile.
+    if (this.shown !== null && this.shown !== kind) return;
+    fill(this.body, ...parts);
+  }
+}

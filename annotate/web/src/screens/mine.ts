@@ -1,0 +1,206 @@
+/** What I handed in, where it stands, and what I can still do about it. */
+
+import { reason } from "../api";
+import type { App, Screen } from "../app";
+import { partsOf } from "../compare";
+import { fill, h, setAttr, type Child } from "../dom";
+import type { ActionId } from "../keys";
+import { describe } from "../merge";
+import { shortName } from "../motions";
+import { TaskSession } from "../session";
+import { STANDING_WORDS, standingWords } from "../standing";
+import { field, until, when } from "../ui";
+import { STANDINGS, TASK_KINDS, type Answer, type MyAnswer, type MyAnswers } from "../wire";
+import { KIND_WORDS } from "../words";
+import { ROUTE_OF } from "./home";
+import { stageOf, type Shown } from "./review";
+
+export async function openMine(app: App, argument: string): Promise<Screen> {
+  const mine = new MyAnswersScreen(app);
+  await mine.load(false);
+  await mine.choose(argument === "" ? null : Number(argument));
+  return mine;
+}
+
+class MyAnswersScreen implements Screen {
+  readonly element: HTMLElement;
+  readonly title = "My answers";
+  // The arrows go through the list as through the cards of a task.
+  readonly scopes = ["transport", "pair", "mask"] as const;
+  private readonly list = h("div", { class: "shelf-list" });
+  private readonly details = h("div", { class: "answer-details" });
+  private readonly standing: HTMLSelectElement;
+  private readonly kind: HTMLSelectElement;
+  private items: MyAnswer[] = [];
+  private next: string | null = null;
+  private chosen: MyAnswer | null = null;
+  private shown: Shown | null = null;
+  /** Number of answers chosen, so that a slow one does not replace a newer one. */
+  private turn = 0;
+
+  constructor(private readonly app: App) {
+    const asked = new URLSearchParams(window.location.search);
+    const select = (name: string, any: string, options: readonly (readonly [string, string])[]): HTMLSelectElement => {
+      const own = h("select", {}, h("option", { attrs: { value: "" } }, any), ...options.map(([value, label]) => h("option", { attrs: { value } }, label)));
+      own.value = options.some(([value]) => value === asked.get(name)) ? (asked.get(name) ?? "") : "";
+      own.addEventListener("change", () => this.filtered());
+      return own;
+    };
+    this.standing = select("standing", "any", STANDINGS.map((standing) => [standing, STANDING_WORDS[standing]] as const));
+    this.kind = select("kind", "all", TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const));
+    const panel = h(
+      "aside",
+      { class: "panel", attrs: { "aria-label": "My answers" }, data: { region: "panel" } },
+      h(
+        "div",
+        { class: "panel-scroll" },
+        h("h2", {}, "My answers"),
+        h("div", { class: "filters" }, field("State", this.standing), field("Kind", this.kind)),
+        this.list,
+      ),
+    );
+    this.element = h("div", { class: "work mine" }, h("div", { class: "viewer" }), panel);
+  }
+
+  get focusTarget(): HTMLElement | null {
+    return this.list.querySelector<HTMLElement>("button[aria-pressed=true]") ?? this.standing;
+  }
+
+  perform(action: ActionId, ten: boolean): boolean {
+    if (action === "card_next" || action === "card_previous") {
+      const at = this.items.findIndex((item) => item === this.chosen);
+      const item = this.items[at + (action === "card_next" ? 1 : -1)];
+      if (item) void this.open(item).then(() => this.focusTarget?.focus());
+      return true;
+    }
+    return this.shown?.perform(action, ten) ?? false;
+  }
+
+  draw(now: number): void {
+    this.shown?.viewer.draw(now);
+  }
+
+  leave(): void {
+    this.turn += 1;
+    this.shown?.viewer.dispose();
+    this.shown = null;
+  }
+
+  async load(more: boolean): Promise<void> {
+    const search = new URLSearchParams({ limit: "20" });
+    if (this.standing.value) search.set("standing", this.standing.value);
+    if (this.kind.value) search.set("kind", this.kind.value);
+    if (more && this.next !== null) search.set("before", this.next);
+    const page = await this.app.api.get<MyAnswers>(`answers?${search.toString()}`);
+    this.items = more ? [...this.items, ...page.items] : page.items;
+    this.next = page.next;
+    this.drawList();
+  }
+
+  /** Opens the answer to a task, or the newest one. */
+  async choose(task: number | null): Promise<void> {
+    let item = task === null ? this.items[0] : this.items.find((own) => own.task.id === task);
+    if (!item && task !== null) {
+      const found = await this.app.api.get<MyAnswers>(`answers?task=${task}&limit=1`);
+      item = found.items[0];
+      if (item) this.items = [item, ...this.items];
+      else this.app.toasts.show(`You have no answer to task ${task}.`, { id: "mine", kind: "error" });
+      this.drawList();
+    }
+    if (item) await this.open(item);
+  }
+
+  private filtered(): void {
+    const search = new URLSearchParams();
+    if (this.standing.value) search.set("standing", this.standing.value);
+    if (this.kind.value) search.set("kind", this.kind.value);
+    const query = search.toString();
+    window.history.replaceState(null, "", `/app/mine${query ? `?${query}` : ""}`);
+    this.try(this.load(false).then(() => this.choose(null)));
+  }
+
+  private try(work: Promise<void>): void {
+    work.catch((error: unknown) => this.app.toasts.show(reason(error), { kind: "error" }));
+  }
+
+  private drawList(): void {
+    const rows = this.items.flatMap((item): Child[] => {
+      const button = h(
+        "button",
+        { class: "shelf-item", attrs: { type: "button" }, data: { task: String(item.task.id), standing: item.standing } },
+        h("strong", { class: `standing ${item.standing}` }, standingWords(item)),
+        h("span", {}, item.task.motions.map((motion) => shortName(motion.id)).join(" → ")),
+        h("span", { class: "note" }, `${KIND_WORDS[item.task.kind]} · task ${item.task.id} · ${when(item.mine.at)}`),
+      );
+      button.addEventListener("click", () => this.try(this.open(item)));
+      const own = item === this.chosen;
+      setAttr(button, "aria-pressed", own ? "true" : "false");
+      return own ? [button, this.details] : [button];
+    });
+    const more = h("button", { attrs: { type: "button" }, on: { click: () => this.try(this.load(true)) } }, "More");
+    const none = this.standing.value || this.kind.value ? "No answer of yours is so." : "You have handed in nothing yet.";
+    fill(this.list, ...rows, this.items.length === 0 && h("p", { class: "note" }, none), this.next !== null && more);
+  }
+
+  private async open(item: MyAnswer): Promise<void> {
+    const turn = ++this.turn;
+    this.chosen = item;
+    fill(this.details, ...this.detailsOf(item));
+    this.drawList();
+    const shown = await stageOf(this.app, item.task);
+    if (turn !== this.turn) return shown.viewer.dispose();
+    this.shown?.viewer.dispose();
+    this.shown = shown;
+    shown.viewer.element.dataset.region = "stage";
+    this.element.firstElementChild?.replaceWith(shown.viewer.element);
+    shown.stage.paintParts(partsOf(item.mine.answer));
+    setAttr(this.element, "data-task", String(item.task.id));
+  }
+
+  private detailsOf(item: MyAnswer): Child[] {
+    const { app } = this;
+    const { task, standing, comment } = item;
+    const route = `${ROUTE_OF[task.kind]}/${task.id}`;
+    const button = (label: string, run: () => void, className = ""): HTMLElement =>
+      h("button", { class: className, attrs: { type: "button" }, on: { click: run } }, label);
+    const takeBack = async (): Promise<void> => {
+      if (await TaskSession.takeBack(app, task.id)) app.go(route);
+      else await this.load(false).then(() => this.choose(task.id));
+    };
+    const holds = standing === "returned" || standing === "draft";
+    return [
+      comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, standing === "dropped" ? "Why: " : "Returned: "), comment),
+      standing === "returned" && item.until !== null && h("p", { class: "note" }, `It is kept for you; others may take it ${until(item.until)}.`),
+      h("h3", {}, "Your answer"),
+      this.lines(item.mine.answer),
+      item.accepted && h("h3", {}, "Accepted in its place"),
+      item.accepted && this.lines(item.accepted),
+      h(
+        "div",
+        { class: "row" },
+        standing === "returned" && button("Fix it", () => app.go(route), "primary"),
+        standing === "draft" && button("Go on with it", () => app.go(route), "primary"),
+        item.feedback && button("See the known answer", () => app.go(`feedback/${task.id}`)),
+        item.can_take_back && !item.feedback && button("Take back and change", () => this.try(takeBack())),
+        !item.can_take_back && !holds && h("span", { class: "note" }, "It can no longer be taken back."),
+      ),
+    ];
+  }
+
+  /** An answer in words. The parts of each mask can be shown on the body. */
+  private lines(answer: Answer): HTMLElement {
+    const { parts } = this.app;
+    const lines = describe(parts, answer);
+    if (answer.kind !== "mask_text") return h("ul", {}, ...lines.map((line) => h("li", {}, line)));
+    return h(
+      "ul",
+      {},
+      ...lines.map((line, index) => {
+        const mask = answer.masks[index];
+        if (!mask) return h("li", {}, line);
+        const show = (): void => this.shown?.stage.paintParts(mask.parts);
+        return h("li", {}, line, " ", h("button", { class: "phrase", attrs: { type: "button", "aria-label": `Show ${parts.phrases(mask.parts)} on the body` }, on: { click: show } }, "show"));
+      }),
+    );
+  }
+}

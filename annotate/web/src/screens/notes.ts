@@ -1,0 +1,20 @@
+/** What a task says about itself above its editor: that it came back, that its clip changed, that it is practice. */
+
+import type { App } from "../app";
+import { h } from "../dom";
+import type { TaskView } from "../wire";
+import { practiceNote } from "./practice";
+
+export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> {
+  const note = (what: string, text: string): HTMLElement =>
+    h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, what), text);
+  const notes: HTMLElement[] = [];
+  if (view.task.practice) notes.push(await practiceNote(app, view.task.kind));
+  if (view.comment) notes.push(note("Came back: ", view.comment));
+  if (view.clip_changed) {
+    notes.push(
+      note("The clip has changed: ", "it was ingested anew, with other content, after you answered. Look whether your answer still holds, then hand it in."),
+    );
+  }
+  return notes;
+}

@@ -1,0 +1,59 @@
+/** The name of this tab. The edits of a tab are one chain of revisions, so no two open tabs may share a name. */
+
+import { randomName } from "./api";
+
+const NAME = "tab";
+/** Set while no page of the tab is open. A name without it is in use, or its page was killed. */
+const FREE = "tab-free";
+
+type TabStorage = Pick<Storage, "getItem" | "setItem" | "removeItem">;
+
+/** The part of `navigator.locks` that is used; pages over plain HTTP from another host have none. */
+export interface TabLocks {
+  request(name: string, options: { ifAvailable?: boolean }, held: (lock: unknown) => Promise<void>): Promise<unknown>;
+}
+
+/**
+ * The name of this tab, which stays the same over reloads. A browser that duplicates a tab copies the name with its
+ * storage: such a copy gets a name of its own.
+ */
+export async function nameOfTab(storage: TabStorage, locks: TabLocks | undefined): Promise<string> {
+  const known = storage.getItem(NAME);
+  const free = storage.getItem(FREE) !== null;
+  storage.removeItem(FREE);
+  if (known !== null && free) {
+    // The page before may not have given its lock back yet.
+    void locks?.request(lockOf(known), {}, forever);
+    return known;
+  }
+  if (known !== null && locks && (await hold(locks, known))) return known;
+  const fresh = randomName().slice(0, 8);
+  storage.setItem(NAME, fresh);
+  void locks?.request(lockOf(fresh), {}, forever);
+  return fresh;
+}
+
+/** Call when the page is left. */
+export function leaveTab(storage: TabStorage): void {
+  storage.setItem(FREE, "1");
+}
+
+/** Call when the browser shows the page again without loading it. */
+export function returnToTab(storage: TabStorage): void {
+  storage.removeItem(FREE);
+}
+
+const lockOf = (name: string): string => `annotate-tab-${name}`;
+const forever = (): Promise<void> => new Promise(() => {});
+
+/** Holds the lock of a name until the page ends; false if another page has it. */
+function hold(locks: TabLocks, name: string): Promise<boolean> {
+  return new Promise((resolve, reject) => {
+    locks
+      .request(lockOf(name), { ifAvailable: true }, (lock) => {
+        resolve(lock !== null);
+        return lock === null ? Promise.resolve() : forever();
+      })
+      .catch(reject);
+  });
+}

@@ -1,0 +1,72 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { leaveTab, nameOfTab, returnToTab, type TabLocks } from "../src/tab";
+
+/** The storage of a tab; a duplicated tab begins with a copy. */
+class TabStore {
+  constructor(readonly values = new Map<string, string>()) {}
+
+  getItem(key: string): string | null {
+    return this.values.get(key) ?? null;
+  }
+
+  setItem(key: string, value: string): void {
+    this.values.set(key, value);
+  }
+
+  removeItem(key: string): void {
+    this.values.delete(key);
+  }
+
+  copy(): TabStore {
+    return new TabStore(new Map(this.values));
+  }
+}
+
+/** Locks of a browser, held until the test gives them back. */
+class Locks implements TabLocks {
+  readonly held = new Set<string>();
+
+  async request(name: string, options: { ifAvailable?: boolean }, held: (lock: unknown) => Promise<void>): Promise<void> {
+    if (this.held.has(name)) {
+      if (options.ifAvailable) await held(null);
+      return;
+    }
+    this.held.add(name);
+    await held({ name });
+  }
+}
+
+test("a duplicated tab gets a name of its own, and the first one keeps its own", async () => {
+  for (const locks of [new Locks(), undefined]) {
+    const first = new TabStore();
+    const name = await nameOfTab(first, locks);
+    const second = first.copy();
+    const other = await nameOfTab(second, locks);
+    assert.notEqual(other, name);
+    assert.equal(second.getItem("tab"), other);
+    assert.equal(first.getItem("tab"), name);
+    // Both are reloaded.
+    leaveTab(first);
+    leaveTab(second);
+    assert.equal(await nameOfTab(first, locks), name);
+    assert.equal(await nameOfTab(second, locks), other);
+  }
+});
+
+test("a page that was killed gives its name to the next page of the tab", async () => {
+  const store = new TabStore();
+  const locks = new Locks();
+  const name = await nameOfTab(store, locks);
+  // The browser gives the locks of a killed page back.
+  locks.held.clear();
+  assert.equal(await nameOfTab(store, locks), name);
+});
+
+test("a tab duplicated after its page came back from the browser's cache gets a name of its own", async () => {
+  const store = new TabStore();
+  const name = await nameOfTab(store, undefined);
+  leaveTab(store);
+  returnToTab(store);
+  assert.notEqual(await nameOfTab(store.copy(), undefined), name);
+});
