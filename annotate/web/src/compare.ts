@@ -79,7 +79,7 @@ function compareMasks(parts: Parts, mine: Masks, known: Masks): Compared[] {
 /** What differed, in a sentence. */
 export function summary(rows: readonly Compared[]): string {
   const differing = rows.filter((own) => own.mark === "differs").map((own) => own.what);
-  return differing.length === 0 ? "Your answer equals the known one." : `Different: ${differing.join(", ")}.`;
+  return differing.length === 0 ? "All that is scored equals the known answer." : `Different: ${differing.join(", ")}.`;
 }
 
 /** Joints that one of the answers marks and the other does not. */

@@ -50,7 +50,7 @@ test("parts, labels and texts of a kept pair are told apart, and texts are not s
       ["instruction", "open"],
     ],
   );
-  assert.equal(summary(compare(parts, pair({ text: "quicker" }), pair({}))), "Your answer equals the known one.");
+  assert.equal(summary(compare(parts, pair({ text: "quicker" }), pair({}))), "All that is scored equals the known answer.");
 });
 
 test("left with right arm equals both arms", () => {

@@ -371,6 +371,34 @@ async fn what_everybody_skipped_is_listed_and_dropped() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_task_whose_clip_changed_asks_in_words_of_its_own() {
+    let desk = Desk::open("app/home").await;
+    let browser = &desk.browser;
+    browser
+        .until("the home page", "document.querySelector('.queue')")
+        .await;
+    // Clips are ingested anew while no server runs; here its reply says so.
+    browser
+        .js("const real = window.fetch; \
+             window.fetch = async (...asked) => { \
+                 const reply = await real(...asked); \
+                 if (!String(asked[0]).endsWith('queue/next')) return reply; \
+                 const next = await reply.json(); \
+                 next.task.clip_changed = true; \
+                 return new Response(JSON.stringify(next), { headers: { 'Content-Type': 'application/json' } }); };")
+        .await;
+    browser.shift(&["2"]).await;
+    browser.task().await;
+    let note = browser.text_of(".returned-note").await;
+    assert!(note.starts_with("The clip has changed:"), "{note}");
+    let notes = browser
+        .js("return document.querySelectorAll('.returned-note').length;")
+        .await;
+    assert_eq!(notes, json!(1), "it did not come back from a reviewer");
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn remapped_keys_hold_and_stay() {
     let desk = Desk::open("app/mask").await;
     let browser = &desk.browser;
