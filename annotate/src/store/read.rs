@@ -202,7 +202,7 @@ pub(super) fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Erro
         )?;
         let held = tx.one(
             "SELECT COUNT(*), MIN(l.expires) FROM lease l JOIN task t ON t.id = l.task
-             WHERE l.usr = ?2 AND l.purpose = 'annotate' AND t.kind = ?1",
+             WHERE l.usr = ?2 AND l.purpose = 'annotate' AND t.kind = ?1 AND t.practice = 0",
             params![name, user],
         )?;
         let (held, held_until) = match &held {

@@ -43,7 +43,7 @@ pub struct QueueInfo {
     pub done: i64,
     /// Tasks I answered, hold, or was sent back. Practice is left out.
     pub mine: i64,
-    /// Tasks I hold now.
+    /// Tasks I hold now. Practice is left out.
     pub held: i64,
     /// When the first of them goes to others unless I go on.
     pub held_until: Option<i64>,

@@ -1017,6 +1017,7 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         );
         assert_eq!(undone.status, 200);
         assert_eq!((own().standing, own().feedback), (Standing::Draft, None));
+        assert_eq!(home(site.ann).0.held, 0, "others do not wait for practice");
         assert_eq!(standing(site.ann).done, 0);
         let right = try_it(Verdict::Unclear, 2, START + 1);
         assert_eq!(right.score, 1.0);

@@ -6,7 +6,7 @@ import { KIND_WORDS } from "./words";
 
 const FORM_WORDS: Readonly<Record<TextForm, string>> = {
   completion: "A description completes “The person is …”: “waving with the left arm”.",
-  instruction: "An instruction speaks to the person: “raise the left arm higher”.",
+  instruction: "An instruction speaks to the person: “raise the left arm higher”, “walk more proudly”.",
 };
 
 /** Formats plain text: `#` before headings, `-` before list items, empty lines between paragraphs. */

@@ -32,7 +32,7 @@ export class Parts {
   }
 
   paint(names: readonly string[], soft: boolean, glow: JointBits = 0): Paint {
-    if (names.length === 0) return { ...PLAIN, glow };
+    if (names.length === 0 && glow === 0) return PLAIN;
     return { ...this.joints(names, soft), masked: true, glow };
   }
 

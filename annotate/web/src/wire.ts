@@ -981,7 +981,7 @@ export type QueueInfo = {
   done: number,
   /** Tasks I answered, hold, or was sent back. Practice is left out. */
   mine: number,
-  /** Tasks I hold now. */
+  /** Tasks I hold now. Practice is left out. */
   held: number,
   /** When the first of them goes to others unless I go on. */
   held_until: number | null,
