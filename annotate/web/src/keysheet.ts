@@ -4,15 +4,16 @@ import { fill, h } from "./dom";
 import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";
 import { ask } from "./ui";
 
-const HEADINGS: readonly (readonly [Scope, string])[] = [
-  ["global", "Everywhere"],
-  ["work", "Tasks"],
-  ["transport", "Playback and camera"],
-  ["parts", "Body parts"],
-  ["mask", "Masks"],
-  ["pair", "Pairs and styles"],
-  ["review", "Review"],
-];
+const HEADINGS: Readonly<Record<Scope, string>> = {
+  global: "Everywhere",
+  work: "Tasks",
+  transport: "Playback and camera",
+  parts: "Body parts",
+  mask: "Masks",
+  pair: "Pairs and styles",
+  practice: "Feedback on practice",
+  review: "Review",
+};
 
 const label = (id: ActionId): string => DEFAULT_ACTIONS.find((action) => action.id === id)?.label ?? id;
 
@@ -29,7 +30,7 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
     draw();
   };
   const draw = (): void => {
-    const sections = HEADINGS.map(([scope, heading]) => {
+    const sections = Object.entries(HEADINGS).map(([scope, heading]) => {
       const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map((action) =>
         h(
           "div",
