@@ -27,6 +27,8 @@ pub mod keys {
     pub const HOME: &str = "\u{e011}";
     pub const END: &str = "\u{e010}";
     pub const LEFT: &str = "\u{e012}";
+    pub const UP: &str = "\u{e013}";
+    pub const DOWN: &str = "\u{e015}";
     pub const RIGHT: &str = "\u{e014}";
     pub const PAGE_DOWN: &str = "\u{e00f}";
     pub const DELETE: &str = "\u{e017}";

@@ -84,6 +84,37 @@ impl Dataset {
         Self { folder }
     }
 
+    /// A dataset with a style pair of any two of its clips, and at least `count` of them.
+    pub async fn with_pairs(count: i64) -> Self {
+        let clips = (1..).find(|clips| clips * (clips - 1) / 2 >= count);
+        let clips = clips.expect("a number of clips").to_string();
+        let folder = TempDir::new().expect("a temporary folder");
+        let sources = folder.path().join("sources");
+        let pairs = folder.path().join("pairs.csv");
+        run(&["corpus", "--out", &text(&sources), "--clips", &clips]).await;
+        let mut names = Vec::new();
+        clip_files(&sources, &sources, &mut names);
+        names.sort();
+        let mut lines = String::new();
+        for (at, styled) in names.iter().enumerate() {
+            for original in &names[..at] {
+                lines += &format!("{styled},{original},old\n");
+            }
+        }
+        fs::write(&pairs, lines).expect("a list of pairs");
+        let dataset = text(&folder.path().join("dataset"));
+        run(&[
+            "ingest",
+            &text(&sources),
+            "--out",
+            &dataset,
+            "--pairs",
+            &text(&pairs),
+        ])
+        .await;
+        Self { folder }
+    }
+
     /// Its folder.
     pub fn path(&self) -> PathBuf {
         self.folder.path().join("dataset")
@@ -209,6 +240,21 @@ fn free_port() -> u16 {
 
 fn text(path: &Path) -> String {
     path.to_str().expect("temporary paths are text").to_owned()
+}
+
+/// Names of the clips in a folder, relative to `root`.
+fn clip_files(root: &Path, folder: &Path, names: &mut Vec<String>) {
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            clip_files(root, &path, names);
+        } else if path
+            .extension()
+            .is_some_and(|extension| extension != "json")
+        {
+            names.push(text(path.strip_prefix(root).expect("a path inside of it")));
+        }
+    }
 }
 
 fn copy(from: &Path, to: &Path) {

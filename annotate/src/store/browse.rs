@@ -1,5 +1,7 @@
 //! The task browser: filters, pages of rows, decisions, and actions on all tasks of a filter.
 
+use std::collections::BTreeMap;
+
 use super::claim::MINUTE;
 use super::db::{Row, Tx, Value, params};
 use super::entry::{Body, Entry};
@@ -43,6 +45,9 @@ fn condition(filter: &TaskFilter, values: &mut Values) -> String {
     equal("state", filter.state.map(TaskState::as_str), values);
     equal("category", filter.category.as_deref(), values);
     equal("split", filter.split.as_deref(), values);
+    if let Some(task) = filter.task {
+        all.push(format!("t.id = {}", values.put(task)));
+    }
     if let Some(person) = filter.person {
         let who = values.put(person);
         all.push(format!(
@@ -87,10 +92,13 @@ fn condition(filter: &TaskFilter, values: &mut Values) -> String {
         None => {}
         Some(SkipFilter::Any) => all.push(skipped.to_owned()),
         Some(SkipFilter::Everybody) => all.push(format!(
-            "t.claimable = 1 AND {skipped} AND NOT EXISTS (
-               SELECT 1 FROM usr u WHERE u.active = 1 AND u.role = 'annotator'
+            "t.state IN ('open', 'leased', 'returned') AND {skipped} AND NOT EXISTS (
+               SELECT 1 FROM usr u WHERE u.active = 1
+                 AND (u.role = 'annotator'
+                   OR NOT EXISTS (SELECT 1 FROM usr a WHERE a.active = 1 AND a.role = 'annotator'))
                  AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = u.id AND s.postponed = 0)
-                 AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = u.id AND r.state <> 'draft'))"
+                 AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = u.id
+                   AND r.state NOT IN ('draft', 'returned')))"
         )),
     }
     if let Some(text) = filter.q.as_deref().map(str::trim)
@@ -217,12 +225,12 @@ pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error
         Some(_) => None,
         None => Some(count(tx, &query.filter)?),
     };
-    let mut page = Vec::new();
-    for row in &found {
-        page.push(task_row(tx, rows::read_task(row)?)?);
-    }
+    let tasks = found
+        .iter()
+        .map(rows::read_task)
+        .collect::<Result<_, _>>()?;
     Ok(TaskPage {
-        rows: page,
+        rows: task_rows(tx, tasks)?,
         next,
         total,
         sort,
@@ -240,105 +248,136 @@ fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64, Error> {
 
 /// A row of the browser.
 pub(super) fn task_row(tx: &mut dyn Tx, task: TaskRecord) -> Result<TaskRow, Error> {
-    let motion = |tx: &mut dyn Tx, hash: &str| -> Result<String, Error> {
-        let row = tx.one("SELECT id FROM motion WHERE hash = ?1", params![hash])?;
-        row.map_or_else(|| Ok(hash.to_owned()), |row| row.string(0))
-    };
-    let source_id = motion(tx, &task.source)?;
-    let target_id = match &task.target {
-        Some(hash) => Some(motion(tx, hash)?),
-        None => None,
-    };
+    let row = task_rows(tx, vec![task])?.pop();
+    row.ok_or_else(|| Error::not_found("task"))
+}
+
+/// What a query says about several tasks, by the task in its first column. The query reads the tasks of `{}`.
+fn by_task<T>(
+    tx: &mut dyn Tx,
+    sql: &str,
+    ids: &Values,
+    read: impl Fn(&Row) -> Result<T, Error>,
+) -> Result<BTreeMap<i64, Vec<T>>, Error> {
+    let places: Vec<String> = (1..=ids.0.len()).map(|place| format!("?{place}")).collect();
+    let mut all: BTreeMap<i64, Vec<T>> = BTreeMap::new();
+    for row in tx.query(&sql.replace("{}", &places.join(", ")), &ids.0)? {
+        all.entry(row.int(0)?).or_default().push(read(&row)?);
+    }
+    Ok(all)
+}
+
+/// Rows of the browser. Each table is read once for all of them.
+fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Error> {
+    if tasks.is_empty() {
+        return Ok(Vec::new());
+    }
+    let ids = Values(tasks.iter().map(|task| task.id.into()).collect());
+    let mut motions = by_task(
+        tx,
+        "SELECT t.id, s.id, o.id FROM task t LEFT JOIN motion s ON s.hash = t.source
+         LEFT JOIN motion o ON o.hash = t.target WHERE t.id IN ({})",
+        &ids,
+        |row| Ok((row.opt_text(1)?, row.opt_text(2)?)),
+    )?;
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-         WHERE r.task = ?1 AND r.state <> 'draft' ORDER BY r.at, r.author",
+         WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author",
         rows::REVISION_COLUMNS
     );
-    let answers = tx
-        .query(&sql, params![task.id])?
-        .iter()
-        .map(|row| {
-            let own = rows::read_revision(row, 0)?;
-            let texts: Vec<&str> = own.answer.texts().iter().map(|(text, _)| *text).collect();
-            Ok(AnswerBrief {
-                author: own.author,
-                name: row.string(7)?,
-                state: own.state,
-                text: texts.join(" · "),
-                parts: own
-                    .answer
-                    .part_names()
-                    .into_iter()
-                    .map(str::to_owned)
-                    .collect(),
-                verdict: own.answer.verdict(),
-                edit_type: own.answer.edit_type(),
-                at: own.at,
-            })
+    let mut answers = by_task(tx, &sql, &ids, |row| {
+        let own = rows::read_revision(row, 0)?;
+        let texts: Vec<&str> = own.answer.texts().iter().map(|(text, _)| *text).collect();
+        Ok(AnswerBrief {
+            author: own.author,
+            name: row.string(7)?,
+            state: own.state,
+            text: texts.join(" · "),
+            parts: own
+                .answer
+                .part_names()
+                .into_iter()
+                .map(str::to_owned)
+                .collect(),
+            verdict: own.answer.verdict(),
+            edit_type: own.answer.edit_type(),
+            at: own.at,
         })
-        .collect::<Result<_, Error>>()?;
-    let holders = tx
-        .query(
-            "SELECT l.usr, COALESCE(u.name, ''), l.purpose, l.expires FROM lease l LEFT JOIN usr u ON u.id = l.usr
-             WHERE l.task = ?1 ORDER BY l.id",
-            params![task.id],
-        )?
-        .iter()
-        .map(|row| {
+    })?;
+    let mut holders = by_task(
+        tx,
+        "SELECT l.task, l.id, l.usr, COALESCE(u.name, ''), l.purpose, l.expires
+         FROM lease l LEFT JOIN usr u ON u.id = l.usr WHERE l.task IN ({}) ORDER BY l.id",
+        &ids,
+        |row| {
             Ok(Holder {
-                user: row.int(0)?,
-                name: row.string(1)?,
-                purpose: row.string(2)?,
-                until: row.int(3)?,
+                lease: row.int(1)?,
+                user: row.int(2)?,
+                name: row.string(3)?,
+                purpose: row.string(4)?,
+                until: row.int(5)?,
             })
-        })
-        .collect::<Result<_, Error>>()?;
-    let skips = tx
-        .query(
-            "SELECT s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
-             FROM skip s LEFT JOIN usr u ON u.id = s.usr WHERE s.task = ?1 ORDER BY s.at, s.usr",
-            params![task.id],
-        )?
-        .iter()
-        .map(|row| {
+        },
+    )?;
+    let mut skips = by_task(
+        tx,
+        "SELECT s.task, s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
+         FROM skip s LEFT JOIN usr u ON u.id = s.usr WHERE s.task IN ({}) ORDER BY s.at, s.usr",
+        &ids,
+        |row| {
             Ok(SkipBrief {
-                user: row.int(0)?,
-                name: row.string(1)?,
-                postponed: row.flag(2)?,
-                reason: row.opt_text(3)?.and_then(|text| SkipReason::parse(&text)),
-                note: row.string(4)?,
-                at: row.int(5)?,
+                user: row.int(1)?,
+                name: row.string(2)?,
+                postponed: row.flag(3)?,
+                reason: row.opt_text(4)?.and_then(|text| SkipReason::parse(&text)),
+                note: row.string(5)?,
+                at: row.int(6)?,
             })
+        },
+    )?;
+    let mut accepted = by_task(
+        tx,
+        "SELECT task, basis FROM accepted WHERE task IN ({})",
+        &ids,
+        |row| row.string(1),
+    )?;
+    let mut touched = by_task(
+        tx,
+        "SELECT id, touched FROM task WHERE id IN ({})",
+        &ids,
+        |row| row.int(1),
+    )?;
+    Ok(tasks
+        .into_iter()
+        .map(|task| {
+            let id = &task.id;
+            let motions = motions.remove(id).and_then(|mut one| one.pop());
+            let (source, target) = motions.unwrap_or_default();
+            TaskRow {
+                answers: answers.remove(id).unwrap_or_default(),
+                holders: holders.remove(id).unwrap_or_default(),
+                skips: skips.remove(id).unwrap_or_default(),
+                accepted_by: accepted.remove(id).and_then(|mut one| one.pop()),
+                touched: touched
+                    .remove(id)
+                    .and_then(|mut one| one.pop())
+                    .unwrap_or(0),
+                source_id: source.unwrap_or(task.source),
+                target_id: target.or(task.target),
+                id: task.id,
+                key: task.key,
+                kind: task.kind,
+                state: task.state,
+                split: task.split,
+                category: task.category,
+                hint: task.hint,
+                style: task.style,
+                wanted: task.wanted,
+                submitted: task.submitted,
+                distance: task.distance,
+            }
         })
-        .collect::<Result<_, Error>>()?;
-    let accepted_by = tx
-        .one(
-            "SELECT basis FROM accepted WHERE task = ?1",
-            params![task.id],
-        )?
-        .map(|row| row.string(0))
-        .transpose()?;
-    let touched = tx.number("SELECT touched FROM task WHERE id = ?1", params![task.id])?;
-    Ok(TaskRow {
-        id: task.id,
-        key: task.key,
-        kind: task.kind,
-        state: task.state,
-        source_id,
-        target_id,
-        split: task.split,
-        category: task.category,
-        hint: task.hint,
-        style: task.style,
-        wanted: task.wanted,
-        submitted: task.submitted,
-        distance: task.distance,
-        touched,
-        answers,
-        holders,
-        skips,
-        accepted_by,
-    })
+        .collect())
 }
 
 const DECISION_COLUMNS: &str =
@@ -422,8 +461,8 @@ pub(super) fn decisions(tx: &mut dyn Tx, query: &DecisionQuery) -> Result<Decisi
     Ok(Decisions { items, next })
 }
 
-/// Checks a bulk request.
-fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest) -> Result<(), Error> {
+/// Checks a bulk request. A preview needs no comment.
+fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<(), Error> {
     check(&request.filter)?;
     if request.comment.chars().count() > MAX_TEXT_CHARS {
         return Err(Error::invalid("comment", "the comment is too long"));
@@ -432,7 +471,7 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest) -> Result<(), Error> {
         request.action,
         BulkAction::Return | BulkAction::Drop | BulkAction::Reopen
     );
-    if needs_comment && request.comment.trim().is_empty() {
+    if act && needs_comment && request.comment.trim().is_empty() {
         return Err(Error::invalid(
             "comment",
             "write a comment; the authors and the log need it",
@@ -472,7 +511,7 @@ pub(super) fn bulk(
     act: bool,
     now: Millis,
 ) -> Result<BulkDone, Error> {
-    check_bulk(tx, request)?;
+    check_bulk(tx, request, act)?;
     let settings = project::settings(tx)?;
     let mut values = Values::default();
     let place = condition(&request.filter, &mut values);

@@ -58,8 +58,8 @@ pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
     Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts,
-    Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, Skipped, SkippedFilter, TaskDetail,
-    TaskRecord, TokenUse, WeekCounts, Who,
+    Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse,
+    WeekCounts, Who,
 };
 pub use store::Store;
 

@@ -5,7 +5,7 @@ use datasets_spec::quantile;
 use super::db::{Row, Tx, Value, params};
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
-    ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, WeekCounts,
+    ShelfFilter, TaskDetail, TaskRecord, WeekCounts,
 };
 use super::rows;
 use super::rows::NUM_TASK_COLUMNS;
@@ -14,8 +14,8 @@ use crate::Error;
 use crate::clock;
 use crate::state::Purpose;
 use crate::wire::{
-    Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, Skip,
-    SkipReason, TaskKind, TaskState, Verdict,
+    Audit, AuditEntry, HeldLease, Home, Lease, QueueInfo, ReturnedTask, RevisionState, TaskKind,
+    TaskState, Verdict,
 };
 
 pub(super) fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
@@ -527,63 +527,6 @@ pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, E
                 note: row.string(from + 2)?,
             });
         }
-    }
-    Ok(all)
-}
-
-/// Undecided tasks that somebody skipped, by id. A task is skipped by all if nobody who annotates can get it any
-/// more; where nobody is an annotator, everybody counts.
-pub(super) fn skipped(tx: &mut dyn Tx, filter: &SkippedFilter) -> Result<Vec<Skipped>, Error> {
-    let annotators = tx.number(
-        "SELECT COUNT(*) FROM usr WHERE active = 1 AND role = 'annotator'",
-        &[],
-    )?;
-    let is_left = "EXISTS (SELECT 1 FROM usr u WHERE u.active = 1 AND (?3 = 0 OR u.role = 'annotator')
-        AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = u.id AND s.postponed = 0)
-        AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = u.id AND r.state NOT IN ('draft', 'returned')))";
-    let sql = format!(
-        "SELECT {}, CASE WHEN {is_left} THEN 0 ELSE 1 END FROM task t
-         WHERE t.id > ?1 AND t.id IN (SELECT task FROM skip WHERE postponed = 0) AND t.gold IS NULL
-           AND t.state IN ('open', 'leased', 'returned') AND (?2 = '' OR t.kind = ?2)
-           AND (?4 = 0 OR NOT {is_left})
-         ORDER BY t.id LIMIT ?5",
-        rows::TASK_COLUMNS
-    );
-    let found = tx.query(
-        &sql,
-        params![
-            filter.after,
-            filter.kind.map_or("", TaskKind::as_str),
-            annotators,
-            filter.by_all,
-            filter.limit as i64
-        ],
-    )?;
-    let mut all = Vec::with_capacity(found.len());
-    for row in found {
-        let task = rows::read_task(&row)?;
-        let skips = tx
-            .query(
-                "SELECT s.usr, COALESCE(u.name, ''), s.reason, s.note, s.at FROM skip s
-                 LEFT JOIN usr u ON u.id = s.usr WHERE s.task = ?1 AND s.postponed = 0 ORDER BY s.at, s.usr",
-                params![task.id],
-            )?
-            .iter()
-            .map(|row| {
-                Ok(Skip {
-                    user: row.int(0)?,
-                    user_name: row.string(1)?,
-                    reason: row.opt_text(2)?.and_then(|reason| SkipReason::parse(&reason)),
-                    note: row.string(3)?,
-                    at: row.int(4)?,
-                })
-            })
-            .collect::<Result<_, Error>>()?;
-        all.push(Skipped {
-            by_all: row.flag(NUM_TASK_COLUMNS)?,
-            task,
-            skips,
-        });
     }
     Ok(all)
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Skip, Standing,
+    Answer, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Standing,
     Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict,
 };
 
@@ -322,19 +322,6 @@ pub struct AuditFilter {
     pub limit: usize,
 }
 
-/// Which skipped tasks to show.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SkippedFilter {
-    /// Of one kind.
-    pub kind: Option<TaskKind>,
-    /// Only those that nobody is left for.
-    pub by_all: bool,
-    /// After this task.
-    pub after: i64,
-    /// Maximum number.
-    pub limit: usize,
-}
-
 /// Which of a person's answers to list.
 #[derive(Clone, Debug, Default)]
 pub struct MineQuery {
@@ -348,17 +335,6 @@ pub struct MineQuery {
     pub before: Option<String>,
     /// Maximum number.
     pub limit: usize,
-}
-
-/// A task that somebody skipped.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Skipped {
-    /// The task.
-    pub task: TaskRecord,
-    /// Who skipped it, and why.
-    pub skips: Vec<Skip>,
-    /// Whether nobody who annotates is left to get it.
-    pub by_all: bool,
 }
 
 /// An answer of a person, and where it stands.

@@ -13,7 +13,7 @@ use crate::answer;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
-    RevisionState, TaskKind,
+    RevisionState, Settings, TaskKind, TaskState,
 };
 
 const DAY: Millis = 24 * 60 * MINUTE;
@@ -89,6 +89,49 @@ pub(super) fn next(
     detail(tx, user, task).map(|detail| ReviewClaimed::Task(Box::new(detail)))
 }
 
+/// Claims a task to review, or goes on with it.
+pub(super) fn open(
+    tx: &mut dyn Tx,
+    user: i64,
+    id: i64,
+    now: Millis,
+) -> Result<ReviewDetail, Error> {
+    expire(tx, user, now)?;
+    let settings = project::settings(tx)?;
+    let task = rows::task(tx, id)?;
+    if let Some(held) = rows::lease_of(tx, id, user)?
+        && held.purpose == Purpose::Review
+    {
+        prolong(tx, &held, &settings, now)?;
+        return detail(tx, user, id);
+    }
+    if task.state == TaskState::InReview {
+        return Err(Error::refused(
+            Code::LeaseLost,
+            "another reviewer looks at this task; the record of the task says who, and can release it",
+        ));
+    }
+    if task.state != TaskState::Submitted || task.gold.is_some() {
+        return Err(Error::wrong_state(task.state, "reviewed"));
+    }
+    check_own(tx, user, id, &settings)?;
+    take(tx, user, id, Purpose::Review, &settings, now)?;
+    detail(tx, user, id)
+}
+
+/// Whether a reviewer answered the task, which only a project of one person allows.
+fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool, Error> {
+    let mine = rows::revision(tx, task, user)?;
+    let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
+    if own && !settings.solo {
+        return Err(Error::refused(
+            Code::OwnWork,
+            "you answered this task yourself; somebody else has to review it",
+        ));
+    }
+    Ok(own)
+}
+
 /// A task as its reviewer sees it.
 fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
     let task = rows::task(tx, id)?;
@@ -144,14 +187,7 @@ pub(super) fn review(
     }
     let settings = project::settings(tx)?;
     let task = rows::task(tx, review.task)?;
-    let mine = rows::revision(tx, task.id, user)?;
-    let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
-    if own && !settings.solo {
-        return Err(Error::refused(
-            Code::OwnWork,
-            "you answered this task yourself; somebody else has to review it",
-        ));
-    }
+    let own = check_own(tx, user, task.id, &settings)?;
     if task.gold.is_some() {
         return Err(Error::wrong_state(
             task.state,

@@ -13,8 +13,7 @@ use super::migrate::{self, Upgrade};
 use super::records::{
     AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
     MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture, Reject,
-    ReviewClaimed, ShelfFilter, Skipped, SkippedFilter, TaskDetail, TaskRecord, TokenUse,
-    WeekCounts, Who,
+    ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
 };
 use super::{
     append, claim, import, mine, paraphrases, people, pictures, practice, project, read, review,
@@ -308,6 +307,14 @@ impl Store {
         now: Millis,
     ) -> Result<ReviewClaimed, Error> {
         self.write(move |tx| review::next(tx, user, queue, kind, now))
+    }
+
+    /// Claims a task to review, or goes on with it.
+    ///
+    /// # Errors
+    /// `own_work`, `lease_lost`, `wrong_state`, `not_found`; or the store fails.
+    pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail, Error> {
+        self.write(move |tx| review::open(tx, user, task, now))
     }
 
     /// Applies a reviewer's decision.
@@ -650,14 +657,6 @@ impl Store {
     /// The store fails.
     pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>, Error> {
         self.read(move |tx| read::shelf(tx, user, &filter))
-    }
-
-    /// Undecided tasks that somebody skipped, by id.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn skipped(&self, filter: SkippedFilter) -> Result<Vec<Skipped>, Error> {
-        self.read(move |tx| read::skipped(tx, &filter))
     }
 
     /// Tasks by kind and state.

@@ -44,6 +44,8 @@ pub struct TaskFilter {
     pub skipped: Option<SkipFilter>,
     /// Accepted by the rule of this name.
     pub rule: Option<String>,
+    /// The task with this id.
+    pub task: Option<i64>,
 }
 
 /// `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and
@@ -133,6 +135,8 @@ pub struct AnswerBrief {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Holder {
+    /// Id of the lease or the reservation.
+    pub lease: i64,
     /// Id.
     pub user: i64,
     /// Name.
@@ -232,7 +236,7 @@ pub struct BulkRequest {
     pub filter: TaskFilter,
     /// What to do with each.
     pub action: BulkAction,
-    /// Required for `return`, `drop` and `reopen`.
+    /// Required for `return`, `drop` and `reopen`; a preview needs none.
     #[serde(default)]
     pub comment: String,
     /// The person, for `assign`.

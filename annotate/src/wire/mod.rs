@@ -52,7 +52,7 @@ pub use stats::{
 pub use task::{
     BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, Feedback,
     HeldLease, Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, Practice, SkeletonInfo,
-    Skip, SkippedTask, SkippedTasks, SuggestRequest, Task, TaskView,
+    SuggestRequest, Task, TaskView,
 };
 
 /// Maximum characters of a text.

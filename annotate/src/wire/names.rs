@@ -423,6 +423,8 @@ names! {
         PracticeAgain = "practice_again",
         /// Practice: show the known answer on the body, or one's own.
         PracticeCompare = "practice_compare",
+        /// Open the task browser.
+        ScreenTasks = "screen_tasks",
     }
 }
 
@@ -471,7 +473,7 @@ names! {
     pub enum SkipFilter {
         /// Skipped by somebody.
         Any = "any",
-        /// Skipped by every active annotator who has not answered it: nobody would be given it.
+        /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
         Everybody = "everybody",
     }
 }

@@ -16,6 +16,9 @@ pub struct ReviewRequest {
     /// Only this kind.
     #[serde(default)]
     pub kind: Option<TaskKind>,
+    /// This task, whatever its queue and kind.
+    #[serde(default)]
+    pub task: Option<i64>,
 }
 
 /// Answer to `POST review/next`.

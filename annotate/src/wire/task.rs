@@ -219,47 +219,6 @@ pub struct Empty {
     pub quota_full: i64,
 }
 
-/// `GET skipped`: undecided tasks that somebody skipped.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct SkippedTasks {
-    /// By id.
-    pub items: Vec<SkippedTask>,
-    /// Value of `after` for the next page.
-    pub next: Option<i64>,
-}
-
-/// A skipped task.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct SkippedTask {
-    /// The task.
-    pub task: Task,
-    /// Who skipped it, and why.
-    pub skips: Vec<Skip>,
-    /// Whether nobody who annotates is left to get it: all annotators skipped or answered it.
-    pub by_all: bool,
-}
-
-/// A user's skip of a task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct Skip {
-    /// User.
-    pub user: i64,
-    /// Their name.
-    pub user_name: String,
-    /// Reason.
-    pub reason: Option<SkipReason>,
-    /// More about it.
-    pub note: String,
-    /// When.
-    pub at: i64,
-}
-
 /// `POST tasks/{id}/events`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]

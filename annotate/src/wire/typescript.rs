@@ -111,8 +111,7 @@ declarations! {
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
         NewUsers Next NextRequest Outlook Paraphrase Paraphrases PartAgreement PartInfo Person PictureInfo Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
-        ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo Skip SkipBrief
-        SkippedTask SkippedTasks
+        ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo SkipBrief
         SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:

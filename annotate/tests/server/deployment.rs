@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use annotate::store::open_sqlite;
 use annotate::wire::{
-    Code, Job, Me, ReviewDone, ReviewNext, Role, Settings, SkippedTasks, TaskKind, TaskView,
+    Code, Job, Me, ReviewDone, ReviewNext, Role, Settings, TaskKind, TaskPage, TaskView,
 };
 use flate2::read::GzDecoder;
 use serde_json::json;
@@ -580,6 +580,8 @@ fn annotators_are_not_told_which_tasks_are_gold() {
         "{told:?}"
     );
     assert!(to_eve.any(|line| line.contains("gold_scored")));
-    let skipped: SkippedTasks = eve.get("skipped?kind=mask_text&by_all=true&limit=5").ok();
-    assert_eq!((skipped.items.len(), skipped.next), (0, None));
+    let skipped: TaskPage = eve
+        .get("tasks?kind=mask_text&skipped=everybody&limit=5")
+        .ok();
+    assert_eq!((skipped.rows.len(), skipped.next), (0, None));
 }

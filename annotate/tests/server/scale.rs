@@ -499,6 +499,13 @@ fn the_browser_filters_by_everything_a_reviewer_asks_for() {
             },
             &[],
         );
+        check(
+            TaskFilter {
+                task: Some(held),
+                ..none()
+            },
+            &[held],
+        );
         let row = site.store.task_row(held).expect("a task").0;
         assert_eq!(row.holders.len(), 1);
         assert_eq!(row.holders[0].name, "bob");
@@ -582,28 +589,84 @@ fn pages_in_every_order_hold_every_task_once() {
 #[test]
 fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
     on_each("skipped", |store| {
-        let site = fixture(store, mask_tasks(2));
-        let skip = |user: i64| {
-            let task = site.claim(user, START).expect("a task");
-            let mut skip = event(EventKind::Skip, site.epoch(user, task), 0, None);
-            skip.reason = Some(SkipReason::CannotTell);
-            assert_eq!(site.send(user, task, skip, START).status, 200);
-            task
-        };
+        let site = fixture(store, mask_tasks(3));
         let skipped = |filter| {
             site.found(TaskFilter {
                 skipped: Some(filter),
                 ..TaskFilter::default()
             })
         };
-        let task = skip(site.ann);
-        assert_eq!(skipped(SkipFilter::Any), [task]);
+        let annotators_may_log_in = |active| {
+            for user in [site.ann, site.bob] {
+                site.store
+                    .change_user(Some(ROOT), user, None, Some(active), START)
+                    .expect("a change");
+            }
+        };
+        let (first, second) = (site.skip(site.ann, START), site.skip(site.ann, START));
+        assert_eq!(skipped(SkipFilter::Any), [first, second]);
         assert_eq!(skipped(SkipFilter::Everybody), Vec::<i64>::new());
-        assert_eq!(skip(site.bob), task);
-        assert_eq!(skipped(SkipFilter::Everybody), [task]);
-        let row = site.store.task_row(task).expect("a task").0;
-        assert_eq!(row.skips.len(), 2);
-        assert_eq!(row.skips[0].reason, Some(SkipReason::CannotTell));
+        // Eve only reviews.
+        assert_eq!(site.skip(site.bob, START), first);
+        assert_eq!(skipped(SkipFilter::Everybody), [first]);
+        let row = site.store.task_row(first).expect("a task").0;
+        let skips: Vec<_> = row
+            .skips
+            .iter()
+            .map(|skip| (skip.name.as_str(), skip.reason, skip.note.as_str()))
+            .collect();
+        let why = Some(SkipReason::CannotTell);
+        assert_eq!(skips, [("ann", why, "too dark"), ("bob", why, "too dark")]);
+        // It has its answer.
+        assert_eq!(site.answer(site.bob, "seen", START), second);
+        assert_eq!(skipped(SkipFilter::Any), [first, second]);
+        assert_eq!(skipped(SkipFilter::Everybody), [first]);
+        // Where nobody annotates, everybody counts: eve and the admin are left.
+        annotators_may_log_in(false);
+        assert_eq!(skipped(SkipFilter::Everybody), Vec::<i64>::new());
+        annotators_may_log_in(true);
+        assert_eq!(
+            site.decide(first, 0, Decision::Drop, START),
+            Ok(TaskState::Dropped)
+        );
+        assert_eq!(skipped(SkipFilter::Everybody), Vec::<i64>::new());
+        site.whole();
+    });
+}
+
+#[test]
+fn a_task_is_opened_for_review_from_its_record_by_one_reviewer_who_did_not_answer_it() {
+    on_each("opened", |store| {
+        let site = fixture(store, mask_tasks(3));
+        let rev = site
+            .store
+            .add_user(None, "rev", Role::Reviewer, START)
+            .expect("a user")
+            .id;
+        let open = |user: i64, task: i64| {
+            let opened = site.store.review_task(user, task, START);
+            opened
+                .map(|review| review.lease)
+                .map_err(|error| error.problem().code)
+        };
+        let first = site.answer(site.ann, "waving", START);
+        let second = site.answer(site.eve.id, "bowing", START);
+        let third = site.found(TaskFilter::default())[2];
+        let lease = open(site.eve.id, first).expect("a lease");
+        assert_eq!(open(site.eve.id, first).expect("the same").id, lease.id);
+        let row = site.store.task_row(first).expect("a task").0;
+        let held: Vec<_> = row
+            .holders
+            .iter()
+            .map(|holder| (holder.lease, holder.name.as_str(), holder.purpose.as_str()))
+            .collect();
+        assert_eq!(held, [(lease.id, "eve", "review")]);
+        assert_eq!(open(rev, first), Err(Code::LeaseLost));
+        assert_eq!(open(site.eve.id, second), Err(Code::OwnWork));
+        assert_eq!(open(rev, third), Err(Code::WrongState));
+        assert_eq!(open(rev, i64::MAX), Err(Code::NotFound));
+        assert!(open(rev, second).is_ok());
+        site.whole();
     });
 }
 
@@ -681,6 +744,11 @@ fn a_bulk_action_does_what_its_preview_counted() {
             comment: " ".to_owned(),
             ..request(BulkAction::Drop, all())
         };
+        let counted = site
+            .store
+            .preview_bulk(&site.eve, silent.clone(), START)
+            .expect("a preview needs no comment");
+        assert_eq!(counted.looked_at, 8);
         let refused = site.store.bulk(&site.eve, silent, START);
         assert_eq!(
             refused.expect_err("no comment").problem().code,

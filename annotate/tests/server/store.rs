@@ -111,7 +111,7 @@ impl Fixture {
         queue.expect("a queue").open
     }
 
-    fn skip(&self, user: i64, now: i64) -> i64 {
+    pub(crate) fn skip(&self, user: i64, now: i64) -> i64 {
         let task = self.claim(user, now).expect("a task");
         let skip = NewEvent {
             reason: Some(SkipReason::CannotTell),
@@ -1096,58 +1096,6 @@ fn the_work_of_a_disabled_user_goes_on_to_others_at_once() {
         let mut expected = vec![returned, held];
         expected.sort_unstable();
         assert_eq!(got, expected);
-        site.whole();
-    });
-}
-
-#[test]
-fn tasks_that_everybody_skipped_are_listed_with_their_reasons() {
-    use annotate::store::SkippedFilter;
-    on_each("skipped_by_all", |store| {
-        let site = fixture(store, mask_tasks(3));
-        let list = |by_all: bool, after: i64, limit: usize| {
-            let filter = SkippedFilter {
-                by_all,
-                after,
-                limit,
-                ..SkippedFilter::default()
-            };
-            let found = site.store.skipped(filter).expect("a list");
-            let brief = found.into_iter().map(|found| {
-                let names = found.skips.into_iter().map(|skip| {
-                    assert_eq!(skip.reason, Some(SkipReason::CannotTell));
-                    assert_eq!(skip.note, "too dark");
-                    skip.user_name
-                });
-                (
-                    found.task.id,
-                    found.by_all,
-                    names.collect::<Vec<_>>().join(" "),
-                )
-            });
-            brief.collect::<Vec<_>>()
-        };
-        let (first, second) = (site.skip(site.ann, START), site.skip(site.ann, START));
-        assert_eq!(list(true, 0, 10), []);
-        assert_eq!(site.skip(site.bob, START), first);
-        let by = |names: &str| names.to_owned();
-        // Eve only reviews.
-        assert_eq!(list(true, 0, 10), [(first, true, by("ann bob"))]);
-        assert_eq!(
-            list(false, 0, 10),
-            [(first, true, by("ann bob")), (second, false, by("ann"))]
-        );
-        assert_eq!(list(false, first, 10), [(second, false, by("ann"))]);
-        assert_eq!(list(false, 0, 1).len(), 1);
-        // Whoever answered it is not left either.
-        assert_eq!(site.answer(site.bob, "seen", START), second);
-        assert_eq!(list(false, 0, 10).len(), 1, "it has its answer");
-        // A reviewer drops it.
-        assert_eq!(
-            site.decide(first, 0, Decision::Drop, START),
-            Ok(TaskState::Dropped)
-        );
-        assert_eq!(list(false, 0, 10), []);
         site.whole();
     });
 }

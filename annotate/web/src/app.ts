@@ -69,6 +69,8 @@ interface Route {
   open: Open;
   /** Whether the navigation shows it. */
   listed: boolean;
+  /** The listed route that it belongs to, if it is not listed itself. */
+  within?: string;
 }
 
 /** How the login dialog opens: on its own page, over the page unasked, or over the page because the user asked. */
@@ -464,7 +466,7 @@ export class App {
     this.leave();
     this.main.setAttribute("aria-busy", "true");
     for (const link of this.nav.querySelectorAll("a")) {
-      const here = link.dataset.route === name || (link.dataset.route === "home" && route === this.routes.home);
+      const here = link.dataset.route === (known?.within ?? name) || (link.dataset.route === "home" && route === this.routes.home);
       setAttr(link, "aria-current", here ? "page" : null);
     }
     try {

@@ -33,6 +33,7 @@ const ACTIONS = [
   ["screen_admin", "Admin", "global", ["Shift+Digit9"]],
   ["screen_mine", "My answers", "global", ["Shift+KeyM"]],
   ["guide_beside", "Guide beside the work", "global", ["F4"]],
+  ["screen_tasks", "Tasks", "global", ["Shift+Digit0"]],
 
   ["text", "Go to the text", "work", ["KeyT", "Enter"]],
   ["submit", "Submit and next", "work", ["Ctrl+Enter"]],

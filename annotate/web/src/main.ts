@@ -13,8 +13,11 @@ import { openMask } from "./screens/mask";
 import { openMine } from "./screens/mine";
 import { openPair, openStyle } from "./screens/pair";
 import { openPractice } from "./screens/practice";
+import { openRecord } from "./screens/record";
 import { openReview } from "./screens/review";
+import { openRules } from "./screens/rules";
 import { openShelf } from "./screens/shelf";
+import { openTasks } from "./screens/tasks";
 
 const app = new App(
   {
@@ -28,6 +31,9 @@ const app = new App(
     practice: { label: "Practice", role: "annotator", listed: false, open: openPractice },
     feedback: { label: "Feedback", role: "annotator", listed: false, open: openFeedback },
     review: { label: "Review", role: "reviewer", listed: true, open: openReview },
+    tasks: { label: "Tasks", role: "reviewer", listed: true, open: openTasks },
+    task: { label: "Task", role: "reviewer", listed: false, within: "tasks", open: openRecord },
+    rules: { label: "Rules", role: "reviewer", listed: false, within: "tasks", open: openRules },
     dashboard: { label: "Dashboard", role: "reviewer", listed: true, open: openDashboard },
     admin: { label: "Admin", role: "admin", listed: true, open: openAdmin },
   },
@@ -36,7 +42,7 @@ const app = new App(
 
 // The token leaves the address bar and the history before anything can fail.
 const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
-if (token !== null) window.history.replaceState(null, "", window.location.pathname);
+if (token !== null) window.history.replaceState(null, "", window.location.pathname + window.location.search);
 
 app.start(token).catch((error: unknown) => {
   fill(document.body, h("main", { class: "page" }, h("h1", {}, "The page could not be started"), h("p", {}, reason(error))));

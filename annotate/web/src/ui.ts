@@ -1,6 +1,7 @@
 /** User interface elements: toasts, dialogs, labelled buttons, formatted figures. */
 
-import { append, fill, h, type Child } from "./dom";
+import { reason } from "./api";
+import { append, fill, h, setAttr, type Child } from "./dom";
 import type { Estimate } from "./wire";
 
 /** Messages at the lower edge, announced by screen readers. */
@@ -159,6 +160,68 @@ export function keyButton(label: string, hint: string, run: () => void, classNam
     hint ? h("kbd", {}, hint) : null,
     h("span", { class: "button-label" }, label),
   );
+}
+
+/** A button that cannot be pressed again until its work is done, and shows why it failed. */
+export function button(label: string, run: () => Promise<void>, app: { readonly toasts: Toasts }, className = ""): HTMLButtonElement {
+  const own = h("button", { class: className, attrs: { type: "button" } }, label);
+  own.addEventListener("click", () => {
+    own.disabled = true;
+    run()
+      .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error", ms: 15_000 }))
+      .finally(() => {
+        own.disabled = false;
+      });
+  });
+  return own;
+}
+
+export function select<T extends string>(options: readonly (readonly [T, string])[], value?: T): HTMLSelectElement {
+  const own = h("select", {}, ...options.map(([name, label]) => h("option", { attrs: { value: name } }, label)));
+  if (value !== undefined) own.value = value;
+  return own;
+}
+
+/**
+ * Repeats a step until it returns false, over a bar and a button that stops between two steps. The step gets a function
+ * that shows how much is done. Returns whether it was stopped; a failed step ends it with its error.
+ */
+export async function inSteps(title: string, total: number, step: (done: (count: number) => void) => Promise<boolean>): Promise<boolean> {
+  let stopped = false;
+  const bar = h("progress", { attrs: { max: Math.max(1, total), value: 0, "aria-label": title } });
+  const words = h("p", { attrs: { "aria-live": "polite" } }, `0 of ${total}`);
+  const stop = h("button", { attrs: { type: "button", "data-choice": "Stop" } }, h("kbd", {}, "Esc"), "Stop");
+  const dialog = h(
+    "dialog",
+    { class: "dialog", attrs: { "aria-labelledby": "steps-title" } },
+    h("h2", { id: "steps-title" }, title),
+    words,
+    bar,
+    h("div", { class: "dialog-buttons" }, stop),
+  );
+  const halt = (): void => {
+    stopped = true;
+    stop.disabled = true;
+    words.textContent = "Stopping…";
+  };
+  stop.addEventListener("click", halt);
+  dialog.addEventListener("cancel", (event) => {
+    event.preventDefault();
+    halt();
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  try {
+    const show = (count: number): void => {
+      setAttr(bar, "value", Math.min(count, total));
+      words.textContent = `${count} of ${total}`;
+    };
+    while (!stopped && (await step(show)));
+    return stopped;
+  } finally {
+    dialog.close();
+    dialog.remove();
+  }
 }
 
 export function field(label: string, control: HTMLElement, note = ""): HTMLElement {

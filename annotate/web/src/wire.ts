@@ -24,7 +24,7 @@ export const KEY_CODES: readonly string[] = [
 ];
 
 /** Actions that can be bound to keys. */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare";
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -36,7 +36,7 @@ export const ACTIONS: readonly Action[] = [
   "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
   "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
   "screen_dashboard", "screen_admin", "screen_mine", "guide_beside", "practice_next", "practice_again",
-  "practice_compare",
+  "practice_compare", "screen_tasks",
 ];
 
 /** What a bulk action does with each task. */
@@ -318,7 +318,7 @@ export type BulkRequest = {
   filter: TaskFilter,
   /** What to do with each. */
   action: BulkAction,
-  /** Required for `return`, `drop` and `reopen`. */
+  /** Required for `return`, `drop` and `reopen`; a preview needs none. */
   comment: string,
   /** The person, for `assign`. */
   person: number | null,
@@ -531,6 +531,8 @@ export type HeldLease = {
 
 /** Who holds a task. */
 export type Holder = {
+  /** Id of the lease or the reservation. */
+  lease: number,
   /** Id. */
   user: number,
   /** Name. */
@@ -1038,7 +1040,9 @@ export type ReviewRequest = {
   /** Queue. */
   queue: ReviewQueue,
   /** Only this kind. */
-  kind: TaskKind | null, };
+  kind: TaskKind | null,
+  /** This task, whatever its queue and kind. */
+  task: number | null, };
 
 /** A task to review. */
 export type ReviewView = {
@@ -1206,19 +1210,6 @@ export type SkeletonInfo = {
   /** Version of the part definitions. */
   mask_def_version: number, };
 
-/** A user's skip of a task. */
-export type Skip = {
-  /** User. */
-  user: number,
-  /** Their name. */
-  user_name: string,
-  /** Reason. */
-  reason: SkipReason | null,
-  /** More about it. */
-  note: string,
-  /** When. */
-  at: number, };
-
 /** A skip. */
 export type SkipBrief = {
   /** Id. */
@@ -1233,22 +1224,6 @@ export type SkipBrief = {
   note: string,
   /** When. */
   at: number, };
-
-/** A skipped task. */
-export type SkippedTask = {
-  /** The task. */
-  task: Task,
-  /** Who skipped it, and why. */
-  skips: Array<Skip>,
-  /** Whether nobody who annotates is left to get it: all annotators skipped or answered it. */
-  by_all: boolean, };
-
-/** `GET skipped`: undecided tasks that somebody skipped. */
-export type SkippedTasks = {
-  /** By id. */
-  items: Array<SkippedTask>,
-  /** Value of `after` for the next page. */
-  next: number | null, };
 
 /** `POST tasks/{id}/suggest`. */
 export type SuggestRequest = {
@@ -1335,7 +1310,9 @@ export type TaskFilter = {
   /** Skipped tasks. */
   skipped: SkipFilter | null,
   /** Accepted by the rule of this name. */
-  rule: string | null, };
+  rule: string | null,
+  /** The task with this id. */
+  task: number | null, };
 
 /** `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and `limit` (up to 200). */
 export type TaskPage = {

@@ -1,6 +1,17 @@
 /** Words for the names of the API, and the answers of the single kinds of task. */
 
-import { COUNT_REASONS, SKIP_REASONS, type Answer, type CountReason, type SkipReason, type Task, type TaskKind } from "./wire";
+import {
+  COUNT_REASONS,
+  SKIP_REASONS,
+  type Answer,
+  type CountReason,
+  type RevisionState,
+  type RuleKind,
+  type SkipReason,
+  type Task,
+  type TaskKind,
+  type TaskState,
+} from "./wire";
 
 export type MaskTextAnswer = Extract<Answer, { kind: "mask_text" }>;
 export type PairAnswer = Extract<Answer, { kind: "pair" }>;
@@ -11,6 +22,47 @@ export const KIND_WORDS: Readonly<Record<TaskKind, string>> = {
   pair: "Fine-grained pairs",
   style: "Style pairs",
 };
+
+/** The kind of a single task. */
+export const KIND_NAMES: Readonly<Record<TaskKind, string>> = { mask_text: "masks", pair: "pair", style: "style pair" };
+
+export const STATE_WORDS: Readonly<Record<TaskState, string>> = {
+  open: "open",
+  leased: "being answered",
+  submitted: "waits for review",
+  in_review: "in review",
+  returned: "sent back",
+  accepted: "accepted",
+  dropped: "dropped",
+};
+
+export const ANSWER_WORDS: Readonly<Record<RevisionState, string>> = {
+  draft: "draft",
+  submitted: "handed in",
+  accepted: "accepted",
+  returned: "sent back",
+  superseded: "another answer was accepted",
+};
+
+export const RULE_WORDS: Readonly<Record<RuleKind, string>> = {
+  rejects: "Unanimous rejects",
+  trusted: "Answers of trusted people",
+  sampled: "All answers",
+};
+
+/** What a holder of a task does with it, by the purpose of the lease. */
+export const PURPOSE_WORDS: Readonly<Record<string, string>> = {
+  annotate: "answers it",
+  review: "reviews it",
+  returned: "reserved: it was sent back",
+  assigned: "reserved: it was given to this person",
+};
+
+/** How an answer was accepted, by `accepted_by`. */
+export function acceptedHow(basis: string): string {
+  if (basis.startsWith("rule:")) return `by rule ${basis.slice("rule:".length)}`;
+  return { review: "by a reviewer", own: "by its own author", import: "before its import" }[basis] ?? basis;
+}
 
 export const SKIP_WORDS: Readonly<Record<SkipReason, string>> = {
   broken_motion: "The motion is damaged",

@@ -132,6 +132,10 @@ async fn tab_leaves_the_stage_and_parts_and_screens_have_keys() {
     browser
         .until("pairs are open", "document.querySelector('.work.pair')")
         .await;
+    browser.shift(&["0"]).await;
+    browser
+        .until("the tasks are open", "document.querySelector('.tasks')")
+        .await;
     browser.shift(&["1"]).await;
     browser
         .until("home is open", "document.querySelector('.queue')")
@@ -183,6 +187,9 @@ async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
         ("app/mine", ".work.mine .shelf-list"),
         ("app/shelf", ".panel"),
         ("app/review", "#main h1, .candidates"),
+        ("app/tasks", ".list-row[data-task]"),
+        ("app/task/1", "task-record .facts"),
+        ("app/rules", ".dashboard .note"),
         ("app/dashboard", ".dashboard table"),
         ("app/admin", ".numbers"),
     ] {

@@ -13,3 +13,4 @@ mod report;
 mod review;
 mod stage;
 mod steps;
+mod tasks;

@@ -315,62 +315,6 @@ async fn a_skip_needs_a_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_everybody_skipped_is_listed_and_dropped() {
-    let desk = Desk::open("app/mask").await;
-    let browser = &desk.browser;
-    let task = browser.task().await;
-    browser.press(&["k"]).await;
-    browser
-        .until(
-            "the reason is asked for",
-            "document.querySelector('dialog[open]')",
-        )
-        .await;
-    browser.press(&["2"]).await;
-    browser.next_task(task).await;
-    let boss = desk.dataset.add_user("judge", "reviewer").await;
-    browser.request("DELETE", "session", None).await;
-    browser.log_in(&desk.server, &boss, "app/dashboard").await;
-    let button = format!("[aria-label=\"Drop task {task}\"]");
-    browser
-        .until(
-            "it is listed",
-            &format!("document.querySelector('{button}')"),
-        )
-        .await;
-    let row = browser
-        .js(&format!(
-            "return document.querySelector('{button}').closest('tr').textContent;"
-        ))
-        .await;
-    assert!(
-        row.as_str()
-            .is_some_and(|row| row.contains("ann: The action cannot be recognised")),
-        "{row}"
-    );
-    browser
-        .js(&format!("document.querySelector('{button}').click();"))
-        .await;
-    browser
-        .until(
-            "the reason is asked for",
-            "document.querySelector('dialog[open] textarea')",
-        )
-        .await;
-    browser.type_text("Nobody can tell.").await;
-    browser.control(&[keys::ENTER]).await;
-    browser
-        .until(
-            "it is gone",
-            &format!(
-                "!document.querySelector('{button}') && !document.querySelector('dialog[open]')"
-            ),
-        )
-        .await;
-    desk.browser.quit().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_task_whose_clip_changed_asks_in_words_of_its_own() {
     let desk = Desk::open("app/home").await;
     let browser = &desk.browser;

@@ -160,7 +160,10 @@ async fn hostile_text_stays_text_on_every_page() {
             "document.querySelector('.toast')?.textContent.includes('accepted')",
         )
         .await;
+    let record = format!("app/task/{}", bench.task);
     for (page, shown) in [
+        ("app/tasks", ".list-row[data-task]"),
+        (record.as_str(), "task-record .candidate"),
         ("app/shelf", ".shelf-item"),
         ("app/dashboard", ".dashboard table"),
         ("app/home", ".queue"),

@@ -1,7 +1,7 @@
 //! The task browser, bulk actions, decisions, and my answers.
 
 use super::review::candidates_of;
-use super::tasks::task_of;
+use super::tasks::{shown, task_of};
 use crate::Error;
 use crate::http::app::{Context, Reply, json};
 use crate::store::{DecisionQuery, MineQuery, PageQuery};
@@ -32,6 +32,7 @@ pub(super) fn tasks(cx: &Context) -> Result<Reply, Error> {
         "max_distance",
         "skipped",
         "rule",
+        "task",
         "sort",
         "reverse",
         "after",
@@ -67,6 +68,7 @@ pub(super) fn tasks(cx: &Context) -> Result<Reply, Error> {
         max_distance: number("max_distance")?,
         skipped: cx.one_of("skipped", SkipFilter::parse)?,
         rule: text("rule"),
+        task: cx.number("task")?,
     };
     json(&cx.app.store.browse(PageQuery {
         filter,
@@ -80,13 +82,15 @@ pub(super) fn tasks(cx: &Context) -> Result<Reply, Error> {
 pub(super) fn task(cx: &Context) -> Result<Reply, Error> {
     let id = cx.id()?;
     let (row, decisions) = cx.app.store.task_row(id)?;
+    let kind = row.kind;
+    let suggestions = cx.app.store.suggestions_of(id)?.into_iter();
     json(&TaskFile {
         task: task_of(&cx.app, cx.app.store.task_record(id)?, None)?,
         row,
         answers: candidates_of(cx, cx.app.store.answers_to(id)?)?,
         accepted: cx.app.store.accepted_answer(id)?,
         decisions,
-        suggestions: cx.app.store.suggestions_of(id)?,
+        suggestions: suggestions.map(|draft| shown(draft, kind)).collect(),
     })
 }
 

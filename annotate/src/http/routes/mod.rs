@@ -74,7 +74,6 @@ pub static ROUTES: &[Route] = &[
     row("GET", "/api/v1/leases", REVIEWER, tasks::leases),
     row("POST", "/api/v1/leases/{id}/renew", ANNOTATOR, tasks::renew),
     row("DELETE", "/api/v1/leases/{id}", ANNOTATOR, tasks::release),
-    row("GET", "/api/v1/skipped", REVIEWER, tasks::skipped),
     row("GET", "/api/v1/answers", ANNOTATOR, browse::mine),
     row("GET", "/api/v1/tasks", REVIEWER, browse::tasks),
     row("GET", "/api/v1/tasks/{id}", ANNOTATOR, tasks::task),

@@ -1,6 +1,6 @@
 //! Reviews.
 
-use super::tasks::task_of;
+use super::tasks::{shown, task_of};
 use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, Reply, json};
@@ -12,26 +12,29 @@ use crate::wire::{
 pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
     let request: ReviewRequest = cx.body()?;
     let who = cx.who()?;
-    let claimed = cx
-        .app
-        .store
-        .review_next(who.id, request.queue, request.kind, cx.now)?;
-    let detail = match claimed {
-        ReviewClaimed::Nothing(empty) => {
-            return json(&ReviewNext {
-                review: None,
-                empty: Some(empty),
-            });
+    let store = &cx.app.store;
+    let detail = if let Some(task) = request.task {
+        store.review_task(who.id, task, cx.now)?
+    } else {
+        match store.review_next(who.id, request.queue, request.kind, cx.now)? {
+            ReviewClaimed::Nothing(empty) => {
+                return json(&ReviewNext {
+                    review: None,
+                    empty: Some(empty),
+                });
+            }
+            ReviewClaimed::Task(detail) => *detail,
         }
-        ReviewClaimed::Task(detail) => *detail,
     };
-    let (id, clip_changed) = (detail.task.id, detail.task.changed);
+    let (id, kind) = (detail.task.id, detail.task.kind);
+    let clip_changed = detail.task.changed;
     let answers: Vec<_> = detail
         .candidates
         .iter()
         .map(|(revision, _)| revision.answer.clone())
         .collect();
     let candidates = candidates_of(cx, detail.candidates)?;
+    let suggestions = cx.app.store.suggestions_of(id)?.into_iter();
     json(&ReviewNext {
         review: Some(ReviewView {
             task: task_of(&cx.app, detail.task, None)?,
@@ -39,7 +42,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             candidates,
             distance: answer::spread(&answers),
             comments: detail.comments,
-            suggestions: cx.app.store.suggestions_of(id)?,
+            suggestions: suggestions.map(|draft| shown(draft, kind)).collect(),
             clip_changed,
         }),
         empty: None,

@@ -4,10 +4,10 @@ use crate::Error;
 use crate::answer;
 use crate::http::app::{App, Context, Reply, json};
 use crate::model::MAX_REQUESTS_PER_MINUTE;
-use crate::store::{AuditFilter, Claimed, MotionRecord, SkippedFilter, TaskDetail, TaskRecord};
+use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
 use crate::wire::{
     Bundle, BundleItem, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
-    SkippedTask, SkippedTasks, SuggestRequest, Suggestion, Task, TaskKind, TaskView, TextForm,
+    SuggestRequest, Suggestion, Task, TaskKind, TaskView, TextForm,
 };
 
 /// Tasks whose motions the browser prefetches.
@@ -50,7 +50,7 @@ pub(super) fn task_of(
 }
 
 /// A suggestion in the form that texts of a kind of task have.
-fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
+pub(super) fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
     if kind.text_form() == TextForm::Completion {
         suggestion.text = answer::completion(&suggestion.text).to_owned();
     }
@@ -214,34 +214,6 @@ pub(super) fn make_gold(cx: &Context) -> Result<Reply, Error> {
         ..cx.app.store.task_record(gold)?
     };
     json(&task_of(&cx.app, record, None)?)
-}
-
-pub(super) fn skipped(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["kind", "by_all", "after", "limit"])?;
-    let limit = cx.limit(200)?;
-    let filter = SkippedFilter {
-        kind: cx.one_of("kind", TaskKind::parse)?,
-        by_all: cx
-            .one_of("by_all", |text| text.parse().ok())?
-            .unwrap_or(false),
-        after: cx.number("after")?.unwrap_or(0),
-        limit,
-    };
-    let found = cx.app.store.skipped(filter)?;
-    let next = (found.len() == limit)
-        .then(|| found.last().map(|skipped| skipped.task.id))
-        .flatten();
-    let items = found
-        .into_iter()
-        .map(|skipped| {
-            Ok(SkippedTask {
-                task: task_of(&cx.app, skipped.task, None)?,
-                skips: skipped.skips,
-                by_all: skipped.by_all,
-            })
-        })
-        .collect::<Result<_, Error>>()?;
-    json(&SkippedTasks { items, next })
 }
 
 pub(super) fn make_practice(cx: &Context) -> Result<Reply, Error> {

@@ -19,7 +19,8 @@ import {
 } from "../wire";
 import { KIND_WORDS, factsOf } from "../words";
 import { WorkClock } from "../work";
-import { Component, action, define, keyHint } from "./component";
+import { answerCards } from "./answer-cards";
+import { Component, action, define } from "./component";
 import { MaskEditor, type MaskStage } from "./mask-editor";
 import { PairEditor } from "./pair-editor";
 
@@ -268,35 +269,12 @@ export class ReviewPanel extends Component {
           : nothing}
         ${this.merging
           ? this.mergeBox(this.merging)
-          : html`<div class="candidates">${candidates.map((candidate, index) => this.cardOf(candidate, index))}</div>`}
+          : answerCards(this.app, candidates, this.selected, (index) => this.select(index), {
+              hint: (index) => (CHOOSE[index] ? this.app.keys.hint(CHOOSE[index]) : ""),
+            })}
       </div>
       ${this.merging ? nothing : this.buttons()}
     `;
-  }
-
-  private cardOf(candidate: Candidate, index: number): TemplateResult {
-    const { app } = this;
-    const { secs, author } = candidate.revision;
-    const chosen = index === this.selected;
-    const key = CHOOSE[index];
-    return html`<section class=${`candidate${chosen ? " selected" : ""}`} data-author=${author}>
-      <button type="button" class="card-title" aria-pressed=${chosen ? "true" : "false"} @click=${() => this.select(index)}>
-        ${keyHint(key ? app.keys.hint(key) : "")}<strong>${candidate.author_name}</strong>
-      </button>
-      <ul>
-        ${this.lines(index).map(([line, differs]) => html`<li class=${differs ? "differs" : ""}>${line}</li>`)}
-      </ul>
-      <p class="note">
-        ${Math.round(secs)} s${candidate.draft_distance === null ? nothing : ` · ${percent(candidate.draft_distance)} away from the draft`}
-      </p>
-    </section>`;
-  }
-
-  /** An answer in words, and whether each line differs from the other answers. */
-  private lines(own: number): (readonly [string, boolean])[] {
-    const all = this.review.candidates.map((candidate) => describe(this.app.parts, candidate.revision.answer));
-    const others = new Set(all.filter((_, index) => index !== own).flat());
-    return (all[own] ?? []).map((line) => [line, all.length > 1 && !others.has(line)] as const);
   }
 
   private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {

@@ -3,7 +3,7 @@
 import { reason } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, type Child } from "../dom";
-import { ask, field, table, when } from "../ui";
+import { ask, button, field, select, table, when } from "../ui";
 import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
 
 /** Polling interval of a running job. */
@@ -15,25 +15,6 @@ export async function openAdmin(app: App): Promise<Screen> {
   const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
   const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
   return { element, title: "Administration", scopes: [], perform: () => false, focusTarget: heading };
-}
-
-function button(label: string, run: () => Promise<void>, app: App, className = ""): HTMLButtonElement {
-  const own = h("button", { class: className, attrs: { type: "button" } }, label);
-  own.addEventListener("click", () => {
-    own.disabled = true;
-    run()
-      .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error", ms: 15_000 }))
-      .finally(() => {
-        own.disabled = false;
-      });
-  });
-  return own;
-}
-
-function select<T extends string>(options: readonly (readonly [T, string])[], value?: T): HTMLSelectElement {
-  const own = h("select", {}, ...options.map(([name, label]) => h("option", { attrs: { value: name } }, label)));
-  if (value !== undefined) own.value = value;
-  return own;
 }
 
 function exportsSection(app: App): HTMLElement {
@@ -262,7 +243,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     field("Guide (plain text; # heading, - item)", guide),
     button("Save settings", async () => {
       const changed: Settings = {
-        ...settings,
+        // Rules and guidelines are edited elsewhere, maybe since this page was opened.
+        ...(await app.api.get<Settings>("settings")),
         name: name.value.trim(),
         styles: list(styles.value, /,/),
         templates: list(templates.value, /\n/),

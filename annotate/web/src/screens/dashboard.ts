@@ -1,29 +1,24 @@
 /** Dashboard: states of tasks, figures per person, agreement. */
 
 import { render } from "lit";
-import { newReview, reason } from "../api";
+import { reason } from "../api";
 import type { App, Screen } from "../app";
 import { agreementChart, throughput } from "../components/charts";
 import { fill, h } from "../dom";
-import { shortName } from "../motions";
-import { ask, estimate, field, percent, seconds, table, until, when } from "../ui";
+import { estimate, percent, seconds, table, until, when } from "../ui";
 import {
   EDIT_TYPES,
-  MAX_TEXT_CHARS,
   type Agreement,
   type Funnel,
   type HeldLease,
   type PartAgreement,
   type Person,
   type QuotaRow,
-  type ReviewDone,
-  type SkippedTask,
-  type SkippedTasks,
   type TaskKind,
   type TaskState,
   type Week,
 } from "../wire";
-import { KIND_WORDS, SKIP_WORDS } from "../words";
+import { KIND_WORDS } from "../words";
 
 const STATES: readonly TaskState[] = ["open", "leased", "submitted", "in_review", "returned", "accepted", "dropped"];
 const KINDS: readonly TaskKind[] = ["mask_text", "pair", "style"];
@@ -32,19 +27,15 @@ const PURPOSES: Readonly<Record<string, string>> = { annotate: "answering", revi
 /** Delay after a change before figures are reloaded. */
 const REFRESH_AFTER_MS = 2000;
 
-/** Number of skipped tasks that are listed. */
-const SKIPPED_SHOWN = 50;
-
 export async function openDashboard(app: App): Promise<Screen> {
   const content = h("div", { class: "dashboard" });
   const load = async (): Promise<void> => {
-    const [funnel, people, agreement, quota, leases, skipped] = await Promise.all([
+    const [funnel, people, agreement, quota, leases] = await Promise.all([
       app.api.get<Funnel>("stats/funnel"),
       app.api.get<Person[]>("stats/people"),
       app.api.get<Agreement>("stats/agreement"),
       app.api.get<QuotaRow[]>("stats/quota"),
       app.api.get<HeldLease[]>("leases"),
-      app.api.get<SkippedTasks>(`skipped?by_all=true&limit=${SKIPPED_SHOWN}`),
     ]);
     fill(
       content,
@@ -54,7 +45,6 @@ export async function openDashboard(app: App): Promise<Screen> {
       h("section", { class: "card wide" }, drawn(agreementChart(decisions(agreement))), ...agreementTables(agreement)),
       h("section", { class: "card" }, quotaTable(quota)),
       h("section", { class: "card" }, leaseTable(leases)),
-      h("section", { class: "card wide" }, skippedTable(skipped)),
     );
   };
   const release = async (lease: HeldLease): Promise<void> => {
@@ -84,34 +74,6 @@ export async function openDashboard(app: App): Promise<Screen> {
         ),
       ]),
     );
-  const drop = async (task: number): Promise<void> => {
-    const text = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
-    const choice = await ask(`Drop task ${task}: why?`, [field("Reason", text)], [{ label: "Drop", value: true, kind: "danger" }], text);
-    if (choice === null) return;
-    try {
-      await app.api.post<ReviewDone>("reviews", { ...newReview(task, "drop"), comment: text.value.trim() });
-      await load();
-    } catch (error) {
-      app.toasts.show(`Not dropped: ${reason(error)}`, { kind: "error" });
-    }
-  };
-  const skippedTable = (skipped: SkippedTasks): HTMLElement => {
-    const why = ({ skips }: SkippedTask): string =>
-      skips
-        .map((skip) => `${skip.user_name}: ${skip.reason ? SKIP_WORDS[skip.reason] : "no reason"}${skip.note ? ` (${skip.note})` : ""}`)
-        .join("; ");
-    const more = skipped.next === null ? "" : `; the first ${SKIPPED_SHOWN}`;
-    return table(
-      `Tasks that nobody is left for: all annotators skipped or answered them${more}`,
-      ["Task", "Motions", "Why", ""],
-      skipped.items.map((item) => [
-        `${item.task.id} (${KIND_WORDS[item.task.kind]})`,
-        item.task.motions.map((motion) => shortName(motion.id)).join(" → "),
-        why(item),
-        h("button", { attrs: { type: "button", "aria-label": `Drop task ${item.task.id}` }, on: { click: () => void drop(item.task.id) } }, "drop"),
-      ]),
-    );
-  };
   await load();
   let timer: number | null = null;
   const stream = new EventSource("/api/v1/stream");

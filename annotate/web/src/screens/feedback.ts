@@ -10,7 +10,7 @@ import { keyButton, percent } from "../ui";
 import type { MyAnswers } from "../wire";
 import { ROUTE_OF } from "./home";
 import { practiceOf } from "./practice";
-import { stageOf } from "./review";
+import { showTask } from "./shown";
 
 /** What is shown on the body. */
 type View = "known" | "yours" | "differs";
@@ -29,7 +29,7 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
   if (!own?.feedback) throw new Error(`task ${argument} is no practice task that you have handed in`);
   const { task, mine } = own;
   const { known, score } = own.feedback;
-  const [practice, { viewer, stage, perform: performStage }] = await Promise.all([practiceOf(app, task.kind), stageOf(app, task)]);
+  const [practice, { viewer, stage, perform: performStage }] = await Promise.all([practiceOf(app, task.kind), showTask(app, task, true)]);
   const glow = differingJoints(app.parts, mine.answer, known);
   const views = VIEWS.filter(([name]) => name !== "differs" || glow !== 0);
   const buttons = views.map(([name, label]) =>

@@ -13,7 +13,7 @@ import { field, until, when } from "../ui";
 import { STANDINGS, TASK_KINDS, type Answer, type MyAnswer, type MyAnswers } from "../wire";
 import { KIND_WORDS } from "../words";
 import { ROUTE_OF } from "./home";
-import { stageOf, type Shown } from "./review";
+import { showTask, type Shown } from "./shown";
 
 export async function openMine(app: App, argument: string): Promise<Screen> {
   const mine = new MyAnswersScreen(app);
@@ -147,7 +147,7 @@ class MyAnswersScreen implements Screen {
     this.chosen = item;
     fill(this.details, ...this.detailsOf(item));
     this.drawList();
-    const shown = await stageOf(this.app, item.task);
+    const shown = await showTask(this.app, item.task, true);
     if (turn !== this.turn) return shown.viewer.dispose();
     this.shown?.viewer.dispose();
     this.shown = shown;

@@ -104,6 +104,21 @@ export class PairView {
     }
   }
 
+  /** Buttons of the views, with their keys where these are active. */
+  buttons(withKeys: boolean): HTMLElement {
+    const one = (label: string, action: ActionId): HTMLElement =>
+      keyButton(label, withKeys ? this.app.keys.hint(action) : "", () => this.perform(action, false));
+    return h(
+      "div",
+      { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
+      one("Ghost", "side_by_side"),
+      one("Roots together", "align_roots"),
+      one("Swap", "swap"),
+      one("Largest difference", "largest_difference"),
+      this.task.kind === "style" && one("Align", "align"),
+    );
+  }
+
   /** Moves to the frame with the largest distance of a part. */
   private toLargest(): void {
     const best = [1, 2, 3, 4, 5]
@@ -256,17 +271,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     }
   };
 
-  const { keys } = app;
-  const viewButtons = h(
-    "div",
-    { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
-    keyButton("Ghost", keys.hint("side_by_side"), () => perform("side_by_side", false)),
-    keyButton("Roots together", keys.hint("align_roots"), () => perform("align_roots", false)),
-    keyButton("Swap", keys.hint("swap"), () => perform("swap", false)),
-    keyButton("Largest difference", keys.hint("largest_difference"), () => perform("largest_difference", false)),
-    task.kind === "style" && keyButton("Align", keys.hint("align"), () => perform("align", false)),
-  );
-  pair.viewer.transport.append(viewButtons);
+  pair.viewer.transport.append(pair.buttons(true));
   const facts = factsOf(task);
   const panel = h(
     "aside",
@@ -290,9 +295,9 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     h(
       "div",
       { class: "panel-foot" },
-      keyButton("Keep and next", keys.hint("submit"), () => void submit(), "primary submit"),
-      keyButton("Skip", keys.hint("skip"), () => void skip()),
-      keyButton("Postpone", keys.hint("postpone"), () => perform("postpone", false)),
+      keyButton("Keep and next", app.keys.hint("submit"), () => void submit(), "primary submit"),
+      keyButton("Skip", app.keys.hint("skip"), () => void skip()),
+      keyButton("Postpone", app.keys.hint("postpone"), () => perform("postpone", false)),
     ),
   );
   pair.viewer.element.dataset.region = "stage";

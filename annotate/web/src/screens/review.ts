@@ -1,15 +1,11 @@
 /** Review: the answers to one task side by side; joints where they differ glow on the body. */
 
 import type { App, Screen } from "../app";
-import { ReviewPanel, type ReviewStage } from "../components/review-panel";
+import { ReviewPanel } from "../components/review-panel";
 import { h, setAttr } from "../dom";
-import type { ActionId, Scope } from "../keys";
-import { shortName } from "../motions";
-import { PLAIN, bits } from "../stage/body";
-import type { Clip, Viewer } from "../viewer";
-import type { ReviewNext, ReviewQueue, ReviewView, Task } from "../wire";
-import { heatStrip, showHeat } from "./mask";
-import { PairView } from "./pair";
+import type { Scope } from "../keys";
+import type { ReviewNext, ReviewQueue, ReviewView } from "../wire";
+import { showTask } from "./shown";
 
 const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
   ["disagreement", "Most different"],
@@ -17,7 +13,14 @@ const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
   ["returned", "Sent back"],
 ];
 
+/** Opens the next task of a queue, or the task with the number. */
 export async function openReview(app: App, argument: string): Promise<Screen> {
+  if (/^\d+$/.test(argument)) {
+    const task = Number(argument);
+    const { review } = await app.api.post<ReviewNext>("review/next", { queue: "disagreement", task });
+    if (!review) throw new Error(`task ${task} cannot be reviewed`);
+    return reviewScreen(app, null, review);
+  }
   const queue = QUEUES.find(([name]) => name === argument)?.[0] ?? "disagreement";
   const next = await app.api.post<ReviewNext>("review/next", { queue });
   if (next.review) return reviewScreen(app, queue, next.review);
@@ -39,7 +42,7 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   return { element, title: "Review", scopes: [], perform: () => false, focusTarget: tabs.querySelector("a") };
 }
 
-function queueTabs(app: App, current: ReviewQueue): HTMLElement {
+function queueTabs(app: App, current: ReviewQueue | null): HTMLElement {
   const links = QUEUES.map(([name, label]) => {
     const link = app.link(`review/${name}`, label, "tab");
     setAttr(link, "aria-current", name === current ? "true" : null);
@@ -48,10 +51,12 @@ function queueTabs(app: App, current: ReviewQueue): HTMLElement {
   return h("nav", { class: "tabs", attrs: { "aria-label": "Review queues" } }, ...links);
 }
 
-async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): Promise<Screen> {
+/** Reviews a task of a queue, or one that was opened from its record, where the reviewer returns to. */
+async function reviewScreen(app: App, queue: ReviewQueue | null, review: ReviewView): Promise<Screen> {
   const { task } = review;
-  const { viewer, stage, perform } = await stageOf(app, task);
-  const panel = new ReviewPanel(app, review, stage, queueTabs(app, queue), () => app.go(`review/${queue}`));
+  const next = queue === null ? `task/${task.id}` : `review/${queue}`;
+  const { viewer, stage, perform } = await showTask(app, task, false);
+  const panel = new ReviewPanel(app, review, stage, queueTabs(app, queue), () => app.go(next));
   viewer.element.dataset.region = "stage";
   return {
     element: h("div", { class: "work review", data: { task: String(task.id) } }, viewer.element, panel),
@@ -65,53 +70,5 @@ async function reviewScreen(app: App, queue: ReviewQueue, review: ReviewView): P
     draw: (now) => viewer.draw(now),
     active: () => panel.active(),
     leave: () => viewer.dispose(),
-  };
-}
-
-export interface Shown {
-  viewer: Viewer;
-  stage: ReviewStage;
-  perform(action: ActionId, ten: boolean): boolean;
-}
-
-/** The motions of a task, on which the parts of an answer can be shown. */
-export function stageOf(app: App, task: Task): Promise<Shown> {
-  return task.kind === "mask_text" ? maskStage(app, task) : pairStage(app, task);
-}
-
-async function maskStage(app: App, task: Task): Promise<Shown> {
-  const motion = task.motions[0];
-  if (!motion) throw new Error(`task ${task.id} has no motion`);
-  const [track, values] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
-  const viewer = app.viewer();
-  const strip = heatStrip(app, viewer);
-  showHeat(app, strip, values, motion.fps);
-  viewer.setStrips([strip]);
-  const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
-  viewer.load([clip], "single");
-  return {
-    viewer,
-    perform: (action, ten) => viewer.perform(action, ten),
-    stage: {
-      mask: { viewer, strip, motion, clip },
-      paint: (candidate, glow) => viewer.setPaint(0, { hard: bits(candidate?.joints ?? []), soft: 0, masked: true, glow }),
-      paintParts: (parts, glow = 0) => viewer.setPaint(0, app.parts.paint(parts, true, glow)),
-    },
-  };
-}
-
-async function pairStage(app: App, task: Task): Promise<Shown> {
-  const pair = await PairView.open(app, task);
-  return {
-    viewer: pair.viewer,
-    perform: (action, ten) => pair.perform(action, ten),
-    stage: {
-      mask: null,
-      paint: (candidate, glow) => {
-        const answer = candidate?.revision.answer;
-        pair.paint(answer && answer.kind !== "mask_text" ? answer.parts : [], glow);
-      },
-      paintParts: (parts, glow = 0) => pair.paint(parts, glow),
-    },
   };
 }

@@ -78,6 +78,11 @@ export function bits(joints: readonly number[]): JointBits {
   return joints.reduce((set, joint) => set | (1 << joint), 0);
 }
 
+/** The joints of a set. */
+export function jointList(set: JointBits): number[] {
+  return Array.from({ length: 32 }, (_, joint) => joint).filter((joint) => has(set, joint));
+}
+
 export function has(set: JointBits, joint: number): boolean {
   return ((set >>> joint) & 1) === 1;
 }

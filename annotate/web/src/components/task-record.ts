@@ -1,0 +1,231 @@
+/** The record of a task: state, answers side by side, decisions, skips and history, and what may be done with it. */
+
+import { html, nothing, type TemplateResult } from "lit";
+import { reason } from "../api";
+import type { App } from "../app";
+import { differing } from "../merge";
+import { jointList } from "../stage/body";
+import { storyOf } from "../story";
+import { percent, until, when } from "../ui";
+import type { Answer, AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
+import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, factsOf } from "../words";
+import { answerCards } from "./answer-cards";
+import { Component, define } from "./component";
+import type { ReviewStage } from "./review-panel";
+
+export interface RecordActions {
+  review(): Promise<void>;
+  reopen(): Promise<void>;
+  drop(): Promise<void>;
+  assign(): Promise<void>;
+  release(lease: number): Promise<void>;
+  gold(): Promise<void>;
+  practice(): Promise<void>;
+}
+
+const DECISIONS: Readonly<Record<string, string>> = {
+  accepted: "accepted",
+  merged: "merged and accepted",
+  returned: "sent back",
+  dropped: "dropped",
+  reopened: "took the decision back",
+};
+
+export class TaskRecord extends Component {
+  private selected = 0;
+  private busy = false;
+
+  constructor(
+    private readonly app: App,
+    private file: TaskFile,
+    private history: readonly AuditEntry[],
+    private readonly stage: ReviewStage,
+    /** The list that the reader came from, and the tasks beside this one in it. */
+    private readonly near: { list: string; previous: number | null; next: number | null },
+    private readonly actions: RecordActions,
+  ) {
+    super();
+    this.selected = Math.max(0, this.candidates.findIndex(({ revision }) => revision.state === "accepted"));
+  }
+
+  refresh(file: TaskFile, history: readonly AuditEntry[]): void {
+    this.file = file;
+    this.history = history;
+    this.selected = Math.min(this.selected, Math.max(0, this.candidates.length - 1));
+    this.requestUpdate();
+  }
+
+  override connectedCallback(): void {
+    super.connectedCallback();
+    this.classList.add("panel");
+    this.setAttribute("role", "complementary");
+    this.setAttribute("aria-label", "Record of the task");
+    this.dataset.region = "panel";
+  }
+
+  /** The answers, and the accepted one if it is none of them: a reviewer merged it, or it was imported. */
+  private get candidates(): Candidate[] {
+    const { answers, accepted, task, row } = this.file;
+    if (accepted === null || answers.some(({ revision }) => revision.state === "accepted")) return answers;
+    const at = this.file.decisions.at(-1)?.at ?? row.touched;
+    const revision = { task: task.id, author: 0, rev: 0, state: "accepted" as const, answer: accepted, at, secs: 0 };
+    const merged = this.file.decisions.some(({ decision }) => decision === "merged");
+    const name = merged ? "Merged by the reviewer" : "Imported answer";
+    return [{ revision, author_name: name, joints: this.jointsOf(accepted), draft_distance: null }, ...answers];
+  }
+
+  private jointsOf(answer: Answer): number[] {
+    const masks = answer.kind === "mask_text" ? answer.masks : [{ parts: answer.parts, soft: false }];
+    const all = masks.map((mask) => this.app.parts.joints(mask.parts, mask.soft));
+    return jointList(all.reduce((set, { hard, soft }) => set | hard | soft, 0));
+  }
+
+  private run(action: () => Promise<void>): void {
+    if (this.busy) return;
+    this.busy = true;
+    this.requestUpdate();
+    action()
+      .catch((error: unknown) => this.app.toasts.show(reason(error), { id: "record", kind: "error", ms: 15_000 }))
+      .finally(() => {
+        this.busy = false;
+        this.requestUpdate();
+      });
+  }
+
+  protected override updated(): void {
+    const { candidates } = this;
+    if (candidates.length > 0) this.stage.paint(candidates[this.selected], differing(candidates));
+  }
+
+  /** A link inside of the page. */
+  private link(path: string, label: string, className = ""): TemplateResult {
+    const go = (event: MouseEvent): void => {
+      if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+      event.preventDefault();
+      this.app.go(path);
+    };
+    return html`<a class=${className} href=${`/app/${path}`} @click=${go}>${label}</a>`;
+  }
+
+  protected override render(): TemplateResult {
+    const { task, row, decisions, suggestions } = this.file;
+    const { candidates } = this;
+    const { keys } = this.app;
+    const facts = [`key: ${row.key}`, `split: ${row.split}`, ...factsOf(task)];
+    const captions = task.motions.flatMap((motion) => motion.captions);
+    return html`
+      <div class="panel-scroll">
+        <nav class="tabs" aria-label="The list">
+          ${this.link(this.near.list, "Back to the list", "tab")}
+          ${this.near.previous === null ? nothing : this.link(`task/${this.near.previous}`, `Previous (${keys.hint("bundle_previous")})`, "tab")}
+          ${this.near.next === null ? nothing : this.link(`task/${this.near.next}`, `Next (${keys.hint("bundle_next")})`, "tab")}
+        </nav>
+        <h1>Task ${task.id}: ${KIND_NAMES[task.kind]}</h1>
+        <p class="rule">${this.standing()}</p>
+        ${this.holders()}
+        <ul class="facts">
+          ${facts.map((fact) => html`<li>${fact}</li>`)} ${captions.map((caption) => html`<li>caption: ${caption}</li>`)}
+        </ul>
+        <h2>Answers</h2>
+        ${candidates.length === 0
+          ? html`<p class="note">Nobody has handed in an answer.</p>`
+          : answerCards(this.app, candidates, this.selected, (index) => this.select(index), {
+              note: ({ revision }) => `${ANSWER_WORDS[revision.state]} · ${when(revision.at)}`,
+            })}
+        ${section("Decisions", decisions.map((decision) => html`<li>${decisionWords(decision)} <span class="note">${when(decision.at)}</span></li>`))}
+        ${section(
+          "Skipped by",
+          row.skips.map(
+            (skip) => html`<li>
+              ${skip.name}: ${skip.postponed ? "postponed" : skip.reason ? SKIP_WORDS[skip.reason] : "no reason"}${skip.note ? ` (${skip.note})` : ""}
+              <span class="note">${when(skip.at)}</span>
+            </li>`,
+          ),
+        )}
+        ${section(
+          "Suggestions that annotators were offered",
+          suggestions.map(
+            ({ parts, text, model }) => html`<li>${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""} <span class="note">${model || "the source"}</span></li>`,
+          ),
+        )}
+        <details class="history">
+          <summary>History: ${this.history.length} entries of the log</summary>
+          <ol>
+            ${storyOf(this.history).map(({ at, who, what }) => html`<li>${who}: ${what} <span class="note">${when(at)}</span></li>`)}
+          </ol>
+        </details>
+      </div>
+      <div class="panel-foot">${this.buttons()}</div>
+    `;
+  }
+
+  private select(index: number): void {
+    this.selected = index;
+    this.requestUpdate();
+  }
+
+  /** Where the task stands. */
+  private standing(): TemplateResult {
+    const { row } = this.file;
+    const basis = row.accepted_by ?? "";
+    const rule = basis.startsWith("rule:") ? basis.slice("rule:".length) : null;
+    const how =
+      rule !== null
+        ? html` by rule ${this.link(`tasks?rule=${encodeURIComponent(rule)}`, rule)}`
+        : basis === ""
+          ? nothing
+          : html` ${acceptedHow(basis)}`;
+    const wanted = `${row.submitted} of ${row.wanted} ${row.wanted === 1 ? "answer" : "answers"} handed in`;
+    const apart = row.distance === null ? "" : ` The answers are ${percent(row.distance)} apart; what differs glows.`;
+    return html`<strong data-state=${row.state}>${STATE_WORDS[row.state]}${how}</strong>; ${wanted}.${apart}`;
+  }
+
+  private holders(): TemplateResult | typeof nothing {
+    const { holders } = this.file.row;
+    if (holders.length === 0) return nothing;
+    return html`<ul class="holders">
+      ${holders.map(
+        (holder) => html`<li>
+          <span><strong>${holder.name}</strong> ${PURPOSE_WORDS[holder.purpose] ?? holder.purpose}, ends ${until(holder.until)}</span>
+          <button
+            type="button"
+            aria-label=${`Release the task of ${holder.name}`}
+            ?disabled=${this.busy}
+            @click=${() => this.run(() => this.actions.release(holder.lease))}
+          >
+            Release
+          </button>
+        </li>`,
+      )}
+    </ul>`;
+  }
+
+  private buttons(): TemplateResult[] {
+    const { task, row } = this.file;
+    const { actions, app } = this;
+    const one = (label: string, action: () => Promise<void>, className = ""): TemplateResult =>
+      html`<button type="button" class=${className} ?disabled=${this.busy} @click=${() => this.run(action)}>${label}</button>`;
+    const mine = row.holders.some((holder) => holder.user === app.me.user.id && holder.purpose === "review");
+    const found: TemplateResult[] = [];
+    if (task.state === "submitted" || mine) found.push(one(mine ? "Go on with the review" : "Review", actions.review, "primary"));
+    if (task.state === "open" || task.state === "leased" || task.state === "returned") found.push(one("Assign", actions.assign));
+    if (task.state === "accepted" || task.state === "dropped") found.push(one("Reopen", actions.reopen));
+    else found.push(one("Drop", actions.drop));
+    if (task.state === "accepted" && app.may("admin")) {
+      found.push(one("Make gold", actions.gold), one("Make practice", actions.practice));
+    }
+    return found;
+  }
+}
+
+function section(title: string, lines: readonly TemplateResult[]): TemplateResult | typeof nothing {
+  return lines.length === 0 ? nothing : html`<h2>${title}</h2><ul class="record-lines">${lines}</ul>`;
+}
+
+function decisionWords({ decision, reviewer_name, authors, rule, comment }: DecisionRow): string {
+  const who = rule === null ? reviewer_name : decision === "reopened" ? `${reviewer_name || "the program"}, of rule ${rule}` : `rule ${rule}`;
+  const whom = decision === "returned" && authors.length > 0 ? ` to ${authors.join(", ")}` : "";
+  return `${who}: ${DECISIONS[decision] ?? decision}${whom}${comment === "" ? "" : `, “${comment}”`}`;
+}
+
+define("task-record", TaskRecord);

@@ -1,0 +1,82 @@
+/** Long lists: rows that are fetched page by page, and the part of them that is drawn. */
+
+/** Rows drawn above and below the visible ones. */
+const MARGIN = 8;
+
+/** The rows to draw, from `first` up to and without `end`. */
+export function windowOf(scrollTop: number, height: number, rowHeight: number, total: number): { first: number; end: number } {
+  const end = Math.min(total, Math.max(0, Math.ceil((scrollTop + height) / rowHeight) + MARGIN));
+  const first = Math.min(end, Math.max(0, Math.floor(scrollTop / rowHeight) - MARGIN));
+  return { first, end };
+}
+
+/** The scroll position that shows a row whole, as near as possible to the present one. */
+export function reveal(row: number, scrollTop: number, height: number, rowHeight: number): number {
+  const top = row * rowHeight;
+  return Math.min(top, Math.max(scrollTop, top + rowHeight - height));
+}
+
+export interface Page<T> {
+  rows: T[];
+  /** Where the next page begins; `null` after the last one. */
+  next: string | null;
+  /** Number of all rows; given with the first page. */
+  total: number | null;
+}
+
+/** Rows of a list, fetched in order: each page begins where the one before ended. */
+export class PagedRows<T extends { id: number }> {
+  readonly rows: T[] = [];
+  /** Number of all rows, as far as it is known. */
+  total = 0;
+  /** Why the last request failed. */
+  trouble: unknown = null;
+  private readonly seen = new Set<number>();
+  private next: string | null = null;
+  private begun = false;
+  private wanted = 1;
+  private loading: Promise<void> | null = null;
+
+  constructor(
+    private readonly fetch: (after: string | null) => Promise<Page<T>>,
+    /** Called after every page, and after a failure. */
+    private readonly changed: () => void,
+  ) {}
+
+  get isComplete(): boolean {
+    return this.begun && this.next === null;
+  }
+
+  /** Fetches pages until there are `end` rows. A later call that wants fewer makes it stop earlier. */
+  want(end: number): Promise<void> {
+    this.wanted = Math.max(1, end);
+    this.loading ??= this.load().finally(() => {
+      this.loading = null;
+    });
+    return this.loading;
+  }
+
+  /** Goes on after a failure. */
+  again(): Promise<void> {
+    this.trouble = null;
+    return this.want(this.wanted);
+  }
+
+  private async load(): Promise<void> {
+    while (!this.isComplete && this.rows.length < this.wanted && this.trouble === null) {
+      try {
+        const page = await this.fetch(this.next);
+        // A task that changed meanwhile may have moved to a later page.
+        const fresh = page.rows.filter((row) => !this.seen.has(row.id));
+        for (const row of fresh) this.seen.add(row.id);
+        this.rows.push(...fresh);
+        this.begun = true;
+        this.next = page.next;
+        this.total = this.next === null ? this.rows.length : Math.max(page.total ?? this.total, this.rows.length + 1);
+      } catch (error) {
+        this.trouble = error;
+      }
+      this.changed();
+    }
+  }
+}

@@ -1,0 +1,181 @@
+/** One action on all tasks of a filter: what it would change, then the action, then what it did. */
+
+import { reason } from "../api";
+import type { App } from "../app";
+import { h, type Child } from "../dom";
+import type { Chosen } from "../filter";
+import { ask, field, inSteps, select } from "../ui";
+import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
+import { KIND_WORDS, STATE_WORDS } from "../words";
+
+const LABELS: Readonly<Record<BulkAction, string>> = {
+  accept: "Accept",
+  return: "Send back",
+  drop: "Drop",
+  reopen: "Reopen",
+  assign: "Assign to a person",
+};
+
+const DONE: Readonly<Record<BulkAction, string>> = {
+  accept: "accepted",
+  return: "sent back",
+  drop: "dropped",
+  reopen: "reopened",
+  assign: "assigned",
+};
+
+/** What happens to each task that is changed. */
+const MEANS: Readonly<Record<BulkAction, string>> = {
+  accept: "The answer that was handed in first is accepted, and exports have it from then on.",
+  return: "All their answers go back to their authors, with your comment.",
+  drop: "Nobody gets them any more, and exports leave them out. Reopening takes this back.",
+  reopen: "What was decided is taken back: they wait for review again, or for answers. Exports leave them out until then.",
+  assign: "They are reserved for this person, as long as a task that was sent back is for its author.",
+};
+
+/** Why tasks are left alone. */
+const LEFT_ALONE: Readonly<Record<string, string>> = {
+  wrong_state: "their state does not allow it",
+  own_work: "you answered them yourself; somebody else decides about them",
+  held: "somebody holds them",
+  answers_differ: "their answers differ; review them one by one",
+  answered: "this person has answered them",
+  task_full: "they have as many people as they want",
+};
+
+export function leftAlone(counts: BulkDone["left_alone"]): string[] {
+  return Object.entries(counts).map(([why, count]) => `${count ?? 0}: ${LEFT_ALONE[why] ?? why}`);
+}
+
+const NEEDS_COMMENT: ReadonlySet<BulkAction> = new Set<BulkAction>(["return", "drop", "reopen"]);
+
+/** The people a task can be given to, for a list of choices. */
+export function personSelect(people: readonly Person[]): HTMLSelectElement {
+  const active = people.filter(({ user }) => user.active);
+  return select([["", "choose a person"] as readonly [string, string], ...active.map(({ user }) => [String(user.id), user.name] as const)]);
+}
+
+/** The filter in words. */
+function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): string {
+  const shown: Partial<Record<keyof TaskFilter, string | null>> = {
+    kind: filter.kind && KIND_WORDS[filter.kind],
+    state: filter.state && STATE_WORDS[filter.state],
+    person: people.find(({ user }) => user.id === filter.person)?.user.name ?? null,
+    part: filter.part && app.parts.phrase(filter.part),
+    q: filter.q && `“${filter.q}”`,
+  };
+  const set = (Object.keys(filter) as (keyof TaskFilter)[]).filter((name) => filter[name] !== null);
+  const said = set.map((name) => `${name === "q" ? "words" : name.replaceAll("_", " ")}: ${shown[name] ?? String(filter[name])}`);
+  return said.length === 0 ? "This concerns all tasks: there is no filter." : `This concerns the tasks of the filter: ${said.join("; ")}.`;
+}
+
+const plural = (count: number): string => `${count} ${count === 1 ? "task" : "tasks"}`;
+
+/** Asks what to do with all tasks of a filter, and does it. Returns whether anything was tried. */
+export async function actOnAll(app: App, { filter }: Chosen, people: readonly Person[]): Promise<boolean> {
+  const request = await askRequest(app, filter, people);
+  if (!request) return false;
+  let preview: BulkDone;
+  try {
+    preview = await app.api.post<BulkDone>("bulk/preview", request);
+  } catch (error) {
+    app.toasts.show(`Not counted: ${reason(error)}`, { kind: "error", ms: 15_000 });
+    return false;
+  }
+  if (!(await confirm(request, preview, people))) return false;
+  const all: BulkDone = { looked_at: 0, done: 0, left_alone: {}, next: null };
+  let ending = "";
+  try {
+    const stopped = await inSteps(`${LABELS[request.action]}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
+      const some = await app.api.post<BulkDone>("bulk", { ...request, after: all.next });
+      all.looked_at += some.looked_at;
+      all.done += some.done;
+      for (const [why, count] of Object.entries(some.left_alone)) all.left_alone[why] = (all.left_alone[why] ?? 0) + (count ?? 0);
+      all.next = some.next;
+      show(all.looked_at);
+      return all.next !== null;
+    });
+    if (stopped && all.next !== null) ending = "You stopped it; the rest of the tasks is as it was.";
+  } catch (error) {
+    ending = `It ended early: ${reason(error)} What was done stays done; to go on, act again on the same filter.`;
+  }
+  const rest = leftAlone(all.left_alone);
+  await ask(
+    `${plural(all.done)} ${DONE[request.action]}`,
+    [
+      ending !== "" && h("p", { class: "trouble" }, ending),
+      rest.length > 0 && h("p", {}, "Left alone:"),
+      rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
+      rest.length === 0 && ending === "" && h("p", {}, "None was left alone."),
+    ],
+    [{ label: "Close", value: true, kind: "primary" }],
+  );
+  return true;
+}
+
+/** Asks for the action with its comment or person; `null` if the user cancels. */
+async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
+  const action = select(BULK_ACTIONS.map((own) => [own, LABELS[own]] as const));
+  const comment = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
+  const person = personSelect(people);
+  const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
+  const means = h("p", { class: "note", attrs: { "aria-live": "polite" } });
+  const show = (): void => {
+    const chosen = action.value as BulkAction;
+    fields.comment.hidden = chosen === "assign";
+    fields.person.hidden = chosen !== "assign";
+    means.textContent = MEANS[chosen];
+  };
+  action.addEventListener("change", show);
+  show();
+  for (let missing = ""; ; ) {
+    const body: Child[] = [
+      h("p", {}, wordsOf(app, filter, people)),
+      missing !== "" && h("p", { class: "trouble", attrs: { role: "alert" } }, missing),
+      field("Action", action),
+      means,
+      fields.comment,
+      fields.person,
+    ];
+    const go = await ask("Act on all tasks of this filter", body, [{ label: "Count first", value: true, kind: "primary" }], action);
+    if (go === null) return null;
+    const chosen = action.value as BulkAction;
+    if (NEEDS_COMMENT.has(chosen) && comment.value.trim() === "") missing = "Write a comment: the authors and the log need it.";
+    else if (chosen === "assign" && person.value === "") missing = "Choose a person.";
+    else {
+      return {
+        filter,
+        action: chosen,
+        comment: chosen === "assign" ? "" : comment.value.trim(),
+        person: chosen === "assign" ? Number(person.value) : null,
+        after: null,
+      };
+    }
+  }
+}
+
+/** Says what would change; false if the user cancels or nothing would. */
+async function confirm(request: BulkRequest, preview: BulkDone, people: readonly Person[]): Promise<boolean> {
+  const { action } = request;
+  const to = people.find(({ user }) => user.id === request.person)?.user.name;
+  const rest = leftAlone(preview.left_alone);
+  const body: Child[] = [
+    h(
+      "p",
+      {},
+      preview.done === 0
+        ? `None of ${plural(preview.looked_at)} would be ${DONE[action]}.`
+        : `${plural(preview.done)} of ${preview.looked_at} will be ${DONE[action]}${to ? ` to ${to}` : ""}. ${MEANS[action]}`,
+    ),
+    request.comment !== "" && preview.done > 0 && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
+    rest.length > 0 && h("p", {}, "Left alone:"),
+    rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
+  ];
+  if (preview.done === 0) {
+    await ask("Nothing to do", body, [{ label: "Close", value: true, kind: "primary" }]);
+    return false;
+  }
+  const kind = action === "drop" || action === "reopen" ? ("danger" as const) : ("primary" as const);
+  const label = `${action === "assign" ? "Assign" : LABELS[action]} ${plural(preview.done)}`;
+  return (await ask(`${label}?`, body, [{ label, value: true, kind }])) === true;
+}

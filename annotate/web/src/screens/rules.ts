@@ -1,0 +1,271 @@
+/** Rules that accept answers without a reviewer: what each did and would do; admins change, apply and undo them. */
+
+import { ApiError } from "../api";
+import type { App, Screen } from "../app";
+import { fill, h, type Child } from "../dom";
+import { ask, button, field, inSteps, percent, select, table } from "../ui";
+import {
+  RULE_KINDS,
+  TASK_KINDS,
+  type Person,
+  type Rule,
+  type RuleKind,
+  type RuleState,
+  type RuleUndone,
+  type RulesApplied,
+  type Settings,
+  type TaskPage,
+} from "../wire";
+import { KIND_WORDS, RULE_WORDS } from "../words";
+import { taskTabs } from "./tasks";
+
+const NEW_RULE: Rule = {
+  name: "",
+  enabled: false,
+  accepts: "rejects",
+  kinds: [],
+  people: [],
+  min_answers: 2,
+  max_distance: 0,
+  review_percent: 20,
+};
+
+const plural = (count: number, word: string): string => `${count} ${word}${count === 1 ? "" : "s"}`;
+
+export async function openRules(app: App): Promise<Screen> {
+  const box = h("div", { class: "dashboard rules" });
+  const isAdmin = app.may("admin");
+  let people: readonly Person[] = [];
+
+  const load = async (): Promise<void> => {
+    const [rules, everybody] = await Promise.all([app.api.get<RuleState[]>("rules"), app.api.get<Person[]>("stats/people")]);
+    people = everybody;
+    fill(
+      box,
+      h(
+        "section",
+        { class: "card wide" },
+        h(
+          "p",
+          {},
+          "A rule looks at tasks that have all their answers, as the answers arrive. Rules are tried in this order, and the first that fits decides: " +
+            "it accepts the task, or leaves it to reviewers. A task that a reviewer sent back or reopened is never accepted by a rule.",
+        ),
+        rules.length === 0 ? h("p", { class: "note" }, "There are no rules: reviewers accept every answer.") : rulesTable(rules),
+        isAdmin &&
+          h(
+            "div",
+            { class: "row" },
+            button("Add a rule", () => edit(null), app, "primary"),
+            rules.some(({ rule, known }) => known && rule.enabled) && button("Apply to what waits…", () => apply(rules), app),
+          ),
+        isAdmin && h("p", { class: "note" }, "A new rule is off at first, so that its figures can be looked at before it accepts anything."),
+      ),
+    );
+  };
+
+  /** Changes the rules of the settings as they are now. */
+  const save = async (change: (rules: readonly Rule[]) => Rule[]): Promise<void> => {
+    const settings = await app.api.get<Settings>("settings");
+    await app.api.json<Settings>("PUT", "settings", { ...settings, rules: change(settings.rules) });
+    await load();
+  };
+  const replace = (rule: Rule): Promise<void> => save((rules) => rules.map((own) => (own.name === rule.name ? rule : own)));
+
+  const rulesTable = (rules: readonly RuleState[]): HTMLElement =>
+    table(
+      "Rules of acceptance",
+      ["Rule", "Accepts", "Only", "Left to reviewers", "Is", "Accepted", "Would accept now", "Would leave to reviewers now", ...(isAdmin ? [""] : [])],
+      rules.map(({ rule, known, accepted, would_accept, left_to_review }, index) => [
+        h("code", { data: { rule: rule.name } }, rule.name),
+        known ? acceptsOf(rule) : "",
+        known ? onlyOf(rule) : "",
+        known ? `${rule.review_percent} %` : "",
+        known ? (rule.enabled ? "on" : "off") : "removed",
+        accepted === 0 ? 0 : app.link(`tasks?rule=${encodeURIComponent(rule.name)}`, String(accepted)),
+        known ? would_accept : "",
+        known ? left_to_review : "",
+        ...(isAdmin
+          ? [
+              h(
+                "span",
+                { class: "row" },
+                known && named(button(rule.enabled ? "Turn off" : "Turn on", () => replace({ ...rule, enabled: !rule.enabled }), app), rule),
+                known && named(button("Edit", () => edit(rule), app), rule),
+                known && index > 0 && named(button("Earlier", () => save((all) => earlier(all, rule.name)), app), rule),
+                accepted > 0 && named(button("Undo…", () => undo(rule.name, accepted), app), rule),
+                known && named(button("Remove", () => remove(rule.name, accepted), app), rule),
+              ),
+            ]
+          : []),
+      ]),
+    );
+  /** Says in the name of a button which rule it is for. */
+  const named = (own: HTMLButtonElement, rule: Rule): HTMLButtonElement => {
+    own.setAttribute("aria-label", `${own.textContent}: ${rule.name}`);
+    return own;
+  };
+  const acceptsOf = (rule: Rule): string => {
+    const names = rule.people.map((id) => people.find(({ user }) => user.id === id)?.user.name ?? `user ${id}`);
+    return names.length > 0 ? `${RULE_WORDS[rule.accepts]}: ${names.join(", ")}` : RULE_WORDS[rule.accepts];
+  };
+
+  /** Asks for a rule until the server takes it. */
+  const edit = async (old: Rule | null): Promise<void> => {
+    const form = ruleForm(old ?? NEW_RULE, old === null, people);
+    for (let trouble = ""; ; ) {
+      const go = await ask(
+        old ? `Rule ${old.name}` : "A new rule",
+        [trouble !== "" && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble), ...form.body],
+        [{ label: old ? "Save" : "Add, off at first", value: true, kind: "primary" }],
+        form.first,
+      );
+      if (go === null) return;
+      const rule = form.rule();
+      try {
+        await (old ? replace(rule) : save((rules) => [...rules, rule]));
+        return;
+      } catch (error) {
+        if (!(error instanceof ApiError) || error.code !== "invalid") throw error;
+        trouble = error.problem.detail;
+      }
+    }
+  };
+  const remove = async (name: string, accepted: number): Promise<void> => {
+    const stand = accepted === 0 ? "It has accepted nothing." : `The ${plural(accepted, "task")} that it accepted stay accepted; they can still be undone here.`;
+    const choice = await ask(`Remove rule ${name}?`, [h("p", {}, stand)], [{ label: "Remove", value: true, kind: "danger" }]);
+    if (choice !== null) await save((rules) => rules.filter((rule) => rule.name !== name));
+  };
+  const apply = async (rules: readonly RuleState[]): Promise<void> => {
+    const page = await app.api.get<TaskPage>("tasks?state=submitted&limit=1");
+    const waiting = page.total ?? 0;
+    const lines = rules
+      .filter(({ rule, known }) => known && rule.enabled)
+      .map(({ rule, would_accept }) => h("li", {}, `${rule.name}: would accept ${would_accept} by itself`));
+    const choice = await ask(
+      `Apply the rules to ${plural(waiting, "task")} that ${waiting === 1 ? "waits" : "wait"} for review?`,
+      [h("p", {}, "Each task is accepted at most once, by the first rule that fits it."), h("ul", {}, ...lines)],
+      [{ label: "Apply", value: true, kind: "primary" }],
+    );
+    if (choice === null) return;
+    const all: Record<string, number> = {};
+    let after: number | null = null;
+    let looked = 0;
+    const stopped = await inSteps("Applying the rules", waiting, async (show) => {
+      const some: RulesApplied = await app.api.post<RulesApplied>("rules/apply", { after });
+      for (const [name, count] of Object.entries(some.accepted)) all[name] = (all[name] ?? 0) + (count ?? 0);
+      looked += some.looked_at;
+      after = some.next;
+      show(looked);
+      return after !== null;
+    }).finally(load);
+    const done = Object.entries(all).map(([name, count]) => h("li", {}, `${name}: accepted ${plural(count, "task")}`));
+    await ask(
+      `${plural(Object.values(all).reduce((a, b) => a + b, 0), "task")} accepted`,
+      [
+        stopped && h("p", {}, "You stopped it; the other tasks wait as before."),
+        h("p", {}, `${plural(looked, "task")} looked at.`),
+        h("ul", {}, ...done),
+      ],
+      [{ label: "Close", value: true, kind: "primary" }],
+    );
+  };
+  const undo = async (name: string, accepted: number): Promise<void> => {
+    const choice = await ask(
+      `Undo rule ${name}?`,
+      [h("p", {}, `The rule is turned off, and its ${plural(accepted, "acceptance")} ${accepted === 1 ? "is" : "are"} taken back: these tasks wait for review again, and exports leave them out until then.`)],
+      [{ label: `Take back ${plural(accepted, "acceptance")}`, value: true, kind: "danger" }],
+    );
+    if (choice === null) return;
+    let taken = 0;
+    const stopped = await inSteps(`Undoing rule ${name}`, accepted, async (show) => {
+      const some = await app.api.post<RuleUndone>(`rules/${encodeURIComponent(name)}/undo`);
+      taken += some.reopened;
+      show(taken);
+      return some.left > 0;
+    }).finally(load);
+    app.toasts.show(`${plural(taken, "acceptance")} of rule ${name} taken back${stopped ? "; you stopped it before the end" : ""}.`, { id: "rules" });
+  };
+
+  await load();
+  const heading = h("h1", { attrs: { tabindex: -1 } }, "Rules");
+  const element = h("div", { class: "page wide" }, taskTabs(app, "rules"), heading, box);
+  return { element, title: "Rules", scopes: [], perform: () => false, focusTarget: heading };
+}
+
+/** The rules with one of them a place earlier. */
+function earlier(rules: readonly Rule[], name: string): Rule[] {
+  const at = rules.findIndex((rule) => rule.name === name);
+  const all = [...rules];
+  const [own] = at > 0 ? all.splice(at, 1) : [];
+  if (own) all.splice(at - 1, 0, own);
+  return all;
+}
+
+/** Limits of a rule in words. */
+function onlyOf(rule: Rule): string {
+  const kinds = rule.kinds.length === 0 ? "all kinds" : rule.kinds.map((kind) => KIND_WORDS[kind].toLowerCase()).join(", ");
+  const apart = rule.max_distance === 0 ? "equal" : `at most ${percent(rule.max_distance)} apart`;
+  return `${kinds}; ${rule.min_answers === 1 ? "one answer or more" : `${rule.min_answers} answers or more`}, ${apart}`;
+}
+
+/** Fields of a rule. A name is not changed: what the rule accepted is known by it. */
+function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body: Child[]; first: HTMLElement; rule(): Rule } {
+  const name = h("input", { attrs: { type: "text", maxlength: 40, readonly: !isNew } });
+  name.value = old.name;
+  const accepts = select(RULE_KINDS.map((kind) => [kind, RULE_WORDS[kind]] as const), old.accepts);
+  const number = (value: number, most: number, least = 0): HTMLInputElement => {
+    const own = h("input", { attrs: { type: "number", min: least, max: most } });
+    own.value = String(value);
+    return own;
+  };
+  const answers = number(old.min_answers, 50, 1);
+  const apart = number(Math.round(old.max_distance * 100), 100);
+  const share = number(old.review_percent, 100);
+  const boxes = <T>(values: readonly (readonly [T, string])[], chosen: readonly T[]): { row: HTMLElement; chosen(): T[] } => {
+    const all = values.map(([value, label]) => {
+      const input = h("input", { attrs: { type: "checkbox" } });
+      input.checked = chosen.includes(value);
+      return { value, input, label: h("label", { class: "inline" }, input, label) };
+    });
+    return {
+      row: h("div", { class: "row" }, ...all.map(({ label }) => label)),
+      chosen: () => all.filter(({ input }) => input.checked).map(({ value }) => value),
+    };
+  };
+  const kinds = boxes(TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const), old.kinds);
+  const trusted = boxes(people.map(({ user }) => [user.id, user.name] as const), old.people);
+  const group = (label: string, own: HTMLElement): HTMLElement => h("fieldset", {}, h("legend", {}, label), own);
+  const trustedBox = group("Trusted people", trusted.row);
+  const show = (): void => {
+    trustedBox.hidden = accepts.value !== "trusted";
+  };
+  accepts.addEventListener("change", show);
+  show();
+  return {
+    first: isNew ? name : accepts,
+    body: [
+      field("Name: letters, digits and dashes", name),
+      field("Accepts", accepts),
+      trustedBox,
+      group("Kinds (none chosen: all)", kinds.row),
+      h(
+        "div",
+        { class: "numbers" },
+        field("Fewest answers of a task", answers),
+        field("Answers apart by at most, %", apart),
+        field("Left to reviewers, % of those that fit", share),
+      ),
+    ],
+    rule: () => ({
+      ...old,
+      name: name.value.trim(),
+      accepts: accepts.value as RuleKind,
+      kinds: kinds.chosen(),
+      people: accepts.value === "trusted" ? trusted.chosen() : [],
+      min_answers: Number(answers.value),
+      max_distance: Number(apart.value) / 100,
+      review_percent: Number(share.value),
+    }),
+  };
+}
