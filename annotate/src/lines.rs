@@ -190,6 +190,7 @@ fn judge(
         text: text.to_owned(),
         text_origin: "human".to_owned(),
         author: author.to_owned(),
+        accepted_by: None,
     };
     if draft.is_none() && drafts.contains_key(row.id.as_str()) {
         return Err(format!(
@@ -216,6 +217,7 @@ mod tests {
             text: "The person is waving with their left arm.".to_owned(),
             text_origin: "automatic".to_owned(),
             author: "stance-activity-1".to_owned(),
+            accepted_by: None,
         }
     }
 

@@ -100,6 +100,8 @@ table! {
         pub text_origin: String [""],
         /// Who or what made the mask
         pub author: String [""],
+        /// How an answer was accepted: review, own (by its author), rule:NAME, or import; missing where nobody answered
+        pub accepted_by: Option<String> ["", newer],
     }
 }
 
@@ -127,6 +129,8 @@ table! {
         pub instruction: String [""],
         /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other, if somebody said so
         pub edit_type: Option<String> ["", newer],
+        /// How an answer was accepted: review, own (by its author), rule:NAME, or import; missing where nobody answered
+        pub accepted_by: Option<String> ["", newer],
     }
 }
 

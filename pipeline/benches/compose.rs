@@ -70,6 +70,7 @@ fn library() -> Arc<Library> {
             parts: Vec::new(),
             instruction: String::new(),
             edit_type: None,
+            accepted_by: None,
         })
         .collect();
     let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);

@@ -217,6 +217,10 @@ pub struct EditOf {
     pub parts: Vec<BodyPart>,
     /// Instruction of the edit; empty if the source has none.
     pub instruction: String,
+    /// What the edit changes, for pairs of a dataset of this program.
+    pub edit_type: Option<String>,
+    /// How an annotator's answer was accepted, for pairs of a dataset of this program.
+    pub accepted_by: Option<String>,
 }
 
 /// A body-part mask that a source comes with.
@@ -239,6 +243,8 @@ pub struct MadeMask {
     pub text_origin: String,
     /// Who or what made it.
     pub author: String,
+    /// How an annotator's answer was accepted.
+    pub accepted_by: Option<String>,
 }
 
 /// Outcome of a source item.

@@ -848,7 +848,7 @@ fn import(
                 transfer::from_annotations(store, &motions, &annotations, None, now())?
             } else if file.is_dir() {
                 let mut both = serde_json::Map::new();
-                for name in ["mask_all", "part_annotations"] {
+                for name in ["mask_all", "part_annotations", "accepted_by", "pairs"] {
                     let path = [file.to_owned(), file.join("regen")]
                         .into_iter()
                         .map(|folder| folder.join(format!("{name}.json")))

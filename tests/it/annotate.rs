@@ -9,10 +9,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use annotate::store::{Claimed, NewTask, ReviewClaimed, open_sqlite};
+use annotate::transfer::AnnotationRow;
 use annotate::wire::{
     Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, ReviewQueue, Role, Settings,
     TaskKind, TaskView, User, Verdict,
 };
+use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::table::read_rows;
 use datasets_spec::{Dataset, Seed};
 use rand::RngExt;
 use serde::Deserialize;
@@ -84,7 +87,7 @@ impl Drop for Process {
 }
 
 /// A task on a motion, to be taken first.
-fn bare_task(key: String, motion: &str) -> NewTask {
+pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
     NewTask {
         key,
         kind: TaskKind::MaskText,
@@ -199,15 +202,20 @@ fn events(view: &TaskView, key: &str, answer: &Answer) -> Value {
     }] })
 }
 
-fn wants_one_answer(dataset: &Path) {
-    let store = open_sqlite(&dataset.join("annotate").join("store.sqlite")).expect("a store");
-    let settings = Settings {
+/// One answer for each task and no draws; a reviewer may accept answers of their own.
+fn settings() -> Settings {
+    Settings {
         blind_percent: 0,
         gold_percent: 0,
         overlap_percent: 0,
+        solo: true,
         ..Settings::default()
-    };
-    store.put_settings(1, settings, 0).expect("settings");
+    }
+}
+
+fn wants_one_answer(dataset: &Path) {
+    let store = open_sqlite(&dataset.join("annotate").join("store.sqlite")).expect("a store");
+    store.put_settings(1, settings(), 0).expect("settings");
 }
 
 #[test]
@@ -311,7 +319,8 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     .expect_code(0);
 }
 
-/// Answers some tasks of a store and accepts the answers, without a server.
+/// Answers some tasks of a store and accepts the answers, without a server. The reviewer accepts an answer of her own
+/// of each kind.
 fn answer_and_accept(file: &Path) {
     let store = open_sqlite(file).expect("a store");
     let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
@@ -321,7 +330,9 @@ fn answer_and_accept(file: &Path) {
         (TaskKind::Pair, pair(), 4),
     ] {
         for number in 0..count {
-            let Claimed::Task { detail, .. } = store.claim(ann, kind, 0, 0).expect("claims") else {
+            let author = if number == 0 { eve } else { ann };
+            let claimed = store.claim(author, kind, 0, 0).expect("claims");
+            let Claimed::Task { detail, .. } = claimed else {
                 panic!("a task of kind {kind}")
             };
             let epoch = detail.lease.map_or(0, |lease| lease.epoch);
@@ -329,7 +340,7 @@ fn answer_and_accept(file: &Path) {
                 "lease_epoch": epoch, "answer": answer });
             let submit = serde_json::from_value(submit).expect("an event");
             let done = store
-                .append(ann, detail.task.id, vec![submit], 0)
+                .append(author, detail.task.id, vec![submit], 0)
                 .expect("takes events");
             assert_eq!(done[0].status, 200, "{number}: {:?}", done[0].problem);
             let next = store
@@ -339,7 +350,7 @@ fn answer_and_accept(file: &Path) {
                 panic!("a task to review")
             };
             let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,
-                "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann });
+                "lease_epoch": review.lease.epoch, "decision": "accept", "author": author });
             let accept = serde_json::from_value(accept).expect("a review");
             store.review(eve, accept, 0).expect("accepts");
         }
@@ -357,17 +368,9 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
             .expect_code(0)
             .json()
     };
-    let settings = Settings {
-        overlap_percent: 0,
-        gold_percent: 0,
-        blind_percent: 0,
-        ..Settings::default()
-    };
     for name in ["first.sqlite", "second.sqlite", "third.sqlite"] {
         let store = open_sqlite(&file(name)).expect("a store");
-        store
-            .put_settings(1, settings.clone(), 0)
-            .expect("settings");
+        store.put_settings(1, settings(), 0).expect("settings");
     }
     let tasks = run("first.sqlite", &["import"])["counts"]["new_tasks"].clone();
     answer_and_accept(&file("first.sqlite"));
@@ -377,7 +380,8 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
             &["export", "--format", format, "--to", arg(&file(to))],
         )
     };
-    export("first.sqlite", "parquet", "parquet1");
+    let done = export("first.sqlite", "parquet", "parquet1");
+    assert_eq!(done["counts"]["accepted_by own"], 2, "{done}");
     export("first.sqlite", "stance", "stance1");
     // A server creates the tasks of a dataset at its first start; the files come later.
     assert_eq!(
@@ -395,21 +399,55 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
         tasks
     );
     let filled = run("third.sqlite", &["import", arg(&file("stance1"))]);
-    assert_eq!(filled["counts"]["filled_tasks"], 4, "{filled}");
-    export("third.sqlite", "stance", "stance3");
+    assert_eq!(filled["counts"]["filled_tasks"], 8, "{filled}");
+    let done = export("third.sqlite", "stance", "stance3");
+    assert_eq!(done["counts"]["accepted_by import:own"], 2, "{done}");
+    let release = ["stance1", "stance2", "stance3"];
     for (name, folders) in [
         ("annotations.parquet", &["parquet1", "parquet2"][..]),
-        ("pairs.json", &["stance1", "stance2"]),
-        ("mask_all.json", &["stance1", "stance2", "stance3"]),
-        ("part_annotations.json", &["stance1", "stance2", "stance3"]),
+        ("pairs.json", &release),
+        ("mask_all.json", &release),
+        ("part_annotations.json", &release),
+        ("accepted_by.json", &release),
     ] {
         let read = |folder: &str| std::fs::read(file(folder).join(name)).expect("a file");
         for folder in &folders[1..] {
             assert!(read(folder) == read(folders[0]), "{folder}/{name} differs");
         }
     }
+    // Every layout marks what somebody accepted of their own.
+    let rows: Vec<AnnotationRow> =
+        read_rows(&file("parquet1").join("annotations.parquet")).expect("rows");
+    let marked = |marks: Vec<Option<String>>| {
+        let of = |basis: &str| {
+            let same = marks.iter().filter(|mark| mark.as_deref() == Some(basis));
+            same.count()
+        };
+        [of("own"), of("review")]
+    };
+    let said = rows.into_iter().map(|row| row.accepted_by);
+    assert_eq!(marked(said.collect()), [3, 9], "masks have two rows each");
+    let json = |name: &str| -> Value {
+        let bytes = std::fs::read(file("stance3").join(name)).expect("a file");
+        serde_json::from_slice(&bytes).expect("JSON")
+    };
+    let text = |value: &Value| value.as_str().map(str::to_owned);
+    let masks = json("accepted_by.json");
+    let said = masks.as_object().expect("an object").values().map(text);
+    assert_eq!(marked(said.collect()), [1, 3]);
+    let pairs = json("pairs.json");
+    let said = pairs.as_array().expect("a list").iter();
+    let said = said.map(|pair| text(&pair["accepted_by"]));
+    assert_eq!(marked(said.collect()), [1, 3]);
     // By way of the dataset itself, a store that takes it writes the same tables.
     run("first.sqlite", &["export"]);
+    let folder = Dataset::open(&dataset).expect("a dataset");
+    let masks: Vec<MaskRow> = folder.read(None).expect("masks");
+    let said = masks.into_iter().map(|row| row.accepted_by);
+    assert_eq!(marked(said.collect()), [2, 6]);
+    let pairs: Vec<PairRow> = folder.read(None).expect("pairs");
+    let said = pairs.into_iter().map(|row| row.accepted_by);
+    assert_eq!(marked(said.collect()), [1, 3]);
     let tables = |name: &str| -> Value {
         let folder = Dataset::open(&dataset).expect("a dataset");
         let files = &folder.manifest().tables[name];
@@ -430,6 +468,44 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     ] {
         assert_eq!(run(store, &["check"])["findings"], json!([]));
     }
+}
+
+#[test]
+fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answers() {
+    let (dir, dataset) = dataset(24);
+    let run = |words: &[&str]| -> Value {
+        let options = ["--json", "annotate", arg(&dataset)];
+        stance(&[&options[..], words].concat())
+            .expect_code(0)
+            .json()
+    };
+    run(&["import"]);
+    let file = dataset.join("annotate").join("store.sqlite");
+    let store = open_sqlite(&file).expect("a store");
+    store.put_settings(1, settings(), 0).expect("settings");
+    drop(store);
+    answer_and_accept(&file);
+    let listed = |words: &[&str]| run(words).as_array().expect("a list").len();
+    assert_eq!(listed(&["changed"]), 0);
+    // Every clip has the same id and other frames.
+    let source = dir.path().join("corpus");
+    let args = ["ingest", arg(&source), "--out", arg(&dataset)];
+    let anew = ["--fps", "30", "--new-version", "--drop-labels"];
+    stance(&[&args[..], &anew].concat()).expect_code(0);
+    drop(Process::start(&dataset, "127.0.0.1:0"));
+    assert_eq!(listed(&["changed"]), 8);
+    let folder = dir.path().join("files");
+    let exported = run(&["export", "--format", "csv", "--to", arg(&folder)]);
+    let counts = &exported["counts"];
+    assert_eq!(counts["accepted_before_clip_changed"], 8, "{exported}");
+    assert_eq!(listed(&["changed", "--keep"]), 8);
+    assert_eq!(listed(&["changed"]), 0);
+    run(&["export"]);
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+    let count = ["--count", "8", "--json"];
+    let stats = ["triplets", "stats", arg(&dataset)];
+    stance(&[&stats[..], &count].concat()).expect_code(0);
+    assert_eq!(run(&["check"])["findings"], json!([]));
 }
 
 #[test]
@@ -916,13 +992,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     let options = [&["annotate", arg(&dataset)], &place[..]].concat();
     stance(&[&options[..], &["import"]].concat()).expect_code(0);
     let store = annotate::store::open_postgres(&url, "annotate").expect("a store");
-    let settings = Settings {
-        blind_percent: 0,
-        gold_percent: 0,
-        overlap_percent: 0,
-        ..Settings::default()
-    };
-    store.put_settings(1, settings, 0).expect("settings");
+    store.put_settings(1, settings(), 0).expect("settings");
     let hash = store.all_motions().expect("motions")[0].hash.clone();
     let run = std::process::id();
     let bare = (0..tasks).map(|number| bare_task(format!("two{run}_{number:06}"), &hash));

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
+use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
@@ -340,6 +341,19 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     };
     std::fs::write(&list, line(train[1]) + &line(train[2])).expect("written");
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
+    // As the annotation tool exports them.
+    let stored = Dataset::open(&dataset).expect("a dataset");
+    let own = Some("own".to_owned());
+    let mut masks: Vec<MaskRow> = stored.read(None).expect("rows");
+    masks[0].accepted_by.clone_from(&own);
+    let mut pairs: Vec<PairRow> = stored.read(None).expect("rows");
+    pairs[0].edit_type = Some("speed".to_owned());
+    pairs[0].accepted_by = own;
+    let skeleton = stored.skeleton().expect("a skeleton");
+    let of_mask: fn(&MaskRow) -> datasets_spec::Split = |row| row.split;
+    let of_pair: fn(&PairRow) -> datasets_spec::Split = |row| row.split;
+    commit_rows(&dataset, &masks, Some(of_mask), &skeleton, "masks", "test").expect("masks");
+    commit_rows(&dataset, &pairs, Some(of_pair), &skeleton, "pairs", "test").expect("pairs");
 
     // A second source beside it: the dataset is one of several folders.
     let (_, second) = again(dir.path(), &[&dataset], "second");
@@ -356,6 +370,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
                 mask.text,
                 mask.text_origin,
                 mask.author,
+                mask.accepted_by,
             )
         });
         made.collect::<std::collections::BTreeSet<_>>()
@@ -366,7 +381,11 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
         let rows: Vec<PairRow> = read(name).read(None).expect("rows");
         let pairs = rows.into_iter();
         pairs
-            .map(|pair| (pair.source_id, pair.target_id, pair.style, pair.instruction))
+            .map(|pair| {
+                let ends = (pair.source_id, pair.target_id);
+                let more = (pair.edit_type, pair.accepted_by);
+                (ends, pair.style, pair.instruction, more)
+            })
             .collect::<Vec<_>>()
     };
     assert_eq!(pairs("second").len(), 2);

@@ -2,12 +2,13 @@
 
 use std::fs;
 
-use annotate::store::{Claimed, open_sqlite};
-use annotate::wire::TaskKind;
+use annotate::store::{Claimed, NewTask, open_sqlite};
+use annotate::wire::{Answer, TaskKind, Verdict};
 use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, PairRow};
 use serde_json::Value;
 
+use crate::annotate::bare_task;
 use crate::train::Workshop;
 use crate::util::{arg, stance};
 
@@ -140,4 +141,50 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let expected = of_base.count();
     assert!((1..=8).contains(&expected), "{expected}");
     assert_eq!(detail.bundle.len(), expected);
+    let masks = store.claim(1, TaskKind::MaskText, 0, 0).expect("an answer");
+    assert!(
+        matches!(masks, Claimed::Nothing(_)),
+        "variants are no mask tasks"
+    );
+
+    // Nor are they once all their pairs were judged unusable and left the dataset.
+    let import = |store: &str| -> Value {
+        let store = workshop.path(store);
+        let args = [
+            "--json",
+            "annotate",
+            arg(&paired),
+            "--store",
+            arg(&store),
+            "import",
+        ];
+        stance(&args).expect_code(0).json()
+    };
+    assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
+    let file = workshop.path("first.sqlite");
+    let store = open_sqlite(&file).expect("a store");
+    let judged = store.pairs().expect("pairs").into_iter();
+    let judged = judged.map(|(key, source, target)| NewTask {
+        kind: TaskKind::Pair,
+        target: Some(target),
+        accepted: Some(Answer::Pair {
+            verdict: Verdict::Unclear,
+            parts: Vec::new(),
+            edit_type: None,
+            text: String::new(),
+            suggestion: None,
+            note: String::new(),
+        }),
+        ..bare_task(key, &source)
+    });
+    let done = store.import(None, judged.collect(), 0).expect("imports");
+    assert_eq!(done.filled as u64, kept);
+    stance(&["annotate", arg(&paired), "--store", arg(&file), "export"]).expect_code(0);
+    let left: Vec<PairRow> = Dataset::open(&paired)
+        .expect("a dataset")
+        .read(None)
+        .expect("pairs");
+    assert_eq!(left.len(), 0);
+    let counts = &import("second.sqlite")["counts"];
+    assert!(counts["new_tasks"].is_null(), "{counts}");
 }

@@ -161,16 +161,20 @@ fn accept_imported(
 ) -> Result<(), Error> {
     tx.execute(
         "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts)
-         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 'import', ?9, ?10)",
+         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
         params![
             task,
             entry.actor.unwrap_or(0),
             json(answer)?,
             credit.is_some_and(|credit| credit.merged),
-            credit.map(|credit| credit.author.clone()),
+            credit.and_then(|credit| credit.author.clone()),
             is_kept_pair(answer),
             entry.at,
             seq,
+            match credit.and_then(|credit| credit.accepted_by.as_deref()) {
+                Some(basis) => format!("{IMPORTED}:{basis}"),
+                None => IMPORTED.to_owned(),
+            },
             words(answer),
             part_list(answer)
         ],
@@ -592,6 +596,9 @@ fn put_review(
     )?;
     Ok(())
 }
+
+/// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
+pub(super) const IMPORTED: &str = "import";
 
 /// How an answer was accepted, for the column `accepted.basis`.
 fn basis(rule: Option<&str>, own: bool) -> String {

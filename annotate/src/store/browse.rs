@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::apply::IMPORTED;
 use super::claim::MINUTE;
 use super::db::{Row, Tx, Value, params};
 use super::entry::{Body, Entry};
@@ -339,7 +340,12 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Er
         tx,
         "SELECT task, basis FROM accepted WHERE task IN ({})",
         &ids,
-        |row| row.string(1),
+        |row| {
+            // How it was accepted elsewhere cannot be undone here.
+            let basis = row.text(1)?;
+            let is_imported = basis.split(':').next() == Some(IMPORTED);
+            Ok(if is_imported { IMPORTED } else { basis }.to_owned())
+        },
     )?;
     let mut touched = by_task(
         tx,

@@ -2,6 +2,7 @@
 
 use datasets_spec::quantile;
 
+use super::apply::IMPORTED;
 use super::db::{Row, Tx, Value, params};
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
@@ -311,7 +312,7 @@ pub(super) fn shelf(
     let text = filter.text.as_deref().map_or(String::new(), like);
     // Exclude the motions of tasks that the user holds: their answers would be visible.
     let sql = format!(
-        "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq, a.credit FROM accepted a JOIN task t ON t.id = a.task
+        "SELECT {columns}, a.author, a.merged, a.answer, a.at, a.seq, a.credit, a.basis FROM accepted a JOIN task t ON t.id = a.task
          WHERE a.seq < ?1 AND (?2 = '' OR t.kind = ?2)
            AND (?3 = '' OR a.parts LIKE ?3)
            AND (?4 = '' OR a.words LIKE ?4 ESCAPE '\\')
@@ -345,6 +346,13 @@ fn read_accepted(row: &Row) -> Result<AcceptedAnswer, Error> {
         at: row.int(from + 3)?,
         seq: row.int(from + 4)?,
         credit: row.opt_text(from + 5)?,
+        accepted_by: {
+            let basis = row.text(from + 6)?;
+            let elsewhere = basis
+                .strip_prefix(IMPORTED)
+                .and_then(|rest| rest.strip_prefix(':'));
+            elsewhere.unwrap_or(basis).to_owned()
+        },
     })
 }
 
@@ -366,7 +374,7 @@ pub(super) fn next_keys(
 
 pub(super) fn accepted(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
     let sql = format!(
-        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq, a.credit FROM task t JOIN accepted a ON a.task = t.id
+        "SELECT {}, a.author, a.merged, a.answer, a.at, a.seq, a.credit, a.basis FROM task t JOIN accepted a ON a.task = t.id
          WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key",
         rows::TASK_COLUMNS
     );

@@ -77,17 +77,20 @@ pub struct NewTask {
     /// A decided answer of the source: the task starts as accepted. If the task exists already and nobody has worked
     /// on it, it becomes accepted.
     pub accepted: Option<Answer>,
-    /// Who gave `accepted`, as an export says it.
+    /// Who gave and accepted `accepted`, as an export says it.
     pub credit: Option<Credit>,
 }
 
-/// Author of an imported answer.
+/// What a file says of an imported answer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Credit {
-    /// Pseudonym, from the export of another store.
-    pub author: String,
+    /// Pseudonym of its author, from the export of another store.
+    pub author: Option<String>,
     /// Whether a reviewer merged it from several answers.
     pub merged: bool,
+    /// How it was accepted: `review`, `own` or `rule:NAME`.
+    #[serde(default)]
+    pub accepted_by: Option<String>,
 }
 
 /// A suggestion to be stored.
@@ -271,6 +274,8 @@ pub struct AcceptedAnswer {
     pub merged: bool,
     /// Pseudonym of the author of an imported answer.
     pub credit: Option<String>,
+    /// How it was accepted: `review`, `own`, `rule:NAME`; or `import`, where the imported file says no more.
+    pub accepted_by: String,
     /// The answer.
     pub answer: Answer,
     /// When it was accepted.

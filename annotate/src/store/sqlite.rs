@@ -178,18 +178,29 @@ fn copy_to(db: &Connection, path: &Path) -> Result<(), Error> {
         // One read transaction copies everything; writers continue.
         db.execute("VACUUM INTO ?1", [text.as_ref()])
             .map_err(failed("copy itself"))?;
-        let sync = |path: &Path| std::fs::File::open(path).and_then(|file| file.sync_all());
-        sync(&temporary).map_err(Error::io("write", &temporary))?;
-        std::fs::rename(&temporary, path).map_err(Error::io("rename", path))?;
-        let folder = path.parent().filter(|folder| *folder != Path::new(""));
-        let folder = folder.unwrap_or(Path::new("."));
-        sync(folder).map_err(Error::io("write folder", folder))
+        publish(&temporary, path, &mut |path| {
+            std::fs::File::open(path).and_then(|file| file.sync_all())
+        })
     })();
     if copied.is_err() {
         // What is left of a failed copy only uses space.
         let _removed = std::fs::remove_file(&temporary);
     }
     copied
+}
+
+/// Gives a file its name once its content is on the disk, and brings the name there too. `sync` brings a file or a folder
+/// to the disk.
+fn publish(
+    temporary: &Path,
+    path: &Path,
+    sync: &mut dyn FnMut(&Path) -> std::io::Result<()>,
+) -> Result<(), Error> {
+    sync(temporary).map_err(Error::io("write", temporary))?;
+    std::fs::rename(temporary, path).map_err(Error::io("rename", path))?;
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    let folder = folder.unwrap_or(Path::new("."));
+    sync(folder).map_err(Error::io("write folder", folder))
 }
 
 fn open_reader(path: &Path) -> Result<Connection, Error> {
@@ -650,6 +661,25 @@ mod tests {
         store.backup(&copy).expect("copies");
         assert!(store.backup(&copy).is_err());
         assert_eq!(names(&Sqlite::open(&copy).expect("opens")), ["kept"]);
+    }
+
+    #[test]
+    fn a_copy_is_on_the_disk_before_it_has_its_name() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let [temporary, path] = ["copy.tmp", "copy"].map(|name| dir.path().join(name));
+        let mut synced = Vec::new();
+        std::fs::write(&temporary, "copy").expect("writes");
+        let full = publish(&temporary, &path, &mut |_: &Path| {
+            Err(std::io::Error::other("full"))
+        });
+        assert!(full.is_err() && !path.exists());
+        let mut note = |of: &Path| {
+            synced.push((of.to_owned(), path.exists()));
+            Ok(())
+        };
+        publish(&temporary, &path, &mut note).expect("a copy");
+        let folder = dir.path().to_owned();
+        assert_eq!(synced, [(temporary, false), (folder, true)]);
     }
 
     #[test]

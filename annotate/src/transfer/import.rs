@@ -9,7 +9,7 @@ use datasets_spec::{BodyPart, Dataset, MASK_DEF_VERSION, MotionId, Split};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::release;
+use super::release::{self, SaidPair};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::completion;
@@ -20,6 +20,10 @@ use crate::wire::{
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
+/// Begin of the value of column `source` for pairs of `stance variants`.
+const VARIANT_SOURCE: &str = "variants-";
+/// Fact of the manifest of a dataset that `stance variants` made.
+const VARIANTS_FACT: &str = "variants";
 /// Begin of the key of a candidate pair, and of its id in table `pairs`.
 const CANDIDATE: &str = "takes:";
 /// Begin of the key of other pairs; the rest is the id of the pair.
@@ -88,10 +92,19 @@ pub(super) fn mask_key(motion: &str) -> String {
 
 /// Key of the task of a pair. A candidate that was accepted is in table `pairs`, and keeps its key.
 fn pair_key(pair: &PairRow) -> String {
-    if pair.source == PAIR_SOURCE && pair.id.starts_with(CANDIDATE) {
-        pair.id.clone()
+    if pair.source == PAIR_SOURCE {
+        key_of_pair(&pair.id)
     } else {
         format!("{PAIR}{}", pair.id)
+    }
+}
+
+/// Key of the task of a pair that this program wrote; the reverse of [`pair_id`].
+fn key_of_pair(id: &str) -> String {
+    if id.starts_with(CANDIDATE) {
+        id.to_owned()
+    } else {
+        format!("{PAIR}{id}")
     }
 }
 
@@ -162,9 +175,9 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
     Ok(clips)
 }
 
-/// Creates the tasks of a dataset: a mask task for each clip that is not a mirrored copy, a pair task for each
-/// fine-grained pair (in bundles of eight), and a style task for each style pair. Masks of the pipeline become
-/// suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
+/// Creates the tasks of a dataset: a mask task for each clip that is neither a mirrored copy nor a variant of another
+/// (`stance variants`), a pair task for each fine-grained pair (in bundles of eight), and a style task for each style
+/// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
 /// paired as candidates.
 ///
 /// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on.
@@ -209,11 +222,24 @@ pub fn from_dataset(
             .push(row);
     }
     let mut tasks = Vec::new();
-    for clip in clips.iter().filter(|clip| !clip.mirrored) {
-        let rows = masks.get(&clip.record.id).map_or(&[][..], Vec::as_slice);
-        tasks.push(mask_task(&clip.record, rows));
-    }
     let pairs: Vec<PairRow> = dataset.read(None)?;
+    let of_variants = pairs
+        .iter()
+        .filter(|pair| pair.source.starts_with(VARIANT_SOURCE));
+    let variants: BTreeSet<&str> = of_variants
+        .flat_map(|pair| [pair.source_id.as_str(), pair.target_id.as_str()])
+        .collect();
+    // Judged pairs have another source, and unusable ones are gone.
+    let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
+    for clip in clips.iter().filter(|clip| !clip.mirrored) {
+        let id = clip.record.id.as_str();
+        let new = mask_task(&clip.record, masks.get(id).map_or(&[][..], Vec::as_slice));
+        if new.accepted.is_none() && (are_variants || variants.contains(id)) {
+            taken.count("variants", 1);
+        } else {
+            tasks.push(new);
+        }
+    }
     let missing = pairs.iter().filter(|pair| {
         !by_id.contains_key(pair.source_id.as_str()) || !by_id.contains_key(pair.target_id.as_str())
     });
@@ -245,6 +271,7 @@ pub fn from_dataset(
         new.style.clone_from(&pair.style);
         if pair.source == PAIR_SOURCE {
             new.accepted = Some(accepted_pair(pair, kind));
+            new.credit = credit("", false, pair.accepted_by.as_deref());
         } else if !pair.instruction.trim().is_empty() {
             new.hint = Some(pair.instruction.clone());
         }
@@ -350,7 +377,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
             count_reason: None,
             note: String::new(),
         });
-        new.credit = credit(&people[0].author, false);
+        new.credit = credit(&people[0].author, false, people[0].accepted_by.as_deref());
     }
     new.suggestions = drafts
         .into_iter()
@@ -359,15 +386,21 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
     new
 }
 
-/// The author of an answer, if it is a pseudonym of this program. Other names are not carried into exports.
-fn credit(author: &str, merged: bool) -> Option<Credit> {
-    let rest = author.strip_prefix('a')?;
-    let (number, store) = rest.split_once('-').unwrap_or((rest, "0"));
-    let is_number = number.len() >= 3 && number.bytes().all(|byte| byte.is_ascii_digit());
-    let is_store = store.bytes().all(|byte| byte.is_ascii_hexdigit());
-    (is_number && is_store).then(|| Credit {
-        author: author.to_owned(),
+/// What a file says of an answer, if it says anything. Authors who are no pseudonyms of this program are not carried
+/// into exports.
+fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> Option<Credit> {
+    let is_pseudonym = author.strip_prefix('a').is_some_and(|rest| {
+        let (number, store) = rest.split_once('-').unwrap_or((rest, "0"));
+        number.len() >= 3
+            && number.bytes().all(|byte| byte.is_ascii_digit())
+            && store.bytes().all(|byte| byte.is_ascii_hexdigit())
+    });
+    let is_known = |basis: &&str| matches!(*basis, "review" | "own") || basis.starts_with("rule:");
+    let accepted_by = accepted_by.filter(is_known);
+    (is_pseudonym || merged || accepted_by.is_some()).then(|| Credit {
+        author: is_pseudonym.then(|| author.to_owned()),
         merged,
+        accepted_by: accepted_by.map(str::to_owned),
     })
 }
 
@@ -587,13 +620,17 @@ fn annotation_task(
     };
     crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
-    new.credit = credit(&first.author, first.merged != 0);
+    new.credit = credit(
+        &first.author,
+        first.merged != 0,
+        first.accepted_by.as_deref(),
+    );
     Ok(new)
 }
 
-/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, given as one object with both. The
-/// annotations become accepted answers of tasks that nobody has worked on; unknown fields are kept for export. Those of
-/// tasks with another answer are left out and reported.
+/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
+/// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
+/// has worked on; unknown fields are kept for export. Those of tasks with another answer are left out and reported.
 ///
 /// # Errors
 /// It is not such an object, or the store fails.
@@ -626,6 +663,7 @@ pub fn from_release(
         };
         let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
         new.extra = said.extra;
+        new.credit = credit("", false, said.accepted_by.as_deref());
         new.accepted = Some(Answer::MaskText {
             masks: said.masks,
             count_reason: None,
@@ -633,6 +671,62 @@ pub fn from_release(
         });
         tasks.push(new);
     }
+    for pair in parsed.pairs {
+        let Some((source, target)) = motions.get(&pair.src).zip(motions.get(&pair.tgt)) else {
+            taken.count("unknown_ids", 1);
+            continue;
+        };
+        tasks.push(
+            released_pair(&pair, source, target).map_err(|problem| Error::Import {
+                what: format!("pair {:?} of a STANCE release", pair.id),
+                problem,
+            })?,
+        );
+    }
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
+}
+
+fn released_pair(
+    pair: &SaidPair,
+    source: &MotionRecord,
+    target: &MotionRecord,
+) -> Result<NewTask, String> {
+    let (parts, unknown) = release::parts(&pair.body_part);
+    if let Some(name) = unknown.first() {
+        return Err(format!("body part {name:?} is not known"));
+    }
+    let (kind, answer) = match pair.kind.as_str() {
+        "fine-grained" => (
+            TaskKind::Pair,
+            Answer::Pair {
+                verdict: Verdict::Keep,
+                parts,
+                edit_type: pair.edit_type,
+                text: pair.text.clone(),
+                suggestion: None,
+                note: String::new(),
+            },
+        ),
+        "style" => (
+            TaskKind::Style,
+            Answer::Style {
+                verdict: Verdict::Keep,
+                parts,
+                // The file has an empty text where none was chosen.
+                style: pair.style.clone().filter(|style| !style.is_empty()),
+                extent: None,
+                text: pair.text.clone(),
+                suggestion: None,
+                note: String::new(),
+            },
+        ),
+        other => return Err(format!("kind {other:?} is not known")),
+    };
+    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    let mut new = task(key_of_pair(&pair.id), kind, source);
+    new.target = Some(target.hash.clone());
+    new.accepted = Some(answer);
+    new.credit = credit("", false, pair.accepted_by.as_deref());
+    Ok(new)
 }

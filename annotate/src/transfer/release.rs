@@ -1,4 +1,5 @@
-//! `mask_all.json` and `part_annotations.json` of a STANCE release.
+//! `mask_all.json` and `part_annotations.json` of a STANCE release, and the files that an export adds to them:
+//! `accepted_by.json` and `pairs.json`.
 //!
 //! The release documents the meaning of keys and values, but not their shape. Readers accept a name, a list of
 //! names, a list of lists, or an object keyed by part, and report which. The writer uses one shape: for each id
@@ -7,9 +8,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::BodyPart;
+use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use crate::wire::MaskAnswer;
+use crate::wire::{EditType, MaskAnswer};
 
 /// Annotations of one motion.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,14 +19,32 @@ pub(super) struct Said {
     pub(super) masks: Vec<MaskAnswer>,
     /// Unknown fields, kept for export.
     pub(super) extra: Option<Value>,
+    /// How the annotations were accepted, if the file says so.
+    pub(super) accepted_by: Option<String>,
 }
 
 /// A parsed release.
 #[derive(Debug, Default)]
 pub(super) struct Release {
     pub(super) motions: BTreeMap<String, Said>,
+    pub(super) pairs: Vec<SaidPair>,
     pub(super) shapes: BTreeMap<String, i64>,
     pub(super) messages: Vec<String>,
+}
+
+/// A usable pair of `pairs.json`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub(super) struct SaidPair {
+    /// As in table `pairs` of the dataset.
+    pub(super) id: String,
+    pub(super) kind: String,
+    pub(super) src: String,
+    pub(super) tgt: String,
+    pub(super) body_part: String,
+    pub(super) text: String,
+    pub(super) style: Option<String>,
+    pub(super) edit_type: Option<EditType>,
+    pub(super) accepted_by: Option<String>,
 }
 
 fn shape(value: &Value) -> &'static str {
@@ -38,7 +58,7 @@ fn shape(value: &Value) -> &'static str {
 }
 
 /// Parses part names joined by `+`; returns known parts and unknown names.
-fn parts(text: &str) -> (Vec<String>, Vec<String>) {
+pub(super) fn parts(text: &str) -> (Vec<String>, Vec<String>) {
     let (mut known, mut unknown) = (Vec::new(), Vec::new());
     for name in text
         .split('+')
@@ -87,8 +107,8 @@ fn texts(value: &Value) -> Vec<String> {
     }
 }
 
-/// Reads `{"mask_all": {id: masks}, "part_annotations": {id: texts}}`; either may be missing, fields
-/// beside them are kept.
+/// Reads `{"mask_all": {id: masks}, "part_annotations": {id: texts}, "accepted_by": {id: how}, "pairs": [pair]}`.
+/// One of the first two suffices.
 pub(super) fn parse(document: &Value) -> Result<Release, String> {
     let object = document.as_object().ok_or("it is no JSON object")?;
     let side = |name: &str| -> Result<Map<String, Value>, String> {
@@ -101,11 +121,27 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
             )),
         }
     };
-    let (masks, said) = (side("mask_all")?, side("part_annotations")?);
-    if masks.is_empty() && said.is_empty() {
+    if !object.contains_key("mask_all") && !object.contains_key("part_annotations") {
         return Err("it has neither mask_all nor part_annotations".to_owned());
     }
+    let (masks, said) = (side("mask_all")?, side("part_annotations")?);
+    let accepted_by = side("accepted_by")?;
     let mut release = Release::default();
+    let pairs = object.get("pairs").and_then(Value::as_array);
+    let (named, nameless): (Vec<&Value>, Vec<&Value>) = pairs
+        .into_iter()
+        .flatten()
+        .partition(|pair| pair.get("id").is_some());
+    for pair in named {
+        let pair = SaidPair::deserialize(pair).map_err(|error| format!("pairs: {error}"))?;
+        release.pairs.push(pair);
+    }
+    if !nameless.is_empty() {
+        release.messages.push(format!(
+            "{} pairs have no id, as in exports of earlier versions, and are left out",
+            nameless.len()
+        ));
+    }
     let only = |a: &Map<String, Value>, b: &Map<String, Value>| {
         a.keys().filter(|key| !b.contains_key(*key)).count()
     };
@@ -129,7 +165,11 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
             }
         }
         let read = motion(mask.unwrap_or(&Value::Null), text.unwrap_or(&Value::Null));
-        let (said, problems) = read;
+        let (mut said, problems) = read;
+        said.accepted_by = accepted_by
+            .get(id)
+            .and_then(Value::as_str)
+            .map(str::to_owned);
         for problem in problems {
             if release.messages.len() < 50 {
                 release.messages.push(format!("{id}: {problem}"));
@@ -217,7 +257,12 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
             .push("its texts do not match its masks and are kept as an unknown field".to_owned());
     }
     let extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
-    (Said { masks: all, extra }, problems)
+    let said = Said {
+        masks: all,
+        extra,
+        accepted_by: None,
+    };
+    (said, problems)
 }
 
 /// Marks fields that were kept aside.
@@ -226,14 +271,11 @@ fn put_problem(unknown: &mut Map<String, Value>) {
 }
 
 /// Entries of the two files for a motion.
-pub(super) fn entries(one: &Said) -> (Value, Value) {
-    let names: Vec<String> = one.masks.iter().map(|mask| mask.parts.join("+")).collect();
-    let texts: Vec<&str> = one.masks.iter().map(|mask| mask.text.as_str()).collect();
+pub(super) fn entries(masks: &[MaskAnswer], extra: Option<&Value>) -> (Value, Value) {
+    let names: Vec<String> = masks.iter().map(|mask| mask.parts.join("+")).collect();
+    let texts: Vec<&str> = masks.iter().map(|mask| mask.text.as_str()).collect();
     // Write unknown fields unchanged.
-    let kept = one
-        .extra
-        .as_ref()
-        .and_then(|extra| extra.get("part_annotations"));
+    let kept = extra.and_then(|extra| extra.get("part_annotations"));
     (json!(names), kept.cloned().unwrap_or_else(|| json!(texts)))
 }
 
@@ -305,7 +347,14 @@ mod tests {
                 .iter()
                 .any(|message| message.contains("1 ids have masks but no texts"))
         );
-        assert_eq!(entries(&release.motions["c"]).1, json!([1, 2, 3]));
+        let kept = &release.motions["c"];
+        assert_eq!(
+            entries(&kept.masks, kept.extra.as_ref()).1,
+            json!([1, 2, 3])
+        );
+        let older = json!({ "mask_all": {}, "pairs": [{ "kind": "style" }] });
+        let release = parse(&older).expect("an object");
+        assert!(release.pairs.is_empty() && release.messages[0].contains("have no id"));
         assert!(parse(&json!([])).is_err());
         assert!(parse(&json!({"other": 1})).is_err());
         assert!(parse(&json!({"mask_all": 7})).is_err());
@@ -321,7 +370,7 @@ mod tests {
         let (masks, texts): (Map<_, _>, Map<_, _>) = once
             .iter()
             .map(|(id, said)| {
-                let (masks, texts) = entries(said);
+                let (masks, texts) = entries(&said.masks, said.extra.as_ref());
                 ((id.clone(), masks), (id.clone(), texts))
             })
             .unzip();

@@ -1,88 +1,9 @@
 //! The tables of an export, written like all tables of `stance`: Parquet, Zstandard, the schema version in the
 //! footer, the same bytes for the same rows.
 
-use datasets_spec::table::{Cell, Column, Row};
+use datasets_spec::table;
 
-/// Declares a row struct and derives its table from it.
-macro_rules! sheet {
-    (
-        $(#[doc = $struct_doc:literal])*
-        pub struct $name:ident = $table:literal {
-            $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal], )*
-        }
-    ) => {
-        $(#[doc = $struct_doc])*
-        #[derive(Clone, Debug, PartialEq)]
-        pub struct $name {
-            $( #[doc = $doc] pub $field: $ty, )*
-        }
-
-        impl Row for $name {
-            const TABLE: &'static str = $table;
-
-            fn columns() -> Vec<Column> {
-                vec![$( Column {
-                    name: stringify!($field),
-                    unit: $unit,
-                    doc: str::trim_ascii($doc),
-                    data_type: <$ty as Cell>::data_type(),
-                    nullable: <$ty as Cell>::NULLABLE,
-                }, )*]
-            }
-
-            fn encode(rows: &[Self]) -> Result<arrow_array::RecordBatch, datasets_spec::Error> {
-                let columns = vec![$(
-                    <$ty as Cell>::encode(&mut rows.iter().map(|row| &row.$field))
-                        .map_err(|problem| datasets_spec::Error::Column {
-                            table: $table,
-                            column: stringify!($field).to_owned(),
-                            problem,
-                        })?,
-                )*];
-                arrow_array::RecordBatch::try_new(Self::schema(), columns)
-                    .map_err(|source| datasets_spec::Error::Arrow { table: $table, source })
-            }
-
-            fn decode(batch: &arrow_array::RecordBatch) -> Result<Vec<Self>, datasets_spec::Error> {
-                $( let mut $field = cells::<$ty>($table, batch, stringify!($field))?.into_iter(); )*
-                let mut rows = Vec::with_capacity(batch.num_rows());
-                while let ($( Some($field), )*) = ($( $field.next(), )*) {
-                    rows.push(Self { $( $field, )* });
-                }
-                Ok(rows)
-            }
-        }
-    };
-}
-
-/// One column of a batch.
-fn cells<T: Cell>(
-    table: &'static str,
-    batch: &arrow_array::RecordBatch,
-    name: &str,
-) -> Result<Vec<T>, datasets_spec::Error> {
-    let wrong = |problem: String| datasets_spec::Error::Column {
-        table,
-        column: name.to_owned(),
-        problem,
-    };
-    let array = batch
-        .column_by_name(name)
-        .ok_or_else(|| wrong("is missing".to_owned()))?;
-    if *array.data_type() != T::data_type() {
-        return Err(wrong(format!(
-            "has type {}, expected {}",
-            array.data_type(),
-            T::data_type()
-        )));
-    }
-    if !T::NULLABLE && array.null_count() > 0 {
-        return Err(wrong(format!("has {} missing values", array.null_count())));
-    }
-    T::decode(array.as_ref()).map_err(|(row, problem)| wrong(format!("row {row}: {problem}")))
-}
-
-sheet! {
+table! {
     /// An accepted mask of a motion, or an accepted judgement of a pair.
     pub struct AnnotationRow = "annotations" {
         /// What tells the task from others
@@ -133,10 +54,12 @@ sheet! {
         pub merged: u32 [""],
         /// Fields of a source's file that have no column here, JSON
         pub extra: Option<String> [""],
+        /// How it was accepted: review, own (by its author), rule:NAME, or import where a file says no more
+        pub accepted_by: Option<String> ["", newer],
     }
 }
 
-sheet! {
+table! {
     /// An answer of one person, accepted or not.
     pub struct LabelRow = "labels" {
         /// What tells the task from others
@@ -170,7 +93,7 @@ sheet! {
     }
 }
 
-sheet! {
+table! {
     /// A task that was dropped, skipped by somebody, or a pair that was accepted as not usable.
     pub struct RejectRow = "rejects" {
         /// What tells the task from others
@@ -189,10 +112,12 @@ sheet! {
         pub note: String [""],
         /// Pseudonym of who decided
         pub author: String [""],
+        /// How a pair was accepted as not usable: review, own (by its author), rule:NAME, or import; missing for others
+        pub accepted_by: Option<String> ["", newer],
     }
 }
 
-sheet! {
+table! {
     /// A figure of agreement.
     pub struct AgreementRow = "agreement" {
         /// Part, overall, verdict, or masks
@@ -210,7 +135,7 @@ sheet! {
     }
 }
 
-sheet! {
+table! {
     /// An entry of the log.
     pub struct EventRow = "events" {
         /// Place in the log

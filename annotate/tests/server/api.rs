@@ -8,6 +8,7 @@ use annotate::wire::{
 };
 use serde_json::json;
 
+use crate::deployment::stream;
 use crate::support::{
     CLIPS, Client, MINUTE, Site, agent, event, key, masks, pair, send, style, submit,
 };
@@ -661,42 +662,21 @@ fn metrics_speak_of_requests() {
 
 #[test]
 fn the_stream_tells_reviewers_all_and_annotators_what_is_theirs() {
-    use std::io::{BufRead, BufReader};
     let site = Site::new();
     let (ann, bob, eve) = (
         site.person("ann", Role::Annotator),
         site.person("bob", Role::Annotator),
         site.person("eve", Role::Reviewer),
     );
-    let listen = |client: &Client| {
-        let response = client
-            .agent
-            .get(format!("{}/api/v1/stream", client.base))
-            .header("authorization", format!("Bearer {}", client.token))
-            .call()
-            .expect("a stream");
-        assert_eq!(
-            response
-                .headers()
-                .get("content-type")
-                .and_then(|v| v.to_str().ok()),
-            Some("text/event-stream")
-        );
-        let mut lines = BufReader::new(response.into_body().into_reader()).lines();
-        assert_eq!(lines.next().expect("a line").expect("text"), ": connected");
-        lines
-    };
-    let (mut to_bob, mut to_eve) = (listen(&bob), listen(&eve));
+    let (mut to_bob, mut to_eve) = (stream(&bob), stream(&eve));
     let hers = ann.claim(TaskKind::MaskText).task.id;
     let his = bob.claim(TaskKind::MaskText).task.id;
-    let first =
-        |lines: &mut dyn Iterator<Item = std::io::Result<String>>| -> annotate::wire::Change {
-            let data = lines
-                .map(|line| line.expect("text"))
-                .find_map(|line| line.strip_prefix("data: ").map(str::to_owned))
-                .expect("a change");
-            serde_json::from_str(&data).expect("a change")
-        };
+    fn first(mut lines: impl Iterator<Item = String>) -> annotate::wire::Change {
+        let data = lines
+            .find_map(|line| line.strip_prefix("data: ").map(str::to_owned))
+            .expect("a change");
+        serde_json::from_str(&data).expect("a change")
+    }
     let change = first(&mut to_bob);
     assert_eq!((change.task, change.mine), (Some(his), true));
     let change = first(&mut to_eve);

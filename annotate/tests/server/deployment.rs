@@ -291,7 +291,7 @@ fn a_session_ends_with_the_token_it_was_begun_by() {
 }
 
 /// The lines of a user's event stream after the first.
-fn stream(client: &Client) -> impl Iterator<Item = String> {
+pub(crate) fn stream(client: &Client) -> impl Iterator<Item = String> + use<> {
     let agent = ureq::Agent::config_builder()
         .timeout_recv_body(Some(Duration::from_secs(60)))
         .build()
@@ -301,6 +301,7 @@ fn stream(client: &Client) -> impl Iterator<Item = String> {
         .header("authorization", format!("Bearer {}", client.token))
         .call()
         .expect("a stream");
+    assert_eq!(response.headers()["content-type"], "text/event-stream");
     let mut lines = BufReader::new(response.into_body().into_reader())
         .lines()
         .map(|line| line.expect("the stream goes on or ends"));

@@ -13,18 +13,7 @@ use std::time::{Duration, Instant};
 use annotate::wire::{EventResults, Role, TaskKind};
 use serde_json::json;
 
-use crate::support::{START, Site, bare_motion, bare_task, masks, peak_memory_mb, submit};
-
-fn size() -> [usize; 3] {
-    let text = std::env::var("ANNOTATE_LOAD").unwrap_or_else(|_| "8x15x2000".to_owned());
-    let numbers: Vec<usize> = text
-        .split('x')
-        .filter_map(|number| number.parse().ok())
-        .collect();
-    numbers
-        .try_into()
-        .expect("ANNOTATE_LOAD is annotators x tasks of each x tasks")
-}
+use crate::support::{START, Site, bare_motion, bare_task, masks, peak_memory_mb, sizes, submit};
 
 fn at(times: &mut [Duration], share: f64) -> Duration {
     times.sort();
@@ -34,7 +23,7 @@ fn at(times: &mut [Duration], share: f64) -> Duration {
 #[test]
 fn load_loses_nothing_and_gives_nothing_twice() {
     use std::io::Write;
-    let [people, each, tasks] = size();
+    let [people, each, tasks] = sizes("ANNOTATE_LOAD", "8x15x2000");
     let site = Site::new();
     let mut motion = bare_motion();
     motion.hash = site.store.all_motions().expect("motions")[0].hash.clone();

@@ -20,7 +20,7 @@ use crate::support::{MINUTE, START, all_keys, bare_task, event, masks, pair};
 /// The admin of every fixture.
 const ROOT: i64 = 1;
 
-fn rule(name: &str, accepts: RuleKind) -> Rule {
+pub(crate) fn rule(name: &str, accepts: RuleKind) -> Rule {
     Rule {
         name: name.to_owned(),
         enabled: true,
@@ -49,9 +49,7 @@ impl Fixture {
     /// Claims the next task of an answer's kind, submits the answer, and returns the task.
     fn hand_in(&self, user: i64, answer: Answer, now: i64) -> i64 {
         let task = self.claim_kind(user, answer.kind(), now).expect("a task");
-        let epoch = self.epoch(user, task);
-        let sent = event(EventKind::Submit, epoch, 0, Some(answer));
-        assert_eq!(self.send(user, task, sent, now).status, 200);
+        self.submit(user, task, 0, answer, now);
         task
     }
 
@@ -296,13 +294,7 @@ fn a_rule_leaves_alone_what_a_reviewer_sent_back_or_reopened() {
             .claim_kind(site.ann, TaskKind::Pair, START)
             .expect("back");
         assert_eq!(task, returned);
-        let sent = event(
-            EventKind::Submit,
-            site.epoch(site.ann, task),
-            1,
-            Some(pair(Verdict::Unclear)),
-        );
-        assert_eq!(site.send(site.ann, task, sent, START).status, 200);
+        site.submit(site.ann, task, 1, pair(Verdict::Unclear), START);
         assert_eq!(site.state(returned), TaskState::Submitted);
         let reopened = site.hand_in(site.ann, pair(Verdict::Unclear), START);
         assert_eq!(site.state(reopened), TaskState::Accepted);

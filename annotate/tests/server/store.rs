@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, TokenUse, Who, open_sqlite};
 use annotate::wire::{
-    Code, Decision, EventKind, EventResult, NewEvent, NewReview, ReviewQueue, RevisionState, Role,
-    Settings, SkipReason, TaskKind, TaskState, Verdict,
+    Answer, Code, Decision, EventKind, EventResult, NewEvent, NewReview, ReviewQueue,
+    RevisionState, Role, Settings, SkipReason, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -135,15 +135,24 @@ impl Fixture {
         results.pop().expect("one result")
     }
 
+    /// Submits an answer to a task that the user holds.
+    pub(crate) fn submit(&self, user: i64, task: i64, base_rev: i64, answer: Answer, now: i64) {
+        let epoch = self.epoch(user, task);
+        let sent = event(EventKind::Submit, epoch, base_rev, Some(answer));
+        assert_eq!(self.send(user, task, sent, now).status, 200);
+    }
+
+    /// Has the reviewer return the answer to the only task that waits.
+    fn send_back(&self, task: i64, now: i64) {
+        let (waiting, lease) = self.review(now);
+        assert_eq!(waiting, task);
+        let done = self.decide(task, lease, Decision::Return, now);
+        assert_eq!(done, Ok(TaskState::Returned));
+    }
+
     pub(crate) fn answer(&self, user: i64, text: &str, now: i64) -> i64 {
         let task = self.claim(user, now).expect("a task");
-        let sent = event(
-            EventKind::Submit,
-            self.epoch(user, task),
-            0,
-            Some(masks(text)),
-        );
-        assert_eq!(self.send(user, task, sent, now).status, 200);
+        self.submit(user, task, 0, masks(text), now);
         task
     }
 
@@ -263,16 +272,7 @@ fn nobody_takes_an_expired_lease_away_but_a_claim() {
     on_each("late", |store| {
         let site = fixture(store, mask_tasks(1));
         let task = site.claim(site.ann, START).expect("a task");
-        let sent = event(
-            EventKind::Submit,
-            site.epoch(site.ann, task),
-            0,
-            Some(masks("slow")),
-        );
-        assert_eq!(
-            site.send(site.ann, task, sent, START + 60 * MINUTE).status,
-            200
-        );
+        site.submit(site.ann, task, 0, masks("slow"), START + 60 * MINUTE);
         site.whole();
     });
 }
@@ -397,11 +397,7 @@ fn a_returned_task_comes_back_to_its_author_first_and_to_others_after_days() {
     on_each("returned", |store| {
         let site = fixture(store, mask_tasks(2));
         let task = site.answer(site.ann, "poor", START);
-        let (_, lease) = site.review(START);
-        assert_eq!(
-            site.decide(task, lease, Decision::Return, START),
-            Ok(TaskState::Returned)
-        );
+        site.send_back(task, START);
         let home = site.store.home(site.ann, START).expect("home");
         assert_eq!(
             (home.returned[0].task, home.returned[0].comment.as_str()),
@@ -416,27 +412,10 @@ fn a_returned_task_comes_back_to_its_author_first_and_to_others_after_days() {
         );
         let detail = site.store.task(&site.who(site.ann), task).expect("a task");
         assert_eq!(detail.comment.as_deref(), Some("because"));
-        let better = event(
-            EventKind::Submit,
-            site.epoch(site.ann, task),
-            1,
-            Some(masks("good")),
-        );
-        assert_eq!(site.send(site.ann, task, better, START).status, 200);
-        let (again, lease) = site.review(START);
-        assert_eq!(again, task);
-        assert_eq!(
-            site.decide(task, lease, Decision::Return, START),
-            Ok(TaskState::Returned)
-        );
+        site.submit(site.ann, task, 1, masks("good"), START);
+        site.send_back(task, START);
         let weeks_later = START + 8 * 24 * 60 * MINUTE;
-        let sent = event(
-            EventKind::Submit,
-            site.epoch(site.bob, other),
-            0,
-            Some(masks("x")),
-        );
-        assert_eq!(site.send(site.bob, other, sent, START).status, 200);
+        site.submit(site.bob, other, 0, masks("x"), START);
         assert_eq!(site.claim(site.bob, weeks_later), Some(task));
         site.whole();
     });
@@ -524,22 +503,13 @@ fn two_answers_that_differ_come_first_in_the_queue_of_disagreement() {
             .expect("tasks");
         for user in [site.ann, site.bob] {
             let task = site.claim(user, START).expect("a task");
-            let sent = event(
-                EventKind::Submit,
-                site.epoch(user, task),
-                0,
-                Some(masks("same")),
-            );
-            assert_eq!(site.send(user, task, sent, START).status, 200);
+            site.submit(user, task, 0, masks("same"), START);
             let task = site.claim(user, START).expect("a task");
             let mut answer = masks("same");
-            if let (true, annotate::wire::Answer::MaskText { masks, .. }) =
-                (user == site.bob, &mut answer)
-            {
+            if let (true, Answer::MaskText { masks, .. }) = (user == site.bob, &mut answer) {
                 masks[0].parts = vec!["RIGHT_ARM".to_owned()];
             }
-            let sent = event(EventKind::Submit, site.epoch(user, task), 0, Some(answer));
-            assert_eq!(site.send(user, task, sent, START).status, 200);
+            site.submit(user, task, 0, answer, START);
         }
         let (task, _) = site.review(START);
         let record = site.store.task_record(task).expect("a task");
@@ -632,13 +602,7 @@ fn a_bundle_is_leased_together_and_handed_in_one_by_one() {
             } else {
                 Verdict::Keep
             };
-            let sent = event(
-                EventKind::Submit,
-                site.epoch(site.ann, task),
-                0,
-                Some(pair(verdict)),
-            );
-            assert_eq!(site.send(site.ann, task, sent, START).status, 200);
+            site.submit(site.ann, task, 0, pair(verdict), START);
             seen.push(task);
         }
         let mut distinct = seen.clone();
@@ -925,11 +889,7 @@ fn home_promises_what_a_claim_gives() {
         // A returned answer waits for its author.
         let task = site.answer(site.bob, "poor", later);
         assert_eq!(open(site.bob, later), 0);
-        let (_, lease) = site.review(later);
-        assert_eq!(
-            site.decide(task, lease, Decision::Return, later),
-            Ok(TaskState::Returned)
-        );
+        site.send_back(task, later);
         assert_eq!(open(site.bob, later), 1);
         assert_eq!(site.claim(site.bob, later), Some(task));
         site.whole();
@@ -1002,11 +962,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
     on_each("reserved", |store| {
         let site = fixture(store, mask_tasks(1));
         let task = site.answer(site.ann, "poor", START);
-        let (_, lease) = site.review(START);
-        assert_eq!(
-            site.decide(task, lease, Decision::Return, START),
-            Ok(TaskState::Returned)
-        );
+        site.send_back(task, START);
         // She looks at it and leaves: it is still hers.
         assert_eq!(site.claim(site.ann, START), Some(task));
         let hour = 60 * MINUTE;
@@ -1054,11 +1010,7 @@ fn a_reviewer_who_takes_a_returned_task_away_gives_it_to_others() {
     on_each("taken_away", |store| {
         let site = fixture(store, mask_tasks(1));
         let task = site.answer(site.ann, "poor", START);
-        let (_, lease) = site.review(START);
-        assert_eq!(
-            site.decide(task, lease, Decision::Return, START),
-            Ok(TaskState::Returned)
-        );
+        site.send_back(task, START);
         assert_eq!(site.claim(site.ann, START), Some(task));
         let lease = site.store.leases(START).expect("leases")[0].lease.id;
         site.store
@@ -1074,11 +1026,7 @@ fn the_work_of_a_disabled_user_goes_on_to_others_at_once() {
     on_each("disabled", |store| {
         let site = fixture(store, mask_tasks(2));
         let returned = site.answer(site.ann, "poor", START);
-        let (_, lease) = site.review(START);
-        assert_eq!(
-            site.decide(returned, lease, Decision::Return, START),
-            Ok(TaskState::Returned)
-        );
+        site.send_back(returned, START);
         let held = site.claim(site.bob, START).expect("a task");
         for user in [site.ann, site.bob] {
             let changed = site
@@ -1365,13 +1313,7 @@ fn many_at_once_lose_nothing() {
                 let site = &site;
                 scope.spawn(move || {
                     while let Some(task) = site.claim(user, START) {
-                        let sent = event(
-                            EventKind::Submit,
-                            site.epoch(user, task),
-                            0,
-                            Some(masks("x")),
-                        );
-                        assert_eq!(site.send(user, task, sent, START).status, 200);
+                        site.submit(user, task, 0, masks("x"), START);
                     }
                 });
             }

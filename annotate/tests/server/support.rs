@@ -114,6 +114,7 @@ pub(crate) fn dataset(root: &Path) {
         text: "The person is waving with their left arm.".to_owned(),
         text_origin: "automatic".to_owned(),
         author: "stance-activity-1".to_owned(),
+        accepted_by: None,
     };
     commit_rows(
         root,
@@ -139,6 +140,7 @@ pub(crate) fn dataset(root: &Path) {
             "raise the arm higher".to_owned()
         },
         edit_type: None,
+        accepted_by: None,
     };
     let mut pairs: Vec<PairRow> = (0..9)
         .map(|number| pair(number, "fine-grained", None))
@@ -547,6 +549,15 @@ pub(crate) fn bare_motion() -> MotionRecord {
         style: None,
         action: None,
     }
+}
+
+/// Sizes of a test, such as `50x200x100000`, that a variable sets.
+pub(crate) fn sizes<const N: usize>(variable: &str, otherwise: &str) -> [usize; N] {
+    let text = std::env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
+    let numbers: Option<Vec<usize>> = text.split('x').map(|number| number.parse().ok()).collect();
+    numbers
+        .and_then(|numbers| numbers.try_into().ok())
+        .unwrap_or_else(|| panic!("{variable} must be like {otherwise}"))
 }
 
 /// Peak memory of this process in MB since the last call.

@@ -23,8 +23,8 @@ use datasets_spec::{Dataset, Split};
 use serde_json::json;
 
 use crate::support::{
-    Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, event, key, masks, motion,
-    motion_row, pair, peak_memory_mb, plain_settings, style,
+    CLIPS, Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, event, key, masks,
+    motion, motion_row, pair, peak_memory_mb, plain_settings, style,
 };
 
 /// Waits for a job to end.
@@ -568,6 +568,34 @@ fn candidates_are_made_of_every_clip_and_beside_other_pairs() {
         fine.id < task_of(site.store.as_ref(), "takes:clip09|clip10").id,
         "pairs made for an instruction come first"
     );
+}
+
+#[test]
+fn variants_of_a_motion_are_no_mask_tasks() {
+    let site = Site::new();
+    let mut pairs: Vec<PairRow> = pair_rows(&site).into_values().collect();
+    for pair in &mut pairs {
+        if pair.id == "fine-grained3" {
+            pair.source = "variants-1".to_owned();
+        }
+    }
+    let skeleton = datasets_spec::Skeleton::smplx_neutral();
+    let split: fn(&PairRow) -> Split = |row| row.split;
+    commit_rows(
+        &site.dataset,
+        &pairs,
+        Some(split),
+        &skeleton,
+        "variants",
+        "test",
+    )
+    .expect("pairs");
+    let (store, _) = empty_store(&site, "other.sqlite");
+    let taken = take_dataset(&site, store.as_ref());
+    assert_eq!(taken.counts["variants"], 2, "clip03 and clip04");
+    let funnel = store.funnel().expect("counts");
+    let masks = funnel.iter().filter(|row| row.0 == TaskKind::MaskText);
+    assert_eq!(masks.map(|row| row.2).sum::<i64>(), CLIPS as i64 - 2);
 }
 
 #[test]

@@ -7,7 +7,8 @@ mod shard;
 
 use std::sync::Arc;
 
-use arrow_array::{Array, RecordBatch};
+use arrow_array::Array;
+pub use arrow_array::RecordBatch;
 use arrow_schema::{DataType, Field, Schema};
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +23,7 @@ pub use shard::{
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
-pub const SCHEMA_VERSION: &str = "1.6.0";
+pub const SCHEMA_VERSION: &str = "1.7.0";
 
 /// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
 /// of the whole clip (HumanML3D's convention).
@@ -156,6 +157,7 @@ pub(crate) fn column<'a>(
 
 /// Declares a row struct and derives its table from it. A column marked `newer` was added after
 /// version 1.0.0: where a file lacks it, its value is the default one.
+#[macro_export]
 macro_rules! table {
     (@decode $ty:ty, $table:literal, $name:expr, $batch:ident) => {
         $crate::table::decode_column::<$ty>($table, $name, $batch)
@@ -193,7 +195,7 @@ macro_rules! table {
                 }, )*]
             }
 
-            fn encode(rows: &[Self]) -> Result<arrow_array::RecordBatch, $crate::Error> {
+            fn encode(rows: &[Self]) -> Result<$crate::table::RecordBatch, $crate::Error> {
                 let columns = vec![$( <$ty as $crate::table::Cell>::encode(
                     &mut rows.iter().map(|row| &row.$field),
                 ).map_err(|problem| $crate::Error::Column {
@@ -201,12 +203,12 @@ macro_rules! table {
                     column: stringify!($field).to_owned(),
                     problem,
                 })?, )*];
-                arrow_array::RecordBatch::try_new(Self::schema(), columns)
+                $crate::table::RecordBatch::try_new(Self::schema(), columns)
                     .map_err(|source| $crate::Error::Arrow { table: $table, source })
             }
 
-            fn decode(batch: &arrow_array::RecordBatch) -> Result<Vec<Self>, $crate::Error> {
-                $( let mut $field = $crate::table::table!(
+            fn decode(batch: &$crate::table::RecordBatch) -> Result<Vec<Self>, $crate::Error> {
+                $( let mut $field = $crate::table!(
                     @decode $ty, $table, stringify!($field), batch $(, $since)?
                 )?.into_iter(); )*
                 let mut rows = Vec::with_capacity(batch.num_rows());
@@ -220,8 +222,9 @@ macro_rules! table {
 }
 pub(crate) use table;
 
-/// Decodes one column of a batch.
-pub(crate) fn decode_column<T: Cell>(
+/// Decodes one column of a batch, for the macro `table!`.
+#[doc(hidden)]
+pub fn decode_column<T: Cell>(
     table: &'static str,
     name: &'static str,
     batch: &RecordBatch,

@@ -423,6 +423,7 @@ mod tests {
                     parts: vec!["LEFT_ARM".to_owned(); number % 3],
                     instruction: format!("be proud {number}"),
                     edit_type: None,
+                    accepted_by: None,
                 })
                 .collect();
             let (path, facts) = (Path::new("pairs.parquet"), [("fact", "value".to_owned())]);

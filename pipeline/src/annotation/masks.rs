@@ -253,6 +253,7 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
             text,
             text_origin: origin.to_owned(),
             author: AUTHOR.to_owned(),
+            accepted_by: None,
         })
         .collect())
 }

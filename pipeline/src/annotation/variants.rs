@@ -222,6 +222,7 @@ pub fn candidates(
                 parts: Vec::new(),
                 instruction: group.text.clone(),
                 edit_type: None,
+                accepted_by: None,
             });
             made.motions.extend([source.clone(), target.clone()]);
         }

@@ -86,6 +86,7 @@ pub(crate) fn mask_row(motion: &str, split: Split, part: BodyPart) -> MaskRow {
         text: super::instruction("waving", part),
         text_origin: "human".to_owned(),
         author: "fixture".to_owned(),
+        accepted_by: None,
     }
 }
 
@@ -129,5 +130,6 @@ pub(crate) fn pair_row(kind: &str, split: Split, source: usize, target: usize) -
         parts: Vec::new(),
         instruction: String::new(),
         edit_type: None,
+        accepted_by: None,
     }
 }

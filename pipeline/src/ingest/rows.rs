@@ -246,7 +246,8 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
         style: edit.style,
         parts: part_names(&edit.parts),
         instruction: edit.instruction,
-        edit_type: None,
+        edit_type: edit.edit_type,
+        accepted_by: edit.accepted_by,
     })
 }
 
@@ -256,6 +257,7 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
         blend: BlendMask::of_parts(&mask.parts),
         text_origin: "imported".to_owned(),
         author: item.format.as_str().to_owned(),
+        accepted_by: None,
     });
     let parts = part_names(&mask.parts);
     MaskRow {
@@ -269,5 +271,6 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
         text: mask.text,
         text_origin: made.text_origin,
         author: made.author,
+        accepted_by: made.accepted_by,
     }
 }

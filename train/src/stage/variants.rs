@@ -134,10 +134,7 @@ pub fn make_variants(
     let facts = BTreeMap::from([
         ("generator".to_owned(), generator.hash().to_owned()),
         ("generator_seed".to_owned(), seed.0.to_string()),
-        (
-            "variants".to_owned(),
-            serde_json::to_string(config).expect("plain numbers serialise"),
-        ),
+        variants_fact(config),
     ]);
     let dataset = commit_candidates(out, &made, facts, &skeleton, &plan, holder)?;
     Ok(VariantReport {
@@ -179,12 +176,19 @@ pub fn pair_variants(
         });
     }
     let made: Candidates = candidates(groups, config, &skeleton)?;
-    let dataset = commit_candidates(out, &made, BTreeMap::new(), &skeleton, &plan, holder)?;
+    let facts = BTreeMap::from([variants_fact(config)]);
+    let dataset = commit_candidates(out, &made, facts, &skeleton, &plan, holder)?;
     Ok(VariantReport {
         dataset,
         counts: Some(made.counts),
         latent_std: None,
     })
+}
+
+/// The fact of the manifest that says that its motions are variants, and how they were made or paired.
+fn variants_fact(config: &impl Serialize) -> (String, String) {
+    let config = serde_json::to_string(config).expect("plain numbers serialise");
+    ("variants".to_owned(), config)
 }
 
 /// The dataset of candidates, if it was made by the plan. Another dataset is not replaced, because people may

@@ -11,9 +11,12 @@ use crate::wire::{Code, ExportRequest, ImportFormat};
 
 pub(super) fn import(cx: &Context) -> Result<Reply, Error> {
     cx.only(&["format"])?;
-    let format = cx
-        .one_of("format", ImportFormat::parse)?
-        .ok_or_else(|| Error::refused(Code::BadRequest, "format is missing: dataset or stance"))?;
+    let format = cx.one_of("format", ImportFormat::parse)?.ok_or_else(|| {
+        Error::refused(
+            Code::BadRequest,
+            "format is missing: dataset, stance or annotations",
+        )
+    })?;
     let work = jobs::Import {
         format,
         dataset: cx.app.config.dataset.clone(),

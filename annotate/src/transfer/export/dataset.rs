@@ -34,9 +34,15 @@ impl Exporter<'_> {
             let split: Split = accepted.task.split.parse()?;
             let author = exporter.author(&accepted);
             let (answer, done) = (&accepted.answer, &mut exporter.done);
+            let accepted_by = Some(accepted.accepted_by.clone());
             if accepted.task.kind == TaskKind::MaskText {
                 answered.insert(motion.clone());
-                masks.extend(mask_rows(&motion, split, &author, answer, done)?);
+                for row in mask_rows(&motion, split, &author, answer, done)? {
+                    masks.push(MaskRow {
+                        accepted_by: accepted_by.clone(),
+                        ..row
+                    });
+                }
                 return Ok(());
             }
             done.count("pairs_judged", 1);
@@ -44,6 +50,7 @@ impl Exporter<'_> {
             // A store of an earlier version may have two tasks for one candidate: the later decision counts.
             if judged.get(&id).is_none_or(|(seq, _)| *seq < accepted.seq) {
                 let row = pair_row(&id, &motion, target, split, answer)?;
+                let row = row.map(|row| PairRow { accepted_by, ..row });
                 judged.insert(id, (accepted.seq, row));
             }
             Ok(())
@@ -135,6 +142,7 @@ fn mask_rows(
             text: sentence(&mask.text),
             text_origin: "human".to_owned(),
             author: author.to_owned(),
+            accepted_by: None,
         });
     }
     Ok(rows)
@@ -192,5 +200,6 @@ fn pair_row(
         parts: named,
         instruction: text.clone(),
         edit_type: edit_type.map(|kind| kind.to_string()),
+        accepted_by: None,
     }))
 }

@@ -75,14 +75,18 @@ impl<'a> Exporter<'a> {
 
     /// Says how answers were accepted, and how many before their clip was ingested anew.
     pub(super) fn note_decisions(&mut self) -> Result<(), Error> {
+        let mut own = 0;
         for (basis, count) in self.store.accepted_by()? {
             let count = usize::try_from(count).unwrap_or(0);
             self.done.count(&format!("accepted_by {basis}"), count);
-            if basis == "own" {
-                self.done.messages.push(format!(
-                    "{count} answers of the store were accepted by their own authors"
-                ));
+            if matches!(basis.as_str(), "own" | "import:own") {
+                own += count;
             }
+        }
+        if own > 0 {
+            self.done.messages.push(format!(
+                "{own} answers of the store were accepted by their own authors; `accepted_by` marks them"
+            ));
         }
         let changed = self.store.changed_tasks()?;
         let accepted = changed

@@ -10,7 +10,8 @@ use serde_json::json;
 
 use super::exporter::{Exporter, write_file};
 use crate::Error;
-use crate::transfer::release::{self, Said};
+use crate::transfer::import::pair_id;
+use crate::transfer::release;
 use crate::wire::{Answer, Verdict};
 
 /// Writes JSON value by value.
@@ -55,24 +56,29 @@ fn write_json(
 }
 
 impl Exporter<'_> {
-    /// Writes three files in one pass: masks by motion, their texts, and pairs.
+    /// Writes four files in one pass: masks by motion, their texts, how they were accepted, and pairs.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
-        let names = ["mask_all.json", "part_annotations.json", "pairs.json"];
-        let [masks, texts, pairs] = names;
+        let names = ["mask_all", "part_annotations", "accepted_by", "pairs"]
+            .map(|name| format!("{name}.json"));
+        let [masks, texts, marks, pairs] = &names;
         write_json(folder, masks, |masks| {
             let mut masks = masks.serialize_map(None)?;
             write_json(folder, texts, |texts| {
                 let mut texts = texts.serialize_map(None)?;
-                write_json(folder, pairs, |pairs| {
-                    let mut pairs = pairs.serialize_seq(None)?;
-                    self.released(&mut masks, &mut texts, &mut pairs)?;
-                    Ok(SerializeSeq::end(pairs)?)
+                write_json(folder, marks, |marks| {
+                    let mut marks = marks.serialize_map(None)?;
+                    write_json(folder, pairs, |pairs| {
+                        let mut pairs = pairs.serialize_seq(None)?;
+                        self.released(&mut masks, &mut texts, &mut marks, &mut pairs)?;
+                        Ok(SerializeSeq::end(pairs)?)
+                    })?;
+                    Ok(SerializeMap::end(marks)?)
                 })?;
                 Ok(SerializeMap::end(texts)?)
             })?;
             Ok(SerializeMap::end(masks)?)
         })?;
-        self.done.files.extend(names.map(str::to_owned));
+        self.done.files.extend(names);
         Ok(())
     }
 
@@ -80,6 +86,7 @@ impl Exporter<'_> {
         &mut self,
         masks_file: &mut impl SerializeMap<Error = serde_json::Error>,
         texts_file: &mut impl SerializeMap<Error = serde_json::Error>,
+        marks_file: &mut impl SerializeMap<Error = serde_json::Error>,
         pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
     ) -> Result<(), JsonError> {
         let mut hard_only = 0;
@@ -89,13 +96,14 @@ impl Exporter<'_> {
         self.each_accepted::<JsonError>(|exporter, accepted| {
             let (motion, target) = exporter.ids(&accepted.task)?;
             let split = &accepted.task.split;
-            let extra = accepted.task.extra.clone();
+            let (id, accepted_by) = (pair_id(&accepted.task.key), &accepted.accepted_by);
             let pair = match accepted.answer {
                 Answer::MaskText { masks, .. } => {
                     hard_only += masks.iter().filter(|mask| !mask.soft).count();
-                    let (masks, texts) = release::entries(&Said { masks, extra });
+                    let (masks, texts) = release::entries(&masks, accepted.task.extra.as_ref());
                     masks_file.serialize_entry(&motion, &masks)?;
                     texts_file.serialize_entry(&motion, &texts)?;
+                    marks_file.serialize_entry(&motion, accepted_by)?;
                     exporter.done.count("motions", 1);
                     return Ok(());
                 }
@@ -106,8 +114,9 @@ impl Exporter<'_> {
                     text,
                     ..
                 } => json!({
-                    "kind": "fine-grained", "src": motion, "tgt": target,
+                    "id": id, "kind": "fine-grained", "src": motion, "tgt": target,
                     "body_part": parts.join("+"), "text": text, "edit_type": edit_type, "split": split,
+                    "accepted_by": accepted_by,
                 }),
                 Answer::Style {
                     verdict: Verdict::Keep,
@@ -118,8 +127,9 @@ impl Exporter<'_> {
                 } => {
                     let style = style.unwrap_or_default();
                     json!({
-                        "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
+                        "id": id, "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
                         "style": style, "body_part": parts.join("+"), "text": text, "split": split,
+                        "accepted_by": accepted_by,
                     })
                 }
                 Answer::Pair { .. } | Answer::Style { .. } => {

@@ -93,6 +93,7 @@ impl Exporter<'_> {
             author,
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
+            accepted_by: Some(accepted.accepted_by),
         };
         match accepted.answer {
             Answer::MaskText {
@@ -223,6 +224,7 @@ impl Exporter<'_> {
                 reason: reject.reason,
                 note: reject.note,
                 author: self.pseudonym(reject.user.unwrap_or(0)),
+                accepted_by: None,
             });
         }
         for accepted in self.accepted(keys)? {
@@ -241,6 +243,7 @@ impl Exporter<'_> {
                 reason: verdict.to_string(),
                 note: String::new(),
                 author,
+                accepted_by: Some(accepted.accepted_by),
             });
         }
         Ok(rows)

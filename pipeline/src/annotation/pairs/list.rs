@@ -216,6 +216,7 @@ impl Line {
             parts: Vec::new(),
             instruction: self.instruction.clone(),
             edit_type: None,
+            accepted_by: None,
         })
     }
 }

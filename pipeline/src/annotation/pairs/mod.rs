@@ -141,6 +141,7 @@ pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> St
                 parts: Vec::new(),
                 instruction: style_instruction(style),
                 edit_type: None,
+                accepted_by: None,
             });
         }
     }

@@ -146,6 +146,7 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
         parts: vec!["HEAD".to_owned()],
         instruction: format!("as {target}"),
         edit_type: None,
+        accepted_by: None,
     };
     let pairs = [
         pair("fine-grained", "cmu/a", "x/d_1", None),
@@ -164,6 +165,7 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
         text: "nodding".to_owned(),
         text_origin: "human".to_owned(),
         author: String::new(),
+        accepted_by: None,
     };
     let root = dir.path().join("other");
     commit_rows(

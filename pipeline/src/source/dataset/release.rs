@@ -223,6 +223,8 @@ impl StoredDataset {
                     style: pair.style.clone(),
                     parts: parts_of(&pair.parts),
                     instruction: pair.instruction.clone(),
+                    edit_type: pair.edit_type.clone(),
+                    accepted_by: pair.accepted_by.clone(),
                 })
             })
             .collect()
@@ -322,6 +324,7 @@ fn source_mask(row: &MaskRow) -> SourceMask {
             blend: blend.unwrap_or_else(|| BlendMask::of_parts(&parts)),
             text_origin: row.text_origin.clone(),
             author: row.author.clone(),
+            accepted_by: row.accepted_by.clone(),
         }),
         parts,
         text: row.text.clone(),

@@ -319,6 +319,8 @@ impl Release for MotionFixRelease {
                 style: None,
                 parts: self.parts.get(&pair.text).cloned().unwrap_or_default(),
                 instruction: pair.text.clone(),
+                edit_type: None,
+                accepted_by: None,
             });
         }
         Ok(clip)

@@ -126,6 +126,8 @@ impl StanceRelease {
             style: None,
             parts,
             instruction: said("text"),
+            edit_type: None,
+            accepted_by: None,
         }
     }
 }
@@ -164,6 +166,8 @@ impl Release for StanceRelease {
                     style: Some(style.clone()),
                     parts: Vec::new(),
                     instruction: text_of(&value, "text"),
+                    edit_type: None,
+                    accepted_by: None,
                 });
                 clip
             }
