@@ -468,10 +468,13 @@ impl Category {
 /// The categories of pairs that can be claimed; tasks without a category are one.
 type Room = BTreeMap<Option<String>, Category>;
 
-/// Pairs that count toward the quota of each category.
+/// Pairs that count toward the quota of each category, and those that wait for review, because a reviewer may send them
+/// back or keep them.
 fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
-    let sql =
-        "SELECT category, COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1 GROUP BY category";
+    let sql = "SELECT p.category, COUNT(*) FROM (
+         SELECT category FROM task WHERE kind = 'pair' AND counted = 1
+         UNION ALL SELECT category FROM task WHERE kind = 'pair' AND counted = 0 AND state IN ('submitted', 'in_review')
+       ) p GROUP BY p.category";
     tx.query(sql, &[])?
         .iter()
         .map(|row| Ok((row.opt_text(0)?, row.int(1)?)))
@@ -731,11 +734,23 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
         ));
     }
     apply::check_move(task.state, LogKind::Claimed, "taken")?;
-    let free = tx.number("SELECT claimable FROM task WHERE id = ?1", params![id])?;
-    if free == 0 && task.gold.is_none() {
+    let sql = "SELECT claimable, counted FROM task WHERE id = ?1";
+    let row = tx
+        .one(sql, params![id])?
+        .ok_or_else(|| Error::not_found("task"))?;
+    if !row.flag(0)? && task.gold.is_none() {
         return Err(Error::refused(
             Code::TaskFull,
             "the task has enough annotators by now; your text is kept as a draft",
+        ));
+    }
+    let room = room(tx, task.kind, &settings)?;
+    let category = room.as_ref().and_then(|room| room.get(&task.category));
+    let is_full = category.is_some_and(|category| category.room == 0);
+    if is_full && !row.flag(1)? && task.gold.is_none() {
+        return Err(Error::refused(
+            Code::TaskFull,
+            "its category has as many pairs as the project wants; your text is kept as a draft",
         ));
     }
     take(tx, user, id, Purpose::Annotate, &settings, now)

@@ -21,28 +21,22 @@ use annotate::wire::{
 use datasets_spec::Seed;
 use rand::RngExt;
 
+use crate::scale::rule;
 use crate::store::on_each;
 use crate::support::{
     MINUTE, START, all_keys, bare_task, event, key, masks, pair, peak_memory_mb, plain_settings,
+    sizes,
 };
 
 const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
 /// Share of the tasks that reviewers look at.
 const REVIEWED: u32 = 20;
-/// Categories of the pairs.
-const CATEGORIES: [&str; 4] = ["walk", "run", "jump", "wave"];
-
-fn size() -> [usize; 3] {
-    let text = std::env::var("ANNOTATE_SIMULATION").unwrap_or_else(|_| "240x40x5".to_owned());
-    let numbers: Vec<usize> = text
-        .split('x')
-        .filter_map(|number| number.parse().ok())
-        .collect();
-    numbers
-        .try_into()
-        .expect("ANNOTATE_SIMULATION is pairs x clips x people")
-}
+/// Categories of the bundles of pairs: there are three times as many walks and runs as jumps and waves.
+const CATEGORIES: [&str; 8] = ["walk", "run", "jump", "walk", "run", "wave", "walk", "run"];
+/// Pairs kept of each category, as a share of all pairs: more than there are usable jumps and waves, and fewer than
+/// usable walks and runs.
+const QUOTA: f64 = 0.135;
 
 /// Durations of one operation.
 #[derive(Default)]
@@ -73,6 +67,44 @@ impl Times {
     }
 }
 
+fn quota(pairs: usize) -> i64 {
+    (pairs as f64 * QUOTA) as i64
+}
+
+/// Accepted pairs that are kept, and pairs without a decision, by category.
+fn by_category(store: &Store) -> BTreeMap<&'static str, [i64; 2]> {
+    let mut found: BTreeMap<_, _> = CATEGORIES.map(|category| (category, [0, 0])).into();
+    for answer in store.accepted(&all_keys()).expect("answers") {
+        let category = answer.task.category.as_deref();
+        if answer.answer.verdict() == Some(Verdict::Keep)
+            && let Some(name) = CATEGORIES.iter().find(|name| Some(**name) == category)
+        {
+            found.entry(name).or_default()[0] += 1;
+        }
+    }
+    let total = |category: &str, state: Option<TaskState>| -> i64 {
+        let filter = TaskFilter {
+            kind: Some(TaskKind::Pair),
+            state,
+            category: Some(category.to_owned()),
+            ..TaskFilter::default()
+        };
+        let query = PageQuery {
+            filter,
+            limit: 1,
+            ..PageQuery::default()
+        };
+        let page = store.browse(query).expect("a page");
+        page.total.expect("a first page has a total")
+    };
+    for (category, [_, left]) in &mut found {
+        let decided =
+            [TaskState::Accepted, TaskState::Dropped].map(|state| total(category, Some(state)));
+        *left = total(category, None) - decided.iter().sum::<i64>();
+    }
+    found
+}
+
 struct Project {
     store: Arc<Store>,
     people: Vec<i64>,
@@ -91,15 +123,11 @@ fn project(store: Arc<Store>, [pairs, clips, people]: [usize; 3]) -> Project {
     settings.overlap_percent = 10;
     settings.blind_percent = 10;
     settings.seed = 20;
+    settings.category_quota = quota(pairs) as u32;
     let rule = |name: &str, accepts: RuleKind, max_distance: f64| Rule {
-        name: name.to_owned(),
-        enabled: true,
-        accepts,
-        kinds: Vec::new(),
-        people: Vec::new(),
-        min_answers: 1,
         max_distance,
         review_percent: REVIEWED,
+        ..rule(name, accepts)
     };
     settings.rules = vec![
         rule("rejects", RuleKind::Rejects, 1.0),
@@ -376,7 +404,7 @@ fn accepted_by_the_log(store: &Store) -> BTreeMap<i64, (i64, Option<String>)> {
 #[test]
 fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
     use std::io::Write;
-    let size = size();
+    let size: [usize; 3] = sizes("ANNOTATE_SIMULATION", "240x40x5");
     let is_full = size[0] >= 10_000;
     let simulate = |store: Arc<Store>| {
         let begun = Instant::now();
@@ -386,6 +414,12 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
         for day in 0..7 {
             project.day(morning + day * DAY);
             project.review(morning + day * DAY + 9 * HOUR);
+            let now = by_category(&project.store);
+            let _said = writeln!(
+                std::io::stderr().lock(),
+                "day {day}: kept and undecided {now:?}"
+            );
+            check_quota(&now, size, false);
         }
         let end = morning + 7 * DAY;
         let store = Arc::clone(&project.store);
@@ -416,7 +450,9 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
         let reviewed = project.reviews as f64 / total as f64;
         if is_full {
             assert!((0.19..0.27).contains(&reviewed), "{reviewed}");
-            assert!(accepted + dropped > total * 99 / 100, "{funnel:?}");
+            let held_back: i64 = check_quota(&by_category(&store), size, true);
+            let decided = accepted + dropped;
+            assert!(decided > (total - held_back) * 99 / 100, "{funnel:?}");
         }
         assert!(by_rule > 0 && reviewed > 0.0);
         measure(&mut project, end);
@@ -449,6 +485,34 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
     } else {
         on_each("simulation", simulate);
     }
+}
+
+/// No category has more pairs than its quota, and those that still have pairs to give were given evenly. Returns the
+/// pairs that were held back because of the quota.
+fn check_quota(
+    now: &BTreeMap<&'static str, [i64; 2]>,
+    [pairs, _, people]: [usize; 3],
+    is_end: bool,
+) -> i64 {
+    let quota = quota(pairs);
+    let mut held_back = 0;
+    let mut given = Vec::new();
+    for (category, &[kept, left]) in now {
+        assert!(kept <= quota, "{category}: {kept} of {quota}");
+        if kept == quota {
+            held_back += left;
+        } else if is_end {
+            assert!(left <= pairs as i64 / 100, "{category}: {left} left");
+        } else if left > 0 {
+            given.push(kept);
+        }
+    }
+    given.sort_unstable();
+    if let (Some(least), Some(most)) = (given.first(), given.last()) {
+        let at_work = 8 * people as i64;
+        assert!(most - least <= at_work + most / 10, "{now:?}");
+    }
+    held_back
 }
 
 /// Every acknowledged answer is in the store once, and no task has more than it wants.

@@ -1440,14 +1440,15 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
             })
             .collect();
         let fixture = fixture(store, tasks);
-        let settings = Settings {
-            category_quota: 6,
-            ..fixture.store.settings().expect("settings")
+        let quota = |category_quota: u32| {
+            let settings = Settings {
+                category_quota,
+                ..fixture.store.settings().expect("settings")
+            };
+            let put = fixture.store.put_settings(1, settings, START);
+            put.expect("settings");
         };
-        fixture
-            .store
-            .put_settings(1, settings, START)
-            .expect("settings");
+        quota(6);
         let category = |task: i64| {
             let task = fixture.store.task_record(task).expect("a task");
             task.category.expect("a category")
@@ -1456,20 +1457,22 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
             let task = fixture
                 .claim_kind(user, TaskKind::Pair, START)
                 .expect("a task");
-            let sent = event(
-                EventKind::Submit,
-                fixture.epoch(user, task),
-                0,
-                Some(pair(verdict)),
-            );
-            assert_eq!(fixture.send(user, task, sent, START).status, 200);
+            fixture.submit(user, task, 0, pair(verdict), START);
             category(task)
         };
         // Ann is at work on six walks, which is all there is room for; Bob gets the other category.
         assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
         assert_eq!(fixture.store.leases(START).expect("leases").len(), 5);
         assert_eq!(answer(fixture.bob, Verdict::Unclear), "wave");
-        // A pair that is not kept makes room again.
+        // A pair that is not kept makes room again once that is decided.
+        let (task, lease) = fixture.review(START);
+        assert_eq!(category(task), "walk");
+        let done = fixture.decide(task, lease, Decision::Accept, START);
+        assert_eq!(done, Ok(TaskState::Accepted));
+        let (task, lease) = fixture.review(START);
+        assert_eq!(category(task), "wave");
+        let done = fixture.decide(task, lease, Decision::Accept, START);
+        assert_eq!(done, Ok(TaskState::Accepted));
         for _ in 0..5 {
             assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
         }
@@ -1505,15 +1508,26 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
             Vec::<String>::new()
         );
         // With a larger quota the emptiest category comes first.
-        let settings = Settings {
-            category_quota: 8,
-            ..fixture.store.settings().expect("settings")
-        };
-        fixture
-            .store
-            .put_settings(1, settings, START)
-            .expect("settings");
+        quota(8);
         assert_eq!(answer(fixture.ann, Verdict::Keep), "walk");
         assert_eq!(answer(fixture.bob, Verdict::Keep), "wave");
+        // Who lost a task cannot take it up again when there is no room left.
+        let held = fixture.claim_kind(fixture.ann, TaskKind::Pair, START);
+        let held = held.expect("a task");
+        let ann = fixture.who(fixture.ann);
+        let lease = fixture.store.task(&ann, held).expect("a task").lease;
+        let lease = lease.expect("a lease").id;
+        fixture
+            .store
+            .release(&ann, lease, START)
+            .expect("gives it back");
+        quota(7);
+        let refused = fixture.store.claim_task(fixture.ann, held, START);
+        let refused = refused.expect_err("no room");
+        assert_eq!(refused.problem().code, Code::TaskFull);
+        quota(8);
+        let again = fixture.store.claim_task(fixture.ann, held, START);
+        assert_eq!(again.expect("room").task.id, held);
+        fixture.whole();
     });
 }
