@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use jiff::{Timestamp, ToSpan};
 
 use crate::Error;
 use crate::lock::lock;
@@ -30,6 +30,23 @@ pub(crate) fn midnight(zone: &str, now: Millis) -> Millis {
     begun.map_or(now - now.rem_euclid(DAY), |begun| {
         begun.timestamp().as_millisecond()
     })
+}
+
+/// The beginnings of the last `count` weeks in a time zone, oldest first, and the end of the present week. Weeks begin
+/// on Mondays. In UTC if the zone has lost its name since it was set.
+pub(crate) fn weeks(zone: &str, now: Millis, count: i64) -> Vec<Millis> {
+    let zone = TimeZone::get(zone).unwrap_or(TimeZone::UTC);
+    let today = Timestamp::from_millisecond(now)
+        .unwrap_or_default()
+        .to_zoned(zone.clone())
+        .date();
+    let monday = today.saturating_sub(i64::from(today.weekday().to_monday_zero_offset()).days());
+    (1 - count..=1)
+        .map(|week| {
+            let begun = monday.saturating_add(week.weeks()).to_zoned(zone.clone());
+            begun.map_or(now, |begun| begun.timestamp().as_millisecond())
+        })
+        .collect()
 }
 
 /// How often the time of a shared store is read. Between, the monotonic clock of this machine counts on; it gains
@@ -66,7 +83,7 @@ impl<R: Fn() -> Result<Millis, Error>> SharedClock<R> {
 
 #[cfg(test)]
 mod tests {
-    use super::{DAY, SharedClock, is_zone, midnight};
+    use super::{DAY, SharedClock, is_zone, midnight, weeks};
     use crate::Error;
 
     const HOUR: i64 = 60 * 60 * 1000;
@@ -87,6 +104,27 @@ mod tests {
         // Summer time begins on this day, which has 23 hours.
         let next = midnight("Europe/Berlin", noon + DAY);
         assert_eq!(next - midnight("Europe/Berlin", noon), 23 * HOUR);
+    }
+
+    #[test]
+    fn a_week_begins_on_monday_at_the_midnight_of_the_place() {
+        let monday = SUMMER_TIME_DAY - 6 * DAY;
+        let noon = SUMMER_TIME_DAY + 12 * HOUR;
+        assert_eq!(
+            weeks("UTC", noon, 2),
+            [monday - 7 * DAY, monday, monday + 7 * DAY]
+        );
+        // Summer time begins on the Sunday of this week, which has an hour less.
+        assert_eq!(
+            weeks("Europe/Berlin", noon, 1),
+            [monday - HOUR, monday + 7 * DAY - 2 * HOUR]
+        );
+        let sunday_evening = SUMMER_TIME_DAY + 20 * HOUR;
+        assert_eq!(
+            weeks("Asia/Tokyo", sunday_evening, 1)[0],
+            monday + 7 * DAY - 9 * HOUR,
+            "the next week has begun there"
+        );
     }
 
     #[test]

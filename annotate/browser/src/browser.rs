@@ -385,9 +385,14 @@ impl Browser {
 
     /// Saves screenshots of the page in two sizes if ANNOTATE_PICTURES names a folder.
     pub async fn picture(&self, name: &str) {
-        let Some(folder) = std::env::var_os("ANNOTATE_PICTURES") else {
-            return;
-        };
+        if std::env::var_os("ANNOTATE_PICTURES").is_some() {
+            self.in_each_size(name, async |_| {}).await;
+        }
+    }
+
+    /// Checks the page in two sizes, and saves a screenshot of each if ANNOTATE_PICTURES names a folder.
+    pub async fn in_each_size(&self, name: &str, check: impl AsyncFn(u32)) {
+        let folder = std::env::var_os("ANNOTATE_PICTURES");
         let edge = self
             .js("return [outerWidth - innerWidth, outerHeight - innerHeight];")
             .await;
@@ -400,9 +405,12 @@ impl Browser {
                 .expect("the window has another size");
             self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }")
                 .await;
-            let png = self.client.screenshot().await.expect("a picture");
-            let path = std::path::Path::new(&folder).join(format!("{name}-{width}.png"));
-            std::fs::write(&path, png).expect("the picture is kept");
+            if let Some(folder) = &folder {
+                let png = self.client.screenshot().await.expect("a picture");
+                let path = std::path::Path::new(folder).join(format!("{name}-{width}.png"));
+                std::fs::write(&path, png).expect("the picture is kept");
+            }
+            check(width).await;
         }
     }
 

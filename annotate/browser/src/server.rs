@@ -24,8 +24,14 @@ fn stance() -> PathBuf {
 
 /// Runs the command to its end and returns its output.
 async fn run(args: &[&str]) -> String {
+    run_with(args, &[]).await
+}
+
+/// [`run`], with environment variables.
+async fn run_with(args: &[&str], variables: &[(&str, &str)]) -> String {
     let output = Command::new(stance())
         .args(args)
+        .envs(variables.iter().copied())
         .args(["--quiet"])
         .stdin(Stdio::null())
         .output()
@@ -115,6 +121,13 @@ impl Dataset {
         Self { folder }
     }
 
+    /// A copy of another dataset, with its store.
+    pub fn copy_of(dataset: &Path) -> Self {
+        let folder = TempDir::new().expect("a temporary folder");
+        copy(dataset, &folder.path().join("dataset"));
+        Self { folder }
+    }
+
     /// Its folder.
     pub fn path(&self) -> PathBuf {
         self.folder.path().join("dataset")
@@ -124,6 +137,16 @@ impl Dataset {
     pub async fn export(&self) -> Value {
         let printed = run(&["annotate", &text(&self.path()), "export", "--json"]).await;
         serde_json::from_str(&printed).expect("one JSON document")
+    }
+
+    /// Asks the language model at an address for paraphrases of all accepted instructions.
+    pub async fn ask_for_paraphrases(&self, model: &str) {
+        let variables = [("STANCE_MODEL_URL", model), ("STANCE_MODEL_NAME", "tiny")];
+        run_with(
+            &["annotate", &text(&self.path()), "paraphrases"],
+            &variables,
+        )
+        .await;
     }
 
     /// Adds a user and returns their token.

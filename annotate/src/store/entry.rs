@@ -219,7 +219,8 @@ pub(crate) enum Body {
         instruction: String,
         proposed: String,
         text: String,
-        accepted: bool,
+        /// `None`: the reviewer took the judgement back.
+        accepted: Option<bool>,
     },
     /// A picture of the guide was stored; without a hash, it was deleted.
     GuidePicture {

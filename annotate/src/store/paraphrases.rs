@@ -7,7 +7,9 @@ use super::entry::{Body, Entry};
 use super::log;
 use super::records::Millis;
 use crate::Error;
-use crate::wire::{JudgeParaphrase, MAX_TEXT_CHARS, Paraphrase, ParaphraseState, Paraphrases};
+use crate::wire::{
+    Code, JudgeParaphrase, MAX_TEXT_CHARS, Paraphrase, ParaphraseState, Paraphrases,
+};
 
 const COLUMNS: &str = "p.id, p.instruction, p.text, p.model, p.state, p.judge, p.at";
 
@@ -83,7 +85,7 @@ pub(super) fn page(
     })
 }
 
-/// Applies a reviewer's judgement, which can be changed later.
+/// Applies a reviewer's judgement, which can be changed later, and taken back by the same reviewer.
 pub(super) fn judge(
     tx: &mut dyn Tx,
     user: i64,
@@ -94,6 +96,21 @@ pub(super) fn judge(
     let sql = format!("SELECT {COLUMNS} FROM paraphrase p WHERE p.id = ?1");
     let row = tx.one(&sql, params![id])?;
     let before = read(&row.ok_or_else(|| Error::not_found("paraphrase"))?)?;
+    if judgement.was.is_some_and(|was| was != before.state) {
+        return Err(Error::refused(
+            Code::WrongState,
+            format!(
+                "somebody else judged this paraphrase meanwhile: it is {}; reload the page",
+                before.state.as_str()
+            ),
+        ));
+    }
+    if judgement.accept.is_none() && before.judge != Some(user) {
+        return Err(Error::refused(
+            Code::WrongState,
+            "this judgement is not yours to take back; judge the paraphrase anew instead",
+        ));
+    }
     let text = judgement
         .text
         .as_deref()
@@ -115,14 +132,14 @@ pub(super) fn judge(
             "this wording is there already; reject one of the two",
         ));
     }
-    let state = if judgement.accept {
-        ParaphraseState::Accepted
-    } else {
-        ParaphraseState::Rejected
+    let (state, judge) = match judgement.accept {
+        Some(true) => (ParaphraseState::Accepted, Some(user)),
+        Some(false) => (ParaphraseState::Rejected, Some(user)),
+        None => (ParaphraseState::Proposed, None),
     };
     tx.execute(
         "UPDATE paraphrase SET text = ?2, state = ?3, judge = ?4, at = ?5 WHERE id = ?1",
-        params![id, &text, state.as_str(), user, now],
+        params![id, &text, state.as_str(), judge, now],
     )?;
     let entry = Entry {
         at: now,
@@ -141,7 +158,7 @@ pub(super) fn judge(
     Ok(Paraphrase {
         text,
         state,
-        judge: Some(user),
+        judge,
         at: now,
         ..Paraphrase {
             text: String::new(),

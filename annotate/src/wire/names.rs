@@ -425,6 +425,12 @@ names! {
         PracticeCompare = "practice_compare",
         /// Open the task browser.
         ScreenTasks = "screen_tasks",
+        /// Accept the paraphrase.
+        PhraseAccept = "phrase_accept",
+        /// Edit the paraphrase, then accept it.
+        PhraseEdit = "phrase_edit",
+        /// Reject the paraphrase.
+        PhraseReject = "phrase_reject",
     }
 }
 

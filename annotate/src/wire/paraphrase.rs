@@ -43,9 +43,13 @@ pub struct Paraphrase {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct JudgeParaphrase {
-    /// Whether the composer may use it.
-    pub accept: bool,
-    /// The wording as the reviewer corrected it.
+    /// Whether the composer may use it. `null` takes my judgement back, so that it waits for one again.
+    #[serde(deserialize_with = "Option::deserialize")]
+    pub accept: Option<bool>,
+    /// The wording as the reviewer corrected it; with a judgement that is taken back, the proposed one.
     #[serde(default)]
     pub text: Option<String>,
+    /// The state that the reviewer saw: 409 `wrong_state` if somebody changed it meanwhile.
+    #[serde(default)]
+    pub was: Option<ParaphraseState>,
 }

@@ -95,6 +95,8 @@ pub struct Project {
     pub mask_templates: Vec<String>,
     /// What the texts of each kind are.
     pub text_forms: BTreeMap<TaskKind, TextForm>,
+    /// Name of the time zone in which days and weeks begin.
+    pub time_zone: String,
 }
 
 /// `GET`/`PUT settings`.

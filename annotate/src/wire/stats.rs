@@ -38,7 +38,7 @@ pub struct Funnel {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct Week {
-    /// Its Monday, midnight UTC.
+    /// Midnight of its Monday in the project's time zone.
     pub start: i64,
     /// Answers handed in.
     pub submitted: i64,
@@ -140,9 +140,12 @@ pub struct QuotaRow {
     pub kept: i64,
     /// Pairs wanted; 0 for no bound.
     pub wanted: i64,
+    /// Pairs of the category that are given out at most, of all edit types together; 0 for no bound.
+    pub category_wanted: i64,
 }
 
-/// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default.
+/// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day
+/// of `from` is counted whole.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]

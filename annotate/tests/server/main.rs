@@ -2,6 +2,7 @@
 
 mod api;
 mod deployment;
+mod figures;
 mod hostile;
 mod load;
 mod model;

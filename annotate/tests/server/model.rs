@@ -255,3 +255,54 @@ fn paraphrases_are_judged_before_the_composer_gets_them() {
     assert_eq!(judged.len(), 2);
     assert_eq!(judged[0].body["proposed"], "lift it further");
 }
+
+#[test]
+fn the_judgement_of_a_paraphrase_is_taken_back_by_who_made_it_and_never_overwritten_unseen() {
+    let site = Site::new();
+    let (eve, rex) = (
+        site.person("eve", Role::Reviewer),
+        site.person("rex", Role::Reviewer),
+    );
+    let store = site.store.as_ref();
+    store
+        .put_paraphrases("higher", vec!["lift it".to_owned()], "tiny", "", START)
+        .expect("a paraphrase");
+    let path = "paraphrases/1";
+    let corrected = json!({ "accept": true, "text": "lift the arm", "was": "proposed" });
+    let accepted: Paraphrase = eve.post(path, &corrected).ok();
+    assert_eq!(accepted.judge, Some(eve.user.id));
+    // Rex saw the proposal: the judgement of eve stands.
+    let late = json!({ "accept": false, "was": "proposed" });
+    let problem = rex.post(path, &late).problem();
+    assert_eq!(problem.code, Code::WrongState);
+    assert!(problem.detail.contains("accepted"), "{}", problem.detail);
+    let back = json!({ "accept": null, "text": "lift it", "was": "accepted" });
+    assert_eq!(rex.post(path, &back).problem().code, Code::WrongState);
+    assert_eq!(store.accepted_paraphrases().expect("phrases").len(), 1);
+    let proposed: Paraphrase = eve.post(path, &back).ok();
+    assert_eq!(
+        (proposed.state, proposed.judge, proposed.text.as_str()),
+        (ParaphraseState::Proposed, None, "lift it")
+    );
+    assert!(store.accepted_paraphrases().expect("phrases").is_empty());
+    let waiting: Paraphrases = rex.get("paraphrases").ok();
+    assert_eq!((waiting.waiting, waiting.items.len()), (1, 1));
+    let again = json!({ "accept": null });
+    assert_eq!(eve.post(path, &again).problem().code, Code::WrongState);
+    let missing = json!({ "text": "lift it" });
+    assert_eq!(eve.post(path, &missing).status, 400, "no judgement at all");
+    // Who knows of the judgement may change it.
+    let _: Paraphrase = eve.post(path, &json!({ "accept": true })).ok();
+    let changed = json!({ "accept": false, "was": "accepted" });
+    let _: Paraphrase = rex.post(path, &changed).ok();
+    let log = store.log(0, 10_000).expect("the log");
+    let judged: Vec<_> = log
+        .iter()
+        .filter(|entry| entry.kind == "paraphrase_judged")
+        .map(|entry| entry.body["accepted"].clone())
+        .collect();
+    assert_eq!(
+        judged,
+        [json!(true), json!(null), json!(true), json!(false)]
+    );
+}

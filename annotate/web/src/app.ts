@@ -76,7 +76,8 @@ interface Route {
 /** How the login dialog opens: on its own page, over the page unasked, or over the page because the user asked. */
 export type Opening = "page" | "unasked" | "asked";
 
-type ShowLogin = (app: App, opening: Opening) => Promise<Me>;
+/** Resolves with the user; or with null if the dialog over the page was cancelled. */
+type ShowLogin = (app: App, opening: Opening) => Promise<Me | null>;
 
 const RANK: Readonly<Record<Role, number>> = { annotator: 0, reviewer: 1, admin: 2 };
 
@@ -298,7 +299,7 @@ export class App {
   /** Opens the login dialog over the page; waiting requests continue after login. */
   requireLogin(): Promise<void> {
     this.login ??= this.idle()
-      .then((opening) => this.showLogin(this, opening))
+      .then((opening) => this.askLogin(opening))
       .then((me) => {
         // Another user or another project: do not send the events of the previous one.
         if (this.me && (me.user.id !== this.me.user.id || me.store !== this.me.store)) window.location.reload();
@@ -309,6 +310,27 @@ export class App {
         this.login = null;
       });
     return this.login;
+  }
+
+  /** Shows the login dialog, and again when the user asks for it after a Cancel. */
+  private async askLogin(opening: Opening): Promise<Me> {
+    for (let how = opening; ; how = "asked") {
+      const me = await this.showLogin(this, how);
+      if (me) return me;
+      this.focusStage();
+      await new Promise<void>((resolve) => this.sayEnded(resolve));
+      this.ended.hidden = true;
+    }
+  }
+
+  /** Says that the session has ended, with a button to log in. */
+  private sayEnded(logIn: () => void): void {
+    fill(
+      this.ended,
+      "Your session has ended. Go on typing: what you write is kept in this browser. ",
+      h("button", { attrs: { type: "button" }, on: { click: logIn } }, "Log in"),
+    );
+    this.ended.hidden = false;
   }
 
   /** Resolves when nobody is typing a text of the page, or the user asks to log in. */
@@ -324,12 +346,7 @@ export class App {
       // The next element has the focus only after the event.
       const left = (): void => void window.setTimeout(() => (typing() || this.ended.contains(document.activeElement) ? undefined : done("unasked")));
       document.addEventListener("focusout", left);
-      fill(
-        this.ended,
-        "Your session has ended. Go on typing: what you write is kept in this browser. ",
-        h("button", { attrs: { type: "button" }, on: { click: () => done("asked") } }, "Log in"),
-      );
-      this.ended.hidden = false;
+      this.sayEnded(() => done("asked"));
     });
   }
 
@@ -373,7 +390,7 @@ export class App {
       const response = await this.api.once("GET", "me");
       return (await response.json()) as Me;
     } catch (error) {
-      if (error instanceof ApiError || error instanceof Unreachable) return this.showLogin(this, "page");
+      if (error instanceof ApiError || error instanceof Unreachable) return this.askLogin("page");
       throw error;
     }
   }

@@ -5,6 +5,7 @@ import { App } from "./app";
 import { fill, h } from "./dom";
 import { openAdmin } from "./screens/admin";
 import { openDashboard } from "./screens/dashboard";
+import { openDecisions } from "./screens/decisions";
 import { openFeedback } from "./screens/feedback";
 import { openGuide } from "./screens/guide";
 import { openHome } from "./screens/home";
@@ -12,6 +13,7 @@ import { showLogin } from "./screens/login";
 import { openMask } from "./screens/mask";
 import { openMine } from "./screens/mine";
 import { openPair, openStyle } from "./screens/pair";
+import { openParaphrases } from "./screens/paraphrases";
 import { openPractice } from "./screens/practice";
 import { openRecord } from "./screens/record";
 import { openReview } from "./screens/review";
@@ -34,6 +36,8 @@ const app = new App(
     tasks: { label: "Tasks", role: "reviewer", listed: true, open: openTasks },
     task: { label: "Task", role: "reviewer", listed: false, within: "tasks", open: openRecord },
     rules: { label: "Rules", role: "reviewer", listed: false, within: "tasks", open: openRules },
+    decisions: { label: "Decisions", role: "reviewer", listed: false, within: "review", open: openDecisions },
+    paraphrases: { label: "Paraphrases", role: "reviewer", listed: false, within: "review", open: openParaphrases },
     dashboard: { label: "Dashboard", role: "reviewer", listed: true, open: openDashboard },
     admin: { label: "Admin", role: "admin", listed: true, open: openAdmin },
   },

@@ -24,7 +24,7 @@ export const KEY_CODES: readonly string[] = [
 ];
 
 /** Actions that can be bound to keys. */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks";
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks" | "phrase_accept" | "phrase_edit" | "phrase_reject";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -36,7 +36,7 @@ export const ACTIONS: readonly Action[] = [
   "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
   "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
   "screen_dashboard", "screen_admin", "screen_mine", "guide_beside", "practice_next", "practice_again",
-  "practice_compare", "screen_tasks",
+  "practice_compare", "screen_tasks", "phrase_accept", "phrase_edit", "phrase_reject",
 ];
 
 /** What a bulk action does with each task. */
@@ -365,7 +365,7 @@ export type Change = {
   /** Whether the task is one of mine. */
   mine: boolean, };
 
-/** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. */
+/** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
   /** First millisecond of the day in the project's time zone, in Unix time. */
   start: number,
@@ -590,10 +590,12 @@ export type Job = {
 
 /** `POST paraphrases/{id}`. */
 export type JudgeParaphrase = {
-  /** Whether the composer may use it. */
-  accept: boolean,
-  /** The wording as the reviewer corrected it. */
-  text: string | null, };
+  /** Whether the composer may use it. `null` takes my judgement back, so that it waits for one again. */
+  accept: boolean | null,
+  /** The wording as the reviewer corrected it; with a judgement that is taken back, the proposed one. */
+  text: string | null,
+  /** The state that the reviewer saw: 409 `wrong_state` if somebody changed it meanwhile. */
+  was: ParaphraseState | null, };
 
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
@@ -971,7 +973,9 @@ export type Project = {
   /** Phrases to start the description of a mask with: they complete "The person is …". */
   mask_templates: Array<string>,
   /** What the texts of each kind are. */
-  text_forms: { [key in TaskKind]?: TextForm }, };
+  text_forms: { [key in TaskKind]?: TextForm },
+  /** Name of the time zone in which days and weeks begin. */
+  time_zone: string, };
 
 /** A queue as I see it. */
 export type QueueInfo = {
@@ -999,7 +1003,9 @@ export type QuotaRow = {
   /** Pairs kept: answered `keep` and not sent back. */
   kept: number,
   /** Pairs wanted; 0 for no bound. */
-  wanted: number, };
+  wanted: number,
+  /** Pairs of the category that are given out at most, of all edit types together; 0 for no bound. */
+  category_wanted: number, };
 
 /** A returned task. */
 export type ReturnedTask = {
@@ -1427,7 +1433,7 @@ export type UserChange = {
 
 /** A week of work. */
 export type Week = {
-  /** Its Monday, midnight UTC. */
+  /** Midnight of its Monday in the project's time zone. */
   start: number,
   /** Answers handed in. */
   submitted: number,

@@ -5,6 +5,7 @@ import {
   SKIP_REASONS,
   type Answer,
   type CountReason,
+  type DecisionRow,
   type RevisionState,
   type RuleKind,
   type SkipReason,
@@ -63,6 +64,8 @@ export function acceptedHow(basis: string): string {
   if (basis.startsWith("rule:")) return `by rule ${basis.slice("rule:".length)}`;
   return { review: "by a reviewer", own: "by its own author", import: "before its import" }[basis] ?? basis;
 }
+/** Kinds in the heads of tables. */
+export const SHORT_KIND: Readonly<Record<TaskKind, string>> = { mask_text: "Masks", pair: "Pairs", style: "Styles" };
 
 export const SKIP_WORDS: Readonly<Record<SkipReason, string>> = {
   broken_motion: "The motion is damaged",
@@ -87,4 +90,32 @@ export function factsOf(task: Task): string[] {
   return [task.hint, task.category && `category: ${task.category}`, task.style && `source style: ${task.style}`].filter(
     (fact): fact is string => typeof fact === "string" && fact !== "",
   );
+}
+
+/** What a reviewer decided. */
+export const DECISION_WORDS: Readonly<Record<string, string>> = {
+  accepted: "accepted",
+  merged: "merged and accepted",
+  returned: "sent back",
+  dropped: "dropped",
+  reopened: "reopened",
+};
+
+const NOW: Readonly<Record<TaskState, string>> = {
+  open: "open to everybody",
+  leased: "being answered",
+  submitted: "answered again, waits for review",
+  in_review: "answered again, in review",
+  returned: "waits for its author",
+  accepted: "accepted since",
+  dropped: "dropped since",
+};
+
+/** What became of a decision: whether it still stands, else where its task is now. */
+export function becameOf({ decision, state, authors }: Pick<DecisionRow, "decision" | "state" | "authors">): string {
+  const accepts = decision === "accepted" || decision === "merged";
+  if ((accepts && state === "accepted") || (decision === "dropped" && state === "dropped")) return "stands";
+  if (decision === "returned") return state === "returned" && authors.length > 0 ? `waits for ${authors.join(" and ")}` : NOW[state];
+  const again = state === "submitted" ? "waits for review" : state === "in_review" ? "in review" : NOW[state];
+  return decision === "reopened" ? again : `reopened since; ${again}`;
 }

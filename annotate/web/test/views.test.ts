@@ -1,13 +1,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { both, differing } from "../src/merge";
-import { agreementChart, roundUp, throughput } from "../src/components/charts";
+import { agreementByWeek, agreementChart, roundUp, shares, throughput } from "../src/components/charts";
 import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
-import type { Candidate, PartInfo, Task } from "../src/wire";
-import { factsOf, type MaskTextAnswer } from "../src/words";
+import type { Candidate, PartInfo, Task, TaskState } from "../src/wire";
+import { becameOf, factsOf, type MaskTextAnswer } from "../src/words";
 
 const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
   name,
@@ -150,8 +150,32 @@ test("a strip is told in words", () => {
 
 test("charts draw what there is, and nothing of nothing", () => {
   assert.deepEqual([0, 0.3, 1, 7, 26, 101].map(roundUp), [1, 0.5, 1, 10, 50, 200]);
-  assert.equal(typeof throughput([]), "symbol");
+  assert.equal(typeof throughput([], "UTC"), "symbol");
+  assert.equal(typeof agreementByWeek([], "UTC"), "symbol");
   assert.equal(typeof agreementChart([]), "symbol");
+});
+
+test("the bar of a kind shows every task once", () => {
+  const groups = shares({ open: 5, leased: 1, submitted: 2, in_review: 1, returned: 1, accepted: 8, dropped: 2 });
+  assert.deepEqual(
+    groups.map((group) => [group.label, group.tasks]),
+    [["accepted", 8], ["waiting for review", 3], ["in work", 2], ["open", 5], ["dropped", 2]],
+  );
+  assert.ok(Math.abs(groups.reduce((sum, group) => sum + group.share, 0) - 1) < 1e-9);
+  assert.ok(shares({}).every((group) => group.share === 0));
+});
+
+test("a decision says what became of it", () => {
+  const row = (decision: string, state: TaskState): string => becameOf({ decision, state, authors: ["ann", "bob"] });
+  assert.equal(row("accepted", "accepted"), "stands");
+  assert.equal(row("merged", "accepted"), "stands");
+  assert.equal(row("dropped", "dropped"), "stands");
+  assert.equal(row("accepted", "open"), "reopened since; open to everybody");
+  assert.equal(row("dropped", "submitted"), "reopened since; waits for review");
+  assert.equal(row("returned", "returned"), "waits for ann and bob");
+  assert.equal(row("returned", "submitted"), "answered again, waits for review");
+  assert.equal(row("returned", "accepted"), "accepted since");
+  assert.equal(row("reopened", "submitted"), "waits for review");
 });
 
 test("annotators and reviewers are told what the source says about a task", () => {

@@ -190,6 +190,8 @@ async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
         ("app/tasks", ".list-row[data-task]"),
         ("app/task/1", "task-record .facts"),
         ("app/rules", ".dashboard .note"),
+        ("app/decisions", "decision-list table"),
+        ("app/paraphrases", "paraphrase-desk .card"),
         ("app/dashboard", ".dashboard table"),
         ("app/admin", ".numbers"),
     ] {
@@ -209,7 +211,7 @@ async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
         );
         let parts = browser
             .js("return { main: document.querySelectorAll('main').length, lang: document.documentElement.lang, \
-                 title: document.title !== '', wide: document.documentElement.scrollWidth > innerWidth };")
+                 title: document.title !== '', wide: [document.documentElement, document.querySelector('main')].some((part) => part.scrollWidth > part.clientWidth) };")
             .await;
         assert_eq!(
             parts,

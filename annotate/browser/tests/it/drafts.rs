@@ -12,8 +12,8 @@ const DRAFT: &str = "The person is waving <b>slowly</b> with their left arm.";
 /// The draft as it completes "The person is …".
 const SHOWN: &str = "waving <b>slowly</b> with their left arm";
 
-/// Starts a mock server that answers every request with the draft, and returns its address.
-async fn model() -> String {
+/// Starts a mock server that answers every request with this text, and returns its address.
+pub(crate) async fn model(says: &'static str) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("an address");
     tokio::spawn(async move {
@@ -28,7 +28,7 @@ async fn model() -> String {
                         Ok(read) => seen.extend(&buffer[..read]),
                     }
                 }
-                let body = json!({ "choices": [{ "message": { "content": DRAFT } }] }).to_string();
+                let body = json!({ "choices": [{ "message": { "content": says } }] }).to_string();
                 let answer = format!(
                     "HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{body}",
                     body.len()
@@ -45,7 +45,7 @@ async fn a_draft_is_asked_for_by_key_edited_and_told_apart() {
     let dataset = Dataset::fresh().await;
     let ann = dataset.add_user("ann", "annotator").await;
     let boss = dataset.add_user("boss", "admin").await;
-    let server = Server::start_with(&dataset, Some(model().await)).await;
+    let server = Server::start_with(&dataset, Some(model(DRAFT).await)).await;
     let browser = Browser::start(Graphics::Software).await;
     browser.open(&server.page("")).await;
     nothing_by_chance(&browser, &boss).await;

@@ -2,12 +2,15 @@
 //! server. Started by `annotate/browser/run`.
 
 mod access;
+mod dashboard;
 mod drafts;
 mod first_day;
 mod guide;
 mod masks;
 mod nothing_lost;
 mod pairs;
+mod people;
+mod pictures;
 mod quick_start;
 mod report;
 mod review;

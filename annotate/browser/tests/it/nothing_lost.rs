@@ -57,6 +57,25 @@ async fn a_session_that_ends_amid_a_text_loses_nothing() {
             .await,
         json!("")
     );
+    // The box can be left; the page offers to log in again.
+    browser
+        .js("document.querySelector('dialog.login [data-choice=Cancel]').click();")
+        .await;
+    browser
+        .until(
+            "the page says that the session has ended",
+            "!document.querySelector('dialog.login') && document.querySelector('[data-region=session]:not([hidden]) button')",
+        )
+        .await;
+    browser
+        .js("document.querySelector('[data-region=session] button').click();")
+        .await;
+    browser
+        .until(
+            "the box takes the token",
+            "document.activeElement.id === 'token'",
+        )
+        .await;
     browser.type_text(&desk.token).await;
     browser.press(&[keys::ENTER]).await;
     browser

@@ -1,7 +1,7 @@
 //! The task browser, bulk actions, decisions, and my answers.
 
 use super::review::candidates_of;
-use super::tasks::{shown, task_of};
+use super::tasks::{offered, task_of};
 use crate::Error;
 use crate::http::app::{Context, Reply, json};
 use crate::store::{DecisionQuery, MineQuery, PageQuery};
@@ -82,15 +82,14 @@ pub(super) fn tasks(cx: &Context) -> Result<Reply, Error> {
 pub(super) fn task(cx: &Context) -> Result<Reply, Error> {
     let id = cx.id()?;
     let (row, decisions) = cx.app.store.task_row(id)?;
-    let kind = row.kind;
-    let suggestions = cx.app.store.suggestions_of(id)?.into_iter();
+    let task = cx.app.store.task_record(id)?;
     json(&TaskFile {
-        task: task_of(&cx.app, cx.app.store.task_record(id)?, None)?,
+        suggestions: offered(&cx.app, &task, cx.app.store.suggestions_of(id)?)?,
+        task: task_of(&cx.app, task, None)?,
         row,
         answers: candidates_of(cx, cx.app.store.answers_to(id)?)?,
         accepted: cx.app.store.accepted_answer(id)?,
         decisions,
-        suggestions: suggestions.map(|draft| shown(draft, kind)).collect(),
     })
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::Error;
+use crate::clock;
 use crate::http::app::{App, Context, Reply, json};
 use crate::quality::Figures;
 use crate::state::LogKind;
@@ -29,12 +30,8 @@ pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
     for (kind, state, count) in cx.app.store.funnel()? {
         funnel.counts.entry(kind).or_default().insert(state, count);
     }
-    // The first day of the epoch was a Thursday.
-    let week = 7 * DAY;
-    let this = (cx.now - 4 * DAY).div_euclid(week) * week + 4 * DAY;
-    let bounds: Vec<i64> = (0..=WEEKS)
-        .map(|back| this + week - (WEEKS - back) * week)
-        .collect();
+    let zone = cx.app.store.settings()?.time_zone;
+    let bounds = clock::weeks(&zone, cx.now, WEEKS);
     let counts = cx.app.store.weeks(bounds.clone())?;
     let figures = figures(&cx.app, cx.now)?;
     for (index, counts) in counts.into_iter().enumerate() {
@@ -97,7 +94,9 @@ pub(super) fn agreement(cx: &Context) -> Result<Reply, Error> {
 }
 
 pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
-    let wanted = i64::from(cx.app.store.settings()?.quota);
+    let settings = cx.app.store.settings()?;
+    let wanted = i64::from(settings.quota);
+    let category_wanted = i64::from(settings.category_quota);
     let rows: Vec<QuotaRow> = cx
         .app
         .store
@@ -109,19 +108,25 @@ pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
                 edit_type: EditType::parse(&edit_type)?,
                 kept,
                 wanted,
+                category_wanted,
             })
         })
         .collect();
     json(&rows)
 }
 
-/// Days that `stats/days` shows if the query names none.
+/// Days that `stats/days` shows if the query names none, today among them.
 const DAYS_SHOWN: i64 = 28;
 
 pub(super) fn days(cx: &Context) -> Result<Reply, Error> {
     cx.only(&["from", "to"])?;
-    let to = cx.number("to")?.unwrap_or(cx.now + DAY);
-    let from = cx.number("from")?.unwrap_or(to - DAYS_SHOWN * DAY);
+    let to = cx.number("to")?.unwrap_or(i64::MAX);
+    let from = cx
+        .number("from")?
+        .unwrap_or(cx.now - (DAYS_SHOWN - 1) * DAY);
+    // The first day is shown whole.
+    let zone = cx.app.store.settings()?.time_zone;
+    let from = clock::midnight(&zone, from.max(0));
     json(&cx.app.store.work(from, to)?)
 }
 

@@ -1,6 +1,6 @@
 //! Reviews.
 
-use super::tasks::{shown, task_of};
+use super::tasks::{offered, task_of};
 use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, Reply, json};
@@ -26,7 +26,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             ReviewClaimed::Task(detail) => *detail,
         }
     };
-    let (id, kind) = (detail.task.id, detail.task.kind);
+    let id = detail.task.id;
     let clip_changed = detail.task.changed;
     let answers: Vec<_> = detail
         .candidates
@@ -34,7 +34,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
         .map(|(revision, _)| revision.answer.clone())
         .collect();
     let candidates = candidates_of(cx, detail.candidates)?;
-    let suggestions = cx.app.store.suggestions_of(id)?.into_iter();
+    let suggestions = offered(&cx.app, &detail.task, cx.app.store.suggestions_of(id)?)?;
     json(&ReviewNext {
         review: Some(ReviewView {
             task: task_of(&cx.app, detail.task, None)?,
@@ -42,7 +42,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             candidates,
             distance: answer::spread(&answers),
             comments: detail.comments,
-            suggestions: suggestions.map(|draft| shown(draft, kind)).collect(),
+            suggestions,
             clip_changed,
         }),
         empty: None,

@@ -101,6 +101,7 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             style_templates: settings.style_templates,
             mask_templates: settings.mask_templates,
             text_forms: text_forms(),
+            time_zone: settings.time_zone,
         },
         prefs: app.store.prefs(who.id)?,
         model: app

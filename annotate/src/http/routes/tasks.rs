@@ -57,6 +57,32 @@ pub(super) fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
     suggestion
 }
 
+/// Suggestions as annotators see them: those of the store, and the active parts of a clip.
+pub(super) fn offered(
+    app: &App,
+    task: &TaskRecord,
+    stored: Vec<Suggestion>,
+) -> Result<Vec<Suggestion>, Error> {
+    let mut suggestions: Vec<Suggestion> = stored
+        .into_iter()
+        .map(|suggestion| shown(suggestion, task.kind))
+        .collect();
+    if task.kind == TaskKind::MaskText {
+        // Active parts are suggestions too, computed on request.
+        let parts = app.motions.active_parts(&task.source)?;
+        if !parts.is_empty() {
+            suggestions.push(Suggestion {
+                id: 0,
+                source: crate::wire::SuggestionSource::Heat,
+                parts: parts.iter().map(|part| part.name().to_owned()).collect(),
+                text: String::new(),
+                model: "activity".to_owned(),
+            });
+        }
+    }
+    Ok(suggestions)
+}
+
 fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     let bundle = detail.task.bundle.map(|id| Bundle {
         id,
@@ -72,23 +98,11 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
             .collect(),
     });
     let blind = detail.blind;
-    let suggestions = detail.suggestions.into_iter();
-    let mut suggestions: Vec<Suggestion> = suggestions
-        .map(|suggestion| shown(suggestion, detail.task.kind))
-        .collect();
-    if detail.task.kind == TaskKind::MaskText && !blind {
-        // Active parts are suggestions too, computed on request.
-        let parts = app.motions.active_parts(&detail.task.source)?;
-        if !parts.is_empty() {
-            suggestions.push(Suggestion {
-                id: 0,
-                source: crate::wire::SuggestionSource::Heat,
-                parts: parts.iter().map(|part| part.name().to_owned()).collect(),
-                text: String::new(),
-                model: "activity".to_owned(),
-            });
-        }
-    }
+    let suggestions = if blind {
+        Vec::new()
+    } else {
+        offered(app, &detail.task, detail.suggestions)?
+    };
     Ok(TaskView {
         task: task_of(app, detail.task, bundle)?,
         lease: detail.lease,

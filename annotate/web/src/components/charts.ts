@@ -1,7 +1,8 @@
 /** Charts of the dashboard. The tables beside them have the same figures in words. */
 
 import { html, nothing, svg, type TemplateResult } from "lit";
-import type { PartAgreement, Week } from "../wire";
+import { dateOf, hours, shortDate, type Period, type Work } from "../figures";
+import type { Funnel, PartAgreement, TaskKind, TaskState, Week } from "../wire";
 
 const WIDTH = 640;
 const HEIGHT = 220;
@@ -26,7 +27,7 @@ function axis(end: number, digits: number): TemplateResult {
 }
 
 /** Answers handed in, accepted and returned, week by week. */
-export function throughput(weeks: readonly Week[]): TemplateResult | typeof nothing {
+export function throughput(weeks: readonly Week[], zone: string): TemplateResult | typeof nothing {
   if (weeks.length === 0) return nothing;
   const end = roundUp(Math.max(...weeks.map((week) => Math.max(week.submitted, week.accepted, week.returned))));
   const step = (WIDTH - LEFT) / weeks.length;
@@ -42,7 +43,7 @@ export function throughput(weeks: readonly Week[]): TemplateResult | typeof noth
       ${axis(end, end < 4 ? 1 : 0)}
       ${weeks.map((week, index) => {
         const x = LEFT + step * (index + 0.5);
-        const day = new Date(week.start).toLocaleDateString(undefined, { day: "numeric", month: "short" });
+        const day = shortDate(dateOf(week.start, zone));
         return svg`${series.map(
           ([name], at) => svg`<rect class=${`chart-${name}`} x=${x + (at - 1.5) * bar} width=${bar * 0.9}
             y=${y(week[name] / end)} height=${y(0) - y(week[name] / end)}><title>${week[name]}</title></rect>`,
@@ -72,4 +73,108 @@ export function agreementChart(rows: readonly PartAgreement[]): TemplateResult |
       })}
     </svg>
   </figure>`;
+}
+
+/** Mean agreement of each week; weeks without tasks of several answers leave a gap. */
+export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateResult | typeof nothing {
+  if (!weeks.some((week) => week.agreement !== null)) return nothing;
+  const step = (WIDTH - LEFT) / weeks.length;
+  const points = weeks.map((week, index) => ({ week, x: LEFT + step * (index + 0.5), at: week.agreement === null ? null : y(week.agreement) }));
+  const line = points
+    .map(({ x, at }, index) => (at === null ? "" : `${points[index - 1]?.at == null ? "M" : "L"}${x.toFixed(1)} ${at.toFixed(1)}`))
+    .join("");
+  return html`<figure class="chart">
+    <figcaption>Agreement by week of the last answer</figcaption>
+    <svg viewBox=${`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label="Agreement by week; the table beside it has the figures">
+      ${axis(1, 1)}
+      <path class="chart-line" d=${line}></path>
+      ${points.map(({ week, x, at }) => {
+        const label = svg`<text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${shortDate(dateOf(week.start, zone))}</text>`;
+        if (at === null || week.agreement === null) return label;
+        // The figure stands below the point where there is no room above it.
+        const below = at < TOP + 20;
+        return svg`<circle class="chart-value" cx=${x} cy=${at} r="5"></circle>
+          <text class="chart-text" x=${x} y=${below ? at + 20 : at - 10} text-anchor="middle">${week.agreement.toFixed(2)}</text>${label}`;
+      })}
+    </svg>
+  </figure>`;
+}
+
+/** Groups of states, as the bar of a kind shows them. */
+const GROUPS: readonly (readonly [string, string, readonly TaskState[]])[] = [
+  ["accepted", "accepted", ["accepted"]],
+  ["waiting", "waiting for review", ["submitted", "in_review"]],
+  ["working", "in work", ["leased", "returned"]],
+  ["open", "open", ["open"]],
+  ["dropped", "dropped", ["dropped"]],
+];
+
+/** Share of each group of states among the tasks of a kind, in the order of the bar. */
+export function shares(counts: Funnel["counts"][TaskKind]): { name: string; label: string; tasks: number; share: number }[] {
+  const groups = GROUPS.map(([name, label, states]) => ({
+    name,
+    label,
+    tasks: states.reduce((sum, state) => sum + (counts?.[state] ?? 0), 0),
+  }));
+  const all = groups.reduce((sum, group) => sum + group.tasks, 0);
+  return groups.map((group) => ({ ...group, share: all > 0 ? group.tasks / all : 0 }));
+}
+
+const BAR_WIDTH = 640;
+/** About the width of a character in a bar. */
+const LETTER = 7;
+
+/** How far a kind is: one bar, of accepted, waiting, open and dropped tasks. */
+export function stateBar(title: string, counts: Funnel["counts"][TaskKind]): TemplateResult {
+  const groups = shares(counts).filter((group) => group.tasks > 0);
+  const words = groups.map((group) => `${group.tasks} ${group.label}`).join(", ") || "no tasks";
+  let x = 0;
+  return html`<figure class="chart bar">
+    <figcaption>${title} <span class="note">${words}</span></figcaption>
+    <svg viewBox=${`0 0 ${BAR_WIDTH} 24`} role="img" aria-label=${`${title}: ${words}`}>
+      ${groups.map((group) => {
+        const at = x;
+        const width = group.share * BAR_WIDTH;
+        x += width;
+        const long = `${group.label} ${Math.round(group.share * 100)} %`;
+        const text = [long, group.label].find((own) => own.length * LETTER < width - 8) ?? "";
+        return svg`<rect class=${`state-${group.name}`} x=${at + 0.5} y="0.5" width=${Math.max(0, width - 1)} height="23"></rect>
+          <text class=${`state-text ${group.name}`} x=${at + 6} y="16">${text}</text>`;
+      })}
+    </svg>
+  </figure>`;
+}
+
+const SPARK_WIDTH = 560;
+const SPARK_HEIGHT = 34;
+
+/** Values of a person day by day; `most` is the value of a full bar. */
+export function dayBars(days: readonly Work[], value: (work: Work) => number, most: number, words: string): TemplateResult {
+  const step = SPARK_WIDTH / Math.max(1, days.length);
+  const gap = step > 4 ? 1.5 : 0;
+  return html`<svg class="spark" viewBox=${`0 0 ${SPARK_WIDTH} ${SPARK_HEIGHT}`} preserveAspectRatio="none" role="img" aria-label=${words}>
+    <line class="chart-grid" x1="0" x2=${SPARK_WIDTH} y1=${SPARK_HEIGHT - 0.5} y2=${SPARK_HEIGHT - 0.5}></line>
+    ${days.map((day, index) => {
+      const height = most > 0 ? (value(day) / most) * (SPARK_HEIGHT - 2) : 0;
+      return height === 0
+        ? nothing
+        : svg`<rect class="chart-submitted" x=${index * step + gap / 2} y=${SPARK_HEIGHT - height} width=${step - gap} height=${height}></rect>`;
+    })}
+  </svg>`;
+}
+
+/** What the bars of the days show, from the first to the last date. */
+export function daySpan(period: Period): string {
+  const [first, last] = [period.dates[0], period.dates.at(-1)];
+  return first && last ? `${shortDate(first)} to ${shortDate(last)}` : "";
+}
+
+/** The most that one person did on one day. */
+export function mostOf(period: Period, value: (work: Work) => number): number {
+  return Math.max(0, ...period.people.flatMap((person) => person.days.map(value)));
+}
+
+/** A value of a day in words. */
+export function measureWords(measure: "hours" | "answers", work: Work): string {
+  return measure === "hours" ? hours(work.secs) : String(work.answers);
 }

@@ -63,6 +63,47 @@ export function lintList(lints: readonly Lint[]): TemplateResult {
   </ul>`;
 }
 
+/** A table from rows of cells; the first cell of a row names it. Without rows, `none` is shown in their place. */
+export function figureTable(caption: string, head: readonly string[], rows: readonly (readonly unknown[])[], none = "None."): TemplateResult {
+  return html`<table>
+    <caption>
+      ${caption}
+    </caption>
+    <thead>
+      <tr>
+        ${head.map((cell) => html`<th scope="col">${cell}</th>`)}
+      </tr>
+    </thead>
+    <tbody>
+      ${rows.length === 0
+        ? html`<tr>
+            <td colspan=${head.length} class="note">${none}</td>
+          </tr>`
+        : rows.map(
+            (row) =>
+              html`<tr>
+                ${row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`))}
+              </tr>`,
+          )}
+    </tbody>
+  </table>`;
+}
+
+/** Buttons of which one is chosen. */
+export function switcher<T extends string | number>(
+  label: string,
+  options: readonly (readonly [T, string])[],
+  chosen: T,
+  choose: (value: T) => void,
+): TemplateResult {
+  return html`<div class="row switcher" role="group" aria-label=${label}>
+    ${options.map(
+      ([value, words]) =>
+        html`<button type="button" aria-pressed=${value === chosen ? "true" : "false"} @click=${() => choose(value)}>${words}</button>`,
+    )}
+  </div>`;
+}
+
 /** A draft that may be used or discarded, or the button that asks for one. */
 export function draftBox(
   draft: Suggestion | null,

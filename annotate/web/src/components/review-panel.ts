@@ -263,6 +263,7 @@ export class ReviewPanel extends Component {
         <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
         ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
+        ${this.offered()}
         ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
         ${this.review.clip_changed
           ? html`<div class="returned-note"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
@@ -275,6 +276,22 @@ export class ReviewPanel extends Component {
       </div>
       ${this.merging ? nothing : this.buttons()}
     `;
+  }
+
+  /** Drafts and suggested parts that the annotators saw. */
+  private offered(): TemplateResult | typeof nothing {
+    const { suggestions } = this.review;
+    if (suggestions.length === 0) return nothing;
+    const words = (parts: readonly string[]): string => parts.map((part) => this.app.parts.phrase(part)).join(", ");
+    return html`<details class="offered">
+      <summary>What annotators were offered: ${suggestions.length === 1 ? "1 suggestion" : `${suggestions.length} suggestions`}</summary>
+      <ul>
+        ${suggestions.map(
+          ({ text, parts, model }) =>
+            html`<li>${[words(parts), text && `“${text}”`].filter((part) => part !== "").join(": ")} <span class="note">${model}</span></li>`,
+        )}
+      </ul>
+    </details>`;
   }
 
   private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {

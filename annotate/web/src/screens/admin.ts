@@ -2,6 +2,7 @@
 
 import { reason } from "../api";
 import type { App, Screen } from "../app";
+import { NewcomersForm } from "../components/newcomers-form";
 import { fill, h, type Child } from "../dom";
 import { ask, button, field, select, table, when } from "../ui";
 import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
@@ -11,7 +12,8 @@ const POLL_MS = 500;
 const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
 
 export async function openAdmin(app: App): Promise<Screen> {
-  const sections = [exportsSection(app), await peopleSection(app), await settingsSection(app), auditSection(app)];
+  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app));
+  const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
   const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
   const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
   return { element, title: "Administration", scopes: [], perform: () => false, focusTarget: heading };
@@ -102,8 +104,10 @@ function jobTable(jobs: Job[]): HTMLElement {
 
 async function peopleSection(app: App): Promise<HTMLElement> {
   const box = h("div", {});
+  let names: ReadonlySet<string> = new Set();
   const refresh = async (): Promise<void> => {
     const users = await app.api.get<User[]>("users");
+    names = new Set(users.map((user) => user.name));
     fill(
       box,
       table(
@@ -183,6 +187,7 @@ async function peopleSection(app: App): Promise<HTMLElement> {
         await showToken(shown);
       }, app, "primary"),
     ),
+    new NewcomersForm(app, () => names, () => void refresh().catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }))),
   );
 }
 
@@ -258,6 +263,21 @@ async function settingsSection(app: App): Promise<HTMLElement> {
       show();
       app.toasts.show("Settings are saved.");
     }, app, "primary"),
+  );
+}
+
+/** What a language model does in bulk, which is started on the command line. */
+function modelSection(app: App): HTMLElement {
+  const command = (text: string): HTMLElement => h("pre", {}, h("code", {}, text));
+  return h(
+    "section",
+    { class: "card" },
+    h("h2", {}, "Language model"),
+    h("p", {}, app.me.model ? `Drafts come from ${app.me.model}.` : "The server was started without a language model (STANCE_MODEL_URL, STANCE_MODEL_NAME)."),
+    h("p", {}, "Drafts for all tasks before people start, again after new clips:"),
+    command("stance annotate DATASET drafts"),
+    h("p", {}, "Other wordings of accepted instructions, which reviewers judge on the page ", app.link("paraphrases", "Paraphrases"), ":"),
+    command("stance annotate DATASET paraphrases"),
   );
 }
 

@@ -1,4 +1,4 @@
-/** Login by token. Also shown over the page when the session has expired. */
+/** Login by token. Also shown over the page when the session has expired; there it can be cancelled. */
 
 import { reason } from "../api";
 import type { App, Opening } from "../app";
@@ -6,24 +6,27 @@ import { fill, h } from "../dom";
 import { deaf } from "../ui";
 import type { Me } from "../wire";
 
-export function showLogin(app: App, opening: Opening): Promise<Me> {
+export function showLogin(app: App, opening: Opening): Promise<Me | null> {
   const over = opening !== "page";
   return new Promise((resolve) => {
+    const close = (me: Me | null): void => {
+      dialog.close();
+      dialog.remove();
+      resolve(me);
+    };
     const input = h("input", {
       id: "token",
       attrs: { type: "password", autocomplete: "current-password", spellcheck: "false", required: true },
     });
     const trouble = h("p", { class: "trouble", attrs: { role: "alert" } });
     const button = h("button", { class: "primary", attrs: { type: "submit" } }, "Log in");
+    const cancel = h("button", { attrs: { type: "button", "data-choice": "Cancel" }, on: { click: () => close(null) } }, "Cancel");
     const submit = async (event: Event): Promise<void> => {
       event.preventDefault();
       button.disabled = true;
       try {
         const response = await app.api.once("POST", "session", { token: input.value.trim() });
-        const me = (await response.json()) as Me;
-        dialog.close();
-        dialog.remove();
-        resolve(me);
+        close((await response.json()) as Me);
       } catch (error) {
         trouble.textContent = reason(error);
         input.select();
@@ -45,11 +48,14 @@ export function showLogin(app: App, opening: Opening): Promise<Me> {
       h("label", { attrs: { for: "token" } }, "Token"),
       input,
       trouble,
-      button,
+      h("div", { class: "row" }, button, over && cancel),
     );
     const dialog = h("dialog", { class: "dialog login", attrs: { "aria-labelledby": "login-title", tabindex: -1 } });
     fill(dialog, form);
-    dialog.addEventListener("cancel", (event) => event.preventDefault());
+    dialog.addEventListener("cancel", (event) => {
+      event.preventDefault();
+      if (over) close(null);
+    });
     dialog.addEventListener("keydown", (event) => event.stopPropagation());
     document.body.append(dialog);
     dialog.showModal();

@@ -2,16 +2,11 @@
 
 import type { App, Screen } from "../app";
 import { ReviewPanel } from "../components/review-panel";
-import { h, setAttr } from "../dom";
+import { h } from "../dom";
 import type { Scope } from "../keys";
 import type { ReviewNext, ReviewQueue, ReviewView } from "../wire";
+import { QUEUES, reviewTabs } from "./review-tabs";
 import { showTask } from "./shown";
-
-const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
-  ["disagreement", "Most different"],
-  ["sample", "Random sample"],
-  ["returned", "Sent back"],
-];
 
 /** Opens the next task of a queue, or the task with the number. */
 export async function openReview(app: App, argument: string): Promise<Screen> {
@@ -31,7 +26,7 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
         next.empty.in_review > 0 && `${next.empty.in_review} are with another reviewer.`,
       ].filter((line): line is string => typeof line === "string")
     : [];
-  const tabs = queueTabs(app, queue);
+  const tabs = reviewTabs(app, `review/${queue}`);
   const element = h(
     "div",
     { class: "page empty" },
@@ -42,21 +37,12 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   return { element, title: "Review", scopes: [], perform: () => false, focusTarget: tabs.querySelector("a") };
 }
 
-function queueTabs(app: App, current: ReviewQueue | null): HTMLElement {
-  const links = QUEUES.map(([name, label]) => {
-    const link = app.link(`review/${name}`, label, "tab");
-    setAttr(link, "aria-current", name === current ? "true" : null);
-    return link;
-  });
-  return h("nav", { class: "tabs", attrs: { "aria-label": "Review queues" } }, ...links);
-}
-
 /** Reviews a task of a queue, or one that was opened from its record, where the reviewer returns to. */
 async function reviewScreen(app: App, queue: ReviewQueue | null, review: ReviewView): Promise<Screen> {
   const { task } = review;
   const next = queue === null ? `task/${task.id}` : `review/${queue}`;
   const { viewer, stage, perform } = await showTask(app, task, false);
-  const panel = new ReviewPanel(app, review, stage, queueTabs(app, queue), () => app.go(next));
+  const panel = new ReviewPanel(app, review, stage, reviewTabs(app, queue === null ? "" : `review/${queue}`), () => app.go(next));
   viewer.element.dataset.region = "stage";
   return {
     element: h("div", { class: "work review", data: { task: String(task.id) } }, viewer.element, panel),

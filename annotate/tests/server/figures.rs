@@ -1,0 +1,523 @@
+//! Figures of the dashboard over days and weeks.
+//!
+//! The work of a team over two weeks is simulated on the test's small dataset, or on that of a folder, whose server then
+//! shows what the pictures of the README show:
+//!
+//! ```sh
+//! ANNOTATE_SEED=DATASET cargo test --release -p stance -p annotate --test server work_of_a_team
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use annotate::store::{Claimed, ReviewClaimed, Store, TaskDetail, open_sqlite};
+use annotate::transfer::from_dataset;
+use annotate::wire::{
+    Answer, CountReason, Decision, EditType, EventKind, Extent, Funnel, MaskAnswer, NewReview,
+    Outlook, Project, QuotaRow, ReviewQueue, Role, Rule, RuleKind, Settings, TaskKind, Verdict,
+};
+use datasets_spec::Seed;
+use rand::RngExt;
+use serde_json::json;
+
+use crate::store::on_each;
+use crate::support::{Client, MINUTE, START, Site, dataset, event, key, masks, pair};
+
+const HOUR: i64 = 60 * MINUTE;
+const DAY: i64 = 24 * HOUR;
+/// Tuesday 2023-11-14, midnight UTC: `START` is in the evening of this day.
+const TUESDAY: i64 = START - START % DAY;
+
+fn set(store: &Store, change: impl FnOnce(&mut Settings)) {
+    let mut settings = store.settings().expect("settings");
+    change(&mut settings);
+    store.put_settings(1, settings, START).expect("settings");
+}
+
+#[test]
+fn weeks_and_days_begin_in_the_time_zone_of_the_project() {
+    let site = Site::new();
+    set(&site.store, |settings| {
+        settings.time_zone = "Pacific/Auckland".to_owned();
+    });
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    let me: serde_json::Value = eve.get("me").ok();
+    let project: Project = serde_json::from_value(me["project"].clone()).expect("a project");
+    assert_eq!(project.time_zone, "Pacific/Auckland");
+    ann.answer(TaskKind::Pair, pair(Verdict::Unclear));
+    // Sunday 20:00 UTC is Monday 9:00 in Auckland.
+    let sunday = TUESDAY + 5 * DAY + 20 * HOUR;
+    site.clock.advance(sunday - START);
+    ann.answer(TaskKind::Pair, pair(Verdict::Unclear));
+    let funnel: Funnel = eve.get("stats/funnel").ok();
+    let last: Vec<(i64, i64)> = funnel
+        .weeks
+        .iter()
+        .rev()
+        .take(2)
+        .map(|week| (week.start, week.submitted))
+        .collect();
+    let monday = TUESDAY + 5 * DAY + 11 * HOUR;
+    assert_eq!(last, [(monday, 1), (monday - 7 * DAY, 1)]);
+    assert_eq!(funnel.weeks.len(), 12);
+    // A period begins with a whole day, whatever its first moment.
+    let days = |query: String| -> Vec<(i64, i64)> {
+        let days: Vec<annotate::wire::DayWork> = eve.get(&format!("stats/days{query}")).ok();
+        days.iter().map(|day| (day.start, day.answers)).collect()
+    };
+    let both = [(TUESDAY + 11 * HOUR, 1), (monday, 1)];
+    assert_eq!(days(format!("?from={}", START + MINUTE)), both);
+    assert_eq!(days(String::new()), both);
+    assert_eq!(days(format!("?from={}", monday + MINUTE)), both[1..]);
+    assert_eq!(days(format!("?from=-1&to={monday}")), both[..1]);
+}
+
+#[test]
+fn agreement_is_told_for_the_week_of_the_last_answer() {
+    let site = Site::new();
+    set(&site.store, |settings| settings.answers_per_task = 2);
+    let (ann, bob, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("bob", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    let answer = |who: &Client, answer: Answer| who.answer(answer.kind(), answer);
+    // Two pairs in the first week: one verdict agrees, the other does not.
+    let mut tasks = Vec::new();
+    for (first, second) in [
+        (Verdict::Unclear, Verdict::Unclear),
+        (Verdict::Unclear, Verdict::Identical),
+    ] {
+        tasks.push(answer(&ann, pair(first)));
+        tasks.push(answer(&bob, pair(second)));
+    }
+    assert_eq!(
+        (tasks[0], tasks[2]),
+        (tasks[1], tasks[3]),
+        "both answer the same tasks"
+    );
+    let clip = answer(&ann, masks("waving"));
+    site.clock.advance(7 * DAY);
+    // The same joints in the second week, of which one answer is a week old.
+    assert_eq!(answer(&bob, masks("swinging")), clip);
+    let single = answer(&ann, masks("waving"));
+    assert_ne!(single, clip);
+    let weeks = || -> Vec<(Option<f64>, usize)> {
+        let funnel: Funnel = eve.get("stats/funnel").ok();
+        let weeks = funnel.weeks.iter().rev().take(3);
+        weeks
+            .map(|week| (week.agreement, week.shared_items))
+            .collect()
+    };
+    assert_eq!(weeks(), [(Some(1.0), 1), (Some(0.5), 2), (None, 0)]);
+    // Of two arms, one is shared: so are the legs of both answers.
+    let Answer::MaskText {
+        masks: mut other, ..
+    } = masks("swinging")
+    else {
+        panic!("masks")
+    };
+    other.remove(0);
+    let legs = Answer::MaskText {
+        masks: other,
+        count_reason: Some(CountReason::SingleAction),
+        note: String::new(),
+    };
+    assert_eq!(answer(&bob, legs), single);
+    // Figures are a minute old at most.
+    site.clock.advance(2 * MINUTE);
+    let weeks = weeks();
+    let mean = weeks[0].0.expect("an agreement");
+    assert!((0.5..1.0).contains(&mean), "{mean}");
+    assert_eq!(weeks[0].1, 2, "two tasks are shared in this week");
+    assert_eq!(weeks[1..], [(Some(0.5), 2), (None, 0)]);
+}
+
+/// What people write about the parts of a clip that has no drafted text.
+const DOING: [(&str, &str); 8] = [
+    ("LEFT_ARM", "swinging the left arm beside the body"),
+    ("RIGHT_ARM", "raising the right hand to the shoulder"),
+    ("BOTH_ARMS", "holding both arms in front of the chest"),
+    ("LEFT_LEG", "lifting the left knee"),
+    ("RIGHT_LEG", "stepping forward with the right leg"),
+    ("BOTH_LEGS", "shifting the weight from one leg to the other"),
+    ("LOWER_BODY", "standing with the feet apart"),
+    ("UPPER_BODY", "leaning slightly forward"),
+];
+
+/// Instructions, with the parts and the type of the edit.
+const EDITS: [(&str, &str, EditType); 8] = [
+    (
+        "LEFT_ARM",
+        "Raise the left arm higher.",
+        EditType::Amplitude,
+    ),
+    ("RIGHT_ARM", "Swing the right arm faster.", EditType::Speed),
+    (
+        "BOTH_ARMS",
+        "Move both arms with more force.",
+        EditType::Force,
+    ),
+    ("BOTH_LEGS", "Take wider steps.", EditType::Amplitude),
+    ("LOWER_BODY", "Bend the knees deeper.", EditType::Amplitude),
+    (
+        "RIGHT_LEG",
+        "Lift the right foot a moment later.",
+        EditType::Timing,
+    ),
+    (
+        "UPPER_BODY",
+        "Turn the chest to the left.",
+        EditType::Spatial,
+    ),
+    (
+        "BOTH_ARMS",
+        "Keep the hands closer to the body.",
+        EditType::Spatial,
+    ),
+];
+
+/// Comments of reviewers who send an answer back.
+const COMMENTS: [&str; 3] = [
+    "Which hand is it? Look again from the side.",
+    "The legs act too: add a mask for them.",
+    "Say what changes, not what the second clip shows.",
+];
+
+/// Other wordings of instructions, as a model proposes them.
+const WORDINGS: [(usize, [&str; 2]); 3] = [
+    (
+        0,
+        [
+            "Lift the left arm further up.",
+            "Bring your left arm up higher.",
+        ],
+    ),
+    (4, ["Sink lower into the knees.", "Flex both knees more."]),
+    (
+        6,
+        [
+            "Rotate the upper body left.",
+            "Face further left with the chest.",
+        ],
+    ),
+];
+
+/// Masks of a clip, from its drafts unless the person has an opinion of their own.
+fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
+    let mut said: Vec<MaskAnswer> = Vec::new();
+    let drafted = task
+        .suggestions
+        .iter()
+        .filter(|draft| !draft.text.is_empty());
+    for draft in drafted.take(if own { 0 } else { 2 }) {
+        let text = draft.text.trim_start_matches("The person is ");
+        said.push(MaskAnswer {
+            parts: draft.parts.clone(),
+            soft: true,
+            text: text.trim_end_matches('.').to_owned(),
+            suggestion: Some(draft.id),
+        });
+    }
+    for (part, text) in DOING.iter().cycle().skip(number as usize % DOING.len()) {
+        if said.len() >= 2 {
+            break;
+        }
+        if said.iter().all(|mask| mask.parts != [*part]) {
+            said.push(MaskAnswer {
+                parts: vec![(*part).to_owned()],
+                soft: true,
+                text: (*text).to_owned(),
+                suggestion: None,
+            });
+        }
+    }
+    Answer::MaskText {
+        masks: said,
+        count_reason: None,
+        note: String::new(),
+    }
+}
+
+/// A team at work on a store.
+struct Team {
+    store: Arc<Store>,
+    /// Annotators with the seconds that they need for a mask task.
+    annotators: Vec<(i64, f64)>,
+    reviewers: Vec<i64>,
+    rng: datasets_spec::Rng,
+    answers: i64,
+    secs: f64,
+}
+
+impl Team {
+    fn new(store: Arc<Store>, root: &Path, begin: i64) -> Self {
+        let user = |name: &str, role| store.add_user(None, name, role, begin).expect("a user").id;
+        let admin = user("ines", Role::Admin);
+        let settings = Settings {
+            name: "Reference motions".to_owned(),
+            time_zone: "Europe/Berlin".to_owned(),
+            answers_per_task: 2,
+            overlap_percent: 40,
+            gold_percent: 0,
+            category_quota: 24,
+            quota: 6,
+            rules: vec![Rule {
+                name: "both-reject".to_owned(),
+                enabled: true,
+                accepts: RuleKind::Rejects,
+                kinds: Vec::new(),
+                people: Vec::new(),
+                min_answers: 2,
+                max_distance: 0.0,
+                review_percent: 10,
+            }],
+            ..store.settings().expect("settings")
+        };
+        store
+            .put_settings(admin, settings, begin)
+            .expect("settings");
+        from_dataset(&store, root, None, begin, &mut |_, _| {}).expect("imports");
+        let annotators = [
+            ("aisha", 205.0),
+            ("jonas", 260.0),
+            ("mei", 235.0),
+            ("tom", 310.0),
+        ]
+        .map(|(name, secs)| (user(name, Role::Annotator), secs));
+        let reviewers = ["clara", "rui"].map(|name| user(name, Role::Reviewer));
+        Self {
+            store,
+            annotators: annotators.to_vec(),
+            reviewers: reviewers.to_vec(),
+            rng: Seed(21).rng(&["a team"]),
+            answers: 0,
+            secs: 0.0,
+        }
+    }
+
+    /// What a person says about a task: what others say too in nine of ten cases.
+    fn answer(&mut self, task: &TaskDetail) -> Answer {
+        let own = self.rng.random_range(0..100) < 10;
+        let number = if own {
+            self.rng.random_range(0..u64::MAX)
+        } else {
+            Seed(21).draw_u64(&["truth", &task.task.key])
+        };
+        match task.task.kind {
+            TaskKind::MaskText => describe(task, number, own),
+            TaskKind::Pair => {
+                let verdict = match number % 20 {
+                    0..=4 => Verdict::Unnatural,
+                    5..=7 => Verdict::Unclear,
+                    8 => Verdict::Identical,
+                    _ => Verdict::Keep,
+                };
+                let (part, text, edit_type) = EDITS[(number / 20) as usize % EDITS.len()];
+                let keep = verdict == Verdict::Keep;
+                Answer::Pair {
+                    verdict,
+                    parts: keep.then(|| part.to_owned()).into_iter().collect(),
+                    edit_type: keep.then_some(edit_type),
+                    text: if keep { text.to_owned() } else { String::new() },
+                    suggestion: None,
+                    note: String::new(),
+                }
+            }
+            TaskKind::Style => {
+                let style = task.task.style.clone();
+                let style = style.unwrap_or_else(|| "proud".to_owned());
+                Answer::Style {
+                    verdict: Verdict::Keep,
+                    parts: Vec::new(),
+                    extent: Some(Extent::Whole),
+                    text: format!("Do the same in a {style} way."),
+                    style: Some(style),
+                    suggestion: None,
+                    note: String::new(),
+                }
+            }
+        }
+    }
+
+    /// A person answers `count` tasks from a time on, as far as there are any.
+    fn work(&mut self, person: i64, pace: f64, count: usize, mut now: i64) {
+        for turn in 0..count {
+            let first = [0, 1, 0, 1, 2][turn % 5];
+            let kinds = [TaskKind::MaskText, TaskKind::Pair, TaskKind::Style];
+            let claimed = (0..3).find_map(|next| {
+                let kind = kinds[(first + next) % 3];
+                match self.store.claim(person, kind, 3, now).expect("claims") {
+                    Claimed::Task { detail, .. } => Some(detail),
+                    Claimed::Nothing(_) => None,
+                }
+            });
+            let Some(detail) = claimed else { return };
+            let slower = self.rng.random_range(0.7..1.4);
+            let secs = match detail.task.kind {
+                TaskKind::MaskText => pace * slower,
+                _ => pace * slower / 2.0,
+            };
+            now += (secs * 1000.0) as i64;
+            let answer = self.answer(&detail);
+            let mut sent = event(
+                EventKind::Submit,
+                detail.lease.as_ref().map_or(0, |lease| lease.epoch),
+                detail.mine.as_ref().map_or(0, |mine| mine.rev),
+                Some(answer),
+            );
+            sent.secs = secs;
+            let results = self
+                .store
+                .append(person, detail.task.id, vec![sent], now)
+                .expect("takes events");
+            assert_eq!(results[0].status, 200, "{:?}", results[0].problem);
+            self.answers += 1;
+            self.secs += secs;
+        }
+    }
+
+    /// Reviewers decide about `count` tasks.
+    fn review(&mut self, count: usize, mut now: i64) {
+        for turn in 0..count {
+            let reviewer = self.reviewers[turn % self.reviewers.len()];
+            let claimed = self
+                .store
+                .review_next(reviewer, ReviewQueue::Disagreement, None, now)
+                .expect("claims");
+            let ReviewClaimed::Task(detail) = claimed else {
+                return;
+            };
+            now += MINUTE / 2;
+            let back = detail.comments.is_empty() && self.rng.random_range(0..100) < 9;
+            let first = detail.candidates.first().map(|(own, _)| own.author);
+            let review = NewReview {
+                idem_key: key(),
+                task: detail.task.id,
+                lease_epoch: detail.lease.epoch,
+                decision: if back {
+                    Decision::Return
+                } else {
+                    Decision::Accept
+                },
+                author: first,
+                answer: None,
+                comment: if back {
+                    COMMENTS[turn % COMMENTS.len()]
+                } else {
+                    ""
+                }
+                .to_owned(),
+                secs: 28.0,
+            };
+            self.store.review(reviewer, review, now).expect("decides");
+        }
+    }
+
+    /// Two weeks up to `end`, from 9 o'clock on each day but weekends.
+    fn two_weeks(&mut self, end: i64) {
+        let tasks: i64 = self
+            .store
+            .funnel()
+            .expect("a funnel")
+            .iter()
+            .map(|(_, _, count)| count)
+            .sum();
+        let daily = tasks as f64 * 1.4 * 0.75 / (10.0 * self.annotators.len() as f64);
+        let today = end - end % DAY;
+        let mornings: Vec<i64> = (0..14)
+            .map(|back| today - (13 - back) * DAY + 8 * HOUR)
+            // The first day of the epoch was a Thursday.
+            .filter(|morning| (morning / DAY + 3) % 7 < 5 && *morning < end - 3 * HOUR)
+            .collect();
+        for (day, &morning) in mornings.iter().enumerate() {
+            for (index, (person, pace)) in self.annotators.clone().into_iter().enumerate() {
+                // The last one joins later, and the second is away on every third day.
+                if index == 3 && day < 4 || index == 1 && day % 3 == 2 {
+                    continue;
+                }
+                let count = (daily * self.rng.random_range(0.6..1.4)).round();
+                let begin = morning + index as i64 * 20 * MINUTE;
+                self.work(person, pace, count as usize, begin);
+            }
+            // What the last day brought waits for the reviewers.
+            if day + 1 < mornings.len() {
+                self.review((daily * 2.2).round() as usize, morning + 2 * HOUR);
+            }
+        }
+        for (index, wordings) in WORDINGS {
+            let (instruction, wordings) = (EDITS[index].1, wordings.map(str::to_owned));
+            self.store
+                .put_paraphrases(instruction, wordings.to_vec(), "llama-3.1-8b", "", end)
+                .expect("paraphrases");
+        }
+    }
+}
+
+#[test]
+fn the_work_of_a_team_is_counted_once_by_day_and_by_week() {
+    let check = |mut team: Team, end: i64| {
+        team.two_weeks(end);
+        let store = Arc::clone(&team.store);
+        let days = store.work(end - 15 * DAY, end).expect("days");
+        let answers: i64 = days.iter().map(|day| day.answers).sum();
+        assert_eq!(answers, team.answers);
+        let secs: f64 = days.iter().map(|day| day.secs).sum();
+        let reviews: i64 = days.iter().map(|day| day.reviews).sum();
+        let expected = team.secs + reviews as f64 * 28.0;
+        assert!((secs - expected).abs() < 1.0, "{secs} of {expected}");
+        let mut by_person: BTreeMap<&str, i64> = BTreeMap::new();
+        for day in &days {
+            *by_person.entry(&day.name).or_default() += day.answers;
+        }
+        assert!(
+            by_person.get("tom") < by_person.get("aisha"),
+            "{by_person:?}"
+        );
+        let outlook: Vec<Outlook> = store.outlook(end).expect("an outlook");
+        assert!(outlook.iter().all(|kind| kind.answers_left >= 0));
+        assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    };
+    if let Some(root) = std::env::var_os("ANNOTATE_SEED") {
+        let root = std::path::PathBuf::from(root);
+        let path = root.join("annotate").join("store.sqlite");
+        assert!(!path.exists(), "{} is there already", path.display());
+        std::fs::create_dir_all(root.join("annotate")).expect("a folder");
+        let now = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .expect("after 1970");
+        let end = now.as_millis() as i64;
+        let store = open_sqlite(&path).expect("a store");
+        check(Team::new(store, &root, end - 14 * DAY), end);
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let root = folder.path().join("dataset");
+    dataset(&root);
+    on_each("a team", |store| {
+        check(Team::new(store, &root, START - 14 * DAY), START);
+    });
+}
+
+#[test]
+fn a_quota_of_a_category_is_told_beside_those_of_its_edit_types() {
+    let site = Site::new();
+    set(&site.store, |settings| {
+        settings.quota = 3;
+        settings.category_quota = 5;
+    });
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    ann.answer(TaskKind::Pair, pair(Verdict::Keep));
+    let rows: Vec<QuotaRow> = eve.get("stats/quota").ok();
+    let [row] = rows.as_slice() else {
+        panic!("{}", json!(rows));
+    };
+    assert_eq!((row.kept, row.wanted, row.category_wanted), (1, 3, 5));
+}

@@ -1,0 +1,91 @@
+/** Decisions of reviewers, newest first, with what became of each. */
+
+import { html, nothing, type TemplateResult } from "lit";
+import { reason } from "../api";
+import type { App } from "../app";
+import { when } from "../ui";
+import type { DecisionRow, Decisions } from "../wire";
+import { DECISION_WORDS, becameOf } from "../words";
+import { Component, action, define, figureTable, switcher } from "./component";
+
+const WHOSE = [
+  ["mine", "Mine"],
+  ["all", "Of all reviewers"],
+] as const;
+type Whose = (typeof WHOSE)[number][0];
+
+const KINDS: readonly (readonly [string, string])[] = [["", "All"], ["returned", "Sent back"], ["accepted", "Accepted"], ["merged", "Merged"], ["dropped", "Dropped"], ["reopened", "Reopened"]];
+
+export class DecisionList extends Component {
+  private whose: Whose = "mine";
+  private items: readonly DecisionRow[] = [];
+  private next: number | null = null;
+  /** Number of the last request, so that a slow one does not replace a newer one. */
+  private asked = 0;
+
+  constructor(
+    private readonly app: App,
+    /** Only decisions of this kind; empty for all. */
+    private kind: string,
+  ) {
+    super();
+    if (!KINDS.some(([name]) => name === kind)) this.kind = "";
+  }
+
+  /** Loads the first page, or the one after those shown. */
+  async load(more = false): Promise<void> {
+    const turn = ++this.asked;
+    const query = new URLSearchParams();
+    if (this.whose === "mine") query.set("reviewer", String(this.app.me.user.id));
+    if (this.kind !== "") query.set("decision", this.kind);
+    if (more && this.next !== null) query.set("before", String(this.next));
+    const page = await this.app.api.get<Decisions>(`reviews?${query.toString()}`);
+    if (turn !== this.asked) return;
+    this.items = more ? [...this.items, ...page.items] : page.items;
+    this.next = page.next;
+    this.requestUpdate();
+  }
+
+  private reload(more = false): void {
+    this.load(more).catch((error: unknown) => this.app.toasts.show(`The decisions were not loaded: ${reason(error)}`, { id: "decisions", kind: "error" }));
+  }
+
+  protected override render(): TemplateResult {
+    const mine = this.whose === "mine";
+    return html`
+      <div class="row spread">
+        ${switcher("Whose decisions", WHOSE, this.whose, (whose) => {
+          this.whose = whose;
+          this.reload();
+        })}
+        ${switcher("Kind of decision", KINDS, this.kind, (kind) => {
+          this.kind = kind;
+          this.reload();
+        })}
+      </div>
+      <section class="card">
+        ${figureTable(
+          "Newest first",
+          ["When", ...(mine ? [] : ["Who"]), "Task", "Decision", "Whose answer", "Comment", "What became of it"],
+          this.items.map((row) => this.cells(row, mine)),
+          mine ? "You have decided nothing of this kind yet." : "Nothing of this kind was decided yet.",
+        )}
+        ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload(true))}</div>`}
+      </section>
+    `;
+  }
+
+  private cells(row: DecisionRow, mine: boolean): unknown[] {
+    return [
+      when(row.at),
+      ...(mine ? [] : [row.reviewer_name]),
+      html`${this.app.link(`task/${row.task}`, String(row.task))} <span class="note">${row.key}</span>`,
+      DECISION_WORDS[row.decision] ?? row.decision,
+      row.authors.join(", "),
+      row.rule ? `${row.comment} (rule ${row.rule})`.trim() : row.comment,
+      becameOf(row),
+    ];
+  }
+}
+
+define("decision-list", DecisionList);
