@@ -7,13 +7,15 @@ use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::json;
 
 /// Screens, what shows that they are drawn, and who looks at them.
-const SCREENS: [(&str, &str, &str); 13] = [
+const SCREENS: [(&str, &str, &str); 15] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),
     ("pair", ".verdicts", "annotator"),
     ("style", ".verdicts", "annotator"),
     ("shelf", ".panel", "annotator"),
     ("guide", ".guide", "annotator"),
+    ("practice", ".page.practice .queue", "annotator"),
+    ("mine", ".work.mine .shelf-list", "annotator"),
     ("review", "#main h1, .candidates", "reviewer"),
     ("decisions", "decision-list table", "reviewer"),
     ("paraphrases", "paraphrase-desk .card", "reviewer"),
