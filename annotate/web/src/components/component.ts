@@ -63,6 +63,16 @@ export function lintList(lints: readonly Lint[]): TemplateResult {
   </ul>`;
 }
 
+/** A link to another screen that does not reload the page. */
+export function pageLink(app: { go(path: string): void }, path: string, label: string, className = ""): TemplateResult {
+  const go = (event: MouseEvent): void => {
+    if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    app.go(path);
+  };
+  return html`<a class=${className} href=${`/app/${path}`} @click=${go}>${label}</a>`;
+}
+
 /** A table from rows of cells; the first cell of a row names it. Without rows, `none` is shown in their place. */
 export function figureTable(caption: string, head: readonly string[], rows: readonly (readonly unknown[])[], none = "None."): TemplateResult {
   return html`<table>

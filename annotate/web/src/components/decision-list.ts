@@ -6,7 +6,7 @@ import type { App } from "../app";
 import { when } from "../ui";
 import type { DecisionRow, Decisions } from "../wire";
 import { DECISION_WORDS, becameOf } from "../words";
-import { Component, action, define, figureTable, switcher } from "./component";
+import { Component, action, define, figureTable, pageLink, switcher } from "./component";
 
 const WHOSE = [
   ["mine", "Mine"],
@@ -79,7 +79,7 @@ export class DecisionList extends Component {
     return [
       when(row.at),
       ...(mine ? [] : [row.reviewer_name]),
-      html`${this.app.link(`task/${row.task}`, String(row.task))} <span class="note">${row.key}</span>`,
+      html`${pageLink(this.app, `task/${row.task}`, String(row.task))} <span class="note">${row.key}</span>`,
       DECISION_WORDS[row.decision] ?? row.decision,
       row.authors.join(", "),
       row.rule ? `${row.comment} (rule ${row.rule})`.trim() : row.comment,

@@ -21,7 +21,7 @@ import {
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
 import { agreementByWeek, agreementChart, dayBars, daySpan, measureWords, mostOf, stateBar, throughput } from "./charts";
-import { Component, define, figureTable, switcher } from "./component";
+import { Component, define, figureTable, pageLink, switcher } from "./component";
 
 const MEASURES = [
   ["hours", "Hours"],
@@ -175,7 +175,7 @@ export class FiguresBoard extends Component {
       ["Who", "Task", "What for", "Until", ""],
       leases.map((held) => [
         held.user_name,
-        this.app.link(`task/${held.lease.task}`, `${held.lease.task} (${KIND_NAMES[held.kind]})`),
+        pageLink(this.app, `task/${held.lease.task}`, `${held.lease.task} (${KIND_NAMES[held.kind]})`),
         PURPOSE_WORDS[held.purpose] ?? held.purpose,
         until(held.lease.expires),
         html`<button type="button" aria-label=${`Release task ${held.lease.task} of ${held.user_name}`} @click=${() => void this.release(held)}>release</button>`,

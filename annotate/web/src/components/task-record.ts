@@ -10,7 +10,7 @@ import { percent, until, when } from "../ui";
 import type { Answer, AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
 import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, factsOf } from "../words";
 import { answerCards } from "./answer-cards";
-import { Component, define } from "./component";
+import { Component, define, pageLink } from "./component";
 import type { ReviewStage } from "./review-panel";
 
 export interface RecordActions {
@@ -98,15 +98,6 @@ export class TaskRecord extends Component {
   }
 
   /** A link inside of the page. */
-  private link(path: string, label: string, className = ""): TemplateResult {
-    const go = (event: MouseEvent): void => {
-      if (event.ctrlKey || event.metaKey || event.shiftKey) return;
-      event.preventDefault();
-      this.app.go(path);
-    };
-    return html`<a class=${className} href=${`/app/${path}`} @click=${go}>${label}</a>`;
-  }
-
   protected override render(): TemplateResult {
     const { task, row, decisions, suggestions } = this.file;
     const { candidates } = this;
@@ -116,9 +107,9 @@ export class TaskRecord extends Component {
     return html`
       <div class="panel-scroll">
         <nav class="tabs" aria-label="The list">
-          ${this.link(this.near.list, "Back to the list", "tab")}
-          ${this.near.previous === null ? nothing : this.link(`task/${this.near.previous}`, `Previous (${keys.hint("bundle_previous")})`, "tab")}
-          ${this.near.next === null ? nothing : this.link(`task/${this.near.next}`, `Next (${keys.hint("bundle_next")})`, "tab")}
+          ${pageLink(this.app, this.near.list, "Back to the list", "tab")}
+          ${this.near.previous === null ? nothing : pageLink(this.app, `task/${this.near.previous}`, `Previous (${keys.hint("bundle_previous")})`, "tab")}
+          ${this.near.next === null ? nothing : pageLink(this.app, `task/${this.near.next}`, `Next (${keys.hint("bundle_next")})`, "tab")}
         </nav>
         <h1>Task ${task.id}: ${KIND_NAMES[task.kind]}</h1>
         <p class="rule">${this.standing()}</p>
@@ -171,7 +162,7 @@ export class TaskRecord extends Component {
     const rule = basis.startsWith("rule:") ? basis.slice("rule:".length) : null;
     const how =
       rule !== null
-        ? html` by rule ${this.link(`tasks?rule=${encodeURIComponent(rule)}`, rule)}`
+        ? html` by rule ${pageLink(this.app, `tasks?rule=${encodeURIComponent(rule)}`, rule)}`
         : basis === ""
           ? nothing
           : html` ${acceptedHow(basis)}`;
