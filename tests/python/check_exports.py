@@ -41,8 +41,12 @@ def check_webdataset(rows: dict[str, dict]) -> None:
     print(f"webdataset: {len(seen)} clips of {len(shards)} shards")
 
 
+GMR_FPS = 30
+
+
 def check_amass(rows: dict[str, dict]) -> None:
-    """Reads what GMR's `load_smplx_file` and `get_smplx_data_offline_fast` read."""
+    """Reads what GMR's `load_smplx_file` and `get_smplx_data_offline_fast` read: keys, shapes, and the rate, by which
+    frames of a higher rate are thinned and those of a lower one are played too fast."""
     archives = sorted((EXPORTS / "amass").rglob("*.npz"))
     assert len(archives) == len(rows)
     for path in archives:
@@ -55,6 +59,18 @@ def check_amass(rows: dict[str, dict]) -> None:
         height = 1.66 + 0.1 * data["betas"][0]
         assert numpy.isclose(height, 1.66)
         assert data["mocap_frame_rate"].item() == data["mocap_framerate"].item()
+        fps = data["mocap_frame_rate"].item()
+        assert int(fps / GMR_FPS) >= 1, fps
+        name = path.relative_to(EXPORTS / "amass").with_suffix("").as_posix().removesuffix("_stageii")
+        row = rows[name]
+        times = round(fps / row["fps"])
+        assert frames == times * (row["n_frames"] - 1) + 1, (frames, row["n_frames"])
+        body = data["pose_body"][::times]
+        assert numpy.allclose(body, row["body_pose"], atol=1e-5), name
+        # z is up: the heights of the pelvis are those of the dataset.
+        heights = data["trans"][::times, 2] - data["trans"][0, 2]
+        expected = numpy.float64(row["transl"])[:, 1] - row["transl"][0][1]
+        assert numpy.allclose(heights, expected, atol=1e-5), name
         assert data["poses"].shape == (frames, 165)
         sidecar = json.loads(path.with_suffix(".stance.json").read_text())
         texts = [said["text"] for said in sidecar.get("captions", [])]

@@ -97,8 +97,13 @@ pub fn export_edits(
     progress.begin("export", Some(named.len() as u64));
     let said: Vec<Said<'_>> = named
         .into_par_iter()
-        .map(|(file, clip)| {
+        .map(|(file, mut clip)| {
             let path = folder.path.join(&file);
+            if layout == Layout::Amass {
+                clip.motion = write::amass::at_rate_of_recordings(&clip.motion)?;
+                clip.said.fps = clip.motion.fps().get() as f32;
+                clip.said.frames = clip.motion.len();
+            }
             if let Some(parent) = path.parent() {
                 fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
             }

@@ -10,7 +10,7 @@
 
 use std::io;
 
-use datasets_spec::{Motion, Skeleton};
+use datasets_spec::{Fps, Motion, Resample, Skeleton};
 use kinematics::rotation::to_axis_angle;
 use pickle::npz::Writer;
 
@@ -25,19 +25,41 @@ const NUM_BETAS: usize = 16;
 /// Numbers of a row of `dmpls`, the soft-tissue coefficients.
 const NUM_DMPLS: usize = 8;
 
-/// Parameters of a motion in the axes of AMASS, row-major.
-struct Parameters {
-    num_frames: usize,
+/// Lowest rate in 1/s of archives for other tools.
+const LOWEST_FPS: f64 = 60.0;
+
+/// The motion at the smallest whole multiple of its rate that is at least 60 fps, as recordings of AMASS are.
+///
+/// Tools that bring AMASS to 20 or 30 fps take every n-th frame, n being the quotient of the rates rounded down; GMR
+/// takes frames of less than 30 fps for frames of 30 fps. A motion of 20 fps would be played too fast. Every frame
+/// of the motion is a frame of the result.
+///
+/// # Errors
+/// The motion cannot be brought to the rate.
+pub fn at_rate_of_recordings(motion: &Motion) -> Result<Motion, kinematics::Error> {
+    /// Rates slightly below, such as 59.94 fps, are kept.
+    const SLACK: f64 = 0.01;
+    let own = motion.fps().get();
+    let times = (LOWEST_FPS / own - SLACK).ceil().max(1.0);
+    Resample::Exact.apply(motion, Fps::new(own * times)?)
+}
+
+/// Parameters of a motion in the axes of AMASS (z up), row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Frames, `L`.
+    pub num_frames: usize,
     /// Root orientations `[L, 3]`, axis-angle.
-    root: Vec<f64>,
+    pub root: Vec<f64>,
     /// Body rotations `[L, 63]`, axis-angle.
-    body: Vec<f64>,
+    pub body: Vec<f64>,
     /// Translations `[L, 3]` in metres.
-    trans: Vec<f64>,
+    pub trans: Vec<f64>,
 }
 
 impl Parameters {
-    fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
+    /// The parameters of a motion, at its rate, of a body.
+    pub fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
         let file_from_motion = y_up_from_z_up().conjugate();
         let rest_pelvis = skeleton.rest(0);
         let (mut root, mut trans) = (Vec::new(), Vec::new());
@@ -96,7 +118,7 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
 ///
 /// # Errors
 /// As [`encode`].
-pub(crate) fn encode_smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
+pub fn encode_smplx(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     smplx(motion, skeleton)?.finish()
 }
 
@@ -225,5 +247,32 @@ mod tests {
             (root * DVec3::Z - DVec3::NEG_Y).length() < 1e-9,
             "the body faces -y"
         );
+    }
+
+    #[test]
+    fn every_frame_of_a_motion_is_in_that_for_other_tools() {
+        for (own, expected) in [
+            (20.0, 60.0),
+            (30.0, 60.0),
+            (24.0, 72.0),
+            (59.94, 59.94),
+            (60.0, 60.0),
+            (120.0, 120.0),
+        ] {
+            let fps = Fps::new(own).expect("a rate");
+            let motion = Motion::from_poses(fps, &crate::retarget::tests::walk(50));
+            let motion = motion.expect("valid");
+            let found = at_rate_of_recordings(&motion).expect("resampled");
+            assert!((found.fps().get() - expected).abs() < 1e-9, "{own}");
+            let times = (expected / own).round() as usize;
+            assert_eq!(found.len(), 49 * times + 1, "{own}");
+            for frame in 0..50 {
+                let (own, found) = (motion.pose(frame), found.pose(frame * times));
+                assert!(own.transl.distance(found.transl) < 1e-6);
+                for (a, b) in own.rotations.iter().zip(found.rotations) {
+                    assert!(kinematics::rotation::angle_between(*a, b) < 1e-6);
+                }
+            }
+        }
     }
 }
