@@ -48,7 +48,7 @@ pub struct SourceClip {
     /// Where its rotations come from.
     pub rotation_source: RotationSource,
     /// Mean distance in metres between the joints of the motion and those of the file, the latter
-    /// with their bones brought to this body's lengths; none for native rotations.
+    /// with their bones brought to this body's lengths; none for native rotations of a file without joints.
     pub fit_error_m: Option<f32>,
     /// Frames of the file the motion was made of.
     pub source_frames: Range<usize>,

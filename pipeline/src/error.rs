@@ -50,6 +50,16 @@ pub enum Error {
         /// What is wrong, and what there is.
         problem: String,
     },
+    /// A dataset holds nothing that could be a triplet.
+    #[error(
+        "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; \
+         `stance triplets DATASET --out TRIPLETS` records triplets",
+        path.display()
+    )]
+    NoTriplets {
+        /// The dataset.
+        path: PathBuf,
+    },
     /// A filter chooses no clip.
     #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
     NoneChosen {

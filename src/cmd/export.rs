@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
-use pipeline::export::{Exported, Layout, Sides, export, export_edits};
+use pipeline::export::{Exported, Layout, Sides, export, export_edits, export_triplets};
 use pipeline::filter::{Clips, Filter};
 
 use crate::exit::Exit;
@@ -16,7 +16,8 @@ use crate::report;
 /// Write a dataset, or a folder of edits, in a layout that other tools read.
 ///
 /// Edits become one file each, SYSTEM/ITEM with -SEED behind where there are several takes, and
-/// edits.json with the instructions. The folder appears when it is complete; a failed export leaves nothing behind.
+/// edits.json with the instructions. Recorded triplets, items and pairs become dumps of MotionFix. The folder appears
+/// when it is complete; a failed export leaves nothing behind.
 ///
 /// --where chooses clips by their metadata, as in SQL: =, !=, <, <=, >, >=, like, in, is null, and, or, not and
 /// parentheses. Columns are those of the table of motions (stance inspect SHARD), seconds, max_speed, foot_skate, and
@@ -25,7 +26,7 @@ use crate::report;
 pub(crate) struct Args {
     /// Dataset folder, or folder of edits
     dataset: PathBuf,
-    /// Layout to write; edits go to amass, bvh or gltf
+    /// Layout to write; edits go to amass, bvh or gltf, triplets and items to motionfix
     #[arg(long, value_enum)]
     to: LayoutArg,
     /// Export only clips that fulfil a condition, such as "split = 'train' and not flags.poor_fit"
@@ -44,7 +45,7 @@ pub(crate) struct Args {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum LayoutArg {
-    /// AMASS npz files, SMPL-X keys, z up
+    /// AMASS npz files, SMPL-X keys, z up, at least 60 fps
     Amass,
     /// HumanML3D: joints, 263-d vectors, texts, splits, Mean and Std
     Humanml3d,
@@ -58,6 +59,18 @@ enum LayoutArg {
     Webdataset,
     /// LeRobot v3: one row a frame
     Lerobot,
+    /// HumanML3D-272: 272-d vectors at 30 fps, texts, splits, Mean and Std
+    #[value(name = "humanml3d-272")]
+    Humanml3d272,
+    /// BABEL-272: as humanml3d-272
+    #[value(name = "babel-272")]
+    Babel272,
+    /// MotionMillion: 272-d vectors by id, plain texts, splits by length, mean and std
+    Motionmillion,
+    /// The 201-d vectors of HY-Motion at 30 fps, texts, splits, Mean and Std
+    HyMotion,
+    /// MotionFix: joblib dumps of triplets, items or pairs at 30 fps, splits.json
+    Motionfix,
 }
 
 impl From<LayoutArg> for Layout {
@@ -70,6 +83,11 @@ impl From<LayoutArg> for Layout {
             LayoutArg::Gltf => Self::Gltf,
             LayoutArg::Webdataset => Self::WebDataset,
             LayoutArg::Lerobot => Self::LeRobot,
+            LayoutArg::Humanml3d272 => Self::HumanMl3d272,
+            LayoutArg::Babel272 => Self::Babel272,
+            LayoutArg::Motionmillion => Self::MotionMillion,
+            LayoutArg::HyMotion => Self::HyMotion,
+            LayoutArg::Motionfix => Self::MotionFix,
         }
     }
 }
@@ -88,7 +106,20 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let has = |table: &str| dataset.manifest().tables.contains_key(table);
     let bars = global.bars();
-    let done = if has(MotionRow::TABLE) {
+    let composed = has(TripletRow::TABLE)
+        || (has(ItemRow::TABLE) && !has(MotionRow::TABLE) && !has(EditRow::TABLE));
+    let done = if layout == Layout::MotionFix && composed {
+        if args.filter.is_some() || sides != Sides::default() {
+            bail!(
+                "{} holds triplets; --where is of motions, --sources and --targets are of edits",
+                args.dataset.display()
+            );
+        }
+        Exported {
+            clips: export_triplets(&dataset, &args.out, &bars)?,
+            ..Exported::default()
+        }
+    } else if has(MotionRow::TABLE) {
         if sides != Sides::default() {
             bail!(
                 "{} holds motions; --sources and --targets are of items",
@@ -127,8 +158,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }))?;
     } else {
         let mut text = format!(
-            "{} clips written as {} to {}",
+            "{} {} written as {} to {}",
             done.clips,
+            match layout {
+                Layout::MotionFix => "triplets",
+                _ => "clips",
+            },
             layout.as_str(),
             args.out.display()
         );

@@ -12,8 +12,12 @@ use crate::util::{arg, corpus, files_with_extension, stance};
 const CLIPS: usize = 8;
 
 fn ingested(dir: &Path, source: &str, out: &str) -> BTreeMap<String, MotionRow> {
+    ingested_at(dir, source, out, "20")
+}
+
+fn ingested_at(dir: &Path, source: &str, out: &str, fps: &str) -> BTreeMap<String, MotionRow> {
     let (source, out) = (dir.join(source), dir.join(out));
-    stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(0);
+    stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", fps]).expect_code(0);
     let rows: Vec<MotionRow> = Dataset::open(&out)
         .expect("a dataset")
         .read(None)
@@ -61,7 +65,7 @@ fn round_trip(layout: &str, tolerance: f64, name: impl Fn(&str) -> String) {
 
 #[test]
 fn amass_archives_come_back() {
-    // Rotations are copied; the translation passes through f32 twice.
+    // The archives have 60 fps, of which every third frame is read; numbers pass through f32.
     round_trip("amass", 1e-5, |id| format!("{id}_stageii"));
 }
 
@@ -111,6 +115,93 @@ fn humanml3d_joints_come_back() {
         let joints = humanml3d::joints_of_motion(&row.motion().expect("valid"), &body);
         assert!(humanml3d::features_of_joints(&joints).is_ok());
         assert!(row.fit_error_m.expect("solved") < 0.05, "{}", row.id);
+    }
+}
+
+#[test]
+fn features_of_272_dimensions_come_back_in_every_layout() {
+    use pipeline::feature::representation_272::features_of_motion;
+
+    let skeleton = Skeleton::smplx_neutral();
+    let dir = corpus(CLIPS);
+    let before = ingested_at(dir.path(), "corpus", "dataset", "30");
+    for layout in ["humanml3d-272", "babel-272", "motionmillion"] {
+        exported(dir.path(), layout);
+        let list = std::fs::read_to_string(dir.path().join(layout).join("ids.csv"));
+        let list = list.expect("a list of ids");
+        let after = ingested_at(dir.path(), layout, &format!("{layout}-again"), "30");
+        assert_eq!((after.len(), list.lines().count()), (CLIPS, CLIPS + 1));
+        for line in list.lines().skip(1) {
+            let mut fields = line.split(',');
+            let (name, id) = (
+                fields.next().expect("a name"),
+                fields.next().expect("an id"),
+            );
+            let (before, after) = (&before[id], &after[name]);
+            assert_eq!(before.split, after.split, "{layout} {id}");
+            let texts = |row: &MotionRow| -> Vec<String> {
+                let captions = row.stated_captions();
+                captions.map(|caption| caption.text.clone()).collect()
+            };
+            assert_eq!(texts(before), texts(after), "{layout} {id}");
+            let features = |row: &MotionRow| {
+                let motion = row.motion().expect("valid");
+                features_of_motion(&motion, &skeleton).expect("30 fps")
+            };
+            let (before, after) = (features(before), features(after));
+            assert_eq!(before.len(), after.len(), "{layout} {id}");
+            for (a, b) in before.as_flattened().iter().zip(after.as_flattened()) {
+                // Numbers below two in f32, after a turn and a shift of the whole clip in f32.
+                assert!((a - b).abs() < 1e-5, "{layout} {id}: {a} and {b}");
+            }
+        }
+    }
+}
+
+#[test]
+fn triplets_and_items_become_dumps_of_motionfix() {
+    let dir = corpus(120);
+    let at = |name: &str| dir.path().join(name);
+    ingested(dir.path(), "corpus", "dataset");
+    let dataset = at("dataset");
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    for verb in ["triplets", "items"] {
+        let (made, out) = (at(verb), at(&format!("{verb}-motionfix")));
+        stance(&[verb, arg(&dataset), "--count", "6", "--out", arg(&made)]).expect_code(0);
+        let export = |out: &Path| {
+            stance(&[
+                "--json",
+                "export",
+                arg(&made),
+                "--to",
+                "motionfix",
+                "--out",
+                arg(out),
+            ])
+        };
+        let said: serde_json::Value = export(&out).expect_code(0).json();
+        let count = usize::try_from(said["clips"].as_u64().expect("a count")).expect("few");
+        assert!((1..=6).contains(&count), "{verb}: {count}");
+        let splits = std::fs::read(out.join("splits.json")).expect("written");
+        let splits: BTreeMap<String, Vec<String>> =
+            serde_json::from_slice(&splits).expect("lists of keys");
+        let keys: Vec<&String> = splits.values().flatten().collect();
+        assert_eq!(keys.len(), count, "{verb}");
+        let bytes = std::fs::read(out.join("motionfix.pth.tar")).expect("written");
+        let dump = pickle::joblib::read(&bytes).expect("a dump");
+        for key in keys {
+            let text = dump
+                .get(key)
+                .and_then(|triplet| triplet.get("text")?.as_str());
+            assert!(!text.expect("an instruction").is_empty(), "{verb} {key}");
+        }
+        let sides = ingested_at(
+            dir.path(),
+            &format!("{verb}-motionfix"),
+            &format!("{verb}-again"),
+            "30",
+        );
+        assert_eq!(sides.len(), 2 * count, "{verb}");
     }
 }
 

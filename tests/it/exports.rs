@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::util::{arg, corpus, files_with_extension, real_data, stance};
 
-const LAYOUTS: [&str; 7] = [
+const LAYOUTS: [&str; 11] = [
     "amass",
     "humanml3d",
     "stance",
@@ -20,6 +20,10 @@ const LAYOUTS: [&str; 7] = [
     "gltf",
     "webdataset",
     "lerobot",
+    "humanml3d-272",
+    "babel-272",
+    "motionmillion",
+    "hy-motion",
 ];
 
 /// A corpus of 12 clips as a dataset, and its rows by id.

@@ -17,7 +17,7 @@ use pipeline::sidecar::Sidecar;
 use pipeline::source::bvh::BvhFile;
 use pipeline::source::c3d::C3dFile;
 use pipeline::source::labels::parse_captions;
-use pipeline::source::{ReadOptions, amass, gltf, stance};
+use pipeline::source::{ReadOptions, amass, gltf, representation_272, stance};
 
 /// Parses and retargets a BVH file.
 pub fn bvh(bytes: &[u8]) {
@@ -60,11 +60,12 @@ pub fn manifest(bytes: &[u8]) {
     }
 }
 
-/// Reads an AMASS archive, and a lone array.
+/// Reads an AMASS archive, a lone array and 272 features.
 pub fn npz(bytes: &[u8]) {
     let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());
     let _numbers = npy::read_numbers("member", bytes);
     let _text = npy::read_text("member", bytes);
+    let _features = representation_272::read_array(bytes, &Skeleton::smplx_neutral());
 }
 
 /// Reads a pickle, a dump of joblib and a motion of the STANCE release.

@@ -1,5 +1,7 @@
 //! Python pickles of plain values and NumPy arrays.
 
+use std::io::{self, Write};
+
 use crate::array::{Array, Dtype};
 use crate::value::Value;
 
@@ -13,6 +15,47 @@ pub fn encode(value: &Value) -> Vec<u8> {
     put(&mut out, value);
     out.push(b'.');
     out
+}
+
+/// Writes the pickle of a dictionary entry by entry, where it does not fit into memory whole.
+#[derive(Debug)]
+pub struct DictWriter<W> {
+    out: W,
+    entry: Vec<u8>,
+}
+
+impl<W: Write> DictWriter<W> {
+    /// Begins the dictionary.
+    ///
+    /// # Errors
+    /// Writing fails.
+    pub fn new(mut out: W) -> io::Result<Self> {
+        out.write_all(&[0x80, PROTOCOL, b'}'])?;
+        let entry = Vec::new();
+        Ok(Self { out, entry })
+    }
+
+    /// Adds an entry. A key that is added again replaces the earlier entry when Python reads the pickle.
+    ///
+    /// # Errors
+    /// Writing fails.
+    pub fn entry(&mut self, key: &Value, value: &Value) -> io::Result<()> {
+        self.entry.clear();
+        put(&mut self.entry, key);
+        put(&mut self.entry, value);
+        self.entry.push(b's');
+        self.out.write_all(&self.entry)
+    }
+
+    /// Ends the dictionary and returns the stream.
+    ///
+    /// # Errors
+    /// Writing fails.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.out.write_all(b".")?;
+        self.out.flush()?;
+        Ok(self.out)
+    }
 }
 
 fn put(out: &mut Vec<u8>, value: &Value) {
@@ -153,6 +196,32 @@ mod tests {
 
     use super::*;
     use crate::read;
+
+    #[test]
+    fn a_dictionary_written_by_entries_is_read_back() {
+        let array = Array::from_f32(&[2, 1], [0.5, -2.0]);
+        let entries = [
+            (Value::text("first"), Value::Array(Arc::new(array))),
+            (
+                Value::Int(2),
+                Value::Dict(vec![(Value::text("text"), Value::text("raise"))]),
+            ),
+        ];
+        for count in 0..=entries.len() {
+            let mut writer = DictWriter::new(Vec::new()).expect("in memory");
+            for (key, value) in &entries[..count] {
+                writer.entry(key, value).expect("in memory");
+            }
+            let bytes = writer.finish().expect("in memory");
+            let expected = Value::Dict(entries[..count].to_vec());
+            assert_eq!(read(&bytes), Ok(expected.clone()));
+            assert_eq!(
+                crate::joblib::read(&bytes),
+                Ok(expected),
+                "as joblib reads it"
+            );
+        }
+    }
 
     #[test]
     fn what_is_written_is_read_back() {

@@ -36,7 +36,7 @@ pub mod torch;
 mod value;
 
 pub use array::{Array, Dtype};
-pub use encode::encode;
+pub use encode::{DictWriter, encode};
 pub use error::Error;
 pub use read::{has_magic, read, read_from};
 pub use value::{Options, Value};

@@ -109,7 +109,7 @@ impl Stored {
 }
 
 /// The name each motion gets, by its id.
-fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
+pub(super) fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
     let ids = ids(clips)?;
     let mut names: BTreeMap<String, String> = ids
         .iter()
@@ -149,7 +149,7 @@ fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
 }
 
 /// Every motion's id and that of the motion it mirrors; no other column is read.
-fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error> {
+pub(super) fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error> {
     let mut ids = Vec::new();
     for shard in clips.shards(None) {
         let id = shard.column::<String>("id")?;
@@ -164,7 +164,7 @@ struct Writer {
     root: PathBuf,
     names: BTreeMap<String, String>,
     by_split: BTreeMap<Split, Vec<String>>,
-    statistics: Statistics,
+    statistics: Statistics<HUMANML3D_WIDTH>,
     ids: BufWriter<File>,
     clips: u64,
 }
@@ -269,7 +269,7 @@ impl Writer {
 }
 
 /// A caption as `text#tokens#from#to`.
-fn caption_line(caption: &Caption) -> String {
+pub(super) fn caption_line(caption: &Caption) -> String {
     // A line break would end the caption; a hash sign in the tokens would end them.
     let text = caption.text.replace(['\r', '\n'], " ");
     let tokens = match caption.tokens.as_str() {

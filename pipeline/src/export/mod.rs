@@ -6,9 +6,11 @@
 mod amass;
 mod clips;
 mod edits;
+mod features;
 mod humanml3d;
 mod items;
 mod lerobot;
+mod motionfix;
 mod paths;
 mod stance;
 mod webdataset;
@@ -28,6 +30,7 @@ use crate::filter::Clips;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;
+pub use motionfix::export_triplets;
 
 /// A layout to export to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -46,11 +49,21 @@ pub enum Layout {
     WebDataset,
     /// LeRobot v3: one row per frame.
     LeRobot,
+    /// A folder of 272 features as HumanML3D-272.
+    HumanMl3d272,
+    /// A folder of 272 features as BABEL-272.
+    Babel272,
+    /// A folder of 272 features as MotionMillion.
+    MotionMillion,
+    /// A folder of the 201 features of HY-Motion.
+    HyMotion,
+    /// Dumps of MotionFix: the pairs of the dataset.
+    MotionFix,
 }
 
 impl Layout {
     /// Every layout.
-    pub const ALL: [Layout; 7] = [
+    pub const ALL: [Layout; 12] = [
         Self::Amass,
         Self::HumanMl3d,
         Self::Stance,
@@ -58,6 +71,11 @@ impl Layout {
         Self::Gltf,
         Self::WebDataset,
         Self::LeRobot,
+        Self::HumanMl3d272,
+        Self::Babel272,
+        Self::MotionMillion,
+        Self::HyMotion,
+        Self::MotionFix,
     ];
 
     /// The name used on the command line.
@@ -70,6 +88,11 @@ impl Layout {
             Self::Gltf => "gltf",
             Self::WebDataset => "webdataset",
             Self::LeRobot => "lerobot",
+            Self::HumanMl3d272 => "humanml3d-272",
+            Self::Babel272 => "babel-272",
+            Self::MotionMillion => "motionmillion",
+            Self::HyMotion => "hy-motion",
+            Self::MotionFix => "motionfix",
         }
     }
 }
@@ -101,6 +124,9 @@ pub fn export(
         });
     }
     let folder = Staging::beside(out)?;
+    let dim_272 = |form: &features::Form| {
+        features::write(clips, &folder.path, form, &features::DIM_272, progress)
+    };
     let num_clips = match layout {
         Layout::Amass => amass::write(clips, &folder.path, progress)?,
         Layout::HumanMl3d => humanml3d::write(clips, &folder.path, progress)?,
@@ -109,11 +135,26 @@ pub fn export(
         Layout::WebDataset => webdataset::write(clips, &folder.path, progress)?,
         Layout::LeRobot => lerobot::write(clips, &folder.path, progress)?,
         Layout::Stance => stance::write(clips, &folder.path, progress)?,
+        Layout::HumanMl3d272 => dim_272(&features::HUMANML3D_272)?,
+        Layout::Babel272 => dim_272(&features::BABEL_272)?,
+        Layout::MotionMillion => dim_272(&features::MOTIONMILLION)?,
+        Layout::HyMotion => {
+            let (form, recipe) = (&features::HY_MOTION, &features::DIM_201);
+            features::write(clips, &folder.path, form, recipe, progress)?
+        }
+        Layout::MotionFix => motionfix::write(clips, &folder.path, progress)?,
     };
     folder.publish(out)?;
     let marks_captions = match layout {
         Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
-        Layout::HumanMl3d | Layout::LeRobot => false,
+        // Its texts are instructions.
+        Layout::MotionFix => true,
+        Layout::HumanMl3d
+        | Layout::LeRobot
+        | Layout::HumanMl3d272
+        | Layout::Babel272
+        | Layout::MotionMillion
+        | Layout::HyMotion => false,
     };
     let made_captions_left_out = match marks_captions {
         true => 0,

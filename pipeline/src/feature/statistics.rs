@@ -1,31 +1,31 @@
-//! Mean and standard deviation of HumanML3D features, as its folder ships them.
+//! Mean and standard deviation of features, as folders of them ship them.
 
-use datasets_spec::record::HUMANML3D_WIDTH;
+use std::ops::Range;
 
-use super::humanml3d::{Features, GROUPS};
+use super::humanml3d;
 
 /// Running mean and variance of every feature. Two of them merge exactly.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Statistics {
+pub struct Statistics<const WIDTH: usize> {
     frames: u64,
     mean: Vec<f64>,
     /// Sum of squared distances to the mean.
     scatter: Vec<f64>,
 }
 
-impl Default for Statistics {
+impl<const WIDTH: usize> Default for Statistics<WIDTH> {
     fn default() -> Self {
         Self {
             frames: 0,
-            mean: vec![0.0; HUMANML3D_WIDTH],
-            scatter: vec![0.0; HUMANML3D_WIDTH],
+            mean: vec![0.0; WIDTH],
+            scatter: vec![0.0; WIDTH],
         }
     }
 }
 
-impl Statistics {
+impl<const WIDTH: usize> Statistics<WIDTH> {
     /// Adds the frames of a clip, by Welford's update.
-    pub fn take(&mut self, features: &[Features]) {
+    pub fn take(&mut self, features: &[[f32; WIDTH]]) {
         for frame in features {
             self.frames += 1;
             let columns = self.mean.iter_mut().zip(&mut self.scatter);
@@ -44,7 +44,7 @@ impl Statistics {
             return;
         }
         let share = other.frames as f64 / frames as f64;
-        for column in 0..HUMANML3D_WIDTH {
+        for column in 0..WIDTH {
             let apart = other.mean[column] - self.mean[column];
             self.mean[column] += apart * share;
             self.scatter[column] +=
@@ -59,26 +59,38 @@ impl Statistics {
     }
 
     /// The mean of each feature.
-    pub fn mean(&self) -> Features {
+    pub fn mean(&self) -> [f32; WIDTH] {
         std::array::from_fn(|column| self.mean[column] as f32)
     }
 
-    /// The standard deviation of each feature, replaced by its mean over the group the feature
-    /// belongs to, as in the published `Std.npy`. The contacts are a group of their own.
-    pub fn group_std(&self) -> Features {
+    /// The standard deviation of each feature. That of a feature in one of the groups is the mean over the
+    /// group.
+    pub fn std_by(&self, groups: &[(&str, Range<usize>)]) -> [f32; WIDTH] {
         let deviation = |column: usize| (self.scatter[column] / self.frames.max(1) as f64).sqrt();
-        let mut std = [0.0; HUMANML3D_WIDTH];
-        for (_, range) in GROUPS {
+        let mut std = std::array::from_fn(|column| deviation(column) as f32);
+        for (_, range) in groups {
             let mean = range.clone().map(deviation).sum::<f64>() / range.len() as f64;
-            std[range].fill(mean as f32);
+            std[range.clone()].fill(mean as f32);
         }
         std
     }
 }
 
+impl Statistics<{ datasets_spec::record::HUMANML3D_WIDTH }> {
+    /// The standard deviation of each feature of HumanML3D, replaced by its mean over the group the feature
+    /// belongs to, as in the published `Std.npy`. The contacts are a group of their own.
+    pub fn group_std(&self) -> humanml3d::Features {
+        self.std_by(&humanml3d::GROUPS)
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use datasets_spec::record::HUMANML3D_WIDTH;
+
     use super::*;
+    use crate::feature::humanml3d::Features;
+    use crate::feature::representation_272;
 
     fn frames(count: usize, from: usize) -> Vec<Features> {
         (from..from + count)
@@ -122,5 +134,34 @@ mod tests {
                 assert!((left.group_std()[column] - whole.group_std()[column]).abs() < 1e-6);
             }
         }
+    }
+
+    #[test]
+    fn the_deviation_is_averaged_inside_the_groups_alone() {
+        const WIDTH: usize = representation_272::WIDTH;
+        let frames: Vec<[f32; WIDTH]> = (0..40u8)
+            .map(|frame| {
+                let sign = if frame % 2 == 0 { 1.0 } else { -1.0 };
+                // The deviation of a column is its number.
+                std::array::from_fn(|column| 5.0 + sign * column as f32)
+            })
+            .collect();
+        let mut statistics = Statistics::default();
+        statistics.take(&frames);
+        let found = statistics.std_by(&representation_272::GROUPS);
+        for (name, range) in representation_272::GROUPS {
+            let mean = (range.start + range.end - 1) as f32 / 2.0;
+            for column in range {
+                assert!((found[column] - mean).abs() < 1e-4, "{name}, {column}");
+            }
+        }
+        let own = statistics.std_by(&[]);
+        assert!((own[9] - 9.0).abs() < 1e-5 && (own[271] - 271.0).abs() < 1e-4);
+        assert!(
+            statistics
+                .mean()
+                .iter()
+                .all(|mean| (mean - 5.0).abs() < 1e-4)
+        );
     }
 }

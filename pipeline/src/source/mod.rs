@@ -19,6 +19,7 @@ pub mod humanml3d;
 pub mod humanml3d_amass;
 pub mod labels;
 pub mod motionfix;
+pub mod representation_272;
 pub(crate) mod smpl;
 pub mod stance;
 pub mod webdataset;
@@ -40,8 +41,9 @@ pub const FORMATS: &[Format] = &[
     amass::FORMAT,
     c3d::FORMAT,
     gltf::FORMAT,
-    // Before `humanml3d`, which would list its captions as captions without a motion.
+    // These two before `humanml3d`, which would list their captions as captions without a motion.
     humanml3d_amass::FORMAT,
+    representation_272::FORMAT,
     humanml3d::FORMAT,
     stance::FORMAT,
     motionfix::FORMAT,

@@ -4,6 +4,7 @@
 pub mod amass;
 pub mod bvh;
 pub mod gltf;
+pub mod motionfix;
 
 use std::fs::File;
 use std::io::{self, Write};

@@ -1,0 +1,503 @@
+//! Dumps in the layout of MotionFix, so that its trainers run on triplets composed here, on pairs, and on items.
+//!
+//! `motionfix.pth.tar` holds the triplets of all splits, `motionfix_val.pth.tar` and `motionfix_test.pth.tar` those of
+//! one; `splits.json` lists the keys of each split. A dump is a dictionary from keys of six digits to `motion_source`,
+//! `motion_target` ([`Parameters`], with a `timestamp`) and `text`. `ids.csv` says what each key is.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::record::{ItemRow, MotionRow, PairRow, TripletRow};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, Motion, MotionId, Progress, Skeleton, Split};
+use pickle::{DictWriter, Value};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Staging;
+use crate::Error;
+use crate::compose::style_instruction;
+use crate::filter::Clips;
+use crate::write::motionfix::Parameters;
+
+const ALL: &str = "motionfix.pth.tar";
+
+/// What becomes an entry of a dump, or why it does not.
+struct Triplet {
+    id: String,
+    split: Split,
+    kind: String,
+    instruction: String,
+    sides: [Side; 2],
+}
+
+struct Side {
+    id: String,
+    motion: Motion,
+    /// Where the motion was cut from its clip, in seconds.
+    from_s: f64,
+    license: Option<String>,
+}
+
+impl Side {
+    fn value(&self, skeleton: &Skeleton) -> Result<Value, Error> {
+        let to_s = self.from_s + self.motion.duration_secs();
+        let parameters = Parameters::of(&self.motion, skeleton)?;
+        Ok(parameters.value([self.from_s, to_s]))
+    }
+}
+
+/// Writes the recorded triplets of a dataset, or else its items with a target, to a new folder, and returns their
+/// number.
+///
+/// # Errors
+/// There are none, the folder exists and is not empty, the dataset cannot be read, or writing fails; nothing is left
+/// behind then.
+pub fn export_triplets(
+    dataset: &Dataset,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<u64, Error> {
+    let staging = Staging::beside(out)?;
+    let skeleton = dataset.skeleton()?;
+    let mut writer = Writer::new(&staging.path, &skeleton, BTreeSet::new())?;
+    let tables = &dataset.manifest().tables;
+    progress.begin("export motionfix", None);
+    if tables.contains_key(TripletRow::TABLE) {
+        for (path, _) in dataset.files(TripletRow::TABLE, None) {
+            let rows: Vec<TripletRow> = read_rows(&path)?;
+            writer.take(&rows, &of_triplet)?;
+        }
+    } else {
+        for (path, _) in dataset.files(ItemRow::TABLE, None) {
+            let mut rows: Vec<ItemRow> = read_rows(&path)?;
+            rows.retain(|item| item.target_frames > 0);
+            writer.take(&rows, &of_item)?;
+        }
+    }
+    let written = writer.finish()?;
+    if written == 0 {
+        return Err(none(dataset));
+    }
+    staging.publish(out)?;
+    progress.finish(&format!("{written} triplets"));
+    Ok(written)
+}
+
+fn none(dataset: &Dataset) -> Error {
+    Error::NoTriplets {
+        path: dataset.root().to_owned(),
+    }
+}
+
+/// Writes the pairs whose motions are both among the clips, and returns their number. A style pair without words
+/// gets those of its style; other pairs without words are left out.
+///
+/// # Errors
+/// There is no such pair, the dataset cannot be read or a file cannot be written.
+pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+    let dataset = clips.dataset();
+    let skeleton = dataset.skeleton()?;
+    let pairs = dataset.read::<PairRow>(None)?;
+    let sides = pairs
+        .iter()
+        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
+    let wanted: BTreeSet<&str> = sides.map(|id| id.as_str()).collect();
+    let mut motions: BTreeMap<String, MotionRow> = BTreeMap::new();
+    for shard in clips.shards(None) {
+        let rows = shard.read()?.into_iter();
+        let rows = rows.filter(|row| wanted.contains(row.id.as_str()));
+        motions.extend(rows.map(|row| (row.id.to_string(), row)));
+    }
+    let has = |id: &MotionId| motions.contains_key(id.as_str());
+    let pairs = pairs.iter();
+    let pairs: Vec<&PairRow> = pairs
+        .filter(|pair| has(&pair.source_id) && has(&pair.target_id))
+        .collect();
+    let reserved = pairs.iter().filter_map(|pair| published_key(pair));
+    let mut writer = Writer::new(folder, &skeleton, reserved.map(str::to_owned).collect())?;
+    progress.begin("export motionfix", Some(pairs.len() as u64));
+    /// Pairs whose arrays are in memory at a time.
+    const AT_ONCE: usize = 256;
+    for pairs in pairs.chunks(AT_ONCE) {
+        writer.take(pairs, &|pair| of_pair(pair, &motions))?;
+        progress.advance(pairs.len() as u64);
+    }
+    let written = writer.finish()?;
+    progress.finish(&format!("{written} pairs"));
+    match written {
+        0 => Err(none(dataset)),
+        _ => Ok(written),
+    }
+}
+
+fn of_triplet(row: &TripletRow) -> Result<Triplet, Error> {
+    let side = |id: &str, motion: Motion, start: i32| Side {
+        id: id.to_owned(),
+        from_s: f64::from(start) / motion.fps().get(),
+        motion,
+        license: None,
+    };
+    Ok(Triplet {
+        id: row.id.clone(),
+        split: row.split,
+        kind: row.kind.clone(),
+        instruction: row.instruction.clone(),
+        sides: [
+            side(row.source_id.as_str(), row.original()?, row.source_start),
+            side(row.target_id.as_str(), row.edited()?, row.target_start),
+        ],
+    })
+}
+
+fn of_item(row: &ItemRow) -> Result<Triplet, Error> {
+    let side = |id: &str, motion: Motion| Side {
+        id: id.to_owned(),
+        from_s: 0.0,
+        motion,
+        license: None,
+    };
+    Ok(Triplet {
+        id: row.id.clone(),
+        split: row.split,
+        kind: row.task.clone(),
+        instruction: row.instruction.clone(),
+        sides: [
+            side(row.source_id.as_str(), row.source()?),
+            side(row.target_id.as_str(), row.target()?),
+        ],
+    })
+}
+
+fn of_pair(pair: &&PairRow, motions: &BTreeMap<String, MotionRow>) -> Result<Triplet, Error> {
+    let side = |id: &str| -> Result<Side, Error> {
+        let row = &motions[id];
+        Ok(Side {
+            id: id.to_owned(),
+            motion: row.motion()?,
+            from_s: 0.0,
+            license: row.license.clone(),
+        })
+    };
+    let instruction = match (&pair.style, pair.instruction.trim()) {
+        (Some(style), "") => style_instruction(style) + ".",
+        (_, said) => said.to_owned(),
+    };
+    Ok(Triplet {
+        id: pair.id.clone(),
+        split: pair.split,
+        kind: pair.kind.clone(),
+        instruction,
+        sides: [
+            side(pair.source_id.as_str())?,
+            side(pair.target_id.as_str())?,
+        ],
+    })
+}
+
+/// The key of a pair that was read from MotionFix.
+fn published_key(pair: &PairRow) -> Option<&str> {
+    let source = key_in(pair.source_id.as_str(), "-source")?;
+    let target = key_in(pair.target_id.as_str(), "-target")?;
+    (source == target).then_some(source)
+}
+
+fn key_in<'a>(id: &'a str, side: &str) -> Option<&'a str> {
+    let (_, key) = id.strip_suffix(side)?.rsplit_once("motionfix/")?;
+    let is_key = key.len() == KEY_DIGITS && key.bytes().all(|byte| byte.is_ascii_digit());
+    is_key.then_some(key)
+}
+
+const KEY_DIGITS: usize = 6;
+
+type Dump = DictWriter<BufWriter<File>>;
+
+/// Dumps that are being written.
+struct Writer<'a> {
+    folder: PathBuf,
+    skeleton: &'a Skeleton,
+    all: Dump,
+    of_split: BTreeMap<Split, Dump>,
+    splits: BTreeMap<&'static str, Vec<String>>,
+    ids: csv::Writer<Vec<u8>>,
+    /// Keys that no running number may be.
+    taken: BTreeSet<String>,
+    /// Published keys that have their pair.
+    used: BTreeSet<String>,
+    next: u64,
+}
+
+impl<'a> Writer<'a> {
+    /// `reserved` are keys that other triplets must not get.
+    fn new(
+        folder: &Path,
+        skeleton: &'a Skeleton,
+        reserved: BTreeSet<String>,
+    ) -> Result<Self, Error> {
+        let open = |name: &str| -> Result<Dump, Error> {
+            let path = folder.join(name);
+            let file = File::create(&path).map_err(Error::io("create", &path))?;
+            DictWriter::new(BufWriter::new(file)).map_err(Error::io("write", &path))
+        };
+        let mut of_split = BTreeMap::new();
+        for split in [Split::Val, Split::Test] {
+            of_split.insert(split, open(&format!("motionfix_{split}.pth.tar"))?);
+        }
+        let mut writer = Self {
+            all: open(ALL)?,
+            of_split,
+            splits: Split::ALL
+                .iter()
+                .map(|split| (split.as_str(), Vec::new()))
+                .collect(),
+            ids: csv::Writer::from_writer(Vec::new()),
+            taken: reserved,
+            used: BTreeSet::new(),
+            next: 0,
+            folder: folder.to_owned(),
+            skeleton,
+        };
+        writer.note(&[
+            "key", "id", "split", "kind", "source", "target", "license", "left_out",
+        ])?;
+        Ok(writer)
+    }
+
+    /// Adds rows. Their arrays are made in parallel.
+    fn take<R: Sync + Keyed>(
+        &mut self,
+        rows: &[R],
+        triplet: &(dyn Fn(&R) -> Result<Triplet, Error> + Sync),
+    ) -> Result<(), Error> {
+        let skeleton = self.skeleton;
+        let made: Vec<(Triplet, Option<Value>)> = rows
+            .par_iter()
+            .map(|row| {
+                let triplet = triplet(row)?;
+                let text = triplet.instruction.trim();
+                if text.is_empty() {
+                    return Ok((triplet, None));
+                }
+                let [source, target] = &triplet.sides;
+                let value = Value::Dict(vec![
+                    (Value::text("motion_source"), source.value(skeleton)?),
+                    (Value::text("motion_target"), target.value(skeleton)?),
+                    (Value::text("text"), Value::text(text)),
+                ]);
+                Ok((triplet, Some(value)))
+            })
+            .collect::<Result<_, Error>>()?;
+        for (row, (triplet, value)) in rows.iter().zip(made) {
+            let key = match (row.key(), &value) {
+                (_, None) => String::new(),
+                (Some(key), _) if self.used.insert(key.to_owned()) => key.to_owned(),
+                _ => self.new_key(),
+            };
+            let [source, target] = &triplet.sides;
+            let mut licenses: Vec<&str> = [source, target]
+                .iter()
+                .filter_map(|side| side.license.as_deref())
+                .collect();
+            licenses.dedup();
+            let left_out = if value.is_none() {
+                "no instruction"
+            } else {
+                ""
+            };
+            self.note(&[
+                &key,
+                &triplet.id,
+                triplet.split.as_str(),
+                &triplet.kind,
+                &source.id,
+                &target.id,
+                &licenses.join(" AND "),
+                left_out,
+            ])?;
+            let Some(value) = value else { continue };
+            let written = Value::text(&key);
+            let dumps = [Some(&mut self.all), self.of_split.get_mut(&triplet.split)];
+            for dump in dumps.into_iter().flatten() {
+                let entry = dump.entry(&written, &value);
+                entry.map_err(Error::io("write", &self.folder))?;
+            }
+            let listed = self.splits.entry(triplet.split.as_str()).or_default();
+            listed.push(key);
+        }
+        Ok(())
+    }
+
+    /// A running number that is free.
+    fn new_key(&mut self) -> String {
+        loop {
+            let key = format!("{:0>KEY_DIGITS$}", self.next);
+            self.next += 1;
+            if self.taken.insert(key.clone()) {
+                return key;
+            }
+        }
+    }
+
+    fn note(&mut self, fields: &[&str; 8]) -> Result<(), Error> {
+        let written = self.ids.write_record(fields).map_err(std::io::Error::from);
+        written.map_err(Error::io("write", &self.folder))
+    }
+
+    /// Ends the dumps, and returns the number of triplets.
+    fn finish(self) -> Result<u64, Error> {
+        for dump in std::iter::once(self.all).chain(self.of_split.into_values()) {
+            dump.finish().map_err(Error::io("write", &self.folder))?;
+        }
+        let count = self.splits.values().map(Vec::len).sum::<usize>();
+        put(&self.folder, "splits.json", &self.splits)?;
+        let path = self.folder.join("ids.csv");
+        let lines = self.ids.into_inner().unwrap_or_default();
+        fs::write(&path, lines).map_err(Error::io("write", &path))?;
+        Ok(count as u64)
+    }
+}
+
+/// Rows that may have a key of their own.
+trait Keyed {
+    fn key(&self) -> Option<&str> {
+        None
+    }
+}
+
+impl Keyed for TripletRow {}
+impl Keyed for ItemRow {}
+
+impl Keyed for &PairRow {
+    fn key(&self) -> Option<&str> {
+        published_key(self)
+    }
+}
+
+fn put(folder: &Path, name: &str, value: &impl Serialize) -> Result<(), Error> {
+    let path = folder.join(name);
+    let text = serde_json::to_vec_pretty(value)
+        .map_err(|error| Error::io("write", &path)(error.into()))?;
+    fs::write(&path, text).map_err(Error::io("write", &path))
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::record::MotionRow;
+    use datasets_spec::{Fps, NoProgress};
+    use pickle::joblib;
+
+    use super::*;
+    use crate::export::{Layout, export};
+    use crate::ingest::{IngestOptions, ingest};
+    use crate::retarget::tests::walk;
+    use crate::source::stance::tests::put;
+
+    fn ingested(source: &Path, out: &Path) -> Dataset {
+        let options = IngestOptions {
+            fps: Some(crate::feature::released_fps()),
+            ..IngestOptions::default()
+        };
+        let sources = [PathBuf::from(source)];
+        let report = ingest(&sources, out, &options, "test", &NoProgress);
+        report.expect("plain files").dataset
+    }
+
+    /// A dump of two pairs, of which one has no words.
+    fn dump() -> Vec<u8> {
+        let skeleton = Skeleton::smplx_neutral();
+        let side = |frames: usize| {
+            let motion = Motion::from_poses(crate::feature::released_fps(), &walk(frames));
+            let motion = motion.expect("valid");
+            Parameters::of(&motion, &skeleton)
+                .expect("at its rate")
+                .value([0.0, 2.0])
+        };
+        let pair = |text: &str| {
+            Value::Dict(vec![
+                (Value::text("motion_source"), side(60)),
+                (Value::text("motion_target"), side(45)),
+                (Value::text("text"), Value::text(text)),
+            ])
+        };
+        pickle::encode(&Value::Dict(vec![
+            (Value::text("000136"), pair("raise your arm")),
+            (Value::text("000007"), pair("")),
+        ]))
+    }
+
+    #[test]
+    fn a_dump_that_is_ingested_is_exported_again() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let at = |name: &str| dir.path().join(name);
+        put(dir.path(), "in/motionfix.pth.tar", dump());
+        put(
+            dir.path(),
+            "in/splits.json",
+            r#"{"val": ["000136"], "train": ["000007"]}"#,
+        );
+        let first = ingested(&at("in"), &at("first"));
+        let done = export(
+            &Clips::all(&first),
+            Layout::MotionFix,
+            &at("out"),
+            &NoProgress,
+        );
+        assert_eq!(done.expect("exported").clips, 1);
+        let read = |name: &str| std::fs::read(at("out").join(name)).expect("written");
+        let splits = String::from_utf8(read("splits.json")).expect("text");
+        let splits: serde_json::Value = serde_json::from_str(&splits).expect("JSON");
+        assert_eq!(splits["val"], serde_json::json!(["000136"]));
+        assert_eq!(splits["test"], serde_json::json!([]));
+        let ids = String::from_utf8(read("ids.csv")).expect("text");
+        assert!(ids.contains(",no instruction"), "{ids}");
+        let before = joblib::read(&dump()).expect("a dump");
+        for name in ["motionfix.pth.tar", "motionfix_val.pth.tar"] {
+            let after = joblib::read(&read(name)).expect("a dump");
+            let Value::Dict(entries) = &after else {
+                panic!("{}", after.describe());
+            };
+            assert_eq!(entries.len(), 1);
+            for side in ["motion_source", "motion_target"] {
+                for (key, tolerance) in [("rots", 2e-6), ("trans", 2e-6), ("joint_positions", 5e-6)]
+                {
+                    let numbers = |value: &Value| -> Vec<f64> {
+                        let pair = value.get("000136").expect("the pair");
+                        let array = pair.get(side).and_then(|side| side.get(key)?.as_array());
+                        array.expect(key).to_f64().expect("numbers")
+                    };
+                    let (before, after) = (numbers(&before), numbers(&after));
+                    assert_eq!(before.len(), after.len(), "{side} {key}");
+                    for (a, b) in before.iter().zip(after) {
+                        // Through the store's axes and floor, in f32.
+                        assert!((a - b).abs() < tolerance, "{side} {key}: {a} and {b}");
+                    }
+                }
+            }
+        }
+        let again = ingested(&at("out"), &at("again"));
+        let rows = again.read::<MotionRow>(None).expect("read");
+        let ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
+        assert_eq!(ids, ["motionfix/000136-source", "motionfix/000136-target"]);
+        assert!(rows.iter().all(|row| row.split == Split::Val));
+    }
+
+    #[test]
+    fn without_pairs_there_is_nothing_to_export() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let at = |name: &str| dir.path().join(name);
+        let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
+        let bytes = crate::write::amass::encode(&motion, &Skeleton::smplx_neutral());
+        put(dir.path(), "in/walk_poses.npz", bytes.expect("encoded"));
+        let dataset = ingested(&at("in"), &at("first"));
+        let refused = export(
+            &Clips::all(&dataset),
+            Layout::MotionFix,
+            &at("out"),
+            &NoProgress,
+        );
+        assert!(matches!(refused, Err(Error::NoTriplets { .. })));
+        assert!(!at("out").exists());
+    }
+}
