@@ -453,7 +453,7 @@ export class App {
     const out = h("button", { attrs: { type: "button" }, on: { click: () => void this.logOut() } }, "Log out");
     fill(
       this.header,
-      h("span", { class: "brand" }, this.me.project.name || "Annotation"),
+      h("span", { class: "brand", attrs: { title: this.me.project.name } }, this.me.project.name || "Annotation"),
       this.nav,
       h("span", { class: "spacer" }),
       this.stuck,

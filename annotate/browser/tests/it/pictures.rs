@@ -7,7 +7,7 @@ use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::json;
 
 /// Screens, what shows that they are drawn, and who looks at them.
-const SCREENS: [(&str, &str, &str); 15] = [
+const SCREENS: [(&str, &str, &str); 18] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),
     ("pair", ".verdicts", "annotator"),
@@ -19,6 +19,9 @@ const SCREENS: [(&str, &str, &str); 15] = [
     ("review", "#main h1, .candidates", "reviewer"),
     ("decisions", "decision-list table", "reviewer"),
     ("paraphrases", "paraphrase-desk .card", "reviewer"),
+    ("tasks", ".list-row[data-task]", "reviewer"),
+    ("task", "task-record .facts", "reviewer"),
+    ("rules", ".dashboard .note", "admin"),
     ("dashboard", ".dashboard table", "reviewer"),
     ("admin", ".numbers", "admin"),
     ("login", "#token", ""),
@@ -29,6 +32,7 @@ const SCREENS: [(&str, &str, &str); 15] = [
 const CUT: &str = "[...document.querySelectorAll('button, a, input, select, textarea, .chip')] \
     .filter((own) => own.getClientRects().length > 0) \
     .filter((own) => { const box = own.getBoundingClientRect(); return box.left < -1 || box.right > innerWidth + 1 || \
+        (own.closest('header') && box.height > 40) || \
         (own.matches('button, a') && own.scrollWidth > own.clientWidth + 1 && getComputedStyle(own).display !== 'inline'); }) \
     .map((own) => own.textContent || own.tagName) \
     .concat(['html', 'main', '.panel'].filter((part) => { const own = document.querySelector(part); \
@@ -68,6 +72,8 @@ async fn every_screen_fits_in_both_sizes_and_themes() {
             let path = match name {
                 "login" => String::new(),
                 "keys" => "app/home".to_owned(),
+                "task" => "app/task/1".to_owned(),
+                "review" => review(&browser).await,
                 name => format!("app/{name}"),
             };
             browser.open(&server.page(&path)).await;
@@ -121,6 +127,16 @@ async fn every_screen_fits_in_both_sizes_and_themes() {
         }
         browser.quit().await;
         drop(server);
+    }
+}
+
+/// The page of the clip whose answers differ most; the queue, if none waits.
+async fn review(browser: &Browser) -> String {
+    let wanted = "tasks?kind=mask_text&state=submitted&sort=distance&limit=1";
+    let found = browser.request("GET", wanted, None).await;
+    match found["body"]["rows"][0]["id"].as_i64() {
+        Some(task) => format!("app/review/{task}"),
+        None => "app/review".to_owned(),
     }
 }
 
