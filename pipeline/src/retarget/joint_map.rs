@@ -23,7 +23,7 @@ pub struct JointMap {
 ///
 /// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest
 /// height between pelvis and neck; the other body joints follow from their neighbours.
-pub const JOINT_MAPS: [JointMap; 9] = [
+pub const JOINT_MAPS: [JointMap; 11] = [
     JointMap {
         name: "smplx",
         source_names: [
@@ -242,8 +242,9 @@ pub const JOINT_MAPS: [JointMap; 9] = [
             "RightWrist",
         ],
     },
+    // Xsens MVN, and what was captured with it, such as 100STYLE.
     JointMap {
-        name: "100style",
+        name: "xsens",
         source_names: [
             "Hips",
             "LeftHip",
@@ -267,6 +268,63 @@ pub const JOINT_MAPS: [JointMap; 9] = [
             "RightElbow",
             "LeftWrist",
             "RightWrist",
+        ],
+    },
+    // SOMA of NVIDIA, in which BONES-SEED and Kimodo write. Its legs are called as other rigs call the
+    // shins.
+    JointMap {
+        name: "soma",
+        source_names: [
+            "Hips",
+            "LeftLeg",
+            "RightLeg",
+            "Spine1",
+            "LeftShin",
+            "RightShin",
+            "Spine2",
+            "LeftFoot",
+            "RightFoot",
+            "Chest",
+            "LeftToeBase",
+            "RightToeBase",
+            "Neck1",
+            "LeftShoulder",
+            "RightShoulder",
+            "Head",
+            "LeftArm",
+            "RightArm",
+            "LeftForeArm",
+            "RightForeArm",
+            "LeftHand",
+            "RightHand",
+        ],
+    },
+    // SnapMoGen. Pelvis and lowest spine joint both hang from the root.
+    JointMap {
+        name: "snapmogen",
+        source_names: [
+            "C_pelvis0001_bind_JNT",
+            "L_legUpper0001_bind_JNT",
+            "R_legUpper0001_bind_JNT",
+            "C_spine0001_bind_JNT",
+            "L_legLower0001_bind_JNT",
+            "R_legLower0001_bind_JNT",
+            "C_spine0002_bind_JNT",
+            "L_foot0001_bind_JNT",
+            "R_foot0001_bind_JNT",
+            "C_spine0003_bind_JNT",
+            "L_foot0002_bind_JNT",
+            "R_foot0002_bind_JNT",
+            "C_neck0001_bind_JNT",
+            "L_clavicle_bind_JNT",
+            "R_clavicle_bind_JNT",
+            "C_head_bind_JNT",
+            "L_armUpper0001_bind_JNT",
+            "R_armUpper0001_bind_JNT",
+            "L_armLower0001_bind_JNT",
+            "R_armLower0001_bind_JNT",
+            "L_hand0001_bind_JNT",
+            "R_hand0001_bind_JNT",
         ],
     },
 ];
@@ -449,7 +507,7 @@ impl Mapping {
 }
 
 /// A name without its namespace, as in `mixamorig:Hips`.
-fn bare(name: &str) -> &str {
+pub(crate) fn bare(name: &str) -> &str {
     name.rsplit(':').next().unwrap_or(name)
 }
 

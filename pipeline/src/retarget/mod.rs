@@ -12,6 +12,7 @@ mod topology;
 mod track;
 mod user_map;
 
+pub(crate) use joint_map::bare;
 pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
 pub use rig::{Bone, Placed, Rest, Rig};
 pub use user_map::{UserMap, UserMapError};
@@ -549,7 +550,7 @@ pub(crate) mod tests {
         clip(&bvh, &Skeleton::smplx_neutral(), None).expect("the test writes bodies")
     }
 
-    fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
+    pub(crate) fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
         assert_eq!(clip.motion.len(), poses.len());
         let lift = f64::from(clip.motion.transl()[0][1]) - poses[0].transl.y;
         for (found, expected) in clip.motion.poses().into_iter().zip(poses) {

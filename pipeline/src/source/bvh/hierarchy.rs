@@ -2,8 +2,9 @@
 
 use glam::DVec3;
 
-use super::cursor::{Cursor, shown, syntax};
+use super::cursor::{Cursor, parse_number, shown, syntax};
 use super::joint::{Axis, BvhJoint, Channel};
+use super::soma;
 use crate::clip::Rejected;
 
 /// Limit on the joints of a file. Full-body rigs with fingers and face have some 200.
@@ -14,12 +15,14 @@ pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Reje
     cursor.expect("ROOT")?;
     let mut joints = Vec::new();
     let mut num_channels = 0;
+    let mut rest_rotation = None;
     let mut open = vec![open_joint(cursor, &mut joints, None)?];
     // An explicit stack: a deep hierarchy must not exhaust the call stack.
     while let Some(&joint) = open.last() {
         let (at, word) = cursor.word();
         if word.eq_ignore_ascii_case(b"OFFSET") {
             joints[joint].offset = cursor.vector()?;
+            rest_rotation = rest_rotation.or(skip_rest_rotation(cursor)?);
         } else if word.eq_ignore_ascii_case(b"CHANNELS") {
             if !joints[joint].channels.is_empty() {
                 return Err(syntax(
@@ -50,7 +53,28 @@ pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Reje
             ));
         }
     }
-    Ok(joints)
+    match rest_rotation {
+        Some(at) if !soma::is_soma(&joints) => Err(syntax(
+            at,
+            "found six numbers after OFFSET, expected three; only rigs of SOMA are known to state a \
+             rest rotation there, which their channels repeat",
+        )),
+        _ => Ok(joints),
+    }
+}
+
+/// Passes over three more numbers after an offset, and returns where they are. Rigs of SOMA state the
+/// joint's rotation at rest there, in degrees about x, y and z. It is not needed: their channels hold the
+/// whole rotation.
+fn skip_rest_rotation(cursor: &mut Cursor) -> Result<Option<usize>, Rejected> {
+    let before = cursor.at;
+    let (at, word) = cursor.word();
+    cursor.at = before;
+    if parse_number(word).is_none() {
+        return Ok(None);
+    }
+    cursor.vector()?;
+    Ok(Some(at))
 }
 
 fn open_joint(

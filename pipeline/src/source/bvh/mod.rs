@@ -2,15 +2,18 @@
 //!
 //! BVH has no specification, so the reader accepts every dialect that is unambiguous: any order and
 //! subset of channels per joint, names with colons or spaces, tabs, CRLF, a byte order mark, `.5`,
-//! missing end sites, a brace on the line of its joint. Ambiguous files are refused, above all
+//! missing end sites, a brace on the line of its joint, the rest rotations of SOMA. Ambiguous files are refused, above all
 //! those whose frame count differs from the number of rows.
 
 mod cursor;
+#[cfg(test)]
+pub(crate) mod dialects;
 mod file;
 mod hierarchy;
 mod joint;
 mod motion;
 mod rig;
+mod soma;
 #[cfg(test)]
 mod tests;
 
@@ -67,7 +70,12 @@ impl SourceFormat for Bvh {
     }
 }
 
-fn read(file: &mut dyn Read, length: usize, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+/// Reads a file of about `length` bytes.
+pub(super) fn read(
+    file: &mut dyn Read,
+    length: usize,
+    options: &ReadOptions,
+) -> Result<SourceClip, Rejected> {
     let bvh = BvhFile::read(file, length, options.lenient)?;
     let mut clip = retarget::clip(&bvh, &options.skeleton, options.user_map.as_ref())?;
     if bvh.num_rows != bvh.stated_frames {

@@ -7,6 +7,7 @@ use glam::{DQuat, DVec3};
 
 use super::file::BvhFile;
 use super::joint::{Axis, BvhJoint, Channel};
+use super::soma;
 use crate::retarget::{Bone, Placed, Rest, Rig};
 
 impl Rig for BvhFile {
@@ -34,7 +35,7 @@ impl Rig for BvhFile {
     }
 
     /// The zero pose: every rotation is zero. A joint with position channels is placed at the mean
-    /// of their values.
+    /// of their values. Then the T-pose of a rig that is known to have none as its zero pose.
     fn rests(&self) -> Vec<Rest> {
         let mut bones: Vec<Placed> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
@@ -47,10 +48,15 @@ impl Rig for BvhFile {
                 rotation: DQuat::IDENTITY,
             });
         }
-        vec![Rest {
+        let zero = Rest {
             name: "zero pose",
             bones,
-        }]
+        };
+        let t_pose = soma::t_pose(&self.joints).map(|bones| Rest {
+            name: "T-pose of SOMA",
+            bones,
+        });
+        std::iter::once(zero).chain(t_pose).collect()
     }
 
     fn follow(&self, needed: &[bool], visit: &mut dyn FnMut(usize, &[Placed])) {
