@@ -37,6 +37,7 @@ pub mod filter;
 #[cfg(test)]
 mod fixture;
 pub mod floor;
+mod foreign_table;
 #[cfg(test)]
 mod golden;
 pub mod ingest;

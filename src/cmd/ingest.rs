@@ -25,8 +25,8 @@ use crate::report;
 
 /// Turn motion files into one checked dataset.
 ///
-/// BVH, C3D, glTF and AMASS files are found by their content, and the folders of the HumanML3D,
-/// STANCE and MotionFix releases by their layout. A file that cannot be used is listed in the
+/// BVH, C3D, TRC, glTF and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
+/// MotionFix, Motion-X and BONES-SEED releases by their layout. A file that cannot be used is listed in the
 /// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
 /// continues; run again after success, it changes nothing.
 ///
@@ -71,7 +71,7 @@ pub(crate) struct Args {
     /// How to treat motions with a jump faster than 20 m/s
     #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
     teleports: TeleportsArg,
-    /// Accept BVH files whose header states another number of frames than rows follow. Such clips are
+    /// Accept BVH and TRC files whose header states another number of frames than rows follow. Such clips are
     /// flagged
     #[arg(long)]
     lenient: bool,

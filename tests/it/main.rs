@@ -10,6 +10,7 @@ mod compose;
 mod evaluate;
 mod export;
 mod exports;
+mod formats;
 mod golden;
 mod growth;
 mod help;

@@ -17,7 +17,9 @@ use pipeline::sidecar::Sidecar;
 use pipeline::source::bvh::BvhFile;
 use pipeline::source::c3d::C3dFile;
 use pipeline::source::labels::parse_captions;
-use pipeline::source::{ReadOptions, amass, gltf, representation_272, stance};
+use pipeline::source::seed::Timelines;
+use pipeline::source::trc::TrcFile;
+use pipeline::source::{ReadOptions, amass, gltf, motionx, representation_272, stance};
 
 /// Parses and retargets a BVH file.
 pub fn bvh(bytes: &[u8]) {
@@ -36,8 +38,9 @@ pub fn c3d(bytes: &[u8]) {
     }
 }
 
-/// Parses captions of HumanML3D, and a sidecar.
+/// Parses captions of HumanML3D, temporal labels of BONES-SEED, and a sidecar.
 pub fn captions(bytes: &[u8]) {
+    let _labels = Timelines::parse(bytes, &|_| true);
     let text = String::from_utf8_lossy(bytes);
     let (captions, num_other) = parse_captions(&text);
     assert!(captions.len() + num_other <= text.lines().count());
@@ -60,8 +63,9 @@ pub fn manifest(bytes: &[u8]) {
     }
 }
 
-/// Reads an AMASS archive, a lone array and 272 features.
+/// Reads an AMASS archive, a lone array, also as a motion of Motion-X, and 272 features.
 pub fn npz(bytes: &[u8]) {
+    let _clip = motionx::read_array(bytes, &Skeleton::smplx_neutral());
     let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());
     let _numbers = npy::read_numbers("member", bytes);
     let _text = npy::read_text("member", bytes);
@@ -75,17 +79,30 @@ pub fn pickle(bytes: &[u8]) {
     let _motion = stance::read_pickle_motion(bytes, &Skeleton::smplx_neutral());
 }
 
+/// Parses a TRC file.
+pub fn trc(bytes: &[u8]) {
+    for lenient in [false, true] {
+        if let Ok(capture) = TrcFile::parse(bytes, lenient) {
+            let markers = capture.markers;
+            assert_eq!(markers.positions.len(), markers.residuals.len());
+            let mut numbers = markers.positions.iter().flatten();
+            assert!(numbers.all(|number| number.is_finite()));
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn no_target_panics_on_the_beginnings_of_files() {
-        let targets = [bvh, c3d, captions, glb, manifest, npz, pickle];
-        let seeds: [&[u8]; 8] = [
+        let targets = [bvh, c3d, captions, glb, manifest, npz, pickle, trc];
+        let seeds: [&[u8]; 9] = [
             b"",
             b"HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation",
             b"\x02\x50\x01\x00",
+            b"PathFileType\t4\nDataRate\tNumFrames\tNumMarkers\n1\t1\t1\nFrame#\tTime\tA",
             b"a#a/DET#0.0#0.0\n{}",
             b"glTF\x02\x00\x00\x00\x0c\x00\x00\x00",
             b"{\"format\": \"stance-dataset\"}",

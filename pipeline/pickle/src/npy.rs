@@ -73,6 +73,13 @@ impl Header {
         Ok(header)
     }
 
+    /// Place in the file of the number with this row-major index; none for arrays in column-major order.
+    pub fn place_of(&self, index: usize) -> Option<usize> {
+        let is_flat = self.shape.len() < 2;
+        let at = self.data_start + index * self.item_len;
+        (is_flat || !self.fortran_order).then_some(at)
+    }
+
     /// Shape that an array states in its first bytes; its data may be missing.
     ///
     /// # Errors

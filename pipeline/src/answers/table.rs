@@ -1,24 +1,17 @@
 //! Answers in a foreign Parquet file.
 //!
-//! The columns are found by name and read with any compatible type: text of any width, numbers of any type,
-//! lists of any kind and item name. Our own tables go through the strict reader of `datasets-spec`.
+//! The columns are found by name and read with any compatible type. Our own tables go through the strict reader
+//! of `datasets-spec`.
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{
-    Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
-    UInt32Type, UInt64Type,
-};
+use arrow_array::types::{Int64Type, UInt64Type};
 use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
-use bytes::Bytes;
 use kinematics::motion::BODY_POSE_WIDTH;
-use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
-};
 
 use super::recorded::Recorded;
 use crate::clip::Rejected;
+use crate::foreign_table::{self, ForeignTable, MAX_DEPTH, is_list, list, numbers, text};
 
 /// Columns that may hold the id of the item; the first that exists is used.
 const ID_COLUMNS: [&str; 2] = ["id", "item"];
@@ -30,8 +23,6 @@ const BATCH_ROWS: usize = 64;
 /// Limit on the unpacked bytes of the columns: ten thousand answers of ten seconds in double precision take
 /// 2.2 GB.
 const MAX_UNPACKED_LEN: i64 = 8 << 30;
-/// Limit on the nesting of lists: frames of joints of axes nest three deep.
-const MAX_DEPTH: usize = 4;
 
 /// An answer of a table.
 pub(super) struct TableAnswer {
@@ -48,33 +39,11 @@ pub(super) struct TableAnswer {
 /// too far, `E-TABLE-COLUMNS` if a column is missing or of an incompatible type. Errors of single rows are
 /// kept with the row.
 pub(super) fn read(bytes: Vec<u8>) -> Result<Vec<TableAnswer>, Rejected> {
-    crate::source::refuse_pointer(&bytes)?;
-    // The Parquet library panics on some damaged pages.
-    std::panic::catch_unwind(|| decode(bytes)).unwrap_or_else(|_| {
-        Err(Rejected::read(
-            "E-TABLE-FORMAT",
-            "the Parquet library failed on a page; the file is damaged",
-        ))
-    })
+    foreign_table::read(bytes, decode)
 }
 
-fn decode(bytes: Vec<u8>) -> Result<Vec<TableAnswer>, Rejected> {
-    let len = bytes.len();
-    let broken = |error: &dyn std::fmt::Display| {
-        Rejected::read(
-            "E-TABLE-FORMAT",
-            format!("found no Parquet file that can be read in {len} bytes ({error})"),
-        )
-    };
-    let bytes = Bytes::from(bytes);
-    let options = ArrowReaderOptions::new();
-    let metadata = ArrowReaderMetadata::load(&bytes, options).map_err(|error| broken(&error))?;
-    let names: Vec<&str> = metadata
-        .schema()
-        .fields()
-        .iter()
-        .map(|field| field.name().as_str())
-        .collect();
+fn decode(table: &ForeignTable) -> Result<Vec<TableAnswer>, Rejected> {
+    let names = table.names();
     let id_column = ID_COLUMNS.into_iter().find(|name| names.contains(name));
     let missing = MOTION_COLUMNS.iter().any(|name| !names.contains(name));
     let (Some(id_column), false) = (id_column, missing) else {
@@ -88,42 +57,17 @@ fn decode(bytes: Vec<u8>) -> Result<Vec<TableAnswer>, Rejected> {
             ),
         ));
     };
-    let wanted: Vec<&str> = MOTION_COLUMNS
+    let wanted = MOTION_COLUMNS
         .into_iter()
-        .chain([id_column, FPS_COLUMN, SEED_COLUMN])
-        .filter(|name| names.contains(name))
-        .collect();
-    let mut unpacked = 0i64;
-    for group in metadata.metadata().row_groups() {
-        for column in group.columns() {
-            let root = column.column_path().parts().first();
-            if root.is_some_and(|root| wanted.contains(&root.as_str())) {
-                unpacked = unpacked.saturating_add(column.uncompressed_size().max(0));
-            }
-        }
-    }
-    if unpacked > MAX_UNPACKED_LEN {
-        return Err(Rejected::read(
-            "E-TABLE-LIMIT",
-            format!(
-                "its columns unpack from {len} to {unpacked} bytes, expected at most \
-                 {MAX_UNPACKED_LEN}; write several files"
-            ),
-        ));
-    }
-    let mask = ProjectionMask::columns(metadata.parquet_schema(), wanted.iter().copied());
-    let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
-        .with_projection(mask)
-        .with_batch_size(BATCH_ROWS)
-        .build()
-        .map_err(|error| broken(&error))?;
+        .chain([id_column, FPS_COLUMN, SEED_COLUMN]);
+    let wanted: Vec<&str> = wanted.filter(|name| names.contains(name)).collect();
     let mut answers = Vec::new();
-    for batch in reader {
-        let batch = batch.map_err(|error| broken(&error))?;
+    table.for_each(&wanted, MAX_UNPACKED_LEN, BATCH_ROWS, &mut |batch| {
         for row in 0..batch.num_rows() {
-            answers.push(answer(&batch, row, id_column)?);
+            answers.push(answer(batch, row, id_column)?);
         }
-    }
+        Ok(())
+    })?;
     Ok(answers)
 }
 
@@ -190,24 +134,6 @@ fn bad_column(name: &str, row: usize, problem: &str) -> Rejected {
     Rejected::read("E-TABLE-VALUE", format!("row {row}, {name}: {problem}"))
 }
 
-/// The text of a row of any width, or the type that the column has instead.
-fn text(values: &ArrayRef, row: usize) -> Result<Option<String>, String> {
-    if values.is_null(row) {
-        return Ok(None);
-    }
-    Ok(Some(match values.data_type() {
-        DataType::Utf8 => values.as_string::<i32>().value(row).to_owned(),
-        DataType::LargeUtf8 => values.as_string::<i64>().value(row).to_owned(),
-        DataType::Utf8View => values.as_string_view().value(row).to_owned(),
-        DataType::Dictionary(..) => {
-            let dictionary = values.as_any_dictionary();
-            let key = dictionary.normalized_keys()[row];
-            return text(dictionary.values(), key);
-        }
-        other => return Err(other.to_string()),
-    }))
-}
-
 /// The frames of `D` numbers that a row has: nested lists of them, or all numbers in one list.
 fn frames<const D: usize>(
     batch: &RecordBatch,
@@ -252,66 +178,4 @@ fn frames<const D: usize>(
         }
     }
     Ok(found.as_chunks::<D>().0.to_vec())
-}
-
-fn is_list(data_type: &DataType) -> bool {
-    matches!(
-        data_type,
-        DataType::List(_) | DataType::LargeList(_) | DataType::FixedSizeList(..)
-    )
-}
-
-/// The values of a list column and the range of a row; none for other columns.
-fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<usize>)> {
-    Some(match values.data_type() {
-        DataType::List(_) => {
-            let list = values.as_list::<i32>();
-            let bounds = list.value_offsets();
-            // Arrow guarantees that offsets are non-negative and ascending.
-            let range = bounds[row] as usize..bounds[row + 1] as usize;
-            (list.values().clone(), range)
-        }
-        DataType::LargeList(_) => {
-            let list = values.as_list::<i64>();
-            let bounds = list.value_offsets();
-            let range = bounds[row] as usize..bounds[row + 1] as usize;
-            (list.values().clone(), range)
-        }
-        DataType::FixedSizeList(_, width) => {
-            let list = values.as_fixed_size_list();
-            let start = list.value_offset(row) as usize;
-            let range = start..start + usize::try_from(*width).unwrap_or(0);
-            (list.values().clone(), range)
-        }
-        _ => return None,
-    })
-}
-
-/// Appends the numbers of a value, however deep they are nested.
-fn numbers(values: &ArrayRef, row: usize, depth: usize, out: &mut Vec<f64>) -> Result<(), String> {
-    if values.is_null(row) {
-        return Err("a number is missing".to_owned());
-    }
-    if let Some((inner, range)) = list(values, row) {
-        if depth == MAX_DEPTH {
-            return Err(format!("lists nest deeper than {MAX_DEPTH}"));
-        }
-        return range
-            .into_iter()
-            .try_for_each(|at| numbers(&inner, at, depth + 1, out));
-    }
-    out.push(match values.data_type() {
-        DataType::Float32 => values.as_primitive::<Float32Type>().value(row).into(),
-        DataType::Float64 => values.as_primitive::<Float64Type>().value(row),
-        DataType::Int8 => values.as_primitive::<Int8Type>().value(row).into(),
-        DataType::Int16 => values.as_primitive::<Int16Type>().value(row).into(),
-        DataType::Int32 => values.as_primitive::<Int32Type>().value(row).into(),
-        DataType::Int64 => values.as_primitive::<Int64Type>().value(row) as f64,
-        DataType::UInt8 => values.as_primitive::<UInt8Type>().value(row).into(),
-        DataType::UInt16 => values.as_primitive::<UInt16Type>().value(row).into(),
-        DataType::UInt32 => values.as_primitive::<UInt32Type>().value(row).into(),
-        DataType::UInt64 => values.as_primitive::<UInt64Type>().value(row) as f64,
-        other => return Err(format!("holds {other}, expected numbers")),
-    });
-    Ok(())
 }

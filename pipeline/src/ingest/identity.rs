@@ -8,7 +8,7 @@ use datasets_spec::{MotionId, Seed, Split};
 use super::list::path_of;
 use super::plan::{Plan, Planned, unlabelled, without_extension};
 use super::recorded::{Recorded, RecordedClip};
-use crate::source::{Entry, Format};
+use crate::source::{Entry, Format, escaped};
 
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
@@ -350,18 +350,6 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
             key => format!("{name}#{key}"),
         };
         item.entry.id.clone_from(&item.id);
-    }
-}
-
-/// A path as part of an id, where `#`, `@` and a final `~m` begin what was made of a clip.
-fn escaped(path: &str) -> String {
-    let path = path
-        .replace('%', "%25")
-        .replace('#', "%23")
-        .replace('@', "%40");
-    match path.strip_suffix("~m") {
-        Some(rest) => format!("{rest}%7Em"),
-        None => path,
     }
 }
 

@@ -40,8 +40,9 @@ impl MarkerSet {
 ///
 /// # Source
 /// CMU 41 as in the files of the CMU motion capture database; Plug-in Gait as in Vicon's guide. Of
-/// the 53-marker Front-Waist set the paper names only the number; the labels are Vicon Shogun's.
-pub const MARKER_SETS: [MarkerSet; 4] = [
+/// the 53-marker Front-Waist set the paper names only the number; the labels are Vicon Shogun's. The set
+/// of OpenSim is that of the gait models it comes with, in which captures in TRC are labelled.
+pub const MARKER_SETS: [MarkerSet; 5] = [
     MarkerSet {
         name: "cmu-41",
         labels: &[
@@ -71,10 +72,30 @@ pub const MARKER_SETS: [MarkerSet; 4] = [
             "*ASI", "*PSI", "*THI", "*KNE", "*TIB", "*ANK", "*HEE", "*TOE",
         ],
     },
+    MarkerSet {
+        name: "opensim-gait",
+        labels: &[
+            "TOP.HEAD",
+            "STERNUM",
+            "*.ACROMIUM",
+            "V.SACRAL",
+            "*.ASIS",
+            "*.THIGH.UPPER",
+            "*.THIGH.FRONT",
+            "*.THIGH.REAR",
+            "*.SHANK.UPPER",
+            "*.SHANK.FRONT",
+            "*.SHANK.REAR",
+            "*.HEEL",
+            "*.MIDFOOT.SUP",
+            "*.MIDFOOT.LAT",
+            "*.TOE.TIP",
+        ],
+    },
 ];
 
 /// Places of single markers.
-const MIDLINE: [(&str, Joint, [f64; 3]); 11] = [
+const MIDLINE: [(&str, Joint, [f64; 3]); 14] = [
     ("ARIEL", Joint::Head, [0.0, 0.19, 0.02]),
     ("C7", Joint::Spine3, [0.0, 0.16, -0.1]),
     ("T8", Joint::Spine3, [0.0, 0.02, -0.13]),
@@ -86,11 +107,14 @@ const MIDLINE: [(&str, Joint, [f64; 3]); 11] = [
     ("SACR", Joint::Pelvis, [0.0, 0.06, -0.12]),
     ("MFWT", Joint::Pelvis, [0.0, 0.05, 0.12]),
     ("MBWT", Joint::Pelvis, [0.0, 0.06, -0.13]),
+    ("TOP.HEAD", Joint::Head, [0.0, 0.19, 0.02]),
+    ("STERNUM", Joint::Spine3, [0.0, 0.05, 0.1]),
+    ("V.SACRAL", Joint::Pelvis, [0.0, 0.06, -0.12]),
 ];
 
 /// Places of markers of the left side, under their labels without the `L`. In the rest pose the
 /// arms are stretched to the sides, palms down.
-const LEFT: [(&str, Joint, [f64; 3]); 34] = [
+const LEFT: [(&str, Joint, [f64; 3]); 52] = [
     ("FHD", Joint::Head, [0.06, 0.1, 0.1]),
     ("BHD", Joint::Head, [0.06, 0.1, -0.08]),
     ("SHO", Joint::LeftCollar, [0.11, 0.11, -0.01]),
@@ -125,6 +149,24 @@ const LEFT: [(&str, Joint, [f64; 3]); 34] = [
     ("FSH", Joint::LeftCollar, [0.09, 0.04, 0.08]),
     ("BSH", Joint::LeftCollar, [0.09, 0.04, -0.1]),
     ("BAK", Joint::Spine3, [0.09, 0.05, -0.13]),
+    (".ACROMIUM", Joint::LeftCollar, [0.11, 0.11, -0.01]),
+    (".ASIS", Joint::Pelvis, [0.12, 0.05, 0.1]),
+    (".THIGH.UPPER", Joint::LeftHip, [0.09, -0.13, 0.03]),
+    (".THIGH.FRONT", Joint::LeftHip, [0.05, -0.22, 0.08]),
+    (".THIGH.REAR", Joint::LeftHip, [0.1, -0.24, -0.02]),
+    (".KNEE.LAT", Joint::LeftKnee, [0.06, 0.0, 0.0]),
+    (".KNEE.MED", Joint::LeftKnee, [-0.055, 0.0, 0.0]),
+    (".SHANK.UPPER", Joint::LeftKnee, [0.05, -0.1, 0.01]),
+    (".SHANK.FRONT", Joint::LeftKnee, [0.0, -0.12, 0.05]),
+    (".SHANK.REAR", Joint::LeftKnee, [0.04, -0.16, -0.02]),
+    (".ANKLE.LAT", Joint::LeftAnkle, [0.045, 0.0, -0.01]),
+    (".ANKLE.MED", Joint::LeftAnkle, [-0.045, 0.0, -0.01]),
+    (".HEEL", Joint::LeftAnkle, [0.0, -0.04, -0.07]),
+    (".MIDFOOT.SUP", Joint::LeftAnkle, [0.0, -0.01, 0.08]),
+    (".MIDFOOT.LAT", Joint::LeftAnkle, [0.05, -0.04, 0.05]),
+    (".TOE.TIP", Joint::LeftAnkle, [0.02, -0.05, 0.17]),
+    (".TOE.LAT", Joint::LeftAnkle, [0.08, -0.06, 0.1]),
+    (".TOE.MED", Joint::LeftAnkle, [0.0, -0.05, 0.13]),
 ];
 
 /// A label without the subject before a colon, in upper case.
@@ -197,6 +239,7 @@ mod tests {
         };
         assert_eq!(size("cmu-41"), 41);
         assert_eq!(size("vicon-front-waist-53"), 53);
+        assert_eq!(size("opensim-gait"), 27);
     }
 
     #[test]

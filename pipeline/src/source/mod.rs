@@ -19,9 +19,13 @@ pub mod humanml3d;
 pub mod humanml3d_amass;
 pub mod labels;
 pub mod motionfix;
+pub mod motionx;
 pub mod representation_272;
+mod robot;
+pub mod seed;
 pub(crate) mod smpl;
 pub mod stance;
+pub mod trc;
 pub mod webdataset;
 
 use std::path::Path;
@@ -30,7 +34,7 @@ pub use self::files::Files;
 pub(crate) use self::files::{is_pointer, refuse_pointer};
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
 use self::labels::ClipLabels;
-pub(crate) use self::names::{name_of_text, text_of_name};
+pub(crate) use self::names::{escaped, name_of_text, text_of_name};
 pub use self::options::ReadOptions;
 use crate::clip::Outcome;
 
@@ -40,13 +44,17 @@ pub const FORMATS: &[Format] = &[
     bvh::FORMAT,
     amass::FORMAT,
     c3d::FORMAT,
+    trc::FORMAT,
     gltf::FORMAT,
     // These two before `humanml3d`, which would list their captions as captions without a motion.
     humanml3d_amass::FORMAT,
     representation_272::FORMAT,
+    // Before `humanml3d`, which knows no other arrays than its own.
+    motionx::FORMAT,
     humanml3d::FORMAT,
     stance::FORMAT,
     motionfix::FORMAT,
+    seed::FORMAT,
     dataset::FORMAT,
     webdataset::FORMAT,
 ];
@@ -88,10 +96,16 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
             return recognised;
         }
     }
+    if labels::is_label_file(&name) {
+        return not_motion("labels, read with the motions they describe".to_owned());
+    }
+    let robot = (extension == "csv")
+        .then(|| robot::csv_rows(head))
+        .flatten();
+    if let Some(reason) = robot {
+        return not_motion(reason);
+    }
     match extension.as_str() {
-        _ if labels::is_label_file(&name) => {
-            return not_motion("labels, read with the motions they describe".to_owned());
-        }
         "json" if name.ends_with(crate::sidecar::Sidecar::SUFFIX) => {
             return not_motion("sidecar, read with the motion it describes".to_owned());
         }
@@ -106,6 +120,13 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         }
         _ => {}
     }
+    if extension == "fbx" || FBX_STARTS.iter().any(|start| head.starts_with(start)) {
+        return not_motion(
+            "FBX, which is not read; save it as GLB or BVH, for example with Blender (File > Import > \
+             FBX, then File > Export > glTF 2.0)"
+                .to_owned(),
+        );
+    }
     if let Some(kind) = archive_kind(&name, &extension, head) {
         return not_motion(format!("{kind} archive; unpack it"));
     }
@@ -116,6 +137,9 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         None => not_motion(format!("{extension} is no known motion format")),
     }
 }
+
+/// First bytes of FBX files, binary and text.
+const FBX_STARTS: [&[u8]; 2] = [b"Kaydara FBX Binary  \0", b"; FBX "];
 
 /// Kind of an archive, by its name or its first bytes.
 fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str> {
@@ -217,6 +241,8 @@ mod tests {
             ("a/walk.pkl", LFS_POINTER, Some(stance::FORMAT)),
             ("a/walk.pkl", b"cos\nsystem", Some(stance::FORMAT)),
             ("a/capture.C3D", b"\x02\x50", Some(c3d::FORMAT)),
+            ("a/capture.TRC", b"", Some(trc::FORMAT)),
+            ("a/noextension", b"PathFileType\t4\t", Some(trc::FORMAT)),
             ("a/robot.glb", b"glTF", Some(gltf::FORMAT)),
             ("a/noextension", b"glTF\x02", Some(gltf::FORMAT)),
             ("a/weights.pth", b"\x80\x04", None),
@@ -225,6 +251,21 @@ mod tests {
             ("", b"", None),
         ] {
             assert_eq!(motion_format(path, head), format, "{path}");
+        }
+    }
+
+    #[test]
+    fn fbx_files_are_skipped_with_what_to_do() {
+        for (path, head) in [
+            ("a/walk.fbx", &b""[..]),
+            ("a/WALK.FBX", b"Kaydara FBX Binary  \0\x1a\0"),
+            ("a/walk", b"Kaydara FBX Binary  \0\x1a\0"),
+            ("a/walk.dat", b"; FBX 7.4.0 project file\n"),
+        ] {
+            let Recognised::NotMotion { reason } = recognise(Path::new(path), head) else {
+                panic!("{path} is no motion");
+            };
+            assert!(reason.contains("save it as GLB or BVH"), "{path}: {reason}");
         }
     }
 

@@ -44,6 +44,18 @@ pub(crate) fn name_of_text(text: &str) -> OsString {
     from_bytes(bytes)
 }
 
+/// A path as part of an id, where `#`, `@` and a final `~m` begin what was made of a clip.
+pub(crate) fn escaped(path: &str) -> String {
+    let path = path
+        .replace('%', "%25")
+        .replace('#', "%23")
+        .replace('@', "%40");
+    match path.strip_suffix("~m") {
+        Some(rest) => format!("{rest}%7Em"),
+        None => path,
+    }
+}
+
 fn digit(byte: u8) -> Option<u8> {
     let digit = char::from(byte).to_digit(16)?;
     u8::try_from(digit).ok()

@@ -9,6 +9,7 @@ use pickle::npz::Archive;
 use super::parameters::Parameters;
 use super::variant::Variant;
 use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
+use crate::source::robot;
 
 /// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
@@ -137,6 +138,9 @@ fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
         return Ok(Parsed::NoMotion {
             reason: format!("body shape of a subject, no motion (keys: {list})"),
         });
+    }
+    if let Some(reason) = robot::archived(has) {
+        return Ok(Parsed::NoMotion { reason });
     }
     let hint = if has("posed_joints") || has("global_rot_mats") {
         "; joint positions and global rotations of another skeleton than SMPL are not read"

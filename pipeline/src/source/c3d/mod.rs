@@ -18,8 +18,7 @@ use glam::DVec3;
 use self::parameters::Parameters;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
-use crate::check::FLAG_GAPS_FILLED;
-use crate::clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected, RotationSource, SourceClip};
+use crate::clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected};
 use crate::markers::{self, is_model_output};
 
 /// Bytes of a block.
@@ -453,52 +452,26 @@ fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
             None => break,
         }
     }
-    let mut labels: Vec<String> = Vec::with_capacity(points);
-    let mut seen = std::collections::BTreeMap::new();
-    for point in 0..points {
-        let label = stated
-            .get(point)
-            .map(|label| label.trim())
-            .unwrap_or_default();
-        let label = match label {
+    let label = |point: usize| {
+        let label = stated.get(point).map(|label| label.trim());
+        match label.unwrap_or_default() {
             "" => format!("point{}", point + 1),
             label => label.to_owned(),
-        };
-        let times = seen.entry(label.clone()).or_insert(0);
-        *times += 1;
-        labels.push(match *times {
-            1 => label,
-            again => format!("{label}.{again}"),
-        });
-    }
-    labels
+        }
+    };
+    markers::unique_labels((0..points).map(label))
 }
 
-/// The file's unit in metres. Files without one are in millimetres, unless the body would then be the
-/// size of a doll.
+/// The file's unit in metres.
 fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
-    match units.to_ascii_lowercase().as_str() {
-        "mm" | "millimeters" | "millimetres" => return 0.001,
-        "cm" => return 0.01,
-        "dm" => return 0.1,
-        "m" | "meters" | "metres" => return 1.0,
-        "in" | "inches" => return 0.0254,
-        _ => {}
-    }
-    /// A capture volume smaller than this many units is not in millimetres.
-    const SMALLEST_VOLUME: f64 = 20.0;
-    let largest = points
-        .iter()
-        .filter(|point| point.residual >= 0.0)
-        .fold(0.0, |largest: f64, point| {
+    let largest = || {
+        let seen = points.iter().filter(|point| point.residual >= 0.0);
+        seen.fold(0.0, |largest: f64, point| {
             largest.max(point.at.abs().max_element())
-        });
-    let (name, metres) = if largest < SMALLEST_VOLUME {
-        ("metres", 1.0)
-    } else {
-        ("millimetres", 0.001)
+        })
     };
-    notes.push(format!("unit {units:?} is none; {name} assumed"));
+    let (metres, note) = markers::metres_of_unit(units, largest);
+    notes.extend(note);
     metres
 }
 
@@ -513,46 +486,12 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Outcome {
         }
         Err(rejected) => return Outcome::Rejected(rejected),
     };
-    let frames = capture.markers.positions.len() / capture.markers.labels.len().max(1);
     if capture.markers.labels.is_empty() {
         return Outcome::Skipped {
             reason: "C3D without marker data".to_owned(),
         };
     }
-    let solved = match markers::solve(&capture.markers, &options.skeleton) {
-        Ok(solved) if frames > 1 => solved,
-        Ok(_) => {
-            return Outcome::Markers {
-                markers: Box::new(capture.markers),
-                reason: "a single frame".to_owned(),
-            };
-        }
-        Err(error) => {
-            return Outcome::Markers {
-                markers: Box::new(capture.markers),
-                reason: error.to_string(),
-            };
-        }
-    };
-    let known: Vec<f32> = solved
-        .fit_residuals
-        .iter()
-        .copied()
-        .filter(|residual| *residual >= 0.0)
-        .collect();
-    let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
-    clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
-    clip.notes.extend(capture.notes);
-    clip.notes.extend(solved.notes);
-    if solved.gaps > 0 {
-        clip.flags |= FLAG_GAPS_FILLED;
-        clip.notes.push(format!(
-            "{} frames showed too few markers and were interpolated",
-            solved.gaps
-        ));
-    }
-    clip.markers = Some(solved.markers);
-    Outcome::Clip(Box::new(clip))
+    markers::outcome(capture.markers, capture.notes, 0, options)
 }
 
 /// C3D: marker positions of an optical capture.

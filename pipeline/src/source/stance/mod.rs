@@ -57,7 +57,7 @@ impl SourceFormat for Stance {
     }
 
     fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read_pickle_motion(bytes, &options.skeleton).into()
+        motion::read_pickle(bytes, &options.skeleton)
     }
 
     fn find(

@@ -6,7 +6,8 @@ use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
 use kinematics::motion::BODY_POSE_WIDTH;
 
-use crate::clip::{Rejected, RotationSource, SourceClip};
+use crate::clip::{Outcome, Rejected, RotationSource, SourceClip};
+use crate::source::robot;
 use crate::source::smpl::{Parameters, column};
 use pickle::joblib;
 use pickle::{Array, Value};
@@ -29,9 +30,24 @@ const BODY_COLUMNS: Range<usize> = 3..3 + BODY_POSE_WIDTH;
 /// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, and those of
 /// [`joblib::read`].
 pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
-    let value = joblib::read(bytes)?;
+    motion_of(&joblib::read(bytes)?, skeleton)
+}
+
+/// Reads a single pickle: a motion, or that of a robot, which is skipped.
+pub(super) fn read_pickle(bytes: &[u8], skeleton: &Skeleton) -> Outcome {
+    let value = match joblib::read(bytes) {
+        Ok(value) => value,
+        Err(error) => return Outcome::Rejected(error.into()),
+    };
+    match robot::pickled(&value) {
+        Some(reason) => Outcome::Skipped { reason },
+        None => motion_of(&value, skeleton).into(),
+    }
+}
+
+fn motion_of(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     if value.get("smpl_poses").is_some() && value.get("smpl_trans").is_some() {
-        return aist(&value, skeleton);
+        return aist(value, skeleton);
     }
     if value.get("src").is_some() && value.get("tgt").is_some() {
         return Err(Rejected::read(
@@ -39,7 +55,7 @@ pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceCli
             "found a pair (src and tgt) outside a release; put it under a folder named adjustment",
         ));
     }
-    release_clip(&value)
+    release_clip(value)
 }
 
 /// A motion of the release.

@@ -1,0 +1,48 @@
+//! BONES-SEED: BVH files of the SOMA rig, their metadata and their temporal labels.
+//!
+//! The metadata are a table with a row for each motion (`metadata/seed_metadata_v004.parquet`, or `.csv`), the
+//! temporal labels a line of JSON for each (`metadata/seed_metadata_v002_temporal_labels.jsonl`). Without
+//! them, the BVH files are read as any others.
+//!
+//! # Source
+//! The dataset itself asks for consent before it is read. Its layout, columns and labels are known from public
+//! programs that read it: nv-tlabs/kimodo at 7330e7e, NVlabs/ProtoMotions at 607ca7a (guides to SEED), and
+//! notes that list the columns of version 3 and 4.
+
+mod metadata;
+mod release;
+#[cfg(test)]
+mod tests;
+mod timeline;
+
+use std::path::Path;
+
+use super::files::Files;
+use super::format::{Format, Release, SourceFormat, boxed};
+
+pub use timeline::Timelines;
+
+/// BONES-SEED.
+pub const FORMAT: Format = Format::new(&Seed);
+
+#[derive(Debug)]
+struct Seed;
+
+impl SourceFormat for Seed {
+    fn name(&self) -> &'static str {
+        "bones-seed"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // 240 numbers of nine characters at 120 fps.
+        260_000.0
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(boxed(release::SeedFolder::find(files)))
+    }
+}
