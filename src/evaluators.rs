@@ -72,12 +72,7 @@ impl MotionEncoder for Encoder {
     }
 
     fn recipe(&self) -> String {
-        format!(
-            "{} at {} fps, trained on dataset {:.12}",
-            self.0.recipe().name(),
-            self.0.fps(),
-            self.0.dataset_hash()
-        )
+        self.0.description()
     }
 }
 

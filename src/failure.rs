@@ -1,8 +1,8 @@
 //! Failures for programs: a code, the item concerned, and the reason.
 
 use std::error::Error;
-use std::path::Path;
 
+use datasets_spec::Code;
 use serde::Serialize;
 
 /// What `--json` prints on stdout when a command fails or refuses an item.
@@ -43,59 +43,19 @@ impl Failure {
     }
 }
 
-type Known = (&'static str, Option<String>);
-
 /// Code and item of an error, if its type tells them.
-fn known(cause: &(dyn Error + 'static)) -> Option<Known> {
-    if let Some(error) = cause.downcast_ref() {
-        return of_pipeline(error);
+fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
+    if let Some(error) = cause.downcast_ref::<pipeline::Error>() {
+        return error.code();
     }
-    if let Some(error) = cause.downcast_ref() {
-        return of_spec(error);
+    if let Some(error) = cause.downcast_ref::<datasets_spec::Error>() {
+        return error.code();
     }
-    // These wrappers are transparent, so that the chain leaves out what they wrap.
-    match cause.downcast_ref() {
-        Some(train::Error::Spec(error)) => return of_spec(error),
-        Some(train::Error::Pipeline(error)) => return of_pipeline(error),
-        _ => {}
+    if let Some(error) = cause.downcast_ref::<train::Error>() {
+        return error.code();
     }
-    if let Some(eval::Error::Spec(error)) = cause.downcast_ref() {
-        return of_spec(error);
+    if let Some(error) = cause.downcast_ref::<eval::Error>() {
+        return error.code();
     }
     cause.is::<std::io::Error>().then_some(("E-IO", None))
-}
-
-fn of_pipeline(error: &pipeline::Error) -> Option<Known> {
-    use pipeline::Error as E;
-    Some(match error {
-        E::Spec(error) => return of_spec(error),
-        E::UnusableFile { path, code, .. } | E::BodyModel { path, code, .. } => (code, name(path)),
-        E::Io { path, .. } => ("E-IO", name(path)),
-        E::MissingSource { path } => ("E-MISSING", name(path)),
-        E::NoFiles { paths, .. } => ("E-NO-FILES", Some(paths.clone())),
-        E::NoClip { id, .. } => ("E-CLIP-UNKNOWN", Some(id.clone())),
-        E::NoItem { id, .. } => ("E-ITEM-UNKNOWN", Some(id.clone())),
-        E::Occupied { path } => ("E-OCCUPIED", name(path)),
-        E::Index { path, .. } => ("E-INDEX", name(path)),
-        _ => return None,
-    })
-}
-
-fn of_spec(error: &datasets_spec::Error) -> Option<Known> {
-    use datasets_spec::Error as E;
-    Some(match error {
-        E::Io { path, .. } => ("E-IO", name(path)),
-        E::Locked { path, .. } => ("E-LOCKED", name(path)),
-        E::NotADataset { path, .. } => ("E-DATASET", name(path)),
-        E::Version { path, .. } => ("E-VERSION", name(path)),
-        E::Corrupt { path, .. } | E::Parquet { path, .. } | E::Json { path, .. } => {
-            ("E-CORRUPT", name(path))
-        }
-        E::OtherPlan { path, .. } => ("E-PLAN", name(path)),
-        _ => return None,
-    })
-}
-
-fn name(path: &Path) -> Option<String> {
-    Some(path.display().to_string())
 }

@@ -182,7 +182,26 @@ pub enum Error {
     },
 }
 
+/// A code that scripts may rely on, such as `E-IO`, and the file, folder or clip that an error happened to.
+pub type Code = (&'static str, Option<String>);
+
 impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let (code, path) = match self {
+            Self::Io { path, .. } => ("E-IO", path),
+            Self::Locked { path, .. } => ("E-LOCKED", path),
+            Self::NotADataset { path, .. } => ("E-DATASET", path),
+            Self::Version { path, .. } => ("E-VERSION", path),
+            Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {
+                ("E-CORRUPT", path)
+            }
+            Self::OtherPlan { path, .. } => ("E-PLAN", path),
+            _ => return None,
+        };
+        Some((code, Some(path.display().to_string())))
+    }
+
     /// Wraps an I/O error with what was tried on which file.
     pub fn io(
         action: &'static str,

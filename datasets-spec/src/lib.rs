@@ -44,7 +44,7 @@ pub mod store;
 pub mod table;
 
 pub use dataset::{Dataset, Transaction};
-pub use error::Error;
+pub use error::{Code, Error};
 pub use ids::{MotionId, Rng, Seed, Split};
 pub use joint_set::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION};
 pub use kinematics::{Fps, Joint, Keypoints, Motion, Pose, Resample, Skeleton};

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use datasets_spec::Code;
+
 /// What a caller's encoder may fail with.
 pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 
@@ -323,4 +325,14 @@ pub enum Error {
         /// The cause.
         source: serde_json::Error,
     },
+}
+
+impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        match self {
+            Self::Spec(error) => error.code(),
+            _ => None,
+        }
+    }
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use datasets_spec::Code;
+
 /// An error that ends a run. A faulty source file is not an error but a row of the `quarantine` table.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -256,6 +258,25 @@ pub enum Error {
 }
 
 impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let (code, path) = match self {
+            Self::Spec(error) => return error.code(),
+            Self::UnusableFile { path, code, .. } | Self::BodyModel { path, code, .. } => {
+                (*code, path)
+            }
+            Self::Io { path, .. } => ("E-IO", path),
+            Self::MissingSource { path } => ("E-MISSING", path),
+            Self::Occupied { path } => ("E-OCCUPIED", path),
+            Self::Index { path, .. } => ("E-INDEX", path),
+            Self::NoFiles { paths, .. } => return Some(("E-NO-FILES", Some(paths.clone()))),
+            Self::NoClip { id, .. } => return Some(("E-CLIP-UNKNOWN", Some(id.clone()))),
+            Self::NoItem { id, .. } => return Some(("E-ITEM-UNKNOWN", Some(id.clone()))),
+            _ => return None,
+        };
+        Some((code, Some(path.display().to_string())))
+    }
+
     /// Wraps an I/O error with what was tried on which path.
     pub(crate) fn io(
         action: &'static str,

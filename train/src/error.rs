@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Code;
+
 /// An error that names the item it happened to.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -324,6 +326,15 @@ pub enum Error {
 }
 
 impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        match self {
+            Self::Spec(error) => error.code(),
+            Self::Pipeline(error) => error.code(),
+            _ => None,
+        }
+    }
+
     pub(crate) fn io(
         action: &'static str,
         path: impl Into<PathBuf>,

@@ -715,6 +715,16 @@ impl TmrEncoder {
         })
     }
 
+    /// What it sees and was trained on, in words.
+    pub fn description(&self) -> String {
+        format!(
+            "{} at {} fps, trained on dataset {:.12}",
+            self.recipe().name(),
+            self.fps(),
+            self.dataset_hash
+        )
+    }
+
     /// Features that the encoder sees.
     pub fn recipe(&self) -> FeatureRecipe {
         self.features.recipe

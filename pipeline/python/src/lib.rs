@@ -1,0 +1,41 @@
+//! The compiled half of the Python package `stance`.
+//!
+//! It holds what is fast and exact: reading datasets, forward kinematics, features, MotionCutMix, scores. What is
+//! plain Python (tables of pyarrow, batches for PyTorch, the words of the documentation) is in `python/stance`.
+//!
+//! Every function that takes more than a moment releases Python's lock, and ends on Ctrl-C.
+
+mod dataset;
+mod error;
+mod evaluate;
+mod ingest;
+mod metrics;
+mod mix;
+mod motion;
+mod work;
+
+/// The module that `python/stance` imports from.
+#[pyo3::pymodule]
+mod _native {
+    #[pymodule_export]
+    use super::dataset::{Dataset, Item};
+    #[pymodule_export]
+    use super::evaluate::{Encoder, evaluate};
+    #[pymodule_export]
+    use super::ingest::{corpus, ingest};
+    #[pymodule_export]
+    use super::metrics::{
+        contact_slide, diversity, fid, foot_score, jerk, multimodality, position_error, retrieval,
+    };
+    #[pymodule_export]
+    use super::mix::{Mix, Triplet};
+    #[pymodule_export]
+    use super::motion::{Motion, blend};
+
+    /// The version of the package.
+    #[pymodule_export]
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+    /// Version of the table schemas that are read.
+    #[pymodule_export]
+    const SCHEMA_VERSION: &str = datasets_spec::table::SCHEMA_VERSION;
+}

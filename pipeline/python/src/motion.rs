@@ -1,0 +1,459 @@
+//! Motions as arrays, and what is computed from one.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use datasets_spec::record::HUMANML3D_WIDTH;
+use datasets_spec::{
+    BlendMask, BodyPart, Fps, Joint, JointSet, Motion as Inner, Resample, Skeleton,
+};
+use glam::DVec3;
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use numpy::{
+    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike2, PyArrayMethods,
+    PyUntypedArrayMethods,
+};
+use pipeline::clip::Outcome;
+use pipeline::compose::{SlerpRule, blend_motion};
+use pipeline::feature::{humanml3d, motion_of_features, motion_of_joints, smpl_body};
+use pipeline::open::clip_of_file;
+use pipeline::source::{ReadOptions, amass};
+use pyo3::prelude::*;
+use train::tmed::features::{self as motionfix, NUM_FEATURES};
+
+use crate::error::Failure;
+use crate::work;
+
+/// A motion of `L` frames as SMPL-X parameters, y up, in metres and radians, and the skeleton it drives.
+#[pyclass(frozen, module = "stance")]
+#[derive(Clone, Debug)]
+pub(crate) struct Motion {
+    pub(crate) inner: Inner,
+    pub(crate) skeleton: Arc<Skeleton>,
+}
+
+impl Motion {
+    pub(crate) fn of(inner: Inner, skeleton: &Arc<Skeleton>) -> Self {
+        Self {
+            inner,
+            skeleton: Arc::clone(skeleton),
+        }
+    }
+
+    fn points<const K: usize>(&self) -> Vec<f32> {
+        let frames = self
+            .skeleton
+            .points_of_frames::<K>(&self.inner, 0..self.inner.len());
+        let points = frames.iter().flatten();
+        points
+            .flat_map(|point| point.as_vec3().to_array())
+            .collect()
+    }
+}
+
+/// Rows of `D` numbers, one after the other, as an array `[N, D]` that takes over the memory.
+pub(crate) fn rows<'py, T: numpy::Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    width: usize,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    let len = values.len().checked_div(width).unwrap_or(0);
+    values.into_pyarray(py).reshape([len, width])
+}
+
+/// An array `[N, D]` of any number type and layout, as rows of `f32`.
+pub(crate) fn frames<const D: usize>(
+    name: &str,
+    array: &PyArrayLike2<'_, f32, AllowTypeChange>,
+) -> Result<Vec<[f32; D]>, Failure> {
+    let width = array.shape()[1];
+    if width != D {
+        return Err(Failure::new(format!(
+            "{name}: expected an array [L, {D}], got one of {width} columns"
+        )));
+    }
+    let values: Vec<f32> = array.as_array().iter().copied().collect();
+    Ok(values.as_chunks::<D>().0.to_vec())
+}
+
+fn copied<'py, const D: usize>(
+    py: Python<'py>,
+    frames: &[[f32; D]],
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    rows(py, frames.as_flattened().to_vec(), D)
+}
+
+pub(crate) fn fps_of(fps: f64) -> Result<Fps, Failure> {
+    Ok(Fps::new(fps)?)
+}
+
+/// Rate of MotionFix's features in 1/s.
+const MOTIONFIX_FPS: f64 = 30.0;
+
+/// Features that a motion has, and their widths.
+#[derive(Clone, Copy, Debug)]
+enum Recipe {
+    HumanMl3d,
+    MotionFix,
+}
+
+impl Recipe {
+    fn named(name: &str) -> Result<Self, Failure> {
+        match name {
+            "humanml3d" => Ok(Self::HumanMl3d),
+            "motionfix" => Ok(Self::MotionFix),
+            _ => Err(Failure::new(format!(
+                "unknown features {name:?}; there are humanml3d (263 numbers, 20 fps) and motionfix (207, 30 fps)"
+            ))),
+        }
+    }
+
+    fn fps(self) -> Result<Fps, Failure> {
+        fps_of(match self {
+            Self::HumanMl3d => humanml3d::FPS,
+            Self::MotionFix => MOTIONFIX_FPS,
+        })
+    }
+}
+
+#[pymethods]
+impl Motion {
+    #[new]
+    fn new(
+        transl: PyArrayLike2<'_, f32, AllowTypeChange>,
+        global_orient: PyArrayLike2<'_, f32, AllowTypeChange>,
+        body_pose: PyArrayLike2<'_, f32, AllowTypeChange>,
+        fps: f64,
+    ) -> PyResult<Self> {
+        let make = || {
+            Ok::<_, Failure>(Inner::new(
+                fps_of(fps)?,
+                frames("transl", &transl)?,
+                frames("global_orient", &global_orient)?,
+                frames::<BODY_POSE_WIDTH>("body_pose", &body_pose)?,
+            )?)
+        };
+        Ok(Self::of(make()?, &Arc::new(Skeleton::smplx_neutral())))
+    }
+
+    /// Reads a motion file of any format that `stance ingest` knows; `file.glb#Walking` names one of several.
+    #[staticmethod]
+    fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let skeleton = Arc::new(Skeleton::smplx_neutral());
+        let inner = work::quick(py, || Ok(clip_of_file(&path, &skeleton)?))?;
+        Ok(Self::of(inner, &skeleton))
+    }
+
+    /// The motion of an AMASS archive.
+    #[staticmethod]
+    fn from_amass_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
+        let inner = work::quick(py, || {
+            match amass::read(Path::new("motion.npz"), bytes, &ReadOptions::default())? {
+                Outcome::Clip(clip) => Ok(clip.motion),
+                Outcome::Markers { reason, .. } | Outcome::Skipped { reason } => {
+                    Err(Failure::new(reason))
+                }
+                Outcome::Rejected(rejected) => Err(rejected.into()),
+            }
+        })?;
+        Ok(Self::of(inner, &Arc::new(Skeleton::smplx_neutral())))
+    }
+
+    /// The motion as an AMASS archive with the keys of the SMPL-X release, as `stance export --to amass` writes it.
+    fn to_amass_bytes(&self, py: Python<'_>) -> PyResult<Vec<u8>> {
+        work::quick(py, || {
+            Ok(pipeline::write::amass::encode_smplx(
+                &self.inner,
+                &self.skeleton,
+            )?)
+        })
+    }
+
+    /// The motion that features describe.
+    #[staticmethod]
+    #[pyo3(signature = (features, recipe, first = None))]
+    fn from_features(
+        py: Python<'_>,
+        features: PyArrayLike2<'_, f32, AllowTypeChange>,
+        recipe: &str,
+        first: Option<&Self>,
+    ) -> PyResult<Self> {
+        let recipe = Recipe::named(recipe)?;
+        let skeleton = first.map_or_else(
+            || Arc::new(Skeleton::smplx_neutral()),
+            |motion| Arc::clone(&motion.skeleton),
+        );
+        let width = features.shape()[1];
+        let values: Vec<f32> = features.as_array().iter().copied().collect();
+        let begin = first.map_or(datasets_spec::Pose::REST, |motion| motion.inner.pose(0));
+        let inner = work::quick(py, || match recipe {
+            Recipe::HumanMl3d => {
+                check_width(width, HUMANML3D_WIDTH)?;
+                let frames = values.as_chunks().0;
+                Ok(motion_of_features(frames, recipe.fps()?, &skeleton)?.0)
+            }
+            Recipe::MotionFix => {
+                check_width(width, NUM_FEATURES)?;
+                let poses = motionfix::poses_from(values.as_chunks().0, &begin);
+                Ok(Inner::from_poses(recipe.fps()?, &poses)?)
+            }
+        })?;
+        Ok(Self::of(inner, &skeleton))
+    }
+
+    /// The body fitted to positions of its 22 joints `[L, 22, 3]`, and the mean distance in metres.
+    #[staticmethod]
+    fn from_joints(
+        py: Python<'_>,
+        joints: numpy::PyArrayLike3<'_, f64, AllowTypeChange>,
+        fps: f64,
+    ) -> PyResult<(Self, f32)> {
+        let frames: Vec<[DVec3; NUM_BODY_JOINTS]> = points("joints", &joints)?;
+        let skeleton = Arc::new(Skeleton::smplx_neutral());
+        let (inner, error) = work::quick(py, || {
+            Ok(motion_of_joints(&frames, fps_of(fps)?, &skeleton)?)
+        })?;
+        Ok((Self::of(inner, &skeleton), error))
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let (frames, fps) = (self.inner.len(), self.inner.fps().get());
+        format!(
+            "Motion({frames} frames at {fps} fps, {:.2} s)",
+            self.inner.duration_secs()
+        )
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.inner == other.inner && self.skeleton == other.skeleton
+    }
+
+    #[getter]
+    fn fps(&self) -> f64 {
+        self.inner.fps().get()
+    }
+
+    /// Length in seconds.
+    #[getter]
+    fn duration(&self) -> f64 {
+        self.inner.duration_secs()
+    }
+
+    /// BLAKE3 of rate and numbers, as column `content_hash` has it.
+    #[getter]
+    fn content_hash(&self) -> String {
+        self.inner.content_hash()
+    }
+
+    #[getter]
+    fn transl<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        copied(py, self.inner.transl())
+    }
+
+    #[getter]
+    fn global_orient<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        copied(py, self.inner.global_orient())
+    }
+
+    #[getter]
+    fn body_pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        copied(py, self.inner.body_pose())
+    }
+
+    /// Positions of the 28 keypoints in metres, `[L, 28, 3]`.
+    fn keypoints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let values = work::quick(py, || Ok(self.points::<NUM_KEYPOINTS>()))?;
+        let shape = [self.inner.len(), NUM_KEYPOINTS, 3];
+        values.into_pyarray(py).reshape(shape)
+    }
+
+    /// Positions of the 22 body joints in metres, `[L, 22, 3]`.
+    fn joints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let values = work::quick(py, || Ok(self.points::<NUM_BODY_JOINTS>()))?;
+        let shape = [self.inner.len(), NUM_BODY_JOINTS, 3];
+        values.into_pyarray(py).reshape(shape)
+    }
+
+    /// Features by a recipe, at its rate.
+    fn features<'py>(&self, py: Python<'py>, recipe: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let recipe = Recipe::named(recipe)?;
+        let (values, width) = work::quick(py, || {
+            Ok(match recipe {
+                Recipe::HumanMl3d => {
+                    let motion = Resample::Exact.apply(&self.inner, recipe.fps()?)?;
+                    let joints = humanml3d::joints_of_motion(&motion, &smpl_body(&self.skeleton));
+                    let frames = humanml3d::features_of_joints(&joints)?;
+                    (frames.as_flattened().to_vec(), HUMANML3D_WIDTH)
+                }
+                Recipe::MotionFix => {
+                    let frames = motionfix::features_of_motion(
+                        &self.inner,
+                        recipe.fps()?,
+                        usize::MAX,
+                        &self.skeleton,
+                    )?;
+                    (frames.as_flattened().to_vec(), NUM_FEATURES)
+                }
+            })
+        })?;
+        rows(py, values, width)
+    }
+
+    /// The motion at another rate.
+    fn resample(&self, py: Python<'_>, fps: f64) -> PyResult<Self> {
+        let inner = work::quick(py, || Ok(Resample::Exact.apply(&self.inner, fps_of(fps)?)?))?;
+        Ok(Self::of(inner, &self.skeleton))
+    }
+
+    /// Frames `start..end`.
+    fn crop(&self, start: usize, end: usize) -> PyResult<Self> {
+        let inner = self.inner.crop(start..end).map_err(Failure::from)?;
+        Ok(Self::of(inner, &self.skeleton))
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Arguments<'py>)> {
+        let skeleton = serde_json::to_string(&*self.skeleton).map_err(Failure::from)?;
+        let restore = py.import("stance._motion")?.getattr("_restored")?;
+        Ok((
+            restore,
+            (
+                self.transl(py)?,
+                self.global_orient(py)?,
+                self.body_pose(py)?,
+                self.fps(),
+                skeleton,
+            ),
+        ))
+    }
+
+    #[staticmethod]
+    fn _restored(
+        transl: PyArrayLike2<'_, f32, AllowTypeChange>,
+        global_orient: PyArrayLike2<'_, f32, AllowTypeChange>,
+        body_pose: PyArrayLike2<'_, f32, AllowTypeChange>,
+        fps: f64,
+        skeleton: &str,
+    ) -> PyResult<Self> {
+        let made = Self::new(transl, global_orient, body_pose, fps)?;
+        let skeleton: Skeleton = serde_json::from_str(skeleton).map_err(Failure::from)?;
+        Ok(Self::of(made.inner, &Arc::new(skeleton)))
+    }
+}
+
+type Arguments<'py> = (
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray2<f32>>,
+    f64,
+    String,
+);
+
+fn check_width(found: usize, expected: usize) -> Result<(), Failure> {
+    match found == expected {
+        true => Ok(()),
+        false => Err(Failure::new(format!(
+            "expected features [L, {expected}], got {found} columns"
+        ))),
+    }
+}
+
+/// Positions `[L, K, 3]` in metres.
+pub(crate) fn points<const K: usize>(
+    name: &str,
+    array: &numpy::PyArrayLike3<'_, f64, AllowTypeChange>,
+) -> Result<Vec<[DVec3; K]>, Failure> {
+    let shape = array.shape();
+    if shape[1..] != [K, 3] {
+        return Err(Failure::new(format!(
+            "{name}: expected an array [L, {K}, 3], got {shape:?}"
+        )));
+    }
+    let values: Vec<f64> = array.as_array().iter().copied().collect();
+    let points: Vec<DVec3> = values
+        .as_chunks()
+        .0
+        .iter()
+        .map(|&p| DVec3::from_array(p))
+        .collect();
+    Ok(points.as_chunks::<K>().0.to_vec())
+}
+
+/// The joints of names, in any spelling of case.
+fn joint_set(names: &[String]) -> Result<JointSet, Failure> {
+    let one = |name: &String| {
+        Joint::ALL
+            .into_iter()
+            .find(|joint| joint.name() == name)
+            .ok_or_else(|| {
+                let known = Joint::ALL.map(Joint::name).join(", ");
+                Failure::new(format!("unknown joint {name:?}; known: {known}"))
+            })
+    };
+    names.iter().map(one).collect()
+}
+
+/// Blends two motions of equal length and rate: hard joints from `target`, soft ones interpolated, the rest from
+/// `source`. The mask is `parts`, or the joints `hard` and `soft`.
+#[pyfunction]
+#[pyo3(signature = (source, target, *, parts = None, hard = None, soft = None, alpha = 0.5, official = false))]
+#[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+pub(crate) fn blend(
+    py: Python<'_>,
+    source: &Motion,
+    target: &Motion,
+    parts: Option<Vec<String>>,
+    hard: Option<Vec<String>>,
+    soft: Option<Vec<String>>,
+    alpha: f64,
+    official: bool,
+) -> PyResult<Motion> {
+    let inner = work::quick(py, || {
+        let mask = match (&parts, &hard, &soft) {
+            (Some(parts), None, None) => {
+                let parts: Vec<BodyPart> = parts
+                    .iter()
+                    .map(|part| Ok(part.to_uppercase().replace([' ', '-'], "_").parse()?))
+                    .collect::<Result<_, Failure>>()?;
+                BlendMask::of_parts(&parts)
+            }
+            (None, hard, soft) if hard.is_some() || soft.is_some() => {
+                let joints = |names: &Option<Vec<String>>| {
+                    names.as_deref().map_or(Ok(JointSet::EMPTY), joint_set)
+                };
+                BlendMask::new(joints(hard)?, joints(soft)?)?
+            }
+            _ => {
+                return Err(Failure::new(
+                    "name the mask: parts=[…] such as LEFT_ARM, or hard=[…] and soft=[…] by joint names",
+                ));
+            }
+        };
+        let rule = match official {
+            true => SlerpRule::Official,
+            false => SlerpRule::Exact,
+        };
+        if !(0.0..=1.0).contains(&alpha) {
+            return Err(Failure::new(format!(
+                "alpha must be from 0 to 1, got {alpha}"
+            )));
+        }
+        Ok(blend_motion(
+            &source.inner,
+            &target.inner,
+            mask,
+            alpha,
+            rule,
+        )?)
+    })?;
+    Ok(Motion::of(inner, &source.skeleton))
+}
+
+/// An array of one dimension that takes over the memory.
+pub(crate) fn line<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
+    values.into_pyarray(py)
+}

@@ -1,0 +1,299 @@
+"""Checks the package `stance` against the command: python check_package.py WORK (made by tests/python/package)."""
+
+import functools
+import http.server
+import json
+import multiprocessing
+import os
+import pathlib
+import pickle
+import sys
+import threading
+import _thread
+
+import numpy as np
+import stance
+
+
+def read_datasets(work: pathlib.Path) -> None:
+    dataset = stance.Dataset(work / "dataset")
+    assert len(dataset) == 120 == dataset.tables["motions"], dataset
+    ids = dataset.ids()
+    assert sorted(ids) == sorted(id for id, _ in dataset) and len(set(ids)) == 120
+    assert sum(len(dataset.ids(split)) for split in ("train", "val", "test")) == 120
+
+    frames = dict(zip(dataset.table("motions")["id"].to_pylist(), dataset.arrays("motions", "transl")))
+    poses = dict(zip(dataset.table("motions")["id"].to_pylist(), dataset.arrays("motions", "body_pose")))
+    for id, motion in dataset:
+        assert np.array_equal(frames[id], motion.transl) and np.array_equal(poses[id], motion.body_pose)
+    view = frames[ids[0]]
+    assert not view.flags.owndata and not view.flags.writeable, "a view of Arrow's memory"
+
+    motion = dataset[ids[0]]
+    row = dataset.pandas("motions").set_index("id").loc[ids[0]]
+    assert motion.content_hash == row.content_hash and len(motion) == row.n_frames
+    assert dataset.polars("motions", columns=["id"])["id"].to_list() == dataset.table("motions")["id"].to_pylist()
+
+    # Features are those that ingestion stored, to the last bit.
+    stored = dict(zip(dataset.table("humanml3d")["id"].to_pylist(), dataset.arrays("humanml3d", "features")))
+    assert np.array_equal(stored[ids[0]], motion.features("humanml3d"))
+
+
+def motions_come_back(work: pathlib.Path) -> None:
+    dataset = stance.Dataset(work / "dataset")
+    motion = dataset[dataset.ids()[0]]
+    joints = motion.joints()
+    assert joints.shape == (len(motion), 22, 3) and motion.keypoints().shape == (len(motion), 28, 3)
+    assert np.array_equal(motion.keypoints()[:, :22], joints)
+    same = stance.Motion(motion.transl, motion.global_orient, motion.body_pose, motion.fps)
+    assert same == motion == pickle.loads(pickle.dumps(motion))
+    # The numbers may be of any type and layout.
+    wide = stance.Motion(np.asfortranarray(motion.transl.astype(float)), motion.global_orient, motion.body_pose, motion.fps)
+    assert wide == motion
+
+    def distance(other: stance.Motion, frames: int = len(motion)) -> float:
+        return float(np.abs(other.joints()[:frames] - joints[:frames]).max())
+
+    # Rotations pass through f64, and the floor is found anew: rounding of f32 positions of metres.
+    assert distance(stance.from_amass(stance.to_amass(motion))) < 1e-5
+    again = stance.Motion.from_features(motion.features("motionfix"), "motionfix", first=motion.resample(30))
+    assert np.abs(again.joints() - motion.resample(30).joints()).max() < 1e-3
+    # A pose from positions of joints alone is a fit, to SMPL's bones, whose spine and collars point elsewhere.
+    fitted, error = stance.Motion.from_joints(joints, motion.fps)
+    assert error < 0.01 and np.abs(fitted.joints() - joints).mean() < 0.03, error
+    # HumanML3D's features have a body and a start of their own: frames and bones, and no comparison of places.
+    posed = stance.Motion.from_features(motion.features("humanml3d"), "humanml3d")
+    assert len(posed) == len(motion) - 1 and posed.fps == 20
+    assert len(motion.crop(3, 9)) == 6 and motion.resample(10).fps == 10
+
+    # A blend by parts takes the target's arm and nothing else.
+    other = next(clip for id, clip in dataset if id != dataset.ids()[0] and len(clip) >= len(motion))
+    other = other.crop(0, len(motion))
+    blended = stance.blend(motion, other, parts=["left arm"], alpha=0.25)
+    arm = [16, 18, 20]
+    for joint in range(1, 22):
+        columns = slice(3 * (joint - 1), 3 * joint)
+        taken = np.array_equal(blended.body_pose[:, columns], other.body_pose[:, columns])
+        kept = np.array_equal(blended.body_pose[:, columns], motion.body_pose[:, columns])
+        assert taken if joint in arm else kept or joint == 13, joint
+    named = stance.blend(motion, other, hard=["left_shoulder", "left_elbow", "left_wrist"], soft=["left_collar"], alpha=0.25)
+    assert named == blended
+
+
+def windows_are_those_of_the_command(work: pathlib.Path) -> None:
+    recorded = stance.Dataset(work / "windows")
+    mix = stance.MotionCutMix(work / "dataset", seed=5, batch_size=7)
+    table = recorded.table("windows")
+    originals, edits = recorded.arrays("windows", "original"), recorded.arrays("windows", "edited")
+    assert table.num_rows == 300
+    batch = mix.windows(0, 300)
+    assert batch.original.shape == (300, *mix.window_shape) == (300, 16, 84) and batch.original.dtype == np.float32
+    for at in range(300):
+        assert (int(table["epoch"][at].as_py()), int(table["item"][at].as_py())) == divmod(at, mix.epoch_len)
+        assert np.array_equal(originals[at], batch.original[at]) and np.array_equal(edits[at], batch.edited[at]), at
+        assert table["instruction"][at].as_py() == batch.instructions[at]
+    assert np.array_equal(batch.progress, table["progress"].to_numpy())
+    assert set(batch.instructions) <= set(mix.instructions)
+
+    # Batches are pieces of the same stream, over the end of an epoch too.
+    many = iter(mix)
+    for k in range(300 // 7):
+        assert np.array_equal(next(many).edited, batch.edited[7 * k : 7 * k + 7]), k
+    across = mix.windows(mix.epoch_len - 3, 6)
+    assert np.array_equal(across.edited[3:], mix.windows(mix.epoch_len, 3).edited)
+
+    # A state goes on where it was taken; one of another stream is refused.
+    state = mix.state_dict()
+    again = stance.MotionCutMix(work / "dataset", seed=5, batch_size=7)
+    again.load_state_dict(state)
+    assert np.array_equal(next(iter(again)).edited, next(many).edited)
+    try:
+        stance.MotionCutMix(work / "dataset", seed=6, batch_size=7).load_state_dict(state)
+    except ValueError as error:
+        assert "seed" in str(error)
+    else:
+        raise AssertionError("a state of another seed was taken")
+
+    # Two ranks deal out what one has.
+    halves = [stance.MotionCutMix(work / "dataset", seed=5, batch_size=7, rank=r, world_size=2) for r in (0, 1)]
+    dealt = [next(stream) for _ in range(3) for stream in map(iter, halves)][:2]
+    assert np.array_equal(dealt[1].edited, batch.edited[7:14])
+
+    # An epoch ends; its last batch is what is left.
+    once = stance.MotionCutMix(work / "dataset", seed=5, batch_size=50, epochs=1)
+    sizes = [len(part.progress) for part in once]
+    assert sum(sizes) == once.epoch_len and len(sizes) == once.num_batches and set(sizes[:-1]) <= {50}
+
+    # Keypoints in metres, and whole clips.
+    metres = mix.to_metres(batch.edited[:4])
+    assert metres.shape == (4, 16, 28, 3) and np.abs(metres).max() < 5
+    triplet = mix.triplet(0, 3)
+    rows = stance.Dataset(work / "triplets").table("triplets").to_pylist()
+    row = next(row for row in rows if row["id"] == triplet.id)
+    assert row["instruction"] == triplet.instruction and np.array_equal(np.asarray(row["edited_body_pose"], np.float32), triplet.edited.body_pose)
+
+    # Validation windows in the units of training.
+    val = stance.MotionCutMix(work / "dataset", split="val", normalizer=mix.normalizer)
+    assert val.normalizer == mix.normalizer and val.windows(0, 2).edited.shape == (2, 16, 84)
+    only = stance.MotionCutMix(work / "dataset", {"kinds": ["style"]})
+    assert 0 < only.epoch_len < mix.epoch_len and only.config["kinds"] == ["style"]
+
+
+def first_edited(mix: stance.MotionCutMix) -> np.ndarray:
+    return mix.windows(0, 64).edited
+
+
+def processes_share_a_stream(work: pathlib.Path) -> None:
+    mix = stance.MotionCutMix(work / "dataset", seed=5)
+    here = first_edited(mix)
+    for start in ("fork", "spawn"):
+        with multiprocessing.get_context(start).Pool(2) as pool:
+            for there in pool.map(first_edited, [mix] * 4):
+                assert np.array_equal(here, there), start
+
+
+def scores_are_those_of_the_command(work: pathlib.Path) -> None:
+    expected = json.loads((work / "scores.json").read_text())
+    by_name = {(row["system"], row["task"], row["metric"]): row["mean"] for row in expected}
+    items = stance.Dataset(work / "items").items()
+    assert len(items) == 32 and all(item.target is not None for item in items)
+    folders = stance.evaluate([work / "edits"], work / "items", work / "encoder")
+    for row in folders.rows:
+        assert by_name[row["system"], row["task"], row["metric"]] == row["mean"], row
+    assert len(folders.rows) == len(expected)
+
+    nearest = stance.Dataset(work / "edits")
+    assert nearest.tables["edits"] == 32
+    # Returning each source is what the identity editor does, to the last digit.
+    own = stance.evaluate({"Mine": {item.id: item.source for item in items}}, work / "items", work / "encoder")
+    frame = own.pandas()
+    for metric in ("E2T R@1", "E2T AvgR", "FS"):
+        assert own.value("Mine", metric) == own.value("Identity", metric) == frame.loc[("all", "Mine"), metric], metric
+    assert own.polars().shape[0] == len(frame) and "Mine" in str(own)
+    try:
+        stance.evaluate({"Mine": {items[0].id: items[0].source}}, work / "items", work / "encoder")
+    except stance.Error as error:
+        assert "Mine" in str(error)
+    else:
+        raise AssertionError("a system without all answers was scored")
+
+    encoder = stance.Encoder(work / "encoder")
+    latents = encoder.encode([item.target for item in items])
+    assert latents.shape[0] == 32 and encoder.encode_texts(["wave"]).shape == (1, latents.shape[1])
+    assert stance.retrieval(latents, latents, gallery_size=None)["R@1"] > 90
+
+
+def metrics_have_their_closed_forms() -> None:
+    rng = np.random.default_rng(0)
+    latents = rng.normal(size=(400, 4))
+    assert abs(stance.fid(latents, latents)) < 1e-9
+    # A shift moves the mean alone: the distance is its square.
+    assert abs(stance.fid(latents, latents + [1, 0, 0, 0]) - 1) < 1e-6
+    assert stance.diversity(np.ones((10, 3))) == 0 and stance.diversity(latents) == stance.diversity(latents)
+    assert stance.multimodality(np.ones((5, 20, 3))) == 0
+    still = np.zeros((10, 28, 3))
+    assert stance.foot_score(still, 20) == 1 and stance.jerk(still, 20) == 0 and stance.contact_slide(still, 20) == 0
+    # All points move sideways by 0.1 m a frame at 20 fps.
+    moving = still + np.arange(10)[:, None, None] * [0.1, 0, 0]
+    assert abs(stance.contact_slide(moving, 20) - 2) < 1e-9
+    assert abs(stance.position_error(still, still + [0, 3, 4]) - 5) < 1e-12
+
+
+def errors_have_codes(work: pathlib.Path) -> None:
+    def code(call, *arguments, **keywords) -> str:
+        try:
+            call(*arguments, **keywords)
+        except stance.Error as error:
+            assert str(error) and pickle.loads(pickle.dumps(error)).args == error.args
+            return error.code
+        raise AssertionError("no error")
+
+    dataset = stance.Dataset(work / "dataset")
+    assert code(stance.Dataset, work) == "E-DATASET"
+    assert code(dataset.motion, "nobody") == "E-CLIP-UNKNOWN"
+    assert code(stance.ingest, work / "nowhere", work / "x") == "E-MISSING"
+    bad = work / "bad.bvh"
+    bad.write_text("HIERARCHY\nROOT hips\n{\n")
+    assert code(stance.Motion.read, bad).startswith("E-BVH")
+    assert code(stance.MotionCutMix, dataset, {"mcm_ratio": 2}) == "E-FAILED"
+    assert code(stance.MotionCutMix, dataset, {"ratio": 1}) == "E-FAILED"
+    assert code(stance.Motion, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 60)), 20) == "E-FAILED"
+
+
+def ingestion_is_that_of_the_command(work: pathlib.Path) -> None:
+    command = stance.Dataset(work / "dataset")
+    counts = stance.ingest(work / "corpus", work / "again", features="humanml3d")
+    assert counts["sources"] == counts["ingested"] + counts["quarantined"] + counts["skipped"]
+    assert counts["ingested"] == 120
+    assert stance.Dataset(work / "again").arrays("motions", "transl")[0].shape[1] == 3
+    hashes = [json.dumps([file["blake3"] for file in dataset.manifest["tables"]["motions"]]) for dataset in (command, stance.Dataset(work / "again"))]
+    assert hashes[0] == hashes[1]
+
+
+def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
+    """Files of a dataset behind an HTTP server are copied when they are needed, once, and checked."""
+    asked: list[str] = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            asked.append(self.path)
+
+    os.environ["STANCE_CACHE"] = str(work / "cache")
+    handler = functools.partial(Handler, directory=str(work))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_port}/dataset"
+        local, remote = stance.Dataset(work / "dataset"), stance.Dataset(url)
+        assert remote.root_hash == local.root_hash and len(remote) == len(local)
+        assert not any(path.endswith(".parquet") for path in asked), "opening reads the manifest alone"
+        assert remote.ids() == local.ids() and remote[remote.ids()[5]] == local[local.ids()[5]]
+        copied = [path for path in asked if path.endswith(".parquet")]
+        assert copied and all("/motions/" in path for path in copied), copied
+        mix = stance.MotionCutMix(url, seed=5)
+        assert np.array_equal(mix.windows(0, 4).edited, stance.MotionCutMix(local, seed=5).windows(0, 4).edited)
+        once = [path for path in asked if path.endswith(".parquet")]
+        assert len(once) == len(set(once)), "each file is copied once"
+        try:
+            stance.Dataset(f"http://127.0.0.1:{server.server_port}/corpus")
+        except stance.Error as error:
+            assert error.code == "E-DATASET"
+        else:
+            raise AssertionError("a folder without a manifest was opened")
+        server.shutdown()
+
+
+def an_interrupt_ends_long_work(work: pathlib.Path) -> None:
+    """Interrupts an ingestion once it holds its folder; the second run goes on and gives the same dataset."""
+    stance.corpus(work / "many", clips=1200)
+    out = work / "interrupted"
+
+    def interrupt() -> None:
+        # This thread runs while the other one ingests: Python's lock is free.
+        while not out.exists():
+            pass
+        _thread.interrupt_main()
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    try:
+        stance.ingest(work / "many", out, progress=False)
+    except KeyboardInterrupt:
+        pass
+    else:
+        raise AssertionError("the ingestion was not interrupted")
+    assert stance.ingest(work / "many", out)["ingested"] == 1200
+    assert stance.Dataset(out).root_hash == stance.ingest(work / "many", work / "whole")["root_hash"]
+
+
+if __name__ == "__main__":
+    work = pathlib.Path(sys.argv[1])
+    read_datasets(work)
+    motions_come_back(work)
+    windows_are_those_of_the_command(work)
+    processes_share_a_stream(work)
+    scores_are_those_of_the_command(work)
+    metrics_have_their_closed_forms()
+    errors_have_codes(work)
+    ingestion_is_that_of_the_command(work)
+    a_dataset_is_read_from_an_address(work)
+    an_interrupt_ends_long_work(work)
+    print("the Python package agrees with the command")
