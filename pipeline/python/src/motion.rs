@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{
-    BlendMask, BodyPart, Fps, Joint, JointSet, Motion as Inner, Resample, Skeleton,
+    BlendMask, BodyPart, Fps, Joint, JointSet, Motion as Inner, Pose, Resample, Skeleton,
 };
 use glam::DVec3;
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -16,7 +16,9 @@ use numpy::{
 };
 use pipeline::clip::Outcome;
 use pipeline::compose::{SlerpRule, blend_motion};
-use pipeline::feature::{humanml3d, motion_of_features, motion_of_joints, smpl_body};
+use pipeline::feature::{
+    humanml3d, hy_motion, motion_of_features, motion_of_joints, representation_272, smpl_body,
+};
 use pipeline::open::clip_of_file;
 use pipeline::source::{ReadOptions, amass};
 use pyo3::prelude::*;
@@ -91,11 +93,13 @@ pub(crate) fn fps_of(fps: f64) -> Result<Fps, Failure> {
 /// Rate of MotionFix's features in 1/s.
 const MOTIONFIX_FPS: f64 = 30.0;
 
-/// Features that a motion has, and their widths.
+/// Features that a motion has.
 #[derive(Clone, Copy, Debug)]
 enum Recipe {
     HumanMl3d,
     MotionFix,
+    Representation272,
+    HyMotion,
 }
 
 impl Recipe {
@@ -103,16 +107,66 @@ impl Recipe {
         match name {
             "humanml3d" => Ok(Self::HumanMl3d),
             "motionfix" => Ok(Self::MotionFix),
+            "272" => Ok(Self::Representation272),
+            "hy-motion" => Ok(Self::HyMotion),
             _ => Err(Failure::new(format!(
-                "unknown features {name:?}; there are humanml3d (263 numbers, 20 fps) and motionfix (207, 30 fps)"
+                "unknown features {name:?}; there are humanml3d (263 numbers, 20 fps), motionfix (207), 272 and \
+                 hy-motion (201), all at 30 fps"
             ))),
         }
     }
 
-    fn fps(self) -> Result<Fps, Failure> {
-        fps_of(match self {
-            Self::HumanMl3d => humanml3d::FPS,
-            Self::MotionFix => MOTIONFIX_FPS,
+    /// Numbers of a frame.
+    fn width(self) -> usize {
+        match self {
+            Self::HumanMl3d => HUMANML3D_WIDTH,
+            Self::MotionFix => NUM_FEATURES,
+            Self::Representation272 => representation_272::WIDTH,
+            Self::HyMotion => hy_motion::WIDTH,
+        }
+    }
+
+    /// The features of a motion, frame after frame.
+    fn of(self, motion: &Inner, skeleton: &Skeleton) -> Result<Vec<f32>, Failure> {
+        Ok(match self {
+            Self::HumanMl3d => {
+                let motion = Resample::Exact.apply(motion, fps_of(humanml3d::FPS)?)?;
+                let joints = humanml3d::joints_of_motion(&motion, &smpl_body(skeleton));
+                humanml3d::features_of_joints(&joints)?
+                    .as_flattened()
+                    .to_vec()
+            }
+            Self::MotionFix => {
+                let fps = fps_of(MOTIONFIX_FPS)?;
+                let frames = motionfix::features_of_motion(motion, fps, usize::MAX, skeleton)?;
+                frames.as_flattened().to_vec()
+            }
+            Self::Representation272 => {
+                let frames = representation_272::features_of_motion(motion, skeleton)?;
+                frames.as_flattened().to_vec()
+            }
+            Self::HyMotion => {
+                let frames = hy_motion::features_of_motion(motion, skeleton)?;
+                frames.as_flattened().to_vec()
+            }
+        })
+    }
+
+    /// The motion of features, frame after frame. Those of MotionFix say how a motion moves on from `first`.
+    fn motion(self, values: &[f32], first: &Pose, skeleton: &Skeleton) -> Result<Inner, Failure> {
+        Ok(match self {
+            Self::HumanMl3d => {
+                let fps = fps_of(humanml3d::FPS)?;
+                motion_of_features(values.as_chunks().0, fps, skeleton)?.0
+            }
+            Self::MotionFix => {
+                let poses = motionfix::poses_from(values.as_chunks().0, first);
+                Inner::from_poses(fps_of(MOTIONFIX_FPS)?, &poses)?
+            }
+            Self::Representation272 => {
+                representation_272::motion_of_features(values.as_chunks().0, skeleton)?.0
+            }
+            Self::HyMotion => hy_motion::motion_of_features(values.as_chunks().0)?,
         })
     }
 }
@@ -160,7 +214,7 @@ impl Motion {
         Ok(Self::of(inner, &Arc::new(Skeleton::smplx_neutral())))
     }
 
-    /// The motion as an AMASS archive with the keys of the SMPL-X release, as `stance export --to amass` writes it.
+    /// The motion as an AMASS archive with the keys of the SMPL-X release, at its own rate.
     fn to_amass_bytes(&self, py: Python<'_>) -> PyResult<Vec<u8>> {
         work::quick(py, || {
             Ok(pipeline::write::amass::encode_smplx(
@@ -184,21 +238,16 @@ impl Motion {
             || Arc::new(Skeleton::smplx_neutral()),
             |motion| Arc::clone(&motion.skeleton),
         );
-        let width = features.shape()[1];
+        let (found, expected) = (features.shape()[1], recipe.width());
+        if found != expected {
+            return Err(Failure::new(format!(
+                "expected features [L, {expected}], got {found} columns"
+            ))
+            .into());
+        }
         let values: Vec<f32> = features.as_array().iter().copied().collect();
-        let begin = first.map_or(datasets_spec::Pose::REST, |motion| motion.inner.pose(0));
-        let inner = work::quick(py, || match recipe {
-            Recipe::HumanMl3d => {
-                check_width(width, HUMANML3D_WIDTH)?;
-                let frames = values.as_chunks().0;
-                Ok(motion_of_features(frames, recipe.fps()?, &skeleton)?.0)
-            }
-            Recipe::MotionFix => {
-                check_width(width, NUM_FEATURES)?;
-                let poses = motionfix::poses_from(values.as_chunks().0, &begin);
-                Ok(Inner::from_poses(recipe.fps()?, &poses)?)
-            }
-        })?;
+        let first = first.map_or(Pose::REST, |motion| motion.inner.pose(0));
+        let inner = work::quick(py, || recipe.motion(&values, &first, &skeleton))?;
         Ok(Self::of(inner, &skeleton))
     }
 
@@ -282,26 +331,8 @@ impl Motion {
     /// Features by a recipe, at its rate.
     fn features<'py>(&self, py: Python<'py>, recipe: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let recipe = Recipe::named(recipe)?;
-        let (values, width) = work::quick(py, || {
-            Ok(match recipe {
-                Recipe::HumanMl3d => {
-                    let motion = Resample::Exact.apply(&self.inner, recipe.fps()?)?;
-                    let joints = humanml3d::joints_of_motion(&motion, &smpl_body(&self.skeleton));
-                    let frames = humanml3d::features_of_joints(&joints)?;
-                    (frames.as_flattened().to_vec(), HUMANML3D_WIDTH)
-                }
-                Recipe::MotionFix => {
-                    let frames = motionfix::features_of_motion(
-                        &self.inner,
-                        recipe.fps()?,
-                        usize::MAX,
-                        &self.skeleton,
-                    )?;
-                    (frames.as_flattened().to_vec(), NUM_FEATURES)
-                }
-            })
-        })?;
-        rows(py, values, width)
+        let values = work::quick(py, || recipe.of(&self.inner, &self.skeleton))?;
+        rows(py, values, recipe.width())
     }
 
     /// The motion at another rate.
@@ -352,15 +383,6 @@ type Arguments<'py> = (
     f64,
     String,
 );
-
-fn check_width(found: usize, expected: usize) -> Result<(), Failure> {
-    match found == expected {
-        true => Ok(()),
-        false => Err(Failure::new(format!(
-            "expected features [L, {expected}], got {found} columns"
-        ))),
-    }
-}
 
 /// Positions `[L, K, 3]` in metres.
 pub(crate) fn points<const K: usize>(

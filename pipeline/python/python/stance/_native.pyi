@@ -22,7 +22,7 @@ class Motion:
         """Reads a file of any format that ``stance ingest`` knows; ``file.glb#Walking`` names one of several."""
     @staticmethod
     def from_features(features: ArrayLike, recipe: str, first: Motion | None = None) -> Motion:
-        """The motion of ``humanml3d`` ``[L, 263]`` or ``motionfix`` ``[L, 207]`` features.
+        """The motion of ``humanml3d`` ``[L, 263]``, ``motionfix`` ``[L, 207]``, ``272`` or ``hy-motion`` ``[L, 201]`` features.
 
         MotionFix's say how a motion moves on: ``first`` is where it begins.
         """
@@ -55,7 +55,7 @@ class Motion:
     def joints(self) -> _F32:
         """Positions of the 22 body joints, ``[L, 22, 3]`` in metres."""
     def features(self, recipe: str) -> _F32:
-        """``humanml3d`` ``[L - 1, 263]`` at 20 fps, or ``motionfix`` ``[L, 207]`` at 30 fps."""
+        """``humanml3d`` ``[L - 1, 263]`` at 20 fps; at 30 fps ``motionfix`` ``[L, 207]``, ``272`` or ``hy-motion`` ``[L, 201]``."""
     def resample(self, fps: float) -> Motion:
         """The motion at another rate, interpolated at exact times."""
     def crop(self, start: int, end: int) -> Motion:
