@@ -106,6 +106,9 @@ impl MotionEncoder for Adapter<'_> {
 /// One take of one answer: the item's id, the seed of the take, the motion.
 type Answer<'py> = (String, u64, PyRef<'py, Motion>);
 
+/// The same without Python's lock.
+type Take = (String, u64, Inner);
+
 /// Scores systems: those of folders of edits, and those given as motions by name of the system. `protocol` is JSON.
 /// Returns the scores as JSON, and the tables as text.
 #[pyfunction]
@@ -119,7 +122,7 @@ pub(crate) fn evaluate(
 ) -> PyResult<(String, String)> {
     let own: Value = serde_json::from_str(protocol).map_err(Failure::from)?;
     let protocol: Protocol = overlay(&Protocol::default(), &own).map_err(Failure::from)?;
-    let systems: Vec<(String, Vec<(String, u64, Inner)>)> = systems
+    let systems: Vec<(String, Vec<Take>)> = systems
         .into_iter()
         .map(|(name, answers)| {
             let motion = |(id, seed, motion): Answer<'_>| (id, seed, motion.inner.clone());
