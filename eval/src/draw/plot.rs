@@ -163,6 +163,10 @@ const PADDING: f64 = 0.04;
 /// Distance between legend entries, by their number of characters, in pixels.
 const LEGEND_CHAR: f64 = 6.6;
 const LEGEND_GAP: f64 = 34.0;
+/// Width of a character of a title in pixels.
+const TITLE_CHAR: f64 = 7.6;
+/// Baseline of titles and of legends beside them in pixels.
+const HEADING_Y: f64 = 16.0;
 
 /// Draws curves as one SVG document.
 pub fn plot(plot: &Plot) -> String {
@@ -190,7 +194,7 @@ pub fn plot(plot: &Plot) -> String {
         }
         axes.intervals(&mut svg, curve, colour(index));
     }
-    legend(&mut svg, &plot.curves);
+    legend(&mut svg, &plot.title, &plot.curves);
     svg.push_str("</svg>");
     svg
 }
@@ -331,7 +335,7 @@ fn colour(index: usize) -> &'static str {
 
 fn heading(svg: &mut String, title: &str) {
     if !title.is_empty() {
-        let at = DVec2::new(MARGIN_START.x, 16.0);
+        let at = DVec2::new(MARGIN_START.x, HEADING_Y);
         text(svg, at, "start", 13.0, r#"font-weight="600""#, title);
     }
 }
@@ -348,23 +352,34 @@ fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64) {
     text(svg, at, "end", 11.0, FAINT, &tick_text(value, value.abs()));
 }
 
-fn legend(svg: &mut String, curves: &[Curve]) {
+fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
     if curves.len() < 2 {
         return;
     }
+    let length = |name: &str| LEGEND_CHAR * name.chars().count() as f64;
+    let width: f64 = curves
+        .iter()
+        .map(|curve| length(&curve.name) + LEGEND_GAP)
+        .sum();
+    let title_end = MARGIN_START.x + TITLE_CHAR * title.chars().count() as f64;
     // From the right edge inwards, the last curve first.
     let mut right = SIZE.x - MARGIN_END.x;
+    // Beside the title, or below it where there is no room.
+    let y = if title_end + width <= right {
+        HEADING_Y
+    } else {
+        HEADING_Y + 15.0
+    };
     for (index, curve) in curves.iter().enumerate().rev() {
-        let at = DVec2::new(right, 16.0);
-        text(svg, at, "end", 12.0, "", &curve.name);
-        let length = LEGEND_CHAR * curve.name.chars().count() as f64;
-        let swatch = right - length - 22.0;
+        text(svg, DVec2::new(right, y), "end", 12.0, "", &curve.name);
+        let swatch = right - length(&curve.name) - 22.0;
         svg.push_str(&format!(
-            r#"<path d="M{swatch:.1} 12L{:.1} 12" stroke="{}" stroke-width="3" stroke-linecap="round"/>"#,
+            r#"<path d="M{swatch:.1} {middle:.1}L{:.1} {middle:.1}" stroke="{}" stroke-width="3" stroke-linecap="round"/>"#,
             swatch + 14.0,
-            colour(index)
+            colour(index),
+            middle = y - 4.0,
         ));
-        right -= length + LEGEND_GAP;
+        right -= length(&curve.name) + LEGEND_GAP;
     }
 }
 
@@ -659,6 +674,24 @@ mod tests {
             ],
             ..Plot::default()
         }
+    }
+
+    #[test]
+    fn a_legend_stands_below_a_title_that_leaves_no_room_beside_it() {
+        let plotted = |title: &str| {
+            plot(&Plot {
+                title: title.to_owned(),
+                ..sample(Scale::Linear, vec![(0.0, 1.0), (10.0, 0.5)])
+            })
+        };
+        let beside = r#"y="16.0""#;
+        assert_eq!(
+            plotted("Loss").matches(beside).count(),
+            3,
+            "title and two names"
+        );
+        let long = "A title that is as wide as the whole drawing is, and so leaves no room";
+        assert_eq!(plotted(long).matches(beside).count(), 1, "the title alone");
     }
 
     #[test]

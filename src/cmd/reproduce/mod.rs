@@ -324,6 +324,13 @@ fn drawn(
     }
     let mut charts = Vec::new();
     for &task in &specs.tasks {
+        if left_out > 0 && !scored.iter().flatten().any(|row| row.task == task) {
+            report::note(&format!(
+                "{}: no {task} item is as long as the longest window, so that its drawing is empty; give this task a \
+                 figure with shorter windows",
+                figure.name
+            ));
+        }
         for &metric in &specs.metrics {
             let of_task = match task {
                 ALL_TASKS => String::new(),
