@@ -170,7 +170,10 @@ fn data_reaches_the_page_only_as_text() {
     let sources = files(&web, &web.join("src"));
     assert!(sources.len() > 20, "the sources are there");
     for path in sources {
-        let text = fs::read_to_string(web.join(&path)).expect("a source is text");
+        // An address that begins with the tool's own pages cannot be a script or another site.
+        let text = fs::read_to_string(web.join(&path))
+            .expect("a source is text")
+            .replace(" href=${`/app/", "");
         for word in forbidden {
             // The element builder's list of refused attributes contains one of them.
             let allowed = path == "src/dom.ts" && word == "srcdoc";
