@@ -1,7 +1,8 @@
 """Windows a second of MotionCutMix beside the same composition in PyTorch and roma, on one core each.
 
 python bench_composition.py DATASET [--seconds S]. Both fill loops that get batches of 64 windows as tensors. The one in
-PyTorch is a dataset as the field writes it: rotations in memory, one window an item. Both must agree first.
+PyTorch is a dataset as the field writes it: rotations in memory, an item blends two stretches, and forward kinematics
+runs over the whole batch. Both must agree first.
 """
 
 import argparse
@@ -34,18 +35,19 @@ class Composer:
         self.range = torch.tensor(normalizer["max"], dtype=torch.float32) - self.low
 
     def window(self, transl: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-        """``[W, 84]`` in model units of ``transl`` ``[W, 3]`` and local quaternions ``[W, 22, 4]``."""
-        turns, points = [rotations[:, 0]], [transl + self.root]
+        """``[..., W, 84]`` in model units of ``transl`` ``[..., W, 3]`` and local quaternions ``[..., W, 22, 4]``."""
+        turns, points = [rotations[..., 0, :]], [transl + self.root]
         for joint in range(1, 28):
             parent = PARENTS[joint]
-            points.append(points[parent] + roma.quat_action(turns[parent], self.offsets[joint].expand(len(transl), 3)))
-            turns.append(roma.quat_product(turns[parent], rotations[:, joint]) if joint < 22 else None)
-        points = torch.stack(points, 1)
-        facing = roma.unitquat_to_rotmat(rotations[0, 0])
-        yaw = torch.atan2(facing[0, 2], facing[2, 2])
-        back = roma.rotvec_to_rotmat(torch.stack([yaw * 0, -yaw, yaw * 0]))
-        points = (points - points[0, 0] * torch.tensor([1.0, 0.0, 1.0])) @ back.T
-        return (2 * (points - self.low) / self.range - 1).flatten(1)
+            points.append(points[parent] + roma.quat_action(turns[parent], self.offsets[joint].expand(transl.shape)))
+            turns.append(roma.quat_product(turns[parent], rotations[..., joint, :]) if joint < 22 else None)
+        points = torch.stack(points, -2)
+        facing = roma.unitquat_to_rotmat(rotations[..., 0, 0, :])
+        yaw = torch.atan2(facing[..., 0, 2], facing[..., 2, 2])
+        back = roma.rotvec_to_rotmat(torch.stack([yaw * 0, -yaw, yaw * 0], -1))
+        points = points - points[..., :1, :1, :] * torch.tensor([1.0, 0.0, 1.0])
+        points = points @ back.transpose(-1, -2).unsqueeze(-3)
+        return (2 * (points - self.low) / self.range - 1).flatten(-2)
 
     def blend(self, source, target, hard: list[int], soft: list[int], alpha: float):
         """Hard joints of the target, soft ones between both, the rest of the source."""
@@ -98,7 +100,13 @@ class Windows(torch.utils.data.Dataset):
         first, second = (int(torch.randint(len(clip[0]) - self.span + 1, ())) for clip in (source, target))
         source, target = (stretch(clip, at, self.span, self.stride) for clip, at in ((source, first), (target, second)))
         edited = self.composer.blend(source, target, *self.joints[index], float(torch.rand(())))
-        return self.composer.window(*source), self.composer.window(*edited), mask["text"]
+        return source, edited, mask["text"]
+
+    def collate(self, items):
+        """Windows ``[B, W, 84]`` of both sides, and the instructions."""
+        sources, edits, texts = zip(*items)
+        sides = [[torch.stack(part) for part in zip(*side)] for side in (sources, edits)]
+        return *(self.composer.window(*side) for side in sides), list(texts)
 
 
 def check(mix: stance.MotionCutMix, path: str, composer: Composer, stride: int) -> None:
@@ -142,7 +150,7 @@ def ours(mix: stance.MotionCutMix):
 def theirs(windows: Windows):
     while True:
         sampler = torch.utils.data.RandomSampler(windows, replacement=True, num_samples=1 << 20)
-        yield from torch.utils.data.DataLoader(windows, BATCH, sampler=sampler, drop_last=True)
+        yield from torch.utils.data.DataLoader(windows, BATCH, sampler=sampler, collate_fn=windows.collate)
 
 
 if __name__ == "__main__":
