@@ -55,7 +55,7 @@ def motions_come_back(work: pathlib.Path) -> None:
         return float(np.abs(other.joints()[:frames] - joints[:frames]).max())
 
     # Rotations pass through f64, and the floor is found anew: rounding of f32 positions of metres.
-    assert distance(stance.from_amass(stance.to_amass(motion))) < 1e-5
+    assert distance(stance.Motion.from_amass(motion.to_amass())) < 1e-5
     again = stance.Motion.from_features(motion.features("motionfix"), "motionfix", first=motion.resample(30))
     assert np.abs(again.joints() - motion.resample(30).joints()).max() < 1e-3
     # These two forget where a motion stands and faces, and its floor may be found anew: steps up and lengths stay.

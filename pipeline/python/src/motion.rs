@@ -224,6 +224,19 @@ impl Motion {
         })
     }
 
+    /// The motion as the arrays of an AMASS archive, z up, with the keys of the SMPL-X release.
+    fn to_amass(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
+        let module = this.py().import("stance._motion")?;
+        module.call_method1("to_amass", (this,))
+    }
+
+    /// The motion of the arrays of an AMASS archive, put on the floor.
+    #[staticmethod]
+    fn from_amass<'py>(py: Python<'py>, arrays: Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let module = py.import("stance._motion")?;
+        module.call_method1("from_amass", (arrays,))
+    }
+
     /// The motion that features describe.
     #[staticmethod]
     #[pyo3(signature = (features, recipe, first = None))]

@@ -17,7 +17,6 @@ from ._dataset import Dataset
 from ._errors import Error
 from ._evaluate import Scores, evaluate
 from ._mix import Batch, MotionCutMix
-from ._motion import from_amass, to_amass
 from ._native import (
     SCHEMA_VERSION,
     Encoder,
@@ -55,13 +54,11 @@ __all__ = [
     "evaluate",
     "fid",
     "foot_score",
-    "from_amass",
     "ingest",
     "jerk",
     "multimodality",
     "position_error",
     "retrieval",
-    "to_amass",
 ]
 
 _Path = str | _os.PathLike[str]

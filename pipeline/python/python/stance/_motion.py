@@ -14,7 +14,7 @@ from ._native import Motion
 def to_amass(motion: Motion) -> dict[str, Any]:
     """The motion as the arrays of an AMASS archive, z up, with the keys of the SMPL-X release.
 
-    ``np.savez(path, **stance.to_amass(motion))`` writes a file for tools of AMASS and SMPL-X. GMR plays rates below 30 fps
+    ``np.savez(path, **motion.to_amass())`` writes a file for tools of AMASS and SMPL-X. GMR plays rates below 30 fps
     as 30: give it ``motion.resample(60)``, as ``stance export --to amass`` does.
     """
     with np.load(io.BytesIO(bytes(motion.to_amass_bytes())), allow_pickle=False) as archive:

@@ -1,7 +1,7 @@
 """Types of the compiled half of the package. Shapes: ``L`` frames, ``N`` and ``M`` sets, ``D`` latent numbers."""
 
 import os
-from typing import Any, Sequence
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,11 @@ class Motion:
     @staticmethod
     def from_joints(joints: ArrayLike, fps: float) -> tuple[Motion, float]:
         """The body fitted to 22 joints ``[L, 22, 3]`` in metres, and the mean distance left."""
+    def to_amass(self) -> dict[str, Any]:
+        """The motion as the arrays of an AMASS archive, z up, with the keys of the SMPL-X release."""
+    @staticmethod
+    def from_amass(arrays: Mapping[str, Any]) -> Motion:
+        """The motion of the arrays of an AMASS archive (SMPL+H or SMPL-X keys, z up), put on the floor."""
     @staticmethod
     def from_amass_bytes(bytes: bytes) -> Motion: ...
     def to_amass_bytes(self) -> bytes: ...
