@@ -13,7 +13,7 @@ pub(crate) enum Exit {
     Quarantined,
     /// Ended by an interrupt, with what was done saved (128 and the number of the signal).
     Interrupted,
-    /// Locked by another run (the `EX_TEMPFAIL` of sysexits).
+    /// Locked or overtaken by another run (the `EX_TEMPFAIL` of sysexits).
     Locked,
 }
 
@@ -21,7 +21,8 @@ impl Exit {
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
         fn is_lock(error: &datasets_spec::Error) -> bool {
-            matches!(error, datasets_spec::Error::Locked { .. })
+            use datasets_spec::Error::{Locked, Overtaken};
+            matches!(error, Locked { .. } | Overtaken { .. })
         }
         fn is_pipeline_lock(error: &pipeline::Error) -> bool {
             matches!(error, pipeline::Error::Spec(error) if is_lock(error))

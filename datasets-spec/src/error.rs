@@ -134,6 +134,14 @@ pub enum Error {
         /// What the lock file says of its holder.
         holder: String,
     },
+    /// Another run committed the version that this run was about to commit.
+    #[error("another run committed version {version} of {} while this one worked; run the command again, now on top of that version", path.display())]
+    Overtaken {
+        /// The dataset.
+        path: PathBuf,
+        /// The version that both made.
+        version: u64,
+    },
     /// The folder already holds the result of a different plan.
     #[error("{} already holds a dataset made by a different plan (recorded {recorded}, now {now}); choose another folder, or ask for a new version of this one", path.display())]
     OtherPlan {
@@ -191,6 +199,7 @@ impl Error {
         let (code, path) = match self {
             Self::Io { path, .. } => ("E-IO", path),
             Self::Locked { path, .. } => ("E-LOCKED", path),
+            Self::Overtaken { path, .. } => ("E-OVERTAKEN", path),
             Self::NotADataset { path, .. } => ("E-DATASET", path),
             Self::Version { path, .. } => ("E-VERSION", path),
             Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {

@@ -1,148 +1,243 @@
-//! The file operations a dataset is written with, so that a test can make any of them fail.
+//! Where datasets and sources are kept: on a disk, or at a URL.
+//!
+//! The trait says what the storage does, not how. A file appears whole or not at all, whether a disk renames
+//! a temporary file or an object store takes one request. A test can make any operation fail.
+
+mod by_path;
+mod disk;
 
 use std::fmt::Debug;
-use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use bytes::Bytes;
+
+pub use self::by_path::{ByPath, is_url, register};
+pub use self::disk::Disk;
 use crate::Error;
 
-/// A file being written.
-pub trait StoreFile: Write + Send {
-    /// Makes what was written durable.
+/// A file being written. It appears when it is published; if it is dropped before, it never does.
+pub trait NewFile: Write + Send {
+    /// Makes the file appear under its name, whole and durable, in place of any file of that name.
     ///
     /// # Errors
-    /// The storage refuses or fails.
-    fn sync(&mut self) -> io::Result<()>;
+    /// The storage refuses or fails. The file may have appeared nevertheless, where the answer was lost.
+    fn publish(self: Box<Self>) -> io::Result<()>;
+
+    /// Makes the file appear unless there is one of that name. Of several that do so at the same time, one
+    /// succeeds.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AlreadyExists`], or as [`NewFile::publish`].
+    fn publish_new(self: Box<Self>) -> io::Result<()>;
 }
 
-impl StoreFile for File {
-    fn sync(&mut self) -> io::Result<()> {
-        self.sync_all()
+/// A file read at stated places, by several threads.
+pub trait ReadAt: Debug + Send + Sync {
+    /// Size in bytes.
+    fn size(&self) -> u64;
+
+    /// Fills a buffer from an offset of the file.
+    ///
+    /// # Errors
+    /// The file ends before, or the storage fails.
+    fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()>;
+
+    /// The bytes of several ranges, in their order. A distant storage reads those that lie near each other by
+    /// one request.
+    ///
+    /// # Errors
+    /// As [`ReadAt::read_exact_at`].
+    fn read_ranges(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
+        let read = |range: &Range<u64>| {
+            let length = range.end.saturating_sub(range.start);
+            // The length comes from the file: nothing is reserved for more than there is.
+            if range.end > self.size() {
+                return Err(io::Error::from(io::ErrorKind::UnexpectedEof));
+            }
+            let mut buffer = vec![0; usize::try_from(length).map_err(io::Error::other)?];
+            self.read_exact_at(&mut buffer, range.start)?;
+            Ok(Bytes::from(buffer))
+        };
+        ranges.iter().map(read).collect()
+    }
+
+    /// Whether every read costs a request, so that a reader should name all it needs at once.
+    fn is_distant(&self) -> bool {
+        false
     }
 }
 
-/// Where files are read and written: the disk, or in a test a disk that fails.
+/// Reads a file from a position that can be set. A distant file is read in pieces of a megabyte.
+#[derive(Debug)]
+pub struct Reader {
+    file: Arc<dyn ReadAt>,
+    at: u64,
+    /// The piece read last, and its offset.
+    piece: (u64, Bytes),
+}
+
+/// Bytes of a distant file that are read at once, and its alignment.
+const PIECE: u64 = 1 << 20;
+
+impl Reader {
+    /// Starts at the beginning of a file.
+    pub fn new(file: Arc<dyn ReadAt>) -> Self {
+        Self {
+            file,
+            at: 0,
+            piece: (0, Bytes::new()),
+        }
+    }
+}
+
+impl Read for Reader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.file.size().saturating_sub(self.at);
+        let length = buffer
+            .len()
+            .min(usize::try_from(left).unwrap_or(usize::MAX));
+        if length == 0 {
+            return Ok(0);
+        }
+        let length = if self.file.is_distant() {
+            let (start, piece) = &self.piece;
+            if !(*start..start + piece.len() as u64).contains(&self.at) {
+                let start = self.at / PIECE * PIECE;
+                let range = start..self.file.size().min(start + PIECE);
+                let piece = self.file.read_ranges(std::slice::from_ref(&range))?;
+                self.piece = (start, piece.into_iter().next().unwrap_or_default());
+            }
+            let (start, piece) = &self.piece;
+            let from = usize::try_from(self.at - start).unwrap_or(usize::MAX);
+            let bytes = piece.get(from..).unwrap_or_default();
+            let length = length.min(bytes.len());
+            buffer[..length].copy_from_slice(&bytes[..length]);
+            length
+        } else {
+            self.file.read_exact_at(&mut buffer[..length], self.at)?;
+            length
+        };
+        self.at += length as u64;
+        Ok(length)
+    }
+}
+
+impl Seek for Reader {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let at = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::End(by) => self.file.size().checked_add_signed(by),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+        };
+        self.at = at.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.at)
+    }
+}
+
+/// A lock of a dataset. Dropping it lets others in.
+pub trait Lock: Debug + Send + Sync {}
+
+/// What became of an attempt to lock a dataset.
+#[derive(Debug)]
+pub enum Locking {
+    /// Nobody else writes until this is dropped.
+    Held(Box<dyn Lock>),
+    /// Another run holds the lock.
+    Taken {
+        /// What it said of itself.
+        holder: String,
+    },
+    /// The storage has no locks: of two runs that commit a version, the later one fails.
+    NoLocks,
+}
+
+/// Where files are read and written.
 pub trait Store: Debug + Send + Sync {
-    /// Makes a folder and those above it.
+    /// Makes a folder and those above it. Object stores have none to make.
     ///
     /// # Errors
     /// The storage refuses or fails; so for every operation below.
     fn create_dir_all(&self, path: &Path) -> io::Result<()>;
-    /// Opens a new or emptied file for writing.
-    fn create(&self, path: &Path) -> io::Result<Box<dyn StoreFile>>;
-    /// Gives a file another name, replacing what had it.
+    /// Begins a file.
+    fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>>;
+    /// Gives a file another name, replacing what had it. On an object store this is a copy and a removal.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Makes the names in a folder durable.
-    fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// The bytes of a file.
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
     /// Opens a file to be read from its beginning.
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
+    /// Opens a file to be read at stated places.
+    fn open_at(&self, path: &Path) -> io::Result<Arc<dyn ReadAt>>;
+    /// Size of a file in bytes. A folder is not found.
+    fn size(&self, path: &Path) -> io::Result<u64>;
     /// BLAKE3 of a file, hexadecimal.
     fn hash(&self, path: &Path) -> io::Result<String>;
-    /// The entries of a folder, sorted, and whether each is a folder.
+    /// The entries of a folder, sorted, and whether each is a folder. A folder that is not there is not
+    /// found, or on an object store empty.
     fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>>;
     /// Removes a file.
     fn remove_file(&self, path: &Path) -> io::Result<()>;
-    /// Removes a folder and all in it.
+    /// Removes a folder and all in it; a folder that is not there is no error.
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
-}
+    /// Locks a dataset's folder against other runs. They are told `holder`.
+    fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking>;
 
-/// The file system.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Disk;
-
-impl Disk {
-    /// The file system behind the trait.
-    pub fn store() -> Arc<dyn Store> {
-        Arc::new(Self)
-    }
-}
-
-impl Store for Disk {
-    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
-        fs::create_dir_all(path)
+    /// What a file of a dataset differs in from its manifest; none if it is as stated. A disk hashes the
+    /// file. An object store compares the size, as reading it would cost as much as using it; there the hash
+    /// is compared when the file is read whole.
+    fn difference(&self, path: &Path, _bytes: u64, blake3: &str) -> io::Result<Option<String>> {
+        let found = self.hash(path)?;
+        Ok((found != blake3).then(|| format!("BLAKE3 expected {blake3}, found {found}")))
     }
 
-    fn create(&self, path: &Path) -> io::Result<Box<dyn StoreFile>> {
-        Ok(Box::new(File::create(path)?))
-    }
+    /// Says what a committed file holds. An object store need not ask for its size then, and reads what it
+    /// kept of files with this hash.
+    fn expect(&self, _path: &Path, _bytes: u64, _blake3: &str) {}
 
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::rename(from, to)
-    }
-
-    fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        // Elsewhere a folder cannot be opened as a file, and a rename is durable by itself.
-        if cfg!(unix) {
-            File::open(path)?.sync_all()?;
+    /// All files below a folder, sorted.
+    fn files_below(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        let mut folders = vec![folder.to_owned()];
+        while let Some(folder) = folders.pop() {
+            for (path, is_dir) in self.list(&folder)? {
+                if is_dir {
+                    folders.push(path);
+                } else {
+                    files.push(path);
+                }
+            }
         }
-        Ok(())
-    }
-
-    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
-        fs::read(path)
-    }
-
-    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
-        Ok(Box::new(File::open(path)?))
-    }
-
-    fn hash(&self, path: &Path) -> io::Result<String> {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update_mmap(path)?;
-        Ok(hasher.finalize().to_hex().to_string())
-    }
-
-    fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>> {
-        let mut entries = Vec::new();
-        for entry in fs::read_dir(path)? {
-            let path = entry?.path();
-            let is_dir = path.is_dir();
-            entries.push((path, is_dir));
-        }
-        entries.sort();
-        Ok(entries)
-    }
-
-    fn remove_file(&self, path: &Path) -> io::Result<()> {
-        fs::remove_file(path)
-    }
-
-    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
-        fs::remove_dir_all(path)
+        files.sort();
+        Ok(files)
     }
 }
 
-/// Writes a file whole or not at all: to a temporary name beside it, synced, then renamed.
+/// Writes a file whole or not at all.
 ///
 /// # Errors
-/// Any step fails; the temporary file is then removed.
+/// Any step fails.
 pub(crate) fn write_atomically(
     store: &dyn Store,
     path: &Path,
-    write: impl FnOnce(Box<dyn StoreFile>) -> Result<Box<dyn StoreFile>, Error>,
+    write: impl FnOnce(Box<dyn NewFile>) -> Result<Box<dyn NewFile>, Error>,
 ) -> Result<(), Error> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let staged = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-    let attempt = || {
-        let file = store
-            .create(&staged)
-            .map_err(Error::io("create", &staged))?;
-        let mut file = write(file)?;
-        file.flush().map_err(Error::io("write", &staged))?;
-        file.sync().map_err(Error::io("sync", &staged))?;
-        drop(file);
-        store
-            .rename(&staged, path)
-            .map_err(Error::io("rename into place", path))?;
-        let folder = path.parent().unwrap_or(Path::new("."));
-        store.sync_dir(folder).map_err(Error::io("sync", folder))
-    };
-    attempt().inspect_err(|_| {
-        // The staged file may not exist; what matters is reported already.
-        let _removed = store.remove_file(&staged);
-    })
+    let file = store.create(path).map_err(Error::io("create", path))?;
+    write(file)?.publish().map_err(Error::io("write", path))
+}
+
+/// Writes a file whole unless there is one of its name, and returns whether it did.
+///
+/// # Errors
+/// Any step fails.
+pub(crate) fn write_new(store: &dyn Store, path: &Path, bytes: &[u8]) -> Result<bool, Error> {
+    let mut file = store.create(path).map_err(Error::io("create", path))?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    match file.publish_new() {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) => Err(Error::io("write", path)(error)),
+    }
 }

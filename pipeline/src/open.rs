@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{ItemRow, MotionRow};
+use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, Motion, Skeleton};
 
@@ -98,7 +99,7 @@ fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
         Some((PathBuf::from(file), Some(key.to_owned())))
     };
     let whole = || (path.to_owned(), None);
-    if path.exists() {
+    if path.exists() || is_url(path) && ByPath.size(path).is_ok() {
         return whole();
     }
     named().unwrap_or_else(whole)
@@ -112,7 +113,7 @@ pub fn read_file(
     path: &Path,
     options: &ReadOptions,
 ) -> Result<(Format, Vec<(String, Outcome)>), Error> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let bytes = ByPath.read(path).map_err(Error::io("read", path))?;
     let format = match recognise(path, &bytes) {
         Recognised::Motion(format) => format,
         Recognised::NotMotion { reason } => {
@@ -124,7 +125,7 @@ pub fn read_file(
         }
     };
     let folder = path.parent().unwrap_or(Path::new("."));
-    let companions = |name: &str| std::fs::read(folder.join(name)).ok();
+    let companions = |name: &str| ByPath.read(&folder.join(name)).ok();
     let around = ClipLabels::default();
     let mut keys = format.keys(&bytes);
     if keys.is_empty() {

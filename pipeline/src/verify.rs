@@ -8,7 +8,7 @@ use datasets_spec::record::{
     EditRow, HumanMl3dRow, ItemRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow,
     QuarantineRow, ScoreRow, SkippedRow, TripletRow, WindowRow,
 };
-use datasets_spec::store::{Disk, Store};
+use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split};
 use rayon::prelude::*;
@@ -611,16 +611,14 @@ impl Read {
 
 fn check_file(root: &Path, file: &FileEntry) -> Result<(), String> {
     let path = root.join(&file.path);
-    let size = std::fs::metadata(&path)
-        .map_err(|error| error.to_string())?
-        .len();
+    let size = ByPath.size(&path).map_err(|error| error.to_string())?;
     if size != file.bytes {
         return Err(format!(
             "has {size} bytes, the manifest says {}",
             file.bytes
         ));
     }
-    let hash = Disk.hash(&path).map_err(|error| error.to_string())?;
+    let hash = ByPath.hash(&path).map_err(|error| error.to_string())?;
     if hash != file.blake3 {
         return Err(format!(
             "BLAKE3 is {hash}, the manifest says {}",

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::record::MotionRow;
-use datasets_spec::store::{Disk, Store, StoreFile};
+use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
 use pipeline::Error;
@@ -77,7 +77,7 @@ fn step(count: &AtomicUsize, at: usize, fate: Fate) -> io::Result<()> {
 }
 
 struct DoomedFile {
-    file: Box<dyn StoreFile>,
+    file: Box<dyn NewFile>,
     count: Arc<AtomicUsize>,
     at: usize,
     fate: Fate,
@@ -99,10 +99,18 @@ impl Write for DoomedFile {
     }
 }
 
-impl StoreFile for DoomedFile {
-    fn sync(&mut self) -> io::Result<()> {
+impl NewFile for DoomedFile {
+    /// Fails before the file appears, or after, as where the answer of a storage is lost.
+    fn publish(self: Box<Self>) -> io::Result<()> {
         step(&self.count, self.at, self.fate)?;
-        self.file.sync()
+        self.file.publish()?;
+        step(&self.count, self.at, self.fate)
+    }
+
+    fn publish_new(self: Box<Self>) -> io::Result<()> {
+        step(&self.count, self.at, self.fate)?;
+        self.file.publish_new()?;
+        step(&self.count, self.at, self.fate)
     }
 }
 
@@ -112,7 +120,7 @@ impl Store for Doomed {
         Disk.create_dir_all(path)
     }
 
-    fn create(&self, path: &Path) -> io::Result<Box<dyn StoreFile>> {
+    fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>> {
         self.step()?;
         Ok(Box::new(DoomedFile {
             file: Disk.create(path)?,
@@ -127,11 +135,6 @@ impl Store for Doomed {
         Disk.rename(from, to)
     }
 
-    fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        self.step()?;
-        Disk.sync_dir(path)
-    }
-
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
         self.step()?;
         Disk.read(path)
@@ -140,6 +143,16 @@ impl Store for Doomed {
     fn open(&self, path: &Path) -> io::Result<Box<dyn io::Read>> {
         self.step()?;
         Disk.open(path)
+    }
+
+    fn open_at(&self, path: &Path) -> io::Result<Arc<dyn ReadAt>> {
+        self.step()?;
+        Disk.open_at(path)
+    }
+
+    fn size(&self, path: &Path) -> io::Result<u64> {
+        self.step()?;
+        Disk.size(path)
     }
 
     fn hash(&self, path: &Path) -> io::Result<String> {
@@ -160,6 +173,10 @@ impl Store for Doomed {
     fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
         self.step()?;
         Disk.remove_dir_all(path)
+    }
+
+    fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking> {
+        Disk.lock(folder, holder)
     }
 }
 

@@ -9,7 +9,6 @@ use crate::{Error, Split};
 
 pub(super) const META: &str = "meta";
 pub(super) const DATA: &str = "data";
-pub(super) const LOCK: &str = "LOCK";
 pub(super) const STAGED: &str = "staged";
 /// Key of the fact that holds a skeleton that is not built in.
 pub(super) const SKELETON_FACT: &str = "skeleton_rest";

@@ -4,6 +4,9 @@
 //! and a `README.md` that the Hugging Face `datasets` library reads. A run locks the folder, writes
 //! its files to temporary names, syncs and renames them, and writes the manifest last. A reader sees
 //! the version before or the version after, never a mixture.
+//!
+//! A dataset may also lie at a URL. Object stores have no locks: there a run never overwrites a file, and
+//! commits by writing the manifest only if no other run has written that version.
 
 mod commit;
 mod layout;
@@ -15,6 +18,6 @@ mod transaction;
 
 pub use commit::{commit_rows, commit_table};
 pub use layout::ShardName;
-pub use open::{Dataset, hash_file};
+pub use open::Dataset;
 pub use shards::table_facts;
 pub use transaction::{Commit, Pruned, Transaction};

@@ -1,25 +1,41 @@
 //! Datasets opened for reading.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::layout::{SKELETON_FACT, newest_manifest};
 use crate::manifest::{FileEntry, Manifest};
 use crate::record::ItemRow;
-use crate::store::{Disk, Store};
+use crate::store::{ByPath, Store, is_url};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
-/// A dataset opened for reading; every file has been checked against its hash.
+/// A dataset opened for reading, in a folder or at a URL.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    pub(super) root: PathBuf,
-    pub(super) manifest: Manifest,
+    root: PathBuf,
+    manifest: Manifest,
+    store: Arc<dyn Store>,
 }
 
 impl Dataset {
-    /// Opens the newest committed version and verifies the hash of every file.
+    /// A version whose manifest is read.
+    pub(super) fn new(root: PathBuf, manifest: Manifest, store: Arc<dyn Store>) -> Self {
+        for file in manifest.tables.values().flatten() {
+            store.expect(&root.join(&file.path), file.bytes, &file.blake3);
+        }
+        Self {
+            root,
+            manifest,
+            store,
+        }
+    }
+
+    /// Opens the newest committed version and verifies the hash of every file. At a URL, where that would
+    /// read the whole dataset, it verifies that every file is there and its size; the hash of a file is then
+    /// verified when the file is read whole.
     ///
     /// # Errors
     /// The folder is not a dataset, has a newer format, or a file is missing or altered.
@@ -28,14 +44,12 @@ impl Dataset {
         let files: Vec<&FileEntry> = dataset.manifest.tables.values().flatten().collect();
         files.par_iter().try_for_each(|file| {
             let path = root.join(&file.path);
-            let found = hash_file(&path)?;
-            if found == file.blake3 {
-                return Ok(());
+            let store = dataset.store.as_ref();
+            let difference = store.difference(&path, file.bytes, &file.blake3);
+            match difference.map_err(Error::io("read", &path))? {
+                None => Ok(()),
+                Some(detail) => Err(Error::Corrupt { path, detail }),
             }
-            Err(Error::Corrupt {
-                path,
-                detail: format!("BLAKE3 expected {}, found {found}", file.blake3),
-            })
         })?;
         Ok(dataset)
     }
@@ -45,23 +59,27 @@ impl Dataset {
     /// # Errors
     /// The folder is not a dataset or has a newer format.
     pub fn open_unverified(root: &Path) -> Result<Self, Error> {
-        let manifest = newest_manifest(&Disk, root)?.ok_or_else(|| Error::NotADataset {
+        let store = ByPath::store();
+        let manifest = newest_manifest(store.as_ref(), root)?;
+        let manifest = manifest.ok_or_else(|| Error::NotADataset {
             path: root.to_owned(),
-            reason: if root.is_dir() {
+            reason: if is_url(root) || root.is_dir() {
                 "it has no meta/manifest-<n>.json; was the run that made it interrupted?".to_owned()
             } else {
                 "there is no such folder".to_owned()
             },
         })?;
-        Ok(Self {
-            root: root.to_owned(),
-            manifest,
-        })
+        Ok(Self::new(root.to_owned(), manifest, store))
     }
 
-    /// The folder.
+    /// The folder or URL.
     pub fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// Where its files are read.
+    pub fn store(&self) -> &Arc<dyn Store> {
+        &self.store
     }
 
     /// The manifest.
@@ -118,7 +136,7 @@ impl Dataset {
         let shards: Vec<Vec<R>> = self
             .files(R::TABLE, split)
             .par_iter()
-            .map(|(path, _)| table::read_rows(path))
+            .map(|(path, _)| table::read_rows_on(self.store.as_ref(), path))
             .collect::<Result<_, _>>()?;
         Ok(shards.into_iter().flatten().collect())
     }
@@ -142,12 +160,4 @@ impl Dataset {
         }
         Ok(rows)
     }
-}
-
-/// BLAKE3 of a file, hexadecimal.
-///
-/// # Errors
-/// The file cannot be read.
-pub fn hash_file(path: &Path) -> Result<String, Error> {
-    Disk.hash(path).map_err(Error::io("read", path))
 }

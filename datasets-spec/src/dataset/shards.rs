@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use super::layout::{DATA, META, STAGED, ShardName};
 use super::transaction::{Transaction, write_json};
 use crate::manifest::FileEntry;
-use crate::store::write_atomically;
+use crate::store::{write_atomically, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
@@ -41,7 +41,8 @@ impl Transaction {
         format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
     }
 
-    /// Writes a shard whole or not at all. It belongs to the dataset once it is committed.
+    /// Writes a shard whole or not at all. Where other runs may write at the same time, it replaces no file: if
+    /// one of its name holds something else, it gets another name. It belongs to the dataset once it is committed.
     ///
     /// # Errors
     /// The rows cannot be encoded or the file cannot be written.
@@ -53,16 +54,22 @@ impl Transaction {
     ) -> Result<FileEntry, Error> {
         let relative = self.shard_path(name);
         let path = self.root.join(&relative);
-        if let Some(folder) = path.parent() {
-            self.store
-                .create_dir_all(folder)
-                .map_err(Error::io("create folder", folder))?;
-        }
-        write_atomically(self.store.as_ref(), &path, |file| {
-            table::write_rows(file, &path, rows, facts)
-        })?;
-        // Read back, so that the hashes cover the bytes on the disk.
-        let written = self.store.read(&path).map_err(Error::io("read", &path))?;
+        let (relative, written) = if self.is_alone() {
+            if let Some(folder) = path.parent() {
+                self.store
+                    .create_dir_all(folder)
+                    .map_err(Error::io("create folder", folder))?;
+            }
+            write_atomically(self.store.as_ref(), &path, |file| {
+                table::write_rows(file, &path, rows, facts)
+            })?;
+            // Read back, so that the hashes cover the bytes on the disk.
+            let written = self.store.read(&path).map_err(Error::io("read", &path))?;
+            (relative, written)
+        } else {
+            let bytes = table::write_rows(Vec::new(), &path, rows, facts)?;
+            (self.add(&relative, &bytes)?, bytes)
+        };
         let sha256 = Sha256::digest(&written);
         Ok(FileEntry {
             path: relative,
@@ -72,6 +79,25 @@ impl Transaction {
             blake3: blake3::hash(&written).to_hex().to_string(),
             sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
         })
+    }
+
+    /// Writes a file that must not replace another one, and returns its path. If a run that was interrupted,
+    /// or one at the same time, has written the same, that file serves. If it has written something else under
+    /// this name, the file gets another name.
+    fn add(&self, relative: &str, bytes: &[u8]) -> Result<String, Error> {
+        let hash = blake3::hash(bytes).to_hex().to_string();
+        let stem = relative.strip_suffix(".parquet").unwrap_or(relative);
+        let names = (2..).map(|number| format!("{stem}.{number}.parquet"));
+        for name in std::iter::once(relative.to_owned()).chain(names) {
+            let path = self.root.join(&name);
+            let store = self.store.as_ref();
+            if write_new(store, &path, bytes)?
+                || store.hash(&path).map_err(Error::io("read", &path))? == hash
+            {
+                return Ok(name);
+            }
+        }
+        unreachable!("there is always another number")
     }
 
     /// Writes all rows of a table, shard by shard. They belong to the dataset once they are
@@ -189,16 +215,19 @@ impl Transaction {
         Ok(whole.then_some((entry, notes)))
     }
 
-    /// Whether the files are present and match their hashes.
+    /// Whether the files are present and as stated, as
+    /// [`Store::difference`](crate::store::Store::difference) tells.
     ///
     /// # Errors
     /// A file exists but cannot be read.
     pub fn holds<'a>(&self, files: impl Iterator<Item = &'a FileEntry>) -> Result<bool, Error> {
         for file in files {
             let path = self.root.join(&file.path);
-            let hash = || self.store.hash(&path).map_err(Error::io("read", &path));
-            if !path.is_file() || hash()? != file.blake3 {
-                return Ok(false);
+            match self.store.difference(&path, file.bytes, &file.blake3) {
+                Ok(None) => {}
+                Ok(Some(_)) => return Ok(false),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(false),
+                Err(error) => return Err(Error::io("read", &path)(error)),
             }
         }
         Ok(true)

@@ -1,43 +1,30 @@
 //! Runs that change a dataset: lock, commit and clean-up.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File, TryLockError};
-use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Serialize;
 
 use super::layout::{
-    DATA, LOCK, META, SKELETON_FACT, STAGED, manifest_path, manifest_versions, newest_manifest,
+    DATA, META, SKELETON_FACT, STAGED, manifest_path, manifest_versions, newest_manifest,
     read_manifest,
 };
 use super::open::Dataset;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
-use crate::store::{Disk, Store, write_atomically};
+use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton, card, croissant};
 
-/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped.
+/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL
+/// there is no lock, and of two runs that commit the same version the later one fails.
 #[derive(Debug)]
 pub struct Transaction {
     pub(super) root: PathBuf,
     pub(super) store: Arc<dyn Store>,
     pub(super) base: Option<Manifest>,
-    _lock: Lock,
-}
-
-/// The lock of a dataset while it is changed.
-#[derive(Debug)]
-struct Lock(File);
-
-impl Drop for Lock {
-    /// Unlocks explicitly: a child process that another thread is starting holds a copy of the handle,
-    /// and with it the lock, until it executes.
-    fn drop(&mut self) {
-        // On failure, closing the file unlocks it.
-        let _closed = self.0.unlock();
-    }
+    /// None where the storage has no locks.
+    lock: Option<Box<dyn Lock>>,
 }
 
 /// What a commit adds to the dataset.
@@ -78,11 +65,10 @@ impl Transaction {
     /// # Errors
     /// Another run holds the lock, or the folder cannot be written.
     pub fn begin(root: &Path, holder: &str) -> Result<Self, Error> {
-        Self::begin_on(Disk::store(), root, holder)
+        Self::begin_on(ByPath::store(), root, holder)
     }
 
-    /// [`Transaction::begin`], writing through the given store. The lock itself is always the
-    /// operating system's.
+    /// [`Transaction::begin`], writing through the given store.
     ///
     /// # Errors
     /// As [`Transaction::begin`].
@@ -92,42 +78,29 @@ impl Transaction {
                 .create_dir_all(&folder)
                 .map_err(Error::io("create folder", &folder))?;
         }
-        let path = root.join(META).join(LOCK);
-        let lock = File::options()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path)
-            .map_err(Error::io("open", &path))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(Error::Locked {
-                    path: root.to_owned(),
-                    holder: fs::read_to_string(&path)
-                        .unwrap_or_default()
-                        .trim()
-                        .to_owned(),
-                });
-            }
-            Err(TryLockError::Error(error)) => return Err(Error::io("lock", &path)(error)),
-        }
-        let mut lock = Lock(lock);
-        lock.0
-            .set_len(0)
-            .and_then(|()| lock.0.rewind())
-            .and_then(|()| writeln!(lock.0, "{holder}"))
-            .map_err(Error::io("write", &path))?;
+        let path = root.to_owned();
+        let lock = match store.lock(root, holder).map_err(Error::io("lock", root))? {
+            Locking::Held(lock) => Some(lock),
+            Locking::Taken { holder } => return Err(Error::Locked { path, holder }),
+            Locking::NoLocks => None,
+        };
         let transaction = Self {
             base: newest_manifest(store.as_ref(), root)?,
-            root: root.to_owned(),
+            root: path,
             store,
-            _lock: lock,
+            lock,
         };
-        transaction.remove_files(|name, _| name.starts_with('.') && name.ends_with(".tmp"))?;
-        transaction.remove_half_written_cards()?;
+        // Where others may write, nothing of theirs is removed. Object stores have no temporary files.
+        if transaction.is_alone() {
+            transaction.remove_files(|name, _| name.starts_with('.') && name.ends_with(".tmp"))?;
+            transaction.remove_half_written_cards()?;
+        }
         Ok(transaction)
+    }
+
+    /// Whether the lock keeps other runs from writing to the dataset.
+    pub fn is_alone(&self) -> bool {
+        self.lock.is_some()
     }
 
     /// Removes half-written cards and metadata. They lie in the dataset's root, where other files may be
@@ -176,7 +149,7 @@ impl Transaction {
     /// Makes the run's tables part of the dataset and releases the lock.
     ///
     /// # Errors
-    /// The manifest cannot be written; the dataset then stays at its earlier version.
+    /// The manifest cannot be written, or another run has committed this version; the dataset is then as it was.
     ///
     /// # Panics
     /// If the accounting does not balance, which is a bug in the run.
@@ -230,12 +203,14 @@ impl Transaction {
         manifest.root_hash = Manifest::compute_root_hash(&manifest.tables);
 
         let path = manifest_path(&self.root, manifest.version);
-        write_json(self.store.as_ref(), &path, &manifest)?;
+        if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {
+            return Err(Error::Overtaken {
+                path: self.root,
+                version: manifest.version,
+            });
+        }
         self.settle(&manifest)?;
-        Ok(Dataset {
-            root: self.root,
-            manifest,
-        })
+        Ok(Dataset::new(self.root, manifest, self.store))
     }
 
     /// Completes a run that was killed right after its commit: writes the files that derive from the
@@ -251,7 +226,8 @@ impl Transaction {
     }
 
     /// Removes the versions before the newest `keep`, and the data files that only they name. With
-    /// `dry_run` nothing is removed.
+    /// `dry_run` nothing is removed. At a URL no other run may write at the same time: its files, which no
+    /// version names yet, would be removed too.
     ///
     /// # Errors
     /// A manifest cannot be read, or a file cannot be removed.
@@ -278,7 +254,8 @@ impl Transaction {
                     .remove_file(&path)
                     .map_err(Error::io("remove", &path))?;
             }
-            self.collect_garbage()?;
+            self.remove_staged(None)?;
+            self.remove_unnamed()?;
         }
         Ok(Pruned {
             versions,
@@ -303,17 +280,33 @@ impl Transaction {
                 Ok(file)
             })?;
         }
-        self.collect_garbage()
+        if self.is_alone() {
+            self.remove_staged(None)?;
+            self.remove_unnamed()
+        } else {
+            // Files that no manifest names may be those of a run that has not committed yet.
+            self.remove_staged(Some(manifest))
+        }
     }
 
-    /// Removes the notes of staged shards, and data files that no manifest names.
-    fn collect_garbage(&self) -> Result<(), Error> {
+    /// Removes the notes of staged shards, or only those of the plans that a version was made by.
+    fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
         let staged = self.root.join(META).join(STAGED);
-        if staged.exists() {
+        let plans: BTreeSet<_> = of.into_iter().flat_map(|of| of.plans.values()).collect();
+        let folders = match of {
+            Some(_) => plans.into_iter().map(|plan| staged.join(plan)).collect(),
+            None => vec![staged],
+        };
+        for folder in folders {
             self.store
-                .remove_dir_all(&staged)
-                .map_err(Error::io("remove", &staged))?;
+                .remove_dir_all(&folder)
+                .map_err(Error::io("remove", &folder))?;
         }
+        Ok(())
+    }
+
+    /// Removes data files that no manifest names.
+    fn remove_unnamed(&self) -> Result<(), Error> {
         let mut named = BTreeSet::new();
         let store = self.store.as_ref();
         for version in manifest_versions(store, &self.root)? {
@@ -367,16 +360,22 @@ fn newer_version(version: &str) -> &str {
     }
 }
 
-pub(super) fn write_json<T: Serialize>(
-    store: &dyn Store,
-    path: &Path,
-    value: &T,
-) -> Result<(), Error> {
+/// The text of a JSON file.
+fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, Error> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|source| Error::Json {
         path: path.to_owned(),
         source,
     })?;
     text.push(b'\n');
+    Ok(text)
+}
+
+pub(super) fn write_json<T: Serialize>(
+    store: &dyn Store,
+    path: &Path,
+    value: &T,
+) -> Result<(), Error> {
+    let text = json(path, value)?;
     write_atomically(store, path, |mut file| {
         file.write_all(&text).map_err(Error::io("write", path))?;
         Ok(file)

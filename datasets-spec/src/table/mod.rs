@@ -1,8 +1,8 @@
 //! Tables: how row structs become Arrow batches and back, and how batches become Parquet files.
 
 mod cell;
+mod chunks;
 mod pages;
-mod positioned;
 mod shard;
 
 use std::sync::Arc;
@@ -18,7 +18,7 @@ pub use cell::Cell;
 pub use pages::{ClipReader, FramePages};
 pub use shard::{
     ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
-    write_rows,
+    read_rows_on, write_rows,
 };
 
 /// Version of the table schemas. The major number changes when an old reader would misread a

@@ -5,7 +5,6 @@
 //! joins their byte streams.
 
 use std::cell::RefCell;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -17,9 +16,10 @@ use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
 use parquet::file::page_index::offset_index::PageLocation;
 use parquet::file::serialized_reader::SerializedPageReader;
 
-use super::positioned::Positioned;
-use super::shard::{check_version, read_column};
+use super::chunks::Chunks;
+use super::shard::{ShardReader, check_version};
 use crate::record::MotionRow;
+use crate::store::ByPath;
 use crate::{Error, Fps, Motion, MotionId};
 use kinematics::simd::lanes::{self, Kernel};
 
@@ -27,7 +27,7 @@ use kinematics::simd::lanes::{self, Kernel};
 #[derive(Debug)]
 pub struct FramePages {
     path: PathBuf,
-    file: Arc<Positioned>,
+    file: Chunks,
     metadata: Arc<ParquetMetaData>,
     /// Leaf column of each column asked for.
     leaves: Vec<usize>,
@@ -50,14 +50,26 @@ impl FramePages {
     /// The file cannot be read, is not Parquet, is of a newer version, lacks a column, or has no
     /// page index.
     pub fn open(path: &Path, columns: &[&str]) -> Result<Self, Error> {
-        let file = File::open(path)
-            .and_then(Positioned::new)
-            .map_err(Error::io("open", path))?;
+        let file = Chunks::open(&ByPath, path).map_err(Error::io("open", path))?;
         let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Required);
         let loaded =
             ArrowReaderMetadata::load(&file, options).map_err(Error::parquet("read", path))?;
         check_version(path, &loaded)?;
-        let metadata = Arc::clone(loaded.metadata());
+        Self::of_file(path, file, Arc::clone(loaded.metadata()), columns)
+    }
+
+    /// [`FramePages::open`], of a shard whose footer is read.
+    fn of_shard(shard: &ShardReader, columns: &[&str]) -> Result<Self, Error> {
+        let (file, metadata) = (shard.file().clone(), Arc::clone(shard.metadata()));
+        Self::of_file(shard.path(), file, metadata, columns)
+    }
+
+    fn of_file(
+        path: &Path,
+        file: Chunks,
+        metadata: Arc<ParquetMetaData>,
+        columns: &[&str],
+    ) -> Result<Self, Error> {
         let bad = |problem: String| Error::Pages {
             path: path.to_owned(),
             problem,
@@ -109,7 +121,7 @@ impl FramePages {
         }
         Ok(Self {
             path: path.to_owned(),
-            file: Arc::new(file),
+            file,
             metadata,
             leaves,
             pages,
@@ -130,7 +142,7 @@ impl FramePages {
             return Ok(0);
         };
         let rows = first.num_rows.max(1);
-        self.with_page(0, column, |values| values.len() / 4 / rows)
+        self.with_page(&self.file, 0, column, |values| values.len() / 4 / rows)
     }
 
     /// Reads rows of a column of a page: those there is room for. `rows` has an entry for each row
@@ -148,7 +160,7 @@ impl FramePages {
         rows: &mut [Option<&mut [f32]>],
     ) -> Result<(), Error> {
         assert_eq!(rows.len(), self.pages[page].num_rows);
-        let fits = self.with_page(page, column, |values| {
+        let fits = self.with_page(&self.file, page, column, |values| {
             let count = values.len() / 4;
             let row_len = count / rows.len().max(1);
             let has_room =
@@ -185,7 +197,12 @@ impl FramePages {
     /// # Panics
     /// If page or column do not exist.
     pub fn numbers(&self, page: usize, column: usize) -> Result<Vec<f32>, Error> {
-        self.with_page(page, column, |values| {
+        self.numbers_in(&self.file, page, column)
+    }
+
+    /// [`FramePages::numbers`] of a file that holds pages read ahead.
+    fn numbers_in(&self, file: &Chunks, page: usize, column: usize) -> Result<Vec<f32>, Error> {
+        self.with_page(file, page, column, |values| {
             let count = values.len() / 4;
             let mut numbers = vec![0.0; count];
             lanes::dispatch(PutTogether {
@@ -196,9 +213,25 @@ impl FramePages {
         })
     }
 
+    /// The file, with all columns of a page read ahead if it is distant.
+    fn ahead(&self, page: usize) -> Result<Chunks, Error> {
+        let place = &self.pages[page];
+        let ranges = || {
+            let range_of = |leaf: &usize| {
+                let page = locations(&self.metadata, place.row_group, *leaf)?.get(place.index)?;
+                let start = u64::try_from(page.offset).ok()?;
+                Some(start..start + u64::try_from(page.compressed_page_size).ok()?)
+            };
+            self.leaves.iter().filter_map(range_of).collect()
+        };
+        let file = self.file.ahead(ranges);
+        file.map_err(Error::io("read", &self.path))
+    }
+
     /// Calls `take` with the values of a page: four streams of bytes, the lowest first.
     fn with_page<T>(
         &self,
+        file: &Chunks,
         page: usize,
         column: usize,
         take: impl FnOnce(&[u8]) -> T,
@@ -214,21 +247,20 @@ impl FramePages {
             if is_zstd && len <= MAX_PAGE_LEN {
                 let at = u64::try_from(location.offset).unwrap_or(u64::MAX);
                 unpacker.packed.resize(len, 0);
-                self.file
-                    .read_exact_at(&mut unpacker.packed, at)
+                file.read_exact_at(&mut unpacker.packed, at)
                     .map_err(Error::io("read", &self.path))?;
                 if let Some(values) = unpacker.values() {
                     return Ok(take(values));
                 }
             }
             // The general reader handles other encodings and reports bad pages.
-            let (bytes, levels_len) = self.unpack(page, column)?;
+            let (bytes, levels_len) = self.unpack(file, page, column)?;
             Ok(take(&bytes[levels_len..]))
         })
     }
 
     /// The bytes of a page, and how many of them are levels.
-    fn unpack(&self, page: usize, column: usize) -> Result<(Bytes, usize), Error> {
+    fn unpack(&self, file: &Chunks, page: usize, column: usize) -> Result<(Bytes, usize), Error> {
         let bad = |problem: &str| Error::Pages {
             path: self.path.clone(),
             problem: problem.to_owned(),
@@ -241,7 +273,7 @@ impl FramePages {
         // Pass all page locations; the reader skips the earlier ones without reading them. Given only
         // some, it would take the bytes before the first for a dictionary page.
         let mut reader = SerializedPageReader::new(
-            Arc::clone(&self.file),
+            Arc::new(file.clone()),
             group.column(leaf),
             usize::try_from(group.num_rows()).unwrap_or(0),
             Some(places.to_vec()),
@@ -298,10 +330,11 @@ impl ClipReader {
     /// # Errors
     /// As [`FramePages::open`], or the names cannot be read.
     pub fn open(path: &Path) -> Result<Self, Error> {
+        let shard = ShardReader::open(path)?;
         Ok(Self {
-            pages: FramePages::open(path, &["transl", "global_orient", "body_pose"])?,
-            ids: read_column::<MotionRow, MotionId>(path, "id")?,
-            fps: read_column::<MotionRow, f32>(path, "fps")?,
+            pages: FramePages::of_shard(&shard, &["transl", "global_orient", "body_pose"])?,
+            ids: shard.column::<MotionRow, MotionId>("id")?,
+            fps: shard.column::<MotionRow, f32>("fps")?,
             path: path.to_owned(),
         })
     }
@@ -311,7 +344,8 @@ impl ClipReader {
         &self.ids
     }
 
-    /// The motion at a place of the file. Nothing but its own pages is read.
+    /// The motion at a place of the file. Nothing but its own pages is read, from a distant file by one
+    /// request.
     ///
     /// # Errors
     /// The file cannot be read, or holds no motion there.
@@ -326,7 +360,9 @@ impl ClipReader {
                 problem: "its clips are not one to a page".to_owned(),
             });
         }
-        let [transl, orient, body] = [0, 1, 2].map(|column| self.pages.numbers(row, column));
+        let file = self.pages.ahead(row)?;
+        let column = |column| self.pages.numbers_in(&file, row, column);
+        let [transl, orient, body] = [0, 1, 2].map(column);
         let (transl, orient, body) = (transl?, orient?, body?);
         Ok(Motion::new(
             Fps::new(f64::from(self.fps[row]))?,

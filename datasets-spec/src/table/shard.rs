@@ -1,8 +1,9 @@
 //! Parquet files of rows.
 
-use std::fs::File;
 use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
@@ -12,14 +13,16 @@ use parquet::arrow::arrow_reader::{
 use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
 use parquet::errors::ParquetError;
-use parquet::file::metadata::{KeyValue, PageIndexPolicy};
+use parquet::file::metadata::{KeyValue, PageIndexPolicy, ParquetMetaData};
+use parquet::file::page_index::offset_index::PageLocation;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::reader::ChunkReader;
 use parquet::schema::types::ColumnPath;
 
-use super::positioned::Positioned;
+use super::chunks::Chunks;
 use super::{Cell, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
+use crate::store::{ByPath, Store};
 
 /// Pages per row group: about 30 MB of motion, whose pages are clips, well under the limits of table
 /// viewers.
@@ -203,7 +206,15 @@ pub(super) fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Resu
 /// # Errors
 /// The file cannot be read, is not Parquet, is of a newer version, or holds something else.
 pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
-    let bytes = Bytes::from(std::fs::read(path).map_err(Error::io("read", path))?);
+    read_rows_on(&ByPath, path)
+}
+
+/// [`read_rows`], from the given store.
+///
+/// # Errors
+/// As [`read_rows`].
+pub fn read_rows_on<R: Row>(store: &dyn Store, path: &Path) -> Result<Vec<R>, Error> {
+    let bytes = Bytes::from(store.read(path).map_err(Error::io("read", path))?);
     let metadata =
         ArrowReaderMetadata::load(&bytes, options()).map_err(Error::parquet("read", path))?;
     check_version(path, &metadata)?;
@@ -214,7 +225,7 @@ pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
 #[derive(Debug)]
 pub struct ShardReader {
     path: PathBuf,
-    file: Positioned,
+    file: Chunks,
     metadata: ArrowReaderMetadata,
 }
 
@@ -224,9 +235,7 @@ impl ShardReader {
     /// # Errors
     /// The file cannot be read, is not Parquet, or is of a newer version.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let file = File::open(path)
-            .and_then(Positioned::new)
-            .map_err(Error::io("open", path))?;
+        let file = Chunks::open(&ByPath, path).map_err(Error::io("open", path))?;
         let metadata =
             ArrowReaderMetadata::load(&file, options()).map_err(Error::parquet("read", path))?;
         check_version(path, &metadata)?;
@@ -249,8 +258,8 @@ impl ShardReader {
     pub fn rows<R: Row>(&self) -> Result<Vec<R>, Error> {
         let names: Vec<&str> = R::columns().iter().map(|column| column.name).collect();
         let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names);
-        let (file, metadata) = (self.file.clone(), self.metadata.clone());
-        read_selected(&self.path, file, metadata, None, mask)
+        let file = self.ahead(&mask, None)?;
+        read_selected(&self.path, file, self.metadata.clone(), None, mask)
     }
 
     /// Reads the rows at the given places, in file order; places after the end are ignored. Only their
@@ -263,9 +272,9 @@ impl ShardReader {
         let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
         wanted.sort_unstable();
         wanted.dedup();
+        let file = self.ahead(&ProjectionMask::all(), Some(&wanted))?;
         let ranges = wanted.into_iter().map(|row| row..row + 1);
         let selection = RowSelection::from_consecutive_ranges(ranges, total);
-        let file = self.file.clone();
         let (metadata, all) = (self.metadata.clone(), ProjectionMask::all());
         read_selected(&self.path, file, metadata, Some(selection), all)
     }
@@ -276,7 +285,7 @@ impl ShardReader {
     /// The file cannot be read, or the column is missing or of another type.
     pub fn column<R: Row, T: Cell>(&self, name: &'static str) -> Result<Vec<T>, Error> {
         let mask = ProjectionMask::columns(self.metadata.parquet_schema(), [name]);
-        let (file, metadata) = (self.file.clone(), self.metadata.clone());
+        let (file, metadata) = (self.ahead(&mask, None)?, self.metadata.clone());
         let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata)
             .with_projection(mask)
             .build()
@@ -291,6 +300,88 @@ impl ShardReader {
         }
         Ok(values)
     }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn file(&self) -> &Chunks {
+        &self.file
+    }
+
+    pub(super) fn metadata(&self) -> &Arc<ParquetMetaData> {
+        self.metadata.metadata()
+    }
+
+    /// The file, with what a reader of these columns and sorted rows needs read ahead if it is distant.
+    fn ahead(&self, columns: &ProjectionMask, rows: Option<&[usize]>) -> Result<Chunks, Error> {
+        let ranges = || ranges_of(self.metadata.metadata(), columns, rows);
+        let file = self.file.ahead(ranges);
+        file.map_err(Error::io("read", &self.path))
+    }
+}
+
+/// The ranges of a file that hold these columns, of all rows or of those named.
+fn ranges_of(
+    metadata: &ParquetMetaData,
+    columns: &ProjectionMask,
+    rows: Option<&[usize]>,
+) -> Vec<Range<u64>> {
+    let mut ranges = Vec::new();
+    let mut first_row = 0;
+    for (index, group) in metadata.row_groups().iter().enumerate() {
+        let num_rows = usize::try_from(group.num_rows()).unwrap_or(0);
+        let rows = rows.map(|rows| {
+            let from = rows.partition_point(|row| *row < first_row);
+            let to = rows.partition_point(|row| *row < first_row + num_rows);
+            let rows = rows[from..to].iter().map(|row| row - first_row);
+            rows.collect::<Vec<_>>()
+        });
+        first_row += num_rows;
+        if rows.as_ref().is_some_and(Vec::is_empty) {
+            continue;
+        }
+        for (leaf, column) in group.columns().iter().enumerate() {
+            if !columns.leaf_included(leaf) {
+                continue;
+            }
+            let (start, length) = column.byte_range();
+            let locations = || metadata.offset_index()?.get(index)?.get(leaf);
+            match rows
+                .as_ref()
+                .zip(locations().map(|index| index.page_locations()))
+            {
+                Some((rows, pages)) => ranges.extend(pages_of(start, pages, rows, num_rows)),
+                None => ranges.push(start..start + length),
+            }
+        }
+    }
+    ranges
+}
+
+/// The pages of a column that hold some rows, and what lies before its first page: its dictionary.
+fn pages_of(
+    start: u64,
+    pages: &[PageLocation],
+    rows: &[usize],
+    num_rows: usize,
+) -> Vec<Range<u64>> {
+    let at = |page: &PageLocation| u64::try_from(page.offset).unwrap_or(0);
+    let mut ranges = Vec::new();
+    if let Some(first) = pages.first().map(at).filter(|first| *first > start) {
+        ranges.push(start..first);
+    }
+    for (index, page) in pages.iter().enumerate() {
+        let row_of = |page: &PageLocation| usize::try_from(page.first_row_index).unwrap_or(0);
+        let end = pages.get(index + 1).map_or(num_rows, row_of);
+        let wanted = rows.partition_point(|row| *row < row_of(page))
+            < rows.partition_point(|row| *row < end);
+        if wanted {
+            let length = u64::try_from(page.compressed_page_size).unwrap_or(0);
+            ranges.push(at(page)..at(page) + length);
+        }
+    }
+    ranges
 }
 
 /// Reads one column of a file, and no other.

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use datasets_spec::dataset::Commit;
 use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
+use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, Motion, Progress, Seed, Skeleton, Transaction};
 use glam::DVec3;
@@ -271,7 +272,7 @@ impl Reader<'_> {
                 read: Err(rejected),
             }]
         };
-        let bytes = match std::fs::read(path) {
+        let bytes = match ByPath.read(path) {
             Ok(bytes) => bytes,
             Err(error) => {
                 let rejected = Rejected::read("E-IO", format!("cannot be read: {error}"));

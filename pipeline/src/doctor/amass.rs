@@ -1,9 +1,9 @@
 //! Subsets of AMASS.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 
 use datasets_spec::Fps;
+use datasets_spec::store::{ByPath, Reader, Store};
 
 use super::findings::{Estimate, SubsetFindings};
 use super::listed::{Looked, seconds_in};
@@ -50,7 +50,9 @@ fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
     // Evenly spaced: the first few may all be of one subject.
     let step = files.len().div_ceil(SAMPLED_FILES).max(1);
     for file in files.iter().step_by(step) {
-        let peeked = File::open(&file.path)
+        let peeked = ByPath
+            .open_at(&file.path)
+            .map(Reader::new)
             .map_err(|error| error.to_string())
             .and_then(|open| amass::peek(open).map_err(|rejected| rejected.code.to_owned()));
         match peeked {

@@ -1,9 +1,9 @@
 //! Files that were listed, with what their first bytes say.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::store::{ByPath, Store};
 use rayon::prelude::*;
 
 use crate::ingest::read_head;
@@ -32,7 +32,7 @@ pub(super) fn look(files: &BTreeMap<String, PathBuf>) -> Vec<Looked> {
             Looked {
                 relative: relative.clone(),
                 path: path.clone(),
-                bytes: fs::metadata(path).map_or(0, |metadata| metadata.len()),
+                bytes: ByPath.size(path).unwrap_or(0),
                 is_pointer: is_pointer(&head),
                 kind: recognise(Path::new(relative), &head),
             }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::Progress;
 use datasets_spec::record::QuarantineRow;
-use datasets_spec::store::Store;
+use datasets_spec::store::{ByPath, Store, is_url};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -51,6 +51,13 @@ pub(super) struct Listed {
 pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
     let mut listed: Vec<Listed> = Vec::new();
     for source in sources {
+        if is_url(source) {
+            let found = list_url(source)?;
+            if !listed.iter().any(|earlier| earlier.path == found.path) {
+                listed.push(found);
+            }
+            continue;
+        }
         let metadata = fs::metadata(source).map_err(|_| Error::MissingSource {
             path: source.clone(),
         })?;
@@ -82,6 +89,42 @@ pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
         });
     }
     Ok(listed)
+}
+
+/// The files at a URL: the object of that name, or those below it.
+fn list_url(source: &Path) -> Result<Listed, Error> {
+    use std::io::ErrorKind::NotFound;
+
+    let missing = || Error::MissingSource {
+        path: source.to_owned(),
+    };
+    let text = source.to_string_lossy();
+    let path = PathBuf::from(text.trim_end_matches('/'));
+    let mut listing = Listing::default();
+    let is_file = match ByPath.size(&path) {
+        Ok(_) => true,
+        Err(error) if error.kind() == NotFound => false,
+        Err(error) => return Err(Error::io("read", source)(error)),
+    };
+    if is_file {
+        let name = text_of_name(path.file_name().unwrap_or_default());
+        listing.files.insert(name, path.clone());
+    } else {
+        let files = ByPath.files_below(&path);
+        for file in files.map_err(Error::io("list", source))? {
+            let parts = file.strip_prefix(&path).unwrap_or(&file).iter();
+            let names: Vec<String> = parts.map(text_of_name).collect();
+            listing.files.insert(names.join("/"), file);
+        }
+        if listing.files.is_empty() {
+            return Err(missing());
+        }
+    }
+    Ok(Listed {
+        path,
+        is_file,
+        listing,
+    })
 }
 
 /// The files of all sources. Each path begins with the label of its source.
@@ -180,6 +223,9 @@ impl Listing {
     }
 }
 
+/// Files at URLs that are hashed at the same time.
+const NUM_REQUESTS: usize = 32;
+
 /// Hashes and first bytes of all files, by their place on the disk.
 pub(super) fn hash_files(
     store: &dyn Store,
@@ -191,32 +237,35 @@ pub(super) fn hash_files(
         .flat_map(|source| source.listing.files.values());
     let places: BTreeSet<&PathBuf> = places.collect();
     progress.begin("plan", Some(places.len() as u64));
-    let sources: BTreeMap<PathBuf, Source> = places
-        .into_par_iter()
-        .map(|path| {
-            let source = Source {
-                hash: store.hash(path).map_err(|error| error.to_string()),
-                head: read_head(path),
-            };
-            progress.advance(1);
-            (path.clone(), source)
-        })
-        .collect();
+    let hash = |path: &PathBuf| {
+        let source = Source {
+            hash: store.hash(path).map_err(|error| error.to_string()),
+            head: read_head(path),
+        };
+        progress.advance(1);
+        (path.clone(), source)
+    };
+    let hash = || places.par_iter().map(|path| hash(path)).collect();
+    // Files at URLs are waited for, not worked on.
+    let waiting = rayon::ThreadPoolBuilder::new().num_threads(NUM_REQUESTS);
+    let sources: BTreeMap<PathBuf, Source> = match waiting.build() {
+        Ok(pool) if places.iter().any(|path| is_url(path)) => pool.install(hash),
+        _ => hash(),
+    };
     progress.finish(&format!("{} files", sources.len()));
     sources
 }
 
 /// The first bytes of a file; none if it cannot be read, which the hash reports.
 pub(crate) fn read_head(path: &Path) -> Vec<u8> {
-    use std::io::Read;
-
-    let mut head = Vec::new();
-    let read =
-        fs::File::open(path).and_then(|file| file.take(HEAD_BYTES as u64).read_to_end(&mut head));
-    match read {
-        Ok(_) => head,
-        Err(_) => Vec::new(),
-    }
+    let read = || {
+        let file = ByPath.open_at(path)?;
+        let length = file.size().min(HEAD_BYTES as u64);
+        let mut head = vec![0; usize::try_from(length).unwrap_or(HEAD_BYTES)];
+        file.read_exact_at(&mut head, 0)?;
+        std::io::Result::Ok(head)
+    };
+    read().unwrap_or_default()
 }
 
 /// The row of a file that was rejected; `key` names one of several motions of it.

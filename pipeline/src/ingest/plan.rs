@@ -2,7 +2,6 @@
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -580,10 +579,7 @@ const MAX_FILE_LEN: u64 = 4 << 30;
 
 /// Length of a file that is read whole, in bytes.
 pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rejected> {
-    let length = files
-        .path(relative)
-        .and_then(|path| fs::metadata(path).ok())
-        .map_or(0, |metadata| metadata.len());
+    let length = files.size(relative)?;
     if length > MAX_FILE_LEN {
         return Err(Rejected::read(
             "E-TOO-LARGE",
@@ -622,7 +618,7 @@ mod tests {
     fn files_are_not_listed_beyond_the_limit_or_if_they_cannot_be_read() {
         let dir = tempfile::tempdir().expect("a temporary folder");
         let place = |name: &str| (name.to_owned(), dir.path().join(name));
-        let large = fs::File::create(dir.path().join("large.glb")).expect("made");
+        let large = std::fs::File::create(dir.path().join("large.glb")).expect("made");
         // The file is sparse: it takes no room on the disk.
         large.set_len(MAX_FILE_LEN + 1).expect("enlarged");
         let files = Files::new(["large.glb", "gone.glb"].map(place).into());

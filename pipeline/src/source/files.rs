@@ -1,11 +1,11 @@
 //! The files that are ingested.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use datasets_spec::store::{Disk, Store};
+use datasets_spec::store::{ByPath, Reader, Store, is_url};
 
 use crate::clip::Rejected;
 
@@ -14,22 +14,46 @@ use crate::clip::Rejected;
 pub struct Files {
     store: Arc<dyn Store>,
     paths: BTreeMap<String, PathBuf>,
+    /// Files of the folders at URLs that something was looked for in; none of those that cannot be listed.
+    folders: Folders,
 }
+
+type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
 
 impl Files {
     /// Makes the list from the path of every file, by its relative path.
     pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
-        Self::on(Disk::store(), paths)
+        Self::on(ByPath::store(), paths)
     }
 
     /// [`Files::new`], reading through the given store.
     pub fn on(store: Arc<dyn Store>, paths: BTreeMap<String, PathBuf>) -> Self {
-        Self { store, paths }
+        Self {
+            store,
+            paths,
+            folders: Folders::default(),
+        }
     }
 
     /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
     pub(crate) fn hash(&self, path: &Path) -> Result<String, String> {
         self.store.hash(path).map_err(|error| error.to_string())
+    }
+
+    /// Size of a file in bytes.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub(crate) fn size(&self, relative: &str) -> Result<u64, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        let size = self.store.size(path);
+        size.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Size in bytes of a file that lies beside a source; none if it cannot be told.
+    pub(crate) fn size_beside(&self, path: &Path) -> Option<u64> {
+        self.may_be_there(path)
+            .then(|| self.store.size(path).ok())?
     }
 
     /// Number of files.
@@ -74,10 +98,38 @@ impl Files {
             .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
     }
 
+    /// Opens a file to be read at any place.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub(crate) fn open_at(&self, relative: &str) -> Result<Reader, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        let opened = self.store.open_at(path).map(Reader::new);
+        opened.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Whether there can be a file at a path. At a URL, where every look costs a request, its folder is listed
+    /// once.
+    fn may_be_there(&self, path: &Path) -> bool {
+        let Some(folder) = path.parent().filter(|_| is_url(path)) else {
+            return true;
+        };
+        let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
+        let listed = folders.entry(folder.to_owned()).or_insert_with(|| {
+            let entries = self.store.list(folder).ok()?;
+            let files = entries.into_iter().filter(|(_, is_dir)| !is_dir);
+            Some(files.map(|(path, _)| path).collect())
+        });
+        listed.as_ref().is_none_or(|files| files.contains(path))
+    }
+
     /// The bytes of a file that lies beside a source; none if there is no such file.
     pub(crate) fn read_beside(&self, path: &Path) -> Result<Option<Vec<u8>>, Rejected> {
         use std::io::ErrorKind::{InvalidFilename, IsADirectory, NotADirectory, NotFound};
 
+        if !self.may_be_there(path) {
+            return Ok(None);
+        }
         match self.store.read(path) {
             Ok(bytes) => Ok(Some(bytes)),
             Err(error) => match error.kind() {

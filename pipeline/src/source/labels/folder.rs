@@ -147,7 +147,7 @@ impl FolderLabels {
             file: relative.to_owned(),
             reason,
         };
-        let too_large = std::fs::metadata(path).is_ok_and(|file| file.len() > MAX_BYTES);
+        let too_large = files.size_beside(path).is_some_and(|size| size > MAX_BYTES);
         if too_large {
             let problem = problem(format!("it is larger than {MAX_BYTES} bytes"));
             let found = self.folders.entry(folder.to_owned()).or_default();

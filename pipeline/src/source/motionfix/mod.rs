@@ -6,7 +6,6 @@
 //! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::path::Path;
 
 use datasets_spec::{BodyPart, Fps, Split};
@@ -330,12 +329,8 @@ impl Release for MotionFixRelease {
 /// The entries of a dump. It is decoded as a stream: joint positions, which follow from the rotations, are
 /// dropped on the way.
 fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
-    let failed =
-        |error: std::io::Error| Rejected::read("E-IO", format!("cannot read {file}: {error}"));
-    let path = files
-        .path(file)
-        .ok_or_else(|| Rejected::read("E-IO", format!("there is no file {file} in the source")))?;
-    let len = std::fs::metadata(path).map_err(failed)?.len();
+    let opened = files.open_at(file)?;
+    let len = files.size(file)?;
     if len < 4 * LFS_POINTER.len() as u64 {
         refuse_pointer(&files.read(file)?)?;
     }
@@ -343,7 +338,7 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
         drop_keys: &["joint_positions"],
         single_precision: true,
     };
-    let dump = joblib::read_from(File::open(path).map_err(failed)?, len, &options)?;
+    let dump = joblib::read_from(opened, len, &options)?;
     match dump {
         Value::Dict(entries) => Ok(entries),
         other => Err(Rejected::read(

@@ -206,10 +206,7 @@ impl Release for StanceRelease {
 }
 
 fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
-    let path = files.path(file);
-    let len = path
-        .and_then(|path| std::fs::metadata(path).ok())
-        .map_or(0, |metadata| metadata.len());
+    let len = files.size(file)?;
     if len > MAX_PICKLE_LEN {
         return Err(Rejected::read(
             "E-TOO-LARGE",

@@ -1,9 +1,7 @@
 //! The shards of a folder.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
 
 use datasets_spec::table::PartCaption;
 use datasets_spec::{Fps, Motion};
@@ -71,10 +69,7 @@ impl Shards {
         for file in files.all() {
             let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
             let members = match name.ends_with(".tar") {
-                true => files
-                    .path(file)
-                    .map(|path| members_of(path, file))
-                    .unwrap_or_default(),
+                true => members_of(files, file),
                 false => member(name)
                     .into_iter()
                     .map(|(key, ending)| {
@@ -210,9 +205,9 @@ fn member(name: &str) -> Option<(&str, &'static str)> {
 }
 
 /// The members of an archive, up to the first mistake in it.
-fn members_of(path: &Path, file: &str) -> Vec<((String, String), &'static str, Place)> {
+fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
     let mut members = Vec::new();
-    let Ok(opened) = File::open(path) else {
+    let Ok(opened) = files.open_at(file) else {
         return members;
     };
     let mut archive = tar::Archive::new(opened);
@@ -246,8 +241,7 @@ fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {
         let reason = format!("found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member");
         return Err(Rejected::read("E-TOO-LARGE", reason).at(start as usize));
     }
-    let path = files.path(&place.file).unwrap_or(Path::new(""));
-    let mut file = File::open(path).map_err(failed)?;
+    let mut file = files.open_at(&place.file)?;
     file.seek(SeekFrom::Start(start)).map_err(failed)?;
     let mut bytes = Vec::new();
     file.take(length).read_to_end(&mut bytes).map_err(failed)?;

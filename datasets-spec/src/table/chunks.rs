@@ -1,0 +1,120 @@
+//! Files as the Parquet reader takes them.
+
+use std::io::{self, Read};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use parquet::errors::ParquetError;
+use parquet::file::reader::{ChunkReader, Length};
+
+use crate::store::{ReadAt, Store};
+
+/// A file read at stated places, with ranges of it that were read ahead.
+#[derive(Clone, Debug)]
+pub(super) struct Chunks {
+    file: Arc<dyn ReadAt>,
+    /// Ranges in memory, by their offset.
+    held: Arc<[(u64, Bytes)]>,
+}
+
+impl Chunks {
+    pub(super) fn open(store: &dyn Store, path: &Path) -> io::Result<Self> {
+        Ok(Self {
+            file: store.open_at(path)?,
+            held: Arc::new([]),
+        })
+    }
+
+    /// The file with these ranges read ahead, if its storage is distant. Others are then read one by one.
+    pub(super) fn ahead(&self, ranges: impl FnOnce() -> Vec<Range<u64>>) -> io::Result<Self> {
+        if !self.file.is_distant() {
+            return Ok(self.clone());
+        }
+        let ranges = ranges();
+        let bytes = self.file.read_ranges(&ranges)?;
+        Ok(Self {
+            file: Arc::clone(&self.file),
+            held: std::iter::zip(ranges, bytes)
+                .map(|(range, bytes)| (range.start, bytes))
+                .collect(),
+        })
+    }
+
+    /// Fills a buffer from an offset of the file.
+    pub(super) fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()> {
+        match self.held(at, buffer.len()) {
+            Some(bytes) => {
+                buffer.copy_from_slice(&bytes);
+                Ok(())
+            }
+            None => self.file.read_exact_at(buffer, at),
+        }
+    }
+
+    fn held(&self, at: u64, length: usize) -> Option<Bytes> {
+        self.held.iter().find_map(|(start, bytes)| {
+            let from = usize::try_from(at.checked_sub(*start)?).ok()?;
+            let to = from.checked_add(length)?;
+            (to <= bytes.len()).then(|| bytes.slice(from..to))
+        })
+    }
+}
+
+impl Length for Chunks {
+    fn len(&self) -> u64 {
+        self.file.size()
+    }
+}
+
+/// Sequential reads of a file from an offset.
+pub(super) struct From {
+    file: Chunks,
+    at: u64,
+}
+
+impl Read for From {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = usize::try_from(self.file.len().saturating_sub(self.at)).unwrap_or(usize::MAX);
+        let mut length = left.min(buffer.len());
+        // What is in memory is not read again for the bytes behind it.
+        let ends = self.file.held.iter().filter_map(|(start, bytes)| {
+            let end = start + bytes.len() as u64;
+            (*start..end).contains(&self.at).then(|| end - self.at)
+        });
+        if let Some(held) = ends.max() {
+            length = length.min(usize::try_from(held).unwrap_or(usize::MAX));
+        }
+        self.file.read_exact_at(&mut buffer[..length], self.at)?;
+        self.at += length as u64;
+        Ok(length)
+    }
+}
+
+impl ChunkReader for Chunks {
+    type T = io::BufReader<From>;
+
+    fn get_read(&self, start: u64) -> Result<Self::T, ParquetError> {
+        Ok(io::BufReader::new(From {
+            file: self.clone(),
+            at: start,
+        }))
+    }
+
+    fn get_bytes(&self, start: u64, length: usize) -> Result<Bytes, ParquetError> {
+        if let Some(bytes) = self.held(start, length) {
+            return Ok(bytes);
+        }
+        // The length comes from the file: nothing is reserved for more than there is.
+        if start.saturating_add(length as u64) > self.len() {
+            return Err(ParquetError::EOF(format!(
+                "{length} bytes at {start} of {} are not there",
+                self.len()
+            )));
+        }
+        let mut buffer = vec![0; length];
+        self.file.read_exact_at(&mut buffer, start)?;
+        Ok(buffer.into())
+    }
+}
