@@ -40,6 +40,7 @@ impl Cli {
             Command::Ingest(args) => cmd::ingest::run(args, global),
             Command::Inspect(args) => cmd::inspect::run(args, global),
             Command::Verify(args) => cmd::verify::run(args, global),
+            Command::Stage(args) => cmd::stage::run(args, global),
             Command::Stats(args) => cmd::stats::run(args, global),
             Command::Export(args) => cmd::export::run(args, global),
             Command::Annotate(args) => cmd::annotate::run(args, global),
@@ -90,6 +91,7 @@ enum Command {
     Reproduce(cmd::reproduce::Args),
     Report(cmd::page::Args),
     Render(cmd::render::Args),
+    Stage(cmd::stage::Args),
     Completions(cmd::completions::Args),
     Man(cmd::completions::ManArgs),
 }

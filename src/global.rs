@@ -38,6 +38,11 @@ impl Global {
         Ok(())
     }
 
+    /// Worker threads, if they are given.
+    pub(crate) fn threads(&self) -> Option<u16> {
+        self.threads
+    }
+
     pub(crate) fn seed(&self) -> Seed {
         self.seed_or(None)
     }

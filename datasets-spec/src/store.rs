@@ -7,10 +7,12 @@ mod by_path;
 mod disk;
 
 use std::fmt::Debug;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
 
@@ -213,6 +215,17 @@ pub trait Store: Debug + Send + Sync {
         files.sort();
         Ok(files)
     }
+}
+
+/// A temporary name beside a path that no other writer has, in this process, in another one, or on another machine
+/// that shares the folder.
+pub fn temporary_beside(path: &Path) -> PathBuf {
+    // The keys of hash maps are random in every process.
+    static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let (process, count) = (*PROCESS, COUNT.fetch_add(1, Ordering::Relaxed));
+    path.with_file_name(format!(".{name}.{process:016x}-{count}.tmp"))
 }
 
 /// Writes a file whole or not at all.

@@ -6,6 +6,7 @@ use datasets_spec::table::Quality;
 use datasets_spec::{Motion, Skeleton};
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
+use serde::{Deserialize, Serialize};
 
 use crate::clip::Rejected;
 
@@ -70,7 +71,8 @@ pub fn flag_names(flags: u32) -> Vec<&'static str> {
 }
 
 /// Handling of a motion with a jump that no person can make.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Teleports {
     /// It is put into quarantine.
     #[default]

@@ -226,6 +226,74 @@ pub enum Error {
         /// What is wrong, with what was found and expected.
         reason: String,
     },
+    /// A folder is not a plan that this program can use.
+    #[error("{} is no usable plan: {reason}", path.display())]
+    BadPlan {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// The destination of a plan changed since it was made.
+    #[error(
+        "{} has version {now} now and the plan {} starts from version {base}; plan again",
+        destination.display(),
+        path.display()
+    )]
+    StalePlan {
+        /// The plan.
+        path: PathBuf,
+        /// The destination.
+        destination: PathBuf,
+        /// Version that the plan starts from; 0 for none.
+        base: u64,
+        /// Version that is there now; 0 for none.
+        now: u64,
+    },
+    /// A file changed since a plan was made.
+    #[error("{} changed since it was planned; plan again", path.display())]
+    SourceChanged {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// Pieces of a plan are not there.
+    #[error(
+        "{missing} of {of} pieces are missing; make them: stance stage work {} (`stance stage status` lists them)",
+        path.display()
+    )]
+    PiecesMissing {
+        /// The plan.
+        path: PathBuf,
+        /// Pieces that are missing.
+        missing: usize,
+        /// Pieces of the plan.
+        of: usize,
+    },
+    /// Pieces of a plan failed.
+    #[error(
+        "{failed} of {of} pieces failed: {shown}. Try them again: stance stage work {}; or commit without them: \
+         stance stage commit {} --quarantine-failed",
+        path.display(),
+        path.display()
+    )]
+    PiecesFailed {
+        /// The plan.
+        path: PathBuf,
+        /// Pieces that failed.
+        failed: usize,
+        /// Pieces of the plan.
+        of: usize,
+        /// The first of them, with code and reason.
+        shown: String,
+    },
+    /// The job of a plan cannot go on.
+    #[error("{reason} ({code})")]
+    Job {
+        /// Code of the failure.
+        code: String,
+        /// What failed, and what to do.
+        reason: String,
+    },
     /// A path cannot be listed or read.
     #[error("cannot {action} {}", path.display())]
     Io {
@@ -269,6 +337,11 @@ impl Error {
             Self::MissingSource { path } => ("E-MISSING", path),
             Self::Occupied { path } => ("E-OCCUPIED", path),
             Self::Index { path, .. } => ("E-INDEX", path),
+            Self::BadPlan { path, .. } => ("E-PLAN", path),
+            Self::SourceChanged { path } => ("E-SOURCE-CHANGED", path),
+            Self::StalePlan { path, .. } => ("E-PLAN-STALE", path),
+            Self::PiecesMissing { path, .. } => ("E-PIECES-MISSING", path),
+            Self::PiecesFailed { path, .. } => ("E-PIECES-FAILED", path),
             Self::NoFiles { paths, .. } => return Some(("E-NO-FILES", Some(paths.clone()))),
             Self::NoClip { id, .. } => return Some(("E-CLIP-UNKNOWN", Some(id.clone()))),
             Self::NoItem { id, .. } => return Some(("E-ITEM-UNKNOWN", Some(id.clone()))),

@@ -52,6 +52,7 @@ pub mod source;
 pub mod stage;
 pub mod stats;
 pub mod verify;
+pub mod work;
 pub mod write;
 
 pub use error::Error;

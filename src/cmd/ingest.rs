@@ -1,7 +1,7 @@
 //! `stance ingest`
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -12,10 +12,11 @@ use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::clip::LabelProblem;
-use pipeline::ingest::{Growth, IngestOptions, IngestReport, SplitList, ingest};
+use pipeline::ingest::{Growth, IngestOptions, IngestReport, SplitList, ingest, plan_ingest};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
+use pipeline::work::Plan;
 use serde::Serialize;
 
 use crate::exit::Exit;
@@ -161,8 +162,22 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
     }
 }
 
-pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let options = IngestOptions {
+impl Args {
+    /// Plans the same for any number of processes.
+    pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
+        let options = options(self, global)?;
+        Ok(plan_ingest(
+            &self.sources,
+            &self.out,
+            &options,
+            plan,
+            &global.bars(),
+        )?)
+    }
+}
+
+fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
+    Ok(IngestOptions {
         fps: args.fps.0,
         resample: match args.resample {
             ResampleArg::Exact => Resample::Exact,
@@ -184,7 +199,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         splits: args.splits.as_deref().map(SplitList::read).transpose()?,
         license: args.license.clone(),
         made_captions: !args.no_made_captions,
-    };
+    })
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let options = options(args, global)?;
     let done = ingest(
         &args.sources,
         &args.out,

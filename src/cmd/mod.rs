@@ -21,6 +21,7 @@ pub(crate) mod pairs;
 pub(crate) mod render;
 pub(crate) mod reproduce;
 pub(crate) mod run;
+pub(crate) mod stage;
 pub(crate) mod stats;
 pub(crate) mod train;
 pub(crate) mod triplets;

@@ -20,6 +20,7 @@ mod mdm;
 mod pairs;
 mod results;
 mod seams;
+mod stage;
 mod tables;
 mod train;
 mod util;

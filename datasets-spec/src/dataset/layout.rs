@@ -94,6 +94,12 @@ pub struct ShardName {
     pub of: usize,
 }
 
+impl std::fmt::Display for ShardName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.stem())
+    }
+}
+
 impl ShardName {
     pub(super) fn stem(&self) -> String {
         let split = self.split.map_or("all", Split::as_str);

@@ -12,6 +12,7 @@ mod commit;
 mod layout;
 mod open;
 mod shards;
+mod staging;
 #[cfg(test)]
 mod tests;
 mod transaction;
@@ -20,4 +21,5 @@ pub use commit::{commit_rows, commit_table};
 pub use layout::ShardName;
 pub use open::Dataset;
 pub use shards::table_facts;
+pub use staging::Staging;
 pub use transaction::{Commit, Pruned, Transaction};

@@ -1,16 +1,14 @@
-//! Shards that a run writes or finds staged.
+//! Shards that a run writes.
 
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
-use super::layout::{DATA, META, STAGED, ShardName};
-use super::transaction::{Transaction, write_json};
+use super::layout::{DATA, ShardName};
+use super::transaction::Transaction;
 use crate::manifest::FileEntry;
-use crate::store::{write_atomically, write_new};
+use crate::store::{Store, write_atomically, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
@@ -25,22 +23,66 @@ pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, Stri
     ]
 }
 
-impl Transaction {
-    /// Path of a shard relative to the dataset. A table that replaces an earlier one gets new names, so
-    /// that readers of the earlier version keep their files.
-    fn shard_path(&self, name: &ShardName) -> String {
-        let replaces = self
-            .base
-            .as_ref()
-            .is_some_and(|base| base.tables.contains_key(name.table));
-        let suffix = if replaces {
-            format!(".v{}", self.version())
-        } else {
-            String::new()
-        };
-        format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
-    }
+/// Path of a shard relative to the dataset. A table that replaces an earlier one gets new names, so that readers of
+/// the earlier version keep their files; `replacing` is then the number of the new version.
+pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
+    let suffix = replacing.map_or(String::new(), |version| format!(".v{version}"));
+    format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
+}
 
+/// Writes a shard to a path, whole or not at all. Its entry says that it is at `relative`.
+pub(super) fn write_shard_at<R: Row>(
+    store: &dyn Store,
+    relative: String,
+    path: &Path,
+    name: &ShardName,
+    rows: &[R],
+    facts: &[(&str, String)],
+) -> Result<FileEntry, Error> {
+    if let Some(folder) = path.parent() {
+        store
+            .create_dir_all(folder)
+            .map_err(Error::io("create folder", folder))?;
+    }
+    write_atomically(store, path, |file| {
+        table::write_rows(file, path, rows, facts)
+    })?;
+    // Read back, so that the hashes cover the bytes on the disk.
+    let written = store.read(path).map_err(Error::io("read", path))?;
+    Ok(entry(relative, name, rows.len(), &written))
+}
+
+fn entry(path: String, name: &ShardName, num_rows: usize, written: &[u8]) -> FileEntry {
+    let sha256 = Sha256::digest(written);
+    FileEntry {
+        path,
+        split: name.split,
+        rows: num_rows as u64,
+        bytes: written.len() as u64,
+        blake3: blake3::hash(written).to_hex().to_string(),
+        sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
+    }
+}
+
+/// Whether files are present and as stated, as [`Store::difference`] tells.
+pub(super) fn holds<'a>(
+    store: &dyn Store,
+    files: impl Iterator<Item = &'a FileEntry>,
+    path_of: impl Fn(&FileEntry) -> PathBuf,
+) -> Result<bool, Error> {
+    for file in files {
+        let path = path_of(file);
+        match store.difference(&path, file.bytes, &file.blake3) {
+            Ok(None) => {}
+            Ok(Some(_)) => return Ok(false),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(Error::io("read", &path)(error)),
+        }
+    }
+    Ok(true)
+}
+
+impl Transaction {
     /// Writes a shard whole or not at all. Where other runs may write at the same time, it replaces no file: if
     /// one of its name holds something else, it gets another name. It belongs to the dataset once it is committed.
     ///
@@ -52,39 +94,22 @@ impl Transaction {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<FileEntry, Error> {
-        let relative = self.shard_path(name);
+        let base = self.base.as_ref();
+        let replaces = base.is_some_and(|base| base.tables.contains_key(name.table));
+        let relative = shard_path(name, replaces.then(|| self.version()));
         let path = self.root.join(&relative);
-        let (relative, written) = if self.is_alone() {
-            if let Some(folder) = path.parent() {
-                self.store
-                    .create_dir_all(folder)
-                    .map_err(Error::io("create folder", folder))?;
-            }
-            write_atomically(self.store.as_ref(), &path, |file| {
-                table::write_rows(file, &path, rows, facts)
-            })?;
-            // Read back, so that the hashes cover the bytes on the disk.
-            let written = self.store.read(&path).map_err(Error::io("read", &path))?;
-            (relative, written)
-        } else {
-            let bytes = table::write_rows(Vec::new(), &path, rows, facts)?;
-            (self.add(&relative, &bytes)?, bytes)
-        };
-        let sha256 = Sha256::digest(&written);
-        Ok(FileEntry {
-            path: relative,
-            split: name.split,
-            rows: rows.len() as u64,
-            bytes: written.len() as u64,
-            blake3: blake3::hash(&written).to_hex().to_string(),
-            sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
-        })
+        if self.is_alone() {
+            return write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts);
+        }
+        let bytes = table::write_rows(Vec::new(), &path, rows, facts)?;
+        let relative = self.add(&relative, &bytes)?;
+        Ok(entry(relative, name, rows.len(), &bytes))
     }
 
     /// Writes a file that must not replace another one, and returns its path. If a run that was interrupted,
     /// or one at the same time, has written the same, that file serves. If it has written something else under
     /// this name, the file gets another name.
-    fn add(&self, relative: &str, bytes: &[u8]) -> Result<String, Error> {
+    pub(super) fn add(&self, relative: &str, bytes: &[u8]) -> Result<String, Error> {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let stem = relative.strip_suffix(".parquet").unwrap_or(relative);
         let names = (2..).map(|number| format!("{stem}.{number}.parquet"));
@@ -164,72 +189,5 @@ impl Transaction {
                 self.write_shard(&name, &make(index * SHARD_ROWS..end), facts)
             })
             .collect()
-    }
-
-    fn staged_path(&self, plan_hash: &str, name: &ShardName) -> PathBuf {
-        self.root
-            .join(META)
-            .join(STAGED)
-            .join(plan_hash)
-            .join(format!("{}-{}.json", name.table, name.stem()))
-    }
-
-    /// Records that a shard of a plan is done, with notes for the commit, so that an interrupted run
-    /// continues after it.
-    ///
-    /// # Errors
-    /// The note cannot be written.
-    pub fn stage<T: Serialize>(
-        &self,
-        plan_hash: &str,
-        name: &ShardName,
-        entry: &FileEntry,
-        notes: &T,
-    ) -> Result<(), Error> {
-        let path = self.staged_path(plan_hash, name);
-        if let Some(folder) = path.parent() {
-            self.store
-                .create_dir_all(folder)
-                .map_err(Error::io("create folder", folder))?;
-        }
-        write_json(self.store.as_ref(), &path, &(entry, notes))
-    }
-
-    /// The shard that an earlier run of the same plan staged, if its file is unchanged.
-    ///
-    /// # Errors
-    /// The shard's file exists but cannot be read.
-    pub fn staged<T: DeserializeOwned>(
-        &self,
-        plan_hash: &str,
-        name: &ShardName,
-    ) -> Result<Option<(FileEntry, T)>, Error> {
-        let Ok(text) = self.store.read(&self.staged_path(plan_hash, name)) else {
-            return Ok(None);
-        };
-        // If the note is unreadable or its file changed, the shard is made again.
-        let Ok((entry, notes)) = serde_json::from_slice::<(FileEntry, T)>(&text) else {
-            return Ok(None);
-        };
-        let whole = self.holds(std::iter::once(&entry))?;
-        Ok(whole.then_some((entry, notes)))
-    }
-
-    /// Whether the files are present and as stated, as
-    /// [`Store::difference`](crate::store::Store::difference) tells.
-    ///
-    /// # Errors
-    /// A file exists but cannot be read.
-    pub fn holds<'a>(&self, files: impl Iterator<Item = &'a FileEntry>) -> Result<bool, Error> {
-        for file in files {
-            let path = self.root.join(&file.path);
-            match self.store.difference(&path, file.bytes, &file.blake3) {
-                Ok(None) => {}
-                Ok(Some(_)) => return Ok(false),
-                Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(false),
-                Err(error) => return Err(Error::io("read", &path)(error)),
-            }
-        }
-        Ok(true)
     }
 }

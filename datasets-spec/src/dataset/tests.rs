@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::*;
 use crate::record::{MaskRow, MotionRow};
+use crate::store::Disk;
 use crate::table::{self, Row};
 use crate::table::{Caption, PartCaption, Quality, ShardReader};
 use crate::{Error, Skeleton, Split};
@@ -178,36 +179,51 @@ fn the_lock_names_its_holder_and_ends_with_the_run() {
 }
 
 #[test]
-fn a_staged_shard_is_found_again_unless_its_file_changed() {
+fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     let dir = tempfile::tempdir().expect("dir");
-    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
-    let name = shard(0, 2);
-    let entry = transaction
-        .write_shard(&name, &[row(1)], &[])
+    let staging = Staging::new(Disk::store(), dir.path(), None, "plan");
+    // Another run holds the lock, ends, and removes half-written files: not those of a worker.
+    let other = Transaction::begin(dir.path(), "t").expect("lock");
+    let entry = staging
+        .write_shard(&shard(0, 2), &[row(1)], &[])
         .expect("writes");
-    transaction
-        .stage("plan", &name, &entry, &vec![1u32, 2])
-        .expect("stages");
-    drop(transaction);
-
+    staging.put("0", &vec![1u32, 2]).expect("writes");
+    let half_written = staging.folder().join("data/motions/.x.0-0.tmp");
+    fs::write(&half_written, b"x").expect("writes");
+    drop(other);
     let transaction = Transaction::begin(dir.path(), "t").expect("lock");
-    let found = transaction
-        .staged::<Vec<u32>>("plan", &name)
-        .expect("reads");
-    assert_eq!(found, Some((entry.clone(), vec![1, 2])));
-    assert_eq!(
-        transaction
-            .staged::<Vec<u32>>("other plan", &name)
-            .expect("reads"),
-        None
-    );
+    assert!(half_written.is_file());
+    assert_eq!(staging.get::<Vec<u32>>("0"), Some(vec![1, 2]));
+    assert_eq!(staging.get::<Vec<u32>>("1"), None);
+    let holds = |staging: &Staging| staging.holds(std::iter::once(&entry)).expect("reads");
+    assert!(holds(&staging));
+    assert!(!holds(&transaction.staging("other plan")));
+
+    // It is whole in its place too, as a commit that was killed half-way leaves it.
+    transaction
+        .adopt(&staging, std::iter::once(&mut entry.clone()))
+        .expect("moves");
+    assert_eq!(staging.path(&entry), dir.path().join(&entry.path));
+    assert!(holds(&staging));
     fs::write(dir.path().join(&entry.path), b"cut off").expect("writes");
-    assert_eq!(
-        transaction
-            .staged::<Vec<u32>>("plan", &name)
-            .expect("reads"),
-        None
-    );
+    assert!(!holds(&staging));
+}
+
+#[test]
+fn a_commit_removes_what_is_staged_for_earlier_versions_alone() {
+    let dir = tempfile::tempdir().expect("dir");
+    let first = commit_motions(dir.path(), &[row(0)]);
+    let staging = |base| {
+        let staging = Staging::new(Disk::store(), dir.path(), base, "plan");
+        staging.put("0", &0).expect("writes");
+        staging
+    };
+    let (old, open) = (staging(None), staging(Some(first.manifest())));
+    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+    transaction.finish().expect("settles");
+    assert!(!old.folder().exists() && open.folder().exists());
+    commit_motions(dir.path(), &[row(1)]);
+    assert!(!open.folder().exists());
 }
 
 #[test]

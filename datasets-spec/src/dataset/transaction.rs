@@ -1,6 +1,7 @@
 //! Runs that change a dataset: lock, commit and clean-up.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -60,7 +61,8 @@ pub struct Pruned {
 
 impl Transaction {
     /// Locks a folder, creating it if needed, and removes half-written files of a killed run. `holder`
-    /// is reported to other runs while this one holds the lock.
+    /// is reported to other runs while this one holds the lock. What is staged stays, because those who make it
+    /// hold no lock.
     ///
     /// # Errors
     /// Another run holds the lock, or the folder cannot be written.
@@ -289,18 +291,30 @@ impl Transaction {
         }
     }
 
-    /// Removes the notes of staged shards, or only those of the plans that a version was made by.
+    /// Removes what is staged for plans that start from an earlier version, or only for those that a version was
+    /// made by.
     fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
+        let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
         let staged = self.root.join(META).join(STAGED);
-        let plans: BTreeSet<_> = of.into_iter().flat_map(|of| of.plans.values()).collect();
-        let folders = match of {
-            Some(_) => plans.into_iter().map(|plan| staged.join(plan)).collect(),
-            None => vec![staged],
+        let folders = match self.store.list(&staged) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            folders => folders.map_err(Error::io("list", &staged))?,
         };
-        for folder in folders {
-            self.store
-                .remove_dir_all(&folder)
-                .map_err(Error::io("remove", &folder))?;
+        for (folder, _) in folders {
+            let name = folder.file_name().unwrap_or_default().to_string_lossy();
+            let (base, plan) = name.split_once('-').unwrap_or_default();
+            let is_over = match of {
+                Some(of) => of.plans.values().any(|made_by| made_by == plan),
+                None => base.parse().ok().is_none_or(|base| Some(base) < newest),
+            };
+            if !is_over {
+                continue;
+            }
+            match self.store.remove_dir_all(&folder) {
+                // A late worker may still write to it; what it leaves goes with the next commit.
+                Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
+                removed => removed.map_err(Error::io("remove", &folder))?,
+            }
         }
         Ok(())
     }
@@ -322,7 +336,8 @@ impl Transaction {
         self.remove_files(|name, relative| name.ends_with(".parquet") && !named.contains(relative))
     }
 
-    /// Removes the files under `data/` and `meta/` for which `unwanted(name, relative path)` holds.
+    /// Removes the files under `data/` and `meta/`, but not those that are staged, for which
+    /// `unwanted(name, relative path)` holds.
     fn remove_files(&self, unwanted: impl Fn(&str, &str) -> bool) -> Result<(), Error> {
         let mut folders = vec![DATA.to_owned(), META.to_owned()];
         while let Some(folder) = folders.pop() {
@@ -334,7 +349,9 @@ impl Transaction {
                     .map(|name| name.to_string_lossy().into_owned())
                     .unwrap_or_default();
                 let relative = format!("{folder}/{name}");
-                if is_dir {
+                if is_dir && relative == format!("{META}/{STAGED}") {
+                    // Those who make what is staged hold no lock.
+                } else if is_dir {
                     folders.push(relative);
                 } else if unwanted(&name, &relative) {
                     self.store

@@ -4,9 +4,8 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Lock, Locking, NewFile, ReadAt, Store};
+use super::{Lock, Locking, NewFile, ReadAt, Store, temporary_beside};
 
 /// The file system.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,10 +27,7 @@ impl Store for Disk {
     }
 
     fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>> {
-        static NUMBER: AtomicU64 = AtomicU64::new(0);
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let staged = path.with_file_name(format!(".{name}.{}-{number}.tmp", std::process::id()));
+        let staged = temporary_beside(path);
         Ok(Box::new(Staged {
             file: Some(File::create(&staged)?),
             staged,

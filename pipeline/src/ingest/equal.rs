@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::dataset::ShardName;
+use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
 use datasets_spec::table::{ShardReader, read_rows};
@@ -15,12 +15,12 @@ use crate::clip_table::ClipRow;
 
 /// Hash of every motion in some shards, by id.
 pub(super) fn contents(
-    transaction: &Transaction,
+    staging: &Staging,
     shards: &[(ShardName, FileEntry)],
 ) -> Result<BTreeMap<String, String>, Error> {
     let mut contents = BTreeMap::new();
     for (_, file) in shards {
-        let shard = ShardReader::open(&transaction.root().join(&file.path))?;
+        let shard = ShardReader::open(&staging.path(file))?;
         let ids = shard.column::<MotionRow, MotionId>("id")?;
         let hashes = shard.column::<MotionRow, String>("content_hash")?;
         contents.extend(ids.into_iter().map(String::from).zip(hashes));
@@ -28,10 +28,10 @@ pub(super) fn contents(
     Ok(contents)
 }
 
-/// Moves rows to the splits that `moves` gives their motions. `shards` are those of motions that this run
-/// wrote, and `files` the tables that they belong to.
+/// Moves rows to the splits that `moves` gives their motions. `shards` are those of motions that were staged, and
+/// `files` the tables that they belong to. Staged files stay as they are, so that this can be done again.
 pub(super) fn move_rows(
-    transaction: &Transaction,
+    (transaction, staging): (&Transaction, &Staging),
     shards: &[(ShardName, FileEntry)],
     files: &mut Files,
     moves: &BTreeMap<String, Split>,
@@ -39,6 +39,7 @@ pub(super) fn move_rows(
 ) -> Result<(), Error> {
     let run = Run {
         transaction,
+        staging,
         shards,
         moves,
         facts,
@@ -50,6 +51,7 @@ pub(super) fn move_rows(
 
 struct Run<'a> {
     transaction: &'a Transaction,
+    staging: &'a Staging,
     shards: &'a [(ShardName, FileEntry)],
     moves: &'a BTreeMap<String, Split>,
     facts: &'a [(&'a str, String)],
@@ -69,7 +71,7 @@ impl Run<'_> {
             let Some(place) = files.iter().position(is_of_shard) else {
                 continue;
             };
-            let rows: Vec<R> = read_rows(&self.transaction.root().join(&files[place].path))?;
+            let rows: Vec<R> = read_rows(&self.staging.path(&files[place]))?;
             let before = rows.len();
             let mut stay = Vec::new();
             for mut row in rows {

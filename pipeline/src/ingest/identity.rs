@@ -8,6 +8,7 @@ use datasets_spec::{MotionId, Seed, Split};
 use super::list::path_of;
 use super::plan::{Plan, Planned, unlabelled, without_extension};
 use super::recorded::{Recorded, RecordedClip};
+use super::shard::PIECE_STAGE;
 use crate::source::{Entry, Format, escaped};
 
 impl Plan {
@@ -43,8 +44,9 @@ impl Plan {
 
     /// Takes over the rows of items that were quarantined or skipped and have not changed.
     fn refuse_again(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
-        // What could not be read may be readable now.
-        let quarantine = recorded.quarantine.iter().filter(|row| row.code != "E-IO");
+        // What could not be read may be readable now. Of a piece that failed, most motions are not to blame.
+        let quarantine = recorded.quarantine.iter();
+        let quarantine = quarantine.filter(|row| row.code != "E-IO" && row.stage != PIECE_STAGE);
         let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
             .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
             .collect();

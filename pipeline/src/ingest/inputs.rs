@@ -21,17 +21,15 @@ const SPEAK_OF_ALL_BELOW: [&str; 7] = [
 /// Extensions of label files that apply to the motion of the same name.
 const ENDS_OF_LABELS: [&str; 2] = [".json", ".txt"];
 
-/// Hashes of what single files are read from, by file. `motions` are the files with motions and `others`
-/// those without.
+/// What single files are read from, by file. `motions` are the files with motions and `others` those without.
 ///
 /// A file without a motion may say something about the motion with its name. Other files than labels may be
 /// read by any motion of their folder; those in a folder without motions belong to the next folder above
 /// that has some.
-pub(super) fn of_single_files<'a>(
+pub(super) fn files_of_single<'a>(
     motions: &BTreeSet<&'a str>,
     others: &BTreeSet<&'a str>,
-    sources: &BTreeMap<String, Source>,
-) -> BTreeMap<&'a str, String> {
+) -> BTreeMap<&'a str, Vec<&'a str>> {
     let mut stems: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for file in motions {
         let (folder, name) = split_name(file);
@@ -80,14 +78,33 @@ pub(super) fn of_single_files<'a>(
                 )
                 .chain(of_folder.get(folder).into_iter().flatten().copied())
                 .chain(around.flatten().copied());
-            (*file, hash(files, sources))
+            (*file, files.collect())
         })
         .collect()
 }
 
-/// Hashes of what the motions of a release are read from, in the order of its entries: a file, those of
-/// the same name elsewhere in the release, and all that have the name of none.
-pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>) -> Vec<String> {
+/// Hashes of what single files are read from, by file; see [`files_of_single`].
+pub(super) fn of_single_files<'a>(
+    motions: &BTreeSet<&'a str>,
+    others: &BTreeSet<&'a str>,
+    sources: &BTreeMap<String, Source>,
+) -> BTreeMap<&'a str, String> {
+    let files = files_of_single(motions, others).into_iter();
+    files
+        .map(|(motion, files)| (motion, hash(files.into_iter(), sources)))
+        .collect()
+}
+
+/// What the motions of a release are read from.
+pub(super) struct FilesOfRelease<'a> {
+    /// By file: it, and those of the same name elsewhere in the release.
+    pub(super) own: BTreeMap<&'a str, Vec<&'a str>>,
+    /// Files that have the name of none: every motion is read from them.
+    pub(super) common: Vec<&'a str>,
+}
+
+/// What the motions of a release are read from.
+pub(super) fn files_of_release(contents: &Contents) -> FilesOfRelease<'_> {
     let motions: BTreeSet<&str> = contents.entries.iter().map(|e| e.file.as_str()).collect();
     let stems: BTreeSet<&str> = motions
         .iter()
@@ -105,14 +122,30 @@ pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>
             of_all.push(file);
         }
     }
-    let common = hash(of_all.into_iter(), sources);
-    let mut of_file: BTreeMap<&str, String> = BTreeMap::new();
-    for file in motions {
+    let own = motions.into_iter().map(|file| {
         let own = of_stem.get(stem(split_name(file).1)).into_iter().flatten();
-        let own = hash(std::iter::once(file).chain(own.copied()), sources);
-        let both = blake3::hash(format!("{own} {common}").as_bytes());
-        of_file.insert(file, both.to_hex().to_string());
+        let files = std::iter::once(file).chain(own.copied());
+        (file, files.collect())
+    });
+    FilesOfRelease {
+        own: own.collect(),
+        common: of_all,
     }
+}
+
+/// Hashes of what the motions of a release are read from, in the order of its entries; see
+/// [`files_of_release`].
+pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>) -> Vec<String> {
+    let FilesOfRelease { own, common } = files_of_release(contents);
+    let common = hash(common.into_iter(), sources);
+    let of_file: BTreeMap<&str, String> = own
+        .into_iter()
+        .map(|(file, files)| {
+            let own = hash(files.into_iter(), sources);
+            let both = blake3::hash(format!("{own} {common}").as_bytes());
+            (file, both.to_hex().to_string())
+        })
+        .collect();
     let entries = contents.entries.iter();
     entries
         .map(|entry| of_file[entry.file.as_str()].clone())
@@ -171,6 +204,7 @@ mod tests {
                     }
                     .to_owned()),
                     head: Vec::new(),
+                    bytes: 0,
                 };
                 ((*file).to_owned(), source)
             };

@@ -21,6 +21,8 @@ pub(super) const HEAD_BYTES: usize = 512;
 pub(super) struct Source {
     pub(super) hash: Result<String, String>,
     pub(super) head: Vec<u8>,
+    /// Size; 0 if it is not known.
+    pub(super) bytes: u64,
 }
 
 /// The regular files under some sources, by their relative paths, and other entries with the reason why
@@ -241,6 +243,7 @@ pub(super) fn hash_files(
         let source = Source {
             hash: store.hash(path).map_err(|error| error.to_string()),
             head: read_head(path),
+            bytes: store.size(path).unwrap_or(0),
         };
         progress.advance(1);
         (path.clone(), source)

@@ -2,16 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use datasets_spec::{Fps, Resample, Seed};
+use datasets_spec::{Fps, Resample, Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
 use super::split_list::SplitList;
+use crate::Error;
 use crate::annotation::pairs::PairList;
 use crate::check::Teleports;
 use crate::feature::humanml3d;
 use crate::retarget::UserMap;
-use crate::source::{Format, ReadOptions};
+use crate::source::body_model::Subjects;
+use crate::source::{Format, ReadOptions, format_named};
+use crate::work::{absolute, hash_file};
 
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
 const INGEST_VERSION: u32 = 4;
@@ -77,6 +81,113 @@ impl Default for IngestOptions {
             new_version: false,
             drop_labels: false,
         }
+    }
+}
+
+/// The options as a plan keeps them. Files that are large are kept by their paths and hashes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StoredOptions {
+    fps: Option<Fps>,
+    resample: Resample,
+    format: Option<String>,
+    seed: Seed,
+    pairs: Option<PairList>,
+    splits: Option<SplitList>,
+    license: Option<String>,
+    made_captions: bool,
+    skeleton: Skeleton,
+    user_map: Option<UserMap>,
+    lenient: bool,
+    /// Folder and hash.
+    subjects: Option<(PathBuf, String)>,
+    /// File and hash.
+    humanml3d_index: Option<(PathBuf, String)>,
+    humanml3d_features: bool,
+    teleports: Teleports,
+    new_version: bool,
+    drop_labels: bool,
+}
+
+impl StoredOptions {
+    /// Keeps options as they were given.
+    pub(super) fn of(options: &IngestOptions) -> Result<Self, Error> {
+        let subjects = options.read.subjects.as_ref().map(|subjects| {
+            let folder = absolute(subjects.folder())?;
+            Ok::<_, Error>((folder, subjects.hash().to_owned()))
+        });
+        let index = options
+            .humanml3d_index
+            .as_ref()
+            .map(|index| Ok::<_, Error>((absolute(index)?, hash_file(index)?)));
+        Ok(Self {
+            fps: options.fps,
+            resample: options.resample,
+            format: options.format.map(|format| format.as_str().to_owned()),
+            seed: options.seed,
+            pairs: options.pairs.clone(),
+            splits: options.splits.clone(),
+            license: options.license.clone(),
+            made_captions: options.made_captions,
+            skeleton: options.read.skeleton.clone(),
+            user_map: options.read.user_map.clone(),
+            lenient: options.read.lenient,
+            subjects: subjects.transpose()?,
+            humanml3d_index: index.transpose()?,
+            humanml3d_features: options.humanml3d_features,
+            teleports: options.teleports,
+            new_version: options.new_version,
+            drop_labels: options.drop_labels,
+        })
+    }
+
+    /// The options. Files that are kept by their paths are read.
+    ///
+    /// # Errors
+    /// One of them is gone or changed.
+    pub(super) fn options(self) -> Result<IngestOptions, Error> {
+        let changed = |path: PathBuf| Error::SourceChanged { path };
+        let subjects = match self.subjects {
+            Some((folder, hash)) => {
+                let subjects = Subjects::read(&folder)?;
+                if subjects.hash() != hash {
+                    return Err(changed(folder));
+                }
+                Some(Arc::new(subjects))
+            }
+            None => None,
+        };
+        let humanml3d_index = match self.humanml3d_index {
+            Some((index, hash)) => {
+                if hash_file(&index)? != hash {
+                    return Err(changed(index));
+                }
+                Some(index)
+            }
+            None => None,
+        };
+        Ok(IngestOptions {
+            fps: self.fps,
+            resample: self.resample,
+            format: self.format.and_then(|name| format_named(&name)),
+            seed: self.seed,
+            pairs: self.pairs,
+            splits: self.splits,
+            license: self.license,
+            made_captions: self.made_captions,
+            read: ReadOptions {
+                skeleton: self.skeleton,
+                user_map: self.user_map,
+                lenient: self.lenient,
+                subjects,
+                ..ReadOptions::default()
+            },
+            humanml3d_index,
+            humanml3d_features: self.humanml3d_features,
+            teleports: self.teleports,
+            new_version: self.new_version,
+            drop_labels: self.drop_labels,
+        })
     }
 }
 

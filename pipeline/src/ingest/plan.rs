@@ -53,6 +53,8 @@ pub(super) struct Plan {
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
+    /// Files that are a release's.
+    pub(super) claimed: BTreeSet<String>,
 }
 
 /// A motion of the sources.
@@ -131,6 +133,15 @@ pub(super) struct Item<'a> {
     pub(super) id: Result<MotionId, String>,
 }
 
+/// The place of a motion in [`Plan::items`], and its id.
+type Placed = (usize, Result<MotionId, String>);
+
+/// A shard, and the places of its motions in [`Plan::items`] with their ids.
+pub(super) struct Dealt {
+    pub(super) name: ShardName,
+    pub(super) items: Vec<Placed>,
+}
+
 pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
 
 impl Plan {
@@ -197,10 +208,11 @@ impl Plan {
             unlisted,
             staying: BTreeSet::new(),
             remarks: Vec::new(),
+            claimed: BTreeSet::new(),
         };
-        let claimed = plan.take_releases(options);
-        plan.take_single_files(&claimed, options);
-        plan.note_inputs(&claimed);
+        plan.claimed = plan.take_releases(options);
+        plan.take_single_files(options);
+        plan.note_inputs();
         plan.identify(recorded, same_settings);
         plan.take_labels();
         plan.take_own_splits(options.splits.as_ref());
@@ -267,10 +279,10 @@ impl Plan {
     }
 
     /// Plans every file that no release claims.
-    fn take_single_files(&mut self, claimed: &BTreeSet<String>, options: &IngestOptions) {
+    fn take_single_files(&mut self, options: &IngestOptions) {
         let mut skipped = Vec::new();
         for (relative, source) in &self.sources {
-            if claimed.contains(relative) {
+            if self.claimed.contains(relative) {
                 continue;
             }
             // Do not guess the format of an unreadable file from its name.
@@ -322,12 +334,9 @@ impl Plan {
     }
 
     /// Notes what every motion is read from.
-    fn note_inputs(&mut self, claimed: &BTreeSet<String>) {
-        let single = self.items.iter().filter(|item| item.release.is_none());
-        let motions: BTreeSet<&str> = single.map(|item| item.entry.file.as_str()).collect();
-        let others = self.sources.keys().map(String::as_str);
-        let others = others.filter(|file| !claimed.contains(*file) && !motions.contains(file));
-        let of_file = inputs::of_single_files(&motions, &others.collect(), &self.sources);
+    fn note_inputs(&mut self) {
+        let (motions, others) = self.single_files();
+        let of_file = inputs::of_single_files(&motions, &others, &self.sources);
         let of_release = self.releases.iter();
         let mut of_release: Vec<_> = of_release
             .map(|(_, release)| inputs::of_release(release.contents(), &self.sources).into_iter())
@@ -343,6 +352,16 @@ impl Plan {
         for (item, inputs) in self.items.iter_mut().zip(hashes) {
             item.inputs = inputs;
         }
+    }
+
+    /// The files that no release claims: those with motions that are read, and the others.
+    pub(super) fn single_files(&self) -> (BTreeSet<&str>, BTreeSet<&str>) {
+        let single = self.items.iter().filter(|item| item.release.is_none());
+        let motions: BTreeSet<&str> = single.map(|item| item.entry.file.as_str()).collect();
+        let others = self.sources.keys().map(String::as_str);
+        let others = others.filter(|file| !self.claimed.contains(*file) && !motions.contains(file));
+        let others = others.collect();
+        (motions, others)
     }
 
     /// Takes the labels that decide on splits, and gives single files with labels of action and style the
@@ -509,28 +528,19 @@ impl Plan {
 
     /// Deals the motions that are read into shards by split. `before` is the number of shards of a split that
     /// are written before them.
-    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
-        let mut by_split: BTreeMap<Split, Vec<Item>> = BTreeMap::new();
+    pub(super) fn deal(&self, before: &BTreeMap<Split, usize>) -> Vec<Dealt> {
+        let mut by_split: BTreeMap<Split, Vec<Placed>> = BTreeMap::new();
         let mut seen = BTreeSet::new();
-        for planned in &self.items {
+        for (place, planned) in self.items.iter().enumerate() {
             let id = MotionId::parse(&planned.id)
                 .map_err(|error| error.to_string())
                 .and_then(|id| match seen.insert(&planned.id) {
                     true => Ok(id),
                     false => Err(format!("another motion has the id {id} already")),
                 });
-            if planned.is_kept {
-                continue;
+            if !planned.is_kept {
+                by_split.entry(planned.split).or_default().push((place, id));
             }
-            by_split.entry(planned.split).or_default().push(Item {
-                entry: &planned.entry,
-                prefix: &planned.prefix,
-                inputs: &planned.inputs,
-                format: planned.format,
-                release: planned.release,
-                split: planned.split,
-                id,
-            });
         }
         let mut shards = Vec::new();
         for (split, mut items) in by_split {
@@ -544,10 +554,39 @@ impl Plan {
                     index,
                     of,
                 };
-                shards.push((name, std::mem::replace(&mut items, rest)));
+                let items = std::mem::replace(&mut items, rest);
+                shards.push(Dealt { name, items });
             }
         }
         shards
+    }
+
+    /// The motions of a shard.
+    pub(super) fn items_of(&self, shard: &Dealt) -> Vec<Item<'_>> {
+        let items = shard.items.iter().map(|(place, id)| {
+            let planned = &self.items[*place];
+            Item {
+                entry: &planned.entry,
+                prefix: &planned.prefix,
+                inputs: &planned.inputs,
+                format: planned.format,
+                release: planned.release,
+                split: planned.split,
+                id: id.clone(),
+            }
+        });
+        items.collect()
+    }
+
+    /// The shards of a run with their motions; see [`Plan::deal`].
+    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
+        let dealt = self.deal(before).into_iter();
+        dealt
+            .map(|shard| {
+                let items = self.items_of(&shard);
+                (shard.name, items)
+            })
+            .collect()
     }
 }
 

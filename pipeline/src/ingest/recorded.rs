@@ -1,11 +1,12 @@
 //! What a dataset already holds of its sources.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use datasets_spec::manifest::{FileEntry, Manifest};
 use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader, read_rows};
-use datasets_spec::{Dataset, MotionId, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, Split};
 
 use super::list::labelled;
 use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings};
@@ -28,20 +29,20 @@ pub(super) struct Base {
 }
 
 impl Base {
-    /// Reads the version a transaction starts from; none if it has no motions.
-    pub(super) fn read(transaction: &Transaction) -> Result<Option<Self>, Error> {
-        let Some(recorded) = Recorded::read(transaction)? else {
+    /// Reads the version that a run starts from, of the dataset at `root`; none if it has no motions.
+    pub(super) fn read(root: &Path, base: Option<&Manifest>) -> Result<Option<Self>, Error> {
+        let Some(base) = base else {
             return Ok(None);
         };
-        let Some(base) = transaction.base() else {
+        let Some(recorded) = Recorded::read(root, base)? else {
             return Ok(None);
         };
         Ok(Some(Self {
             recorded,
             settings: base.facts.get(SETTINGS_FACT).cloned(),
             pairs: base.facts.get(PAIRS_FACT).cloned(),
-            masks: rows(transaction, base)?,
-            label_pairs: rows(transaction, base)?,
+            masks: rows(root, base)?,
+            label_pairs: rows(root, base)?,
             label_problems: base
                 .facts
                 .get(LABEL_PROBLEMS_FACT)
@@ -89,11 +90,8 @@ pub(super) struct RecordedShard {
 }
 
 impl Recorded {
-    /// Reads the metadata columns of the version a transaction starts from; none if it has no motions.
-    pub(super) fn read(transaction: &Transaction) -> Result<Option<Self>, Error> {
-        let Some(base) = transaction.base() else {
-            return Ok(None);
-        };
+    /// Reads the metadata columns of a version; none if it has no motions.
+    fn read(root: &Path, base: &Manifest) -> Result<Option<Self>, Error> {
         if !base.tables.contains_key(MotionRow::TABLE) {
             return Ok(None);
         }
@@ -102,8 +100,8 @@ impl Recorded {
             sources: sources
                 .and_then(|text| serde_json::from_str(text).ok())
                 .unwrap_or_default(),
-            quarantine: rows(transaction, base)?,
-            skipped: rows(transaction, base)?,
+            quarantine: rows(root, base)?,
+            skipped: rows(root, base)?,
             ..Self::default()
         };
         let mut shards: BTreeMap<&str, RecordedShard> = BTreeMap::new();
@@ -120,7 +118,7 @@ impl Recorded {
         }
         recorded.shards = shards.into_values().collect();
         for (index, shard) in recorded.shards.iter().enumerate() {
-            recorded.clips.extend(clips_of(transaction, shard, index)?);
+            recorded.clips.extend(clips_of(root, shard, index)?);
         }
         recorded.clips.sort_by(|a, b| a.id.cmp(&b.id));
         Ok(Some(recorded))
@@ -143,24 +141,20 @@ impl Recorded {
     }
 }
 
-fn rows<R: Row>(transaction: &Transaction, base: &Manifest) -> Result<Vec<R>, Error> {
+fn rows<R: Row>(root: &Path, base: &Manifest) -> Result<Vec<R>, Error> {
     let mut rows = Vec::new();
     for file in base.tables.get(R::TABLE).into_iter().flatten() {
-        rows.extend(read_rows::<R>(&transaction.root().join(&file.path))?);
+        rows.extend(read_rows::<R>(&root.join(&file.path))?);
     }
     Ok(rows)
 }
 
 /// The clips of a shard, and its captures without a motion.
-fn clips_of(
-    transaction: &Transaction,
-    shard: &RecordedShard,
-    index: usize,
-) -> Result<Vec<RecordedClip>, Error> {
+fn clips_of(root: &Path, shard: &RecordedShard, index: usize) -> Result<Vec<RecordedClip>, Error> {
     let mut clips = Vec::new();
     let mut met = BTreeSet::new();
     for (table, file) in &shard.files {
-        let path = transaction.root().join(&file.path);
+        let path = root.join(&file.path);
         let reader = ShardReader::open(&path)?;
         let (ids, columns): (Vec<MotionId>, [Vec<String>; 4]) = match *table {
             MotionRow::TABLE => {

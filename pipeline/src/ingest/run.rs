@@ -1,8 +1,9 @@
 //! A run whose plan is made: it reads the shards and commits the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
-use datasets_spec::dataset::Commit;
+use datasets_spec::dataset::{Commit, ShardName};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
@@ -10,13 +11,14 @@ use datasets_spec::table::Row;
 use datasets_spec::{Progress, Split, Transaction};
 use serde::Serialize;
 
+use super::Prepared;
 use super::equal;
 use super::growth::{Fates, Files, Growth, Labels, LostLabel, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, Settings, rate_name,
 };
-use super::plan::{Plan, Shards};
+use super::plan::{Item, Plan, Shards};
 use super::recorded::Base;
 use super::report::{IngestReport, Tally, counted};
 use super::shard::ShardNotes;
@@ -25,6 +27,7 @@ use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip::LabelProblem;
 use crate::clip_table::CLIP_TABLES;
+use crate::work::{self, Failed, Made, Piece};
 
 /// A run from its plan to the report.
 pub(super) struct Run<'a> {
@@ -34,9 +37,42 @@ pub(super) struct Run<'a> {
     base: &'a Base,
     plan: &'a Plan,
     fates: &'a Fates<'a>,
-    plan_hash: String,
+    pub(super) plan_hash: String,
     /// Facts of every file.
     facts: [(&'static str, String); 6],
+}
+
+/// Where the shards of a run come from.
+pub(super) enum Pieces {
+    /// They are read, or taken from an interrupted run of the same plan.
+    Make,
+    /// Workers made them: the shard and its notes, or why there is none.
+    Taken(Vec<Result<(FileEntry, ShardNotes), Failed>>),
+}
+
+/// The piece that reads a shard.
+pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[Item]) -> Piece {
+    let reads = items
+        .iter()
+        .flat_map(|item| [item.entry.file.as_str(), item.inputs]);
+    let stem = format!("{}/{name}", name.table);
+    Piece::new(plan_hash, number, stem, items.len() as u64, reads)
+}
+
+/// Facts of every file of a run.
+pub(super) fn shard_facts(options: &IngestOptions, plan_hash: &str) -> [(&'static str, String); 6] {
+    [
+        ("skeleton", options.read.skeleton.name().to_owned()),
+        ("fps", rate_name(options)),
+        ("plan_hash", plan_hash.to_owned()),
+        ("units", "metres, radians, seconds".to_owned()),
+        ("up_axis", "y".to_owned()),
+        ("forward_axis", "z".to_owned()),
+    ]
+}
+
+fn by_content(file: &FileEntry) -> (&str, &str) {
+    (&file.path, &file.blake3)
 }
 
 /// The pairs of the dataset, and what became of the others.
@@ -49,22 +85,19 @@ struct Pairs {
 impl<'a> Run<'a> {
     pub(super) fn new(
         transaction: Transaction,
-        options: &'a IngestOptions,
-        settings: &'a Settings,
-        base: &'a Base,
+        prepared: &'a Prepared,
         plan: &'a Plan,
         fates: &'a Fates<'a>,
     ) -> Self {
+        let Prepared {
+            options,
+            settings,
+            base,
+            ..
+        } = prepared;
         let version = transaction.base().map_or(0, |base| base.version);
         let plan_hash = plan.hash(settings, options, version);
-        let facts = [
-            ("skeleton", options.read.skeleton.name().to_owned()),
-            ("fps", rate_name(options)),
-            ("plan_hash", plan_hash.clone()),
-            ("units", "metres, radians, seconds".to_owned()),
-            ("up_axis", "y".to_owned()),
-            ("forward_axis", "z".to_owned()),
-        ];
+        let facts = shard_facts(options, &plan_hash);
         Self {
             transaction,
             options,
@@ -77,18 +110,20 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Reads what is new or changed, and commits it with what stays. `outside` are rejected items of
-    /// sources that are not of this run; tables composed of the clips stay where all `is_as_before`.
+    /// Reads what is new or changed, or takes the shards that were made of it, and commits it with what stays.
+    /// `outside` are rejected items of sources that are not of this run; tables composed of the clips stay where
+    /// all `is_as_before`.
     pub(super) fn finish(
         self,
         outside: Outside,
         is_as_before: bool,
+        pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<(IngestReport, Growth), Error> {
         // Nothing is read for labels that may not be lost.
         self.labels(None)?;
         let shards = self.plan.shards(&self.fates.rewritten());
-        let mut tally = self.read(&shards, progress)?;
+        let mut tally = self.read(&shards, pieces, progress)?;
         let num_elsewhere = self.fates.num_elsewhere();
         let accounting = tally.accounting(self.plan.num_items(), outside, num_elsewhere);
         progress.finish(&format!(
@@ -109,8 +144,13 @@ impl<'a> Run<'a> {
         Ok((report, growth))
     }
 
-    /// Reads the shards. Shards that an interrupted run of the same plan has read are taken from it.
-    fn read(&self, shards: &Shards<'_>, progress: &dyn Progress) -> Result<Tally, Error> {
+    /// Reads the shards, or takes those that were made.
+    fn read(
+        &self,
+        shards: &Shards<'_>,
+        pieces: Pieces,
+        progress: &dyn Progress,
+    ) -> Result<Tally, Error> {
         let Self {
             transaction,
             plan,
@@ -129,31 +169,63 @@ impl<'a> Run<'a> {
         let names = shards.iter().map(|(name, _)| name);
         num_shards.extend(names.filter_map(|name| Some((name.split?, name.of))));
         tally.tables = self.fates.shards(transaction, &num_shards, facts)?;
-        let mut made = Vec::new();
-        for (name, items) in shards {
-            let staged = transaction.staged::<ShardNotes>(plan_hash, name)?;
-            let (entry, notes) = match staged {
-                Some(done) if transaction.holds(done.1.beside.iter().map(|(_, file)| file))? => {
-                    tally.resumed_shards += 1;
+        let staging = transaction.staging(plan_hash);
+        let (mut made, mut staged) = (Vec::new(), Vec::new());
+        let mut taken = match pieces {
+            Pieces::Make => None,
+            Pieces::Taken(taken) => Some(taken.into_iter()),
+        };
+        for (number, (name, items)) in shards.iter().enumerate() {
+            let before = match &mut taken {
+                None => {
+                    let id = piece(plan_hash, number, name, items).id;
+                    let stored = work::staged(&staging, &id)?;
+                    let before = stored.and_then(|stored| {
+                        let notes = serde_json::from_value::<ShardNotes>(stored.notes).ok()?;
+                        Some((stored.record.files.into_iter().next()?, notes))
+                    });
+                    tally.resumed_shards += usize::from(before.is_some());
+                    before
+                }
+                Some(taken) => match taken.next() {
+                    Some(Ok(made)) => Some(made),
+                    Some(Err(failed)) => {
+                        let notes = ShardNotes::failed(plan, items, &failed.code, &failed.reason);
+                        let none: [MotionRow; 0] = [];
+                        Some((transaction.write_shard(name, &none, facts)?, notes))
+                    }
+                    None => None,
+                },
+            };
+            let (entry, notes) = match before {
+                Some(done) => {
                     progress.advance(items.len() as u64);
                     done
                 }
-                _ => {
-                    let done =
-                        plan.make_shard(transaction, name, items, self.options, facts, progress)?;
-                    transaction.stage(plan_hash, name, &done.0, &done.1)?;
-                    done
+                None => {
+                    let (entry, notes) =
+                        plan.make_shard(&staging, name, items, self.options, facts, progress)?;
+                    let files = notes.files(&entry).cloned().collect();
+                    let piece = piece(plan_hash, number, name, items);
+                    work::keep(&staging, &piece, Made::new(files, &notes))?;
+                    (entry, notes)
                 }
             };
             made.push((name.clone(), entry.clone()));
+            staged.extend(notes.files(&entry).cloned());
             tally.take(entry, notes);
         }
-        let contents = equal::contents(transaction, &made)?;
+        let contents = equal::contents(&staging, &made)?;
         let moves = plan.moves(&self.base.recorded, self.options.seed, &contents);
         if !moves.is_empty() {
-            equal::move_rows(transaction, &made, &mut tally.tables, &moves, facts)?;
+            let places = (transaction, &staging);
+            equal::move_rows(places, &made, &mut tally.tables, &moves, facts)?;
             tally.follow(moves);
         }
+        let staged: BTreeSet<(&str, &str)> = staged.iter().map(by_content).collect();
+        let files = tally.tables.values_mut().flatten();
+        let files = files.filter(|file| staged.contains(&by_content(file)));
+        transaction.adopt(&staging, files)?;
         let staying = self.fates.staying();
         tally.staying = staying.map(|(id, split)| (id.to_string(), split)).collect();
         Ok(tally)
@@ -164,16 +236,8 @@ impl<'a> Run<'a> {
     /// # Errors
     /// Some are lost, and the options do not allow it.
     fn labels(&self, read: Option<(&Tally, &Shards<'_>)>) -> Result<Labels, Error> {
-        let (masks, pairs) = (self.base.masks.clone(), self.base.label_pairs.clone());
-        let ingested = read.map(|(tally, _)| &tally.ingested);
-        let mut labels = self.fates.labels(masks, pairs, ingested);
-        if let Some((tally, shards)) = read {
-            labels.follow(&tally.splits(shards));
-        }
-        if labels.lost.is_empty() || self.options.drop_labels {
-            return Ok(labels);
-        }
-        Err(labels_lost(&self.transaction, &labels.lost))
+        let root = self.transaction.root();
+        labels(root, self.base, self.fates, self.options.drop_labels, read)
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
@@ -308,7 +372,27 @@ fn is_composed(table: &str) -> bool {
     !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
 }
 
-fn labels_lost(transaction: &Transaction, lost: &[LostLabel]) -> Error {
+/// The labels of the dataset at `root` that stay; see [`Run::labels`].
+pub(super) fn labels(
+    root: &Path,
+    base: &Base,
+    fates: &Fates<'_>,
+    drop_labels: bool,
+    read: Option<(&Tally, &Shards<'_>)>,
+) -> Result<Labels, Error> {
+    let (masks, pairs) = (base.masks.clone(), base.label_pairs.clone());
+    let ingested = read.map(|(tally, _)| &tally.ingested);
+    let mut labels = fates.labels(masks, pairs, ingested);
+    if let Some((tally, shards)) = read {
+        labels.follow(&tally.splits(shards));
+    }
+    if labels.lost.is_empty() || drop_labels {
+        return Ok(labels);
+    }
+    Err(labels_lost(root, &labels.lost))
+}
+
+fn labels_lost(root: &Path, lost: &[LostLabel]) -> Error {
     const SHOWN: usize = 5;
     let shown: Vec<String> = lost
         .iter()
@@ -316,7 +400,7 @@ fn labels_lost(transaction: &Transaction, lost: &[LostLabel]) -> Error {
         .map(|label| format!("{} of {} ({})", label.id, label.table, label.reason))
         .collect();
     Error::LabelsLost {
-        path: transaction.root().to_owned(),
+        path: root.to_owned(),
         count: lost.len(),
         shown: shown.join(", "),
     }

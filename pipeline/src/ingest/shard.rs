@@ -3,11 +3,11 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use datasets_spec::dataset::ShardName;
+use datasets_spec::Progress;
+use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MarkerRow, MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Progress, Transaction};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -37,8 +37,35 @@ pub(super) struct ShardNotes {
     pub(super) label_problems: Vec<LabelProblem>,
 }
 
+/// Stage of a quarantined item whose piece failed as a whole.
+pub(super) const PIECE_STAGE: &str = "piece";
+
+impl ShardNotes {
+    /// Notes of a piece that failed as a whole: each of its items is rejected.
+    pub(super) fn failed(plan: &Plan, items: &[Item], code: &str, reason: &str) -> Self {
+        let rows = items.iter().map(|item| QuarantineRow {
+            path: path_of(&item.entry.file, &item.entry.key),
+            source_hash: source_hash(&plan.sources, &item.entry.file),
+            inputs_hash: item.inputs.to_owned(),
+            code: code.to_owned(),
+            reason: reason.to_owned(),
+            byte_offset: None,
+            stage: PIECE_STAGE.to_owned(),
+        });
+        Self {
+            quarantine: rows.collect(),
+            ..Self::default()
+        }
+    }
+
+    /// All files of a shard.
+    pub(super) fn files<'a>(&'a self, shard: &'a FileEntry) -> impl Iterator<Item = &'a FileEntry> {
+        std::iter::once(shard).chain(self.beside.iter().map(|(_, file)| file))
+    }
+}
+
 /// Outcome of one item.
-enum Done {
+pub(super) enum Done {
     Clip(Box<ClipRows>, Vec<LabelProblem>),
     Markers(Box<MarkerRow>),
     Skipped(String),
@@ -46,23 +73,17 @@ enum Done {
 }
 
 impl Plan {
+    /// Reads the items of a shard and stages their rows.
     pub(super) fn make_shard(
         &self,
-        transaction: &Transaction,
+        staging: &Staging,
         name: &ShardName,
         items: &[Item],
         options: &IngestOptions,
         facts: &[(&str, String)],
         progress: &dyn Progress,
     ) -> Result<(FileEntry, ShardNotes), Error> {
-        let done: Vec<Done> = items
-            .par_iter()
-            .map(|item| {
-                let done = self.ingest_item(item, options);
-                progress.advance(1);
-                done
-            })
-            .collect();
+        let done = self.read_items(items, options, progress);
         let mut rows = Vec::with_capacity(done.len());
         let mut marker_rows = Vec::new();
         let mut feature_rows = Vec::new();
@@ -103,12 +124,27 @@ impl Plan {
         }
         notes
             .beside
-            .extend(write_beside(transaction, name, &marker_rows, facts)?);
+            .extend(write_beside(staging, name, &marker_rows, facts)?);
         notes
             .beside
-            .extend(write_beside(transaction, name, &feature_rows, facts)?);
-        let entry = transaction.write_shard(name, &rows, facts)?;
+            .extend(write_beside(staging, name, &feature_rows, facts)?);
+        let entry = staging.write_shard(name, &rows, facts)?;
         Ok((entry, notes))
+    }
+
+    /// Reads motions.
+    pub(super) fn read_items(
+        &self,
+        items: &[Item],
+        options: &IngestOptions,
+        progress: &dyn Progress,
+    ) -> Vec<Done> {
+        let done = items.par_iter().map(|item| {
+            let done = self.ingest_item(item, options);
+            progress.advance(1);
+            done
+        });
+        done.collect()
     }
 
     fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
@@ -229,7 +265,7 @@ impl Plan {
 
 /// Writes the rows of another table as a shard that accompanies one of motions, if there are any.
 fn write_beside<R: Row>(
-    transaction: &Transaction,
+    staging: &Staging,
     name: &ShardName,
     rows: &[R],
     facts: &[(&str, String)],
@@ -241,6 +277,6 @@ fn write_beside<R: Row>(
         table: R::TABLE,
         ..name.clone()
     };
-    let file = transaction.write_shard(&name, rows, facts)?;
+    let file = staging.write_shard(&name, rows, facts)?;
     Ok(Some((R::TABLE.to_owned(), file)))
 }

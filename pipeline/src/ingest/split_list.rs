@@ -6,6 +6,8 @@ use std::path::Path;
 use csv::StringRecord;
 use datasets_spec::Split;
 
+use serde::{Deserialize, Serialize};
+
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::csv_lines;
@@ -15,7 +17,7 @@ use crate::source::labels::{is_pattern, matches};
 const SUBJECT: &str = "subject:";
 
 /// The lines of a file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplitList {
     lines: Vec<Line>,
     /// Places in `lines` by exact name; the first line of a name counts.
@@ -23,7 +25,7 @@ pub struct SplitList {
     refused: Vec<RefusedLine>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Line {
     number: u64,
     name: String,

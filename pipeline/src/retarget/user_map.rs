@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// file's unit, `up` the axis that is up in the file (x, y, z or one of them with a minus), `rest`
 /// the pose in which the source stands upright: `zero-pose` or `first-frame`. All three are
 /// optional and found from the motion otherwise.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UserMap {
     name: String,
     joints: BTreeMap<Joint, String>,

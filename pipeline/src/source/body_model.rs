@@ -162,6 +162,7 @@ pub struct Subjects {
     male: BodyModel,
     female: BodyModel,
     hash: String,
+    folder: PathBuf,
 }
 
 /// The hash of the models identifies them in a plan.
@@ -175,6 +176,11 @@ impl Subjects {
     /// BLAKE3 of the models, hexadecimal.
     pub(crate) fn hash(&self) -> &str {
         &self.hash
+    }
+
+    /// The folder they were read from.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// Reads the models for both genders below a folder: npz files that are called by the gender, or
@@ -211,7 +217,12 @@ impl Subjects {
         };
         let (male, female) = (model("male")?, model("female")?);
         let hash = hasher.finalize().to_hex()[..HASH_DIGITS].to_owned();
-        Ok(Self { male, female, hash })
+        Ok(Self {
+            male,
+            female,
+            hash,
+            folder: folder.to_owned(),
+        })
     }
 
     /// The rest skeleton of a subject of AMASS; none if the models are of another kind than the

@@ -15,7 +15,7 @@ use crate::compose::{EditKind, style_instruction};
 use crate::csv_lines;
 
 /// The pairs of a file, by its names of clips.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PairList {
     lines: Vec<Line>,
     refused: Vec<RefusedLine>,
@@ -23,7 +23,7 @@ pub struct PairList {
 }
 
 /// A line of a list.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Line {
     number: u64,
     styled: String,

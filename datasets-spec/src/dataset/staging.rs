@@ -1,0 +1,194 @@
+//! Shards that are made for a plan before its commit.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::layout::{META, STAGED, ShardName, manifest_versions, newest_manifest};
+use super::shards::{holds, shard_path, write_shard_at};
+use super::transaction::{Transaction, write_json};
+use crate::Error;
+use crate::manifest::{FileEntry, Manifest};
+use crate::store::Store;
+use crate::table::Row;
+
+/// Where the shards of a plan wait for its commit.
+///
+/// Making a shard takes no lock, so any number of processes may: the files lie in a folder of the plan, apart from
+/// those of the dataset, and equal shards replace each other. The folder is removed by the commit, and by any other
+/// one that the plan does not start from.
+#[derive(Clone, Debug)]
+pub struct Staging {
+    root: PathBuf,
+    store: Arc<dyn Store>,
+    /// Number of the version that the commit makes.
+    version: u64,
+    /// Tables of the version before: shards that replace theirs get new names.
+    replaced: BTreeSet<String>,
+    folder: PathBuf,
+}
+
+impl Staging {
+    /// The staged shards of a plan that starts from the version `base` of the dataset at `root`, or from none.
+    pub fn new(
+        store: Arc<dyn Store>,
+        root: &Path,
+        base: Option<&Manifest>,
+        plan_hash: &str,
+    ) -> Self {
+        let tables = base.into_iter().flat_map(|base| base.tables.keys());
+        let base = (
+            base.map_or(0, |base| base.version),
+            tables.cloned().collect(),
+        );
+        Self::of_plan(store, root, base, plan_hash)
+    }
+
+    /// [`Staging::new`] from the number and the tables of the version; 0 for none.
+    pub fn of_plan(
+        store: Arc<dyn Store>,
+        root: &Path,
+        (base, tables): (u64, BTreeSet<String>),
+        plan_hash: &str,
+    ) -> Self {
+        let name = format!("{base}-{plan_hash}");
+        Self {
+            root: root.to_owned(),
+            store,
+            version: base + 1,
+            replaced: tables,
+            folder: root.join(META).join(STAGED).join(name),
+        }
+    }
+
+    /// Number of the newest version of a dataset; 0 if there is no dataset yet.
+    ///
+    /// # Errors
+    /// The folder is there and cannot be listed.
+    pub fn newest_version(store: &dyn Store, root: &Path) -> Result<u64, Error> {
+        Ok(manifest_versions(store, root)?.pop().unwrap_or(0))
+    }
+
+    /// The newest version of a dataset; none if there is no dataset yet.
+    ///
+    /// # Errors
+    /// A manifest is there and cannot be read.
+    pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
+        newest_manifest(store, root)
+    }
+
+    /// The folder of the plan.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The store that shards are written to.
+    pub fn store(&self) -> &Arc<dyn Store> {
+        &self.store
+    }
+
+    fn staged_path(&self, relative: &str) -> PathBuf {
+        self.folder.join(relative)
+    }
+
+    /// Writes a shard whole or not at all. Its entry has the path that it gets by the commit.
+    ///
+    /// # Errors
+    /// The rows cannot be encoded or the file cannot be written.
+    pub fn write_shard<R: Row>(
+        &self,
+        name: &ShardName,
+        rows: &[R],
+        facts: &[(&str, String)],
+    ) -> Result<FileEntry, Error> {
+        let replaces = self.replaced.contains(name.table);
+        let relative = shard_path(name, replaces.then_some(self.version));
+        let path = self.staged_path(&relative);
+        write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts)
+    }
+
+    /// Where a file is: staged, or in its place if a commit has moved it there.
+    pub fn path(&self, file: &FileEntry) -> PathBuf {
+        let staged = self.staged_path(&file.path);
+        match self.store.size(&staged) {
+            Ok(_) => staged,
+            Err(_) => self.root.join(&file.path),
+        }
+    }
+
+    /// Whether the files are present and match their sizes and hashes.
+    ///
+    /// # Errors
+    /// A file exists but cannot be read.
+    pub fn holds<'a>(&self, files: impl Iterator<Item = &'a FileEntry>) -> Result<bool, Error> {
+        holds(self.store.as_ref(), files, |file| self.path(file))
+    }
+
+    /// Writes a record of the plan.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn put<T: Serialize>(&self, name: &str, record: &T) -> Result<(), Error> {
+        self.store
+            .create_dir_all(&self.folder)
+            .map_err(Error::io("create folder", &self.folder))?;
+        let path = self.staged_path(&format!("{name}.json"));
+        write_json(self.store.as_ref(), &path, record)
+    }
+
+    /// Reads a record of the plan; none if there is none, or only an unreadable one.
+    pub fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        let text = self
+            .store
+            .read(&self.staged_path(&format!("{name}.json")))
+            .ok()?;
+        serde_json::from_slice(&text).ok()
+    }
+}
+
+impl Transaction {
+    /// The staged shards of a plan of this run.
+    pub fn staging(&self, plan_hash: &str) -> Staging {
+        Staging::new(self.store(), self.root(), self.base(), plan_hash)
+    }
+
+    /// Moves staged files to their places in the dataset. Files that are there already stay. Where other runs may
+    /// write at the same time, files are copied, and one whose name is taken gets another one, which its entry then
+    /// says.
+    ///
+    /// # Errors
+    /// A file cannot be moved.
+    pub fn adopt<'a>(
+        &self,
+        staging: &Staging,
+        files: impl Iterator<Item = &'a mut FileEntry>,
+    ) -> Result<(), Error> {
+        let store = self.store.as_ref();
+        let mut folders = BTreeSet::new();
+        for file in files {
+            let (staged, place) = (staging.path(file), self.root.join(&file.path));
+            if staged == place {
+                continue;
+            }
+            if !self.is_alone() {
+                let bytes = store.read(&staged).map_err(Error::io("read", &staged))?;
+                file.path = self.add(&file.path, &bytes)?;
+                continue;
+            }
+            let folder = place.parent().unwrap_or(&self.root).to_owned();
+            if !folders.contains(&folder) {
+                store
+                    .create_dir_all(&folder)
+                    .map_err(Error::io("create folder", &folder))?;
+                folders.insert(folder);
+            }
+            store
+                .rename(&staged, &place)
+                .map_err(Error::io("move into place", &place))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,262 @@
+//! Ingestion as a job of many processes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use datasets_spec::dataset::{ShardName, Staging, Transaction};
+use datasets_spec::store::ByPath;
+use datasets_spec::{NoProgress, Progress, Split};
+use serde::{Deserialize, Serialize};
+
+use super::growth::Fates;
+use super::inputs;
+use super::options::{IngestOptions, StoredOptions};
+use super::plan::{Dealt, Plan, Planned};
+use super::run::{Pieces, labels, piece, shard_facts};
+use super::shard::ShardNotes;
+use super::{Prepared, effective};
+use crate::Error;
+use crate::work::{
+    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, base_of,
+};
+
+/// Name of the job.
+pub(crate) const JOB: &str = "ingest";
+
+/// What a piece needs beside its shard's motions.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Detail {
+    split: Split,
+    index: usize,
+    of: usize,
+    /// Numbers of the sources it is read from.
+    sources: Vec<u32>,
+}
+
+/// Plans an ingestion for any number of processes: every file is listed and hashed, and nothing is read of a motion.
+/// `out` is the folder of the plan.
+///
+/// # Errors
+/// As [`ingest`](super::ingest), or the folder of the plan is occupied.
+pub fn plan_ingest(
+    sources: &[PathBuf],
+    destination: &Path,
+    options: &IngestOptions,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<work::Plan, Error> {
+    let store = ByPath::store();
+    let newest = Staging::newest(store.as_ref(), destination)?;
+    let prepared = Prepared::of(destination, newest.as_ref(), options)?;
+    let plan = prepared.plan(store, sources, progress)?;
+    let fates = Fates::of(&plan, &prepared.base.recorded);
+    // Nothing is planned for labels that may not be lost.
+    labels(
+        destination,
+        &prepared.base,
+        &fates,
+        options.drop_labels,
+        None,
+    )?;
+    let version = newest.as_ref().map_or(0, |base| base.version);
+    let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);
+    let draft = Draft {
+        job: JOB,
+        settings: serde_json::to_value(StoredOptions::of(options)?)
+            .expect("options are numbers and texts"),
+        destination: destination.to_owned(),
+        is_dataset: true,
+        pieces: plan.pieces(&plan_hash, &plan.deal(&fates.rewritten())),
+        plan_hash,
+        base: base_of(newest.as_ref()),
+    };
+    draft.write(out, |folder| plan.write(folder))
+}
+
+impl Plan {
+    /// The pieces that read some shards.
+    fn pieces(&self, plan_hash: &str, shards: &[Dealt]) -> Vec<Piece> {
+        let numbers: BTreeMap<&str, u32> =
+            self.sources.keys().map(String::as_str).zip(0..).collect();
+        let (motions, others) = self.single_files();
+        let single = inputs::files_of_single(&motions, &others);
+        let releases: Vec<_> = self
+            .releases
+            .iter()
+            .map(|(_, release)| inputs::files_of_release(release.contents()))
+            .collect();
+        let mut pieces = Vec::with_capacity(shards.len());
+        for (number, shard) in shards.iter().enumerate() {
+            let mut read: BTreeSet<&str> = BTreeSet::new();
+            for (place, _) in &shard.items {
+                let Planned { entry, release, .. } = &self.items[*place];
+                let own = match release {
+                    Some(release) => releases[*release].own.get(entry.file.as_str()),
+                    None => single.get(entry.file.as_str()),
+                };
+                let common = release.map(|release| &releases[release].common);
+                read.extend(own.into_iter().chain(common).flatten());
+            }
+            let items = self.items_of(shard);
+            let bytes = read.iter().filter_map(|path| self.sources.get(*path));
+            let detail = Detail {
+                split: shard.name.split.unwrap_or(Split::Train),
+                index: shard.name.index,
+                of: shard.name.of,
+                sources: read
+                    .iter()
+                    .filter_map(|path| numbers.get(path).copied())
+                    .collect(),
+            };
+            let piece = piece(plan_hash, number, &shard.name, &items);
+            pieces.push(piece.with(bytes.map(|source| source.bytes).sum(), &detail));
+        }
+        pieces
+    }
+}
+
+/// Opens the job of a plan.
+pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
+    let stored: StoredOptions = plan.settings()?;
+    let given = stored.options()?;
+    let store = ByPath::store();
+    let newest = Staging::newest(store.as_ref(), plan.destination())?;
+    let (options, _) = effective(newest.as_ref(), &given);
+    let read = Plan::read(plan.path(), store, &options)?;
+    let paths = read.sources.keys().cloned().collect();
+    // Of each split, the first shard that is read; those before it are written again by the commit.
+    let mut before: BTreeMap<Split, usize> = BTreeMap::new();
+    for piece in plan.pieces() {
+        let Detail { split, index, .. } = piece.detail()?;
+        let first = before.entry(split).or_insert(index);
+        *first = index.min(*first);
+    }
+    Ok(Box::new(Ingestion {
+        facts: shard_facts(&options, plan.hash()),
+        shards: read.deal(&before),
+        paths,
+        plan: read,
+        given,
+        options,
+    }))
+}
+
+/// What all pieces of an ingestion share.
+struct Ingestion {
+    plan: Plan,
+    shards: Vec<Dealt>,
+    /// Paths of the sources by number.
+    paths: Vec<String>,
+    /// The options as they were given, and as a run uses them.
+    given: IngestOptions,
+    options: IngestOptions,
+    facts: [(&'static str, String); 6],
+}
+
+impl Ingestion {
+    fn shard(&self, piece: &Piece) -> Result<(&Dealt, Detail), Failed> {
+        let detail: Detail = piece.detail()?;
+        let shard = usize::try_from(piece.number).ok();
+        let shard = shard.and_then(|number| self.shards.get(number));
+        let is_it = |name: &ShardName| {
+            name.split == Some(detail.split) && (name.index, name.of) == (detail.index, detail.of)
+        };
+        match shard.filter(|shard| is_it(&shard.name)) {
+            Some(shard) => Ok((shard, detail)),
+            None => Err(Failed::new(
+                "E-PLAN",
+                format!(
+                    "the tables of the plan do not have {}; plan again",
+                    piece.name
+                ),
+            )),
+        }
+    }
+
+    /// Checks that what a piece reads is as it was planned.
+    fn check(&self, detail: &Detail) -> Result<(), Failed> {
+        use rayon::prelude::*;
+
+        let sources = detail.sources.par_iter();
+        let paths = sources.filter_map(|number| self.paths.get(*number as usize));
+        match paths.find_first(|path| !self.plan.is_as_planned(path)) {
+            None => Ok(()),
+            Some(path) => {
+                let place = self.plan.files.path(path);
+                let path = place.map_or(PathBuf::from(path), Path::to_owned);
+                Err(Error::SourceChanged { path }.into())
+            }
+        }
+    }
+}
+
+impl Job for Ingestion {
+    fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
+        let (shard, detail) = self.shard(piece)?;
+        self.check(&detail)?;
+        let items = self.plan.items_of(shard);
+        let (entry, notes) = self.plan.make_shard(
+            staging,
+            &shard.name,
+            &items,
+            &self.options,
+            &self.facts,
+            &NoProgress,
+        )?;
+        Ok(Made::new(notes.files(&entry).cloned().collect(), &notes))
+    }
+
+    fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
+        let (shard, _) = self.shard(piece)?;
+        let items = self.plan.items_of(shard);
+        let count = usize::try_from(count).unwrap_or(usize::MAX).max(1);
+        // Spread over the shard, because files that lie together are often alike.
+        let step = items.len().div_ceil(count).max(1);
+        let items: Vec<_> = items.into_iter().step_by(step).collect();
+        self.plan.read_items(&items, &self.options, &NoProgress);
+        Ok(items.len() as u64)
+    }
+
+    fn commit(
+        &self,
+        plan: &work::Plan,
+        pieces: Vec<Finished>,
+        options: &CommitOptions,
+        progress: &dyn Progress,
+    ) -> Result<Committed, Error> {
+        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
+        plan.check_open()?;
+        let prepared = Prepared::of(plan.destination(), transaction.base(), &self.given)?;
+        let version = transaction.base().map_or(0, |base| base.version);
+        if self
+            .plan
+            .hash(&prepared.settings, &prepared.options, version)
+            != plan.hash()
+        {
+            return Err(Error::BadPlan {
+                path: plan.path().to_owned(),
+                reason: "its tables were altered; plan again".to_owned(),
+            });
+        }
+        let taken = pieces.into_iter().map(|finished| {
+            let Made { files, notes } = match finished.made {
+                Ok(made) => made,
+                Err(failed) => return Ok(Err(failed)),
+            };
+            let notes: ShardNotes =
+                serde_json::from_value(notes).map_err(|error| Error::BadPlan {
+                    path: plan.path().to_owned(),
+                    reason: format!("piece {} has unknown notes: {error}", finished.piece.name),
+                })?;
+            let shard = files.into_iter().next().ok_or_else(|| Error::BadPlan {
+                path: plan.path().to_owned(),
+                reason: format!("piece {} has no shard", finished.piece.name),
+            })?;
+            Ok(Ok((shard, notes)))
+        });
+        let taken = taken.collect::<Result<Vec<_>, Error>>()?;
+        let report = prepared.conclude(transaction, &self.plan, Pieces::Taken(taken), progress)?;
+        Ok(Committed::of(plan, report.dataset.manifest()))
+    }
+}

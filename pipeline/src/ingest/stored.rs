@@ -1,0 +1,264 @@
+//! Plans of ingestion on the disk.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use datasets_spec::Split;
+use datasets_spec::record::{QuarantineRow, SkippedRow};
+use datasets_spec::store::Store;
+use datasets_spec::table::read_rows;
+use serde::{Deserialize, Serialize};
+
+use super::list::Source;
+use super::options::IngestOptions;
+use super::plan::{Plan, Planned};
+use super::sources::SourceLabel;
+use crate::Error;
+use crate::annotation::pairs::RefusedLine;
+use crate::source::labels::FolderLabels;
+use crate::source::{Entry, Files, find_releases, format_named, name_of_text, text_of_name};
+use crate::work::{absolute, read_json, write_json, write_table};
+
+const SOURCES: &str = "sources.parquet";
+const MOTIONS: &str = "motions.parquet";
+const SKIPPED: &str = "skipped.parquet";
+const REJECTED: &str = "quarantine.parquet";
+const REST: &str = "listing.json";
+
+datasets_spec::table! {
+    /// A file of a plan of ingestion.
+    pub struct PlannedSource = "sources" {
+        /// Path relative to its source, behind the label of the source
+        pub path: String [""],
+        /// Where it is; bytes that are not UTF-8 are written as \xNN, a backslash is doubled
+        pub place: String [""],
+        /// Size
+        pub bytes: u64 ["B"],
+        /// BLAKE3, hexadecimal; empty where it could not be read
+        pub hash: String [""],
+        /// Why it could not be read
+        pub unreadable: Option<String> [""],
+        /// Format of the release that it belongs to as a whole; missing for single files
+        pub claimed: Option<String> [""],
+    }
+}
+
+datasets_spec::table! {
+    /// A motion of a plan of ingestion.
+    pub struct PlannedMotion = "planned motions" {
+        /// Id in the dataset
+        pub id: String [""],
+        /// Split
+        pub split: Split [""],
+        /// Path of its file, as in the table of sources
+        pub file: String [""],
+        /// Which of the file's motions; empty if it holds one
+        pub key: String [""],
+        /// Id in its release
+        pub entry_id: String [""],
+        /// Published split
+        pub entry_split: Option<String> [""],
+        /// Motions that share a drawn split by its release
+        pub entry_group: Option<String> [""],
+        /// Id of the motion it mirrors
+        pub mirrored_of: Option<String> [""],
+        /// Format
+        pub format: String [""],
+        /// Number of its release; missing for single files
+        pub release: Option<u32> [""],
+        /// What its id begins with
+        pub prefix: String [""],
+        /// Motions that share a drawn split
+        pub group: Option<String> [""],
+        /// Split that the user states
+        pub own_split: Option<String> [""],
+        /// Split that its labels state
+        pub labelled_split: Option<String> [""],
+        /// Who performs it
+        pub subject: Option<String> [""],
+        /// BLAKE3 of all it is read from, hexadecimal
+        pub inputs: String [""],
+        /// Number of the clip that it is in the version before
+        pub known: Option<u32> [""],
+        /// 1 if that clip stays as it is, so that no piece reads it
+        pub is_kept: u32 [""],
+    }
+}
+
+/// What a plan holds beside its tables.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rest {
+    labels: Vec<(SourceLabel, bool)>,
+    unlisted: Vec<String>,
+    staying: Vec<String>,
+    remarks: Vec<String>,
+    refused_splits: Vec<RefusedLine>,
+}
+
+impl Plan {
+    /// Writes the plan to a folder.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), Error> {
+        let sources = self.sources.iter().map(|(path, source)| {
+            let place = absolute(self.files.path(path).unwrap_or(Path::new("")))?;
+            Ok(PlannedSource {
+                path: path.clone(),
+                place: text_of_name(place.as_os_str()),
+                bytes: source.bytes,
+                hash: source.hash.clone().unwrap_or_default(),
+                unreadable: source.hash.clone().err(),
+                claimed: self.claimed.contains(path).then(|| "release".to_owned()),
+            })
+        });
+        let sources: Vec<PlannedSource> = sources.collect::<Result<_, Error>>()?;
+        write_table(&folder.join(SOURCES), &sources)?;
+        let motions: Vec<PlannedMotion> = self.items.iter().map(row_of).collect();
+        write_table(&folder.join(MOTIONS), &motions)?;
+        write_table(&folder.join(SKIPPED), &self.skipped)?;
+        write_table(&folder.join(REJECTED), &self.rejected)?;
+        let rest = Rest {
+            labels: self.labels.clone(),
+            unlisted: self.unlisted.clone(),
+            staying: self.staying.iter().cloned().collect(),
+            remarks: self.remarks.clone(),
+            refused_splits: self.refused_splits.clone(),
+        };
+        write_json(&folder.join(REST), &rest)
+    }
+
+    /// Reads a plan that was written. No source is listed or hashed; of the sources, only what says something about
+    /// many motions is read.
+    ///
+    /// # Errors
+    /// The plan cannot be read, or its releases are not as they were planned.
+    pub(super) fn read(
+        folder: &Path,
+        store: Arc<dyn Store>,
+        options: &IngestOptions,
+    ) -> Result<Self, Error> {
+        let rows: Vec<PlannedSource> = read_rows(&folder.join(SOURCES))?;
+        let claimed = rows.iter().filter(|row| row.claimed.is_some());
+        let claimed = claimed.map(|row| row.path.clone()).collect();
+        let mut paths = BTreeMap::new();
+        let mut sources = BTreeMap::new();
+        for row in rows {
+            paths.insert(row.path.clone(), PathBuf::from(name_of_text(&row.place)));
+            let source = Source {
+                hash: row.unreadable.map_or(Ok(row.hash), Err),
+                head: Vec::new(),
+                bytes: row.bytes,
+            };
+            sources.insert(row.path, source);
+        }
+        let files = Files::on(store, paths);
+        let rows: Vec<PlannedMotion> = read_rows(&folder.join(MOTIONS))?;
+        let items = rows.into_iter().map(|row| item_of(row, folder));
+        let items: Vec<Planned> = items.collect::<Result<_, Error>>()?;
+        let releases = match items.iter().any(|item| item.release.is_some()) {
+            true => find_releases(&files, options.humanml3d_index.as_deref())?,
+            false => Vec::new(),
+        };
+        let is_known = |item: &Planned| match item.release {
+            Some(release) => releases
+                .get(release)
+                .is_some_and(|(format, _)| *format == item.format),
+            None => true,
+        };
+        if let Some(item) = items.iter().find(|item| !is_known(item)) {
+            return Err(Error::SourceChanged {
+                path: PathBuf::from(&item.entry.file),
+            });
+        }
+        let rest: Rest = read_json(&folder.join(REST))?;
+        let skipped: Vec<SkippedRow> = read_rows(&folder.join(SKIPPED))?;
+        let rejected: Vec<QuarantineRow> = read_rows(&folder.join(REJECTED))?;
+        Ok(Self {
+            folder_labels: FolderLabels::read(&files),
+            files,
+            sources,
+            releases,
+            items,
+            labels: rest.labels,
+            skipped,
+            rejected,
+            unlisted: rest.unlisted,
+            staying: rest.staying.into_iter().collect(),
+            remarks: rest.remarks,
+            refused_splits: rest.refused_splits,
+            claimed,
+        })
+    }
+
+    /// Whether a file is as it was planned. The size is looked at first.
+    pub(super) fn is_as_planned(&self, path: &str) -> bool {
+        let (Some(source), Some(place)) = (self.sources.get(path), self.files.path(path)) else {
+            return false;
+        };
+        match &source.hash {
+            Ok(hash) => {
+                self.files
+                    .size(path)
+                    .is_ok_and(|found| found == source.bytes)
+                    && self.files.hash(place).as_ref() == Ok(hash)
+            }
+            // What could not be read then is rejected for that, whatever it is now.
+            Err(_) => true,
+        }
+    }
+}
+
+fn row_of(item: &Planned) -> PlannedMotion {
+    let number = |number: Option<usize>| number.and_then(|number| u32::try_from(number).ok());
+    let name = |split: Option<Split>| split.map(|split| split.as_str().to_owned());
+    PlannedMotion {
+        id: item.id.clone(),
+        split: item.split,
+        file: item.entry.file.clone(),
+        key: item.entry.key.clone(),
+        entry_id: item.entry.id.clone(),
+        entry_split: name(item.entry.split),
+        entry_group: item.entry.group.clone(),
+        mirrored_of: item.entry.mirrored_of.clone(),
+        format: item.format.as_str().to_owned(),
+        release: number(item.release),
+        prefix: item.prefix.clone(),
+        group: item.group.clone(),
+        own_split: name(item.own_split),
+        labelled_split: name(item.labelled_split),
+        subject: item.subject.clone(),
+        inputs: item.inputs.clone(),
+        known: number(item.known),
+        is_kept: u32::from(item.is_kept),
+    }
+}
+
+fn item_of(row: PlannedMotion, folder: &Path) -> Result<Planned, Error> {
+    let split = |name: Option<String>| name.map(|name| name.parse::<Split>()).transpose();
+    let format = format_named(&row.format).ok_or_else(|| Error::BadPlan {
+        path: folder.to_owned(),
+        reason: format!("{:?} is an unknown format; plan again", row.format),
+    })?;
+    Ok(Planned {
+        entry: Entry {
+            file: row.file,
+            key: row.key,
+            id: row.entry_id,
+            split: split(row.entry_split)?,
+            group: row.entry_group,
+            mirrored_of: row.mirrored_of,
+        },
+        format,
+        release: row.release.map(|release| release as usize),
+        prefix: row.prefix,
+        group: row.group,
+        own_split: split(row.own_split)?,
+        labelled_split: split(row.labelled_split)?,
+        subject: row.subject,
+        id: row.id,
+        inputs: row.inputs,
+        known: row.known.map(|known| known as usize),
+        is_kept: row.is_kept != 0,
+        split: row.split,
+    })
+}

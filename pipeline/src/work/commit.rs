@@ -1,0 +1,227 @@
+//! Committing a plan.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::Progress;
+use datasets_spec::manifest::{Accounting, Manifest};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::job::{Finished, Jobs, Made};
+use super::plan::{Piece, Plan, State};
+use super::record::{Failed, Record, staged};
+use super::worker::failed_name;
+use crate::Error;
+
+/// How a plan is committed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CommitOptions {
+    /// Put what failed pieces should have made into quarantine; without it, they stop the commit.
+    pub quarantine_failed: bool,
+    /// Names this run to another one that finds the destination locked.
+    pub holder: String,
+}
+
+/// What a commit did.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Committed {
+    /// The destination.
+    pub destination: PathBuf,
+    /// Whether the plan was committed before, and nothing was done.
+    pub already_committed: bool,
+    /// Pieces of the plan.
+    pub pieces: u64,
+    /// Pieces that failed and were put into quarantine.
+    pub failed: u64,
+    /// Rows of each table.
+    pub tables: BTreeMap<String, u64>,
+    /// Counts of the sources, for a job that has some.
+    pub accounting: Option<Accounting>,
+    /// Hash over all files.
+    pub root_hash: String,
+}
+
+impl Committed {
+    /// What a manifest says.
+    pub fn of(plan: &Plan, manifest: &Manifest) -> Self {
+        let tables = manifest.tables.keys();
+        Self {
+            destination: plan.destination().to_owned(),
+            already_committed: false,
+            pieces: plan.pieces().len() as u64,
+            failed: 0,
+            tables: tables
+                .map(|table| (table.clone(), manifest.rows(table, None)))
+                .collect(),
+            accounting: (manifest.accounting.sources > 0).then(|| manifest.accounting.clone()),
+            root_hash: manifest.root_hash.clone(),
+        }
+    }
+}
+
+/// How far the work on a plan is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Status {
+    /// Whether it was committed.
+    pub committed: bool,
+    /// Pieces of the plan.
+    pub pieces: u64,
+    /// Pieces that are there and whole.
+    pub done: u64,
+    /// Ids of pieces that nobody has made.
+    pub missing: Vec<String>,
+    /// Records of pieces that failed.
+    pub failed: Vec<Record>,
+    /// Seconds of work in the pieces that are there.
+    pub secs: f64,
+}
+
+/// A piece as it is found.
+enum Found {
+    Done(Made, f64),
+    Failed(Record),
+    Missing,
+}
+
+fn found(plan: &Plan) -> Result<Vec<(&Piece, Found)>, Error> {
+    let staging = plan.staging();
+    let pieces = plan.pieces().par_iter();
+    pieces
+        .map(|piece| {
+            if let Some(stored) = staged(&staging, &piece.id)? {
+                let (files, notes) = (stored.record.files, stored.notes);
+                return Ok((
+                    piece,
+                    Found::Done(Made { files, notes }, stored.record.secs),
+                ));
+            }
+            let failed = staging.get::<Record>(&failed_name(&piece.id));
+            Ok((piece, failed.map_or(Found::Missing, Found::Failed)))
+        })
+        .collect()
+}
+
+/// Says how far the work on a plan is.
+///
+/// # Errors
+/// The plan or its destination cannot be read, or the destination changed since it was planned.
+pub fn status(plan: &Plan) -> Result<Status, Error> {
+    let pieces = plan.pieces().len() as u64;
+    let mut status = Status {
+        pieces,
+        ..Status::default()
+    };
+    match plan.state()? {
+        State::Open => {}
+        State::Committed => {
+            return Ok(Status {
+                committed: true,
+                done: pieces,
+                ..status
+            });
+        }
+        State::Changed(now) => return Err(plan.changed(now)),
+    }
+    for (piece, found) in found(plan)? {
+        match found {
+            Found::Done(_, secs) => {
+                status.done += 1;
+                status.secs += secs;
+            }
+            Found::Failed(record) => status.failed.push(record),
+            Found::Missing => status.missing.push(piece.id.clone()),
+        }
+    }
+    Ok(status)
+}
+
+/// Makes the pieces of a plan a part of its destination. A plan that was committed before is left alone.
+///
+/// # Errors
+/// Pieces are missing or failed, the destination is locked or changed since the plan was made, or writing fails.
+/// The destination is then as it was, and the commit can be repeated.
+pub fn commit(
+    plan: &Path,
+    jobs: &Jobs,
+    options: &CommitOptions,
+    progress: &dyn Progress,
+) -> Result<Committed, Error> {
+    let plan = &Plan::open(plan)?;
+    match plan.state()? {
+        State::Open => {}
+        State::Committed => return already_committed(plan),
+        State::Changed(now) => return Err(plan.changed(now)),
+    }
+    let (mut pieces, mut failed, mut missing) = (Vec::new(), Vec::new(), 0);
+    for (piece, found) in found(plan)? {
+        let made = match found {
+            Found::Done(made, _) => Ok(made),
+            Found::Failed(record) => {
+                let why = Failed {
+                    code: record.code.clone().unwrap_or_default(),
+                    reason: record.reason.clone().unwrap_or_default(),
+                };
+                failed.push(record);
+                Err(why)
+            }
+            Found::Missing => {
+                missing += 1;
+                continue;
+            }
+        };
+        pieces.push(Finished {
+            piece: piece.clone(),
+            made,
+        });
+    }
+    let of = plan.pieces().len();
+    if missing > 0 {
+        return Err(Error::PiecesMissing {
+            path: plan.path().to_owned(),
+            missing,
+            of,
+        });
+    }
+    if !failed.is_empty() && !options.quarantine_failed {
+        const SHOWN: usize = 3;
+        let shown = failed.iter().take(SHOWN).map(|record| {
+            let (code, reason) = (&record.code, &record.reason);
+            let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
+            format!("{} {} ({code}: {reason})", record.piece, record.name)
+        });
+        let mut shown = shown.collect::<Vec<String>>().join("; ");
+        if failed.len() > SHOWN {
+            shown += &format!("; and {} more", failed.len() - SHOWN);
+        }
+        return Err(Error::PiecesFailed {
+            path: plan.path().to_owned(),
+            failed: failed.len(),
+            of,
+            shown,
+        });
+    }
+    let job = jobs.open(plan).map_err(|failed| Error::Job {
+        code: failed.code,
+        reason: failed.reason,
+    })?;
+    let committed = match job.commit(plan, pieces, options, progress) {
+        // Another process was first.
+        Err(Error::StalePlan { .. }) if plan.state()? == State::Committed => {
+            return already_committed(plan);
+        }
+        committed => committed?,
+    };
+    Ok(Committed {
+        failed: failed.len() as u64,
+        ..committed
+    })
+}
+
+fn already_committed(plan: &Plan) -> Result<Committed, Error> {
+    let dataset = datasets_spec::Dataset::open_unverified(plan.destination())?;
+    Ok(Committed {
+        already_committed: true,
+        ..Committed::of(plan, dataset.manifest())
+    })
+}

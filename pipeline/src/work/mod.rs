@@ -1,0 +1,44 @@
+//! Long jobs as plans of pieces, for one process or for many on any number of machines.
+//!
+//! A [`Plan`] is a folder that lists the [`Piece`]s of a job. A [`Worker`] makes pieces: each writes its own files
+//! and answers with a [`Record`], never with an error. [`commit`] checks that all pieces are there and makes them a
+//! part of the dataset. Pieces may be made in any order, by any number of workers, and more than once: the result is
+//! the same.
+//!
+//! Workers take no lock. The files of a piece lie in a folder of the plan beside the dataset
+//! ([`Staging`](datasets_spec::dataset::Staging)) until the commit, which one process does under the dataset's lock.
+//!
+//! ```
+//! use corpus::{CorpusOptions, write_corpus};
+//! use datasets_spec::NoProgress;
+//! use pipeline::ingest::{IngestOptions, plan_ingest};
+//! use pipeline::work::{CommitOptions, Jobs, Worker, commit};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! let [sources, dataset, plan] = ["sources", "dataset", "plan"].map(|name| folder.path().join(name));
+//! let options = CorpusOptions { clips: 4, ..CorpusOptions::default() };
+//! write_corpus(&sources, &options, &NoProgress)?;
+//! plan_ingest(&[sources], &dataset, &IngestOptions::default(), &plan, &NoProgress)?;
+//!
+//! let worker = Worker::open(&plan)?;
+//! for piece in worker.plan().pieces() {
+//!     assert!(worker.make(&piece.id).is_done());
+//! }
+//! let committed = commit(&plan, &Jobs::default(), &CommitOptions::default(), &NoProgress)?;
+//! assert_eq!(committed.tables["motions"], 4);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod commit;
+mod job;
+mod plan;
+mod record;
+mod worker;
+
+pub use self::commit::{CommitOptions, Committed, Status, commit, status};
+pub use self::job::{Finished, Job, Jobs, Made, Open};
+pub use self::plan::{Draft, Piece, Plan, State};
+pub(crate) use self::plan::{absolute, base_of, hash_file, read_json, write_json, write_table};
+pub use self::record::{Failed, Outcome, Record};
+pub(crate) use self::record::{keep, staged};
+pub use self::worker::{Sample, Worker};

@@ -1,0 +1,479 @@
+//! `stance stage`
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use datasets_spec::store::temporary_beside;
+use pipeline::work::{
+    self, CommitOptions, Failed, Jobs, Outcome, Piece, Plan, Record, Sample, Worker,
+};
+use serde::Serialize;
+
+use crate::cmd;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Do a long job in pieces: by many processes on any number of machines, with the same result.
+///
+/// `plan` lists the pieces of a job in a folder, `work` makes some or all of them, and `commit` makes the result of
+/// them. Any scheduler can start the workers: pieces may be made in any order, at the same time and more than once.
+/// Workers need the folder of the plan, the sources and the destination by the same paths.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Plan(Box<PlanArgs>),
+    Work(WorkArgs),
+    Commit(CommitArgs),
+    Status(StatusArgs),
+}
+
+/// Plan a job. Its options are those of its own verb, with --into in place of --out.
+#[derive(clap::Args, Debug)]
+struct PlanArgs {
+    #[command(subcommand)]
+    job: JobArgs,
+    /// New folder of the plan
+    #[arg(long = "out", global = true, value_name = "PLAN")]
+    plan: Option<PathBuf>,
+    /// Print the pieces, bytes and estimated hours, and write nothing
+    #[arg(long, global = true)]
+    dry_run: bool,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum JobArgs {
+    #[command(mut_arg("out", |arg| arg.long("into")))]
+    Ingest(cmd::ingest::Args),
+}
+
+/// Make pieces of a plan. Pieces that are there are passed over.
+#[derive(clap::Args, Debug)]
+struct WorkArgs {
+    /// Folder of the plan
+    plan: PathBuf,
+    /// Make every N-th piece from number I, counted from 0: that of worker I of N [default: all pieces]
+    #[arg(long, value_name = "I/N", value_parser = parse_share, conflicts_with = "items")]
+    shard: Option<Share>,
+    /// Make the pieces with these ids; - reads them from the standard input
+    #[arg(long, value_name = "IDS", value_delimiter = ',')]
+    items: Vec<String>,
+    /// Make each piece in a process of its own, so that one that crashes or is killed fails alone
+    #[arg(long)]
+    isolate: bool,
+    /// Address space of each process, such as 4GB: a piece that needs more fails
+    #[cfg(unix)]
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    memory: Option<u64>,
+}
+
+/// Make the result of a plan whose pieces are all there.
+#[derive(clap::Args, Debug)]
+struct CommitArgs {
+    /// Folder of the plan
+    plan: PathBuf,
+    /// Put what failed pieces should have made into quarantine; without it they stop the commit
+    #[arg(long)]
+    quarantine_failed: bool,
+}
+
+/// Count the pieces of a plan that are done, missing and failed.
+#[derive(clap::Args, Debug)]
+struct StatusArgs {
+    /// Folder of the plan
+    plan: PathBuf,
+}
+
+/// One of several equal shares of the pieces.
+#[derive(Clone, Copy, Debug)]
+struct Share {
+    index: u64,
+    of: u64,
+}
+
+fn parse_share(text: &str) -> Result<Share, String> {
+    let numbers = text.split_once('/');
+    let numbers = numbers.and_then(|(index, of)| Some((index.parse().ok()?, of.parse().ok()?)));
+    match numbers {
+        Some((index, of)) if index < of => Ok(Share { index, of }),
+        _ => Err(format!(
+            "expected I/N with I from 0 to N-1, such as 0/4, got {text:?}"
+        )),
+    }
+}
+
+#[cfg(unix)]
+fn parse_size(text: &str) -> Result<u64, String> {
+    const UNITS: [(&str, u32); 4] = [("KB", 10), ("MB", 20), ("GB", 30), ("TB", 40)];
+    let upper = text.to_uppercase();
+    let (number, shift) = UNITS
+        .iter()
+        .find_map(|(unit, shift)| Some((upper.strip_suffix(unit)?, *shift)))
+        .unwrap_or((&upper, 0));
+    let size = number.trim().parse::<u64>().ok();
+    let size = size.and_then(|number| number.checked_mul(1 << shift));
+    size.filter(|size| *size > 0)
+        .ok_or_else(|| format!("expected a size such as 4GB or 512MB, got {text:?}"))
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    match &args.action {
+        Action::Plan(args) => plan(args, global),
+        Action::Work(args) => work(args, global),
+        Action::Commit(args) => commit(args, global),
+        Action::Status(args) => status(args, global),
+    }
+}
+
+/// The jobs of this program.
+fn jobs() -> Jobs {
+    Jobs::default()
+}
+
+/// The `--json` document of `plan`.
+#[derive(Serialize)]
+struct Planned<'a> {
+    job: &'a str,
+    plan: Option<&'a Path>,
+    destination: &'a Path,
+    plan_hash: &'a str,
+    pieces: u64,
+    items: u64,
+    bytes: u64,
+    /// What was made to estimate the hours; none without --dry-run.
+    sample: Option<SampleOf>,
+    /// Of one process like this one.
+    estimated_hours: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct SampleOf {
+    items: u64,
+    secs: f64,
+}
+
+fn plan(args: &PlanArgs, global: &Global) -> anyhow::Result<Exit> {
+    let make = |folder: &Path| -> anyhow::Result<Plan> {
+        match &args.job {
+            JobArgs::Ingest(args) => args.plan(folder, global),
+        }
+    };
+    if args.dry_run {
+        return dry_run(make, global);
+    }
+    let Some(folder) = &args.plan else {
+        bail!("say where the plan goes: --out PLAN, or --dry-run to see how large it would be");
+    };
+    let made = make(folder).with_context(|| format!("cannot plan in {}", folder.display()))?;
+    say(&made, Some(folder), None, global)
+}
+
+/// Plans in a temporary folder, and times a small sample.
+fn dry_run(
+    make: impl FnOnce(&Path) -> anyhow::Result<Plan>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    /// Items of a sample.
+    const SAMPLE: u64 = 16;
+    let folder = temporary_beside(&std::env::temp_dir().join("stance-plan"));
+    let ended = (|| {
+        let plan = make(&folder)?;
+        let worker = Worker::with_jobs(&folder, jobs())?;
+        let sample = worker.sample(SAMPLE).map_err(failure)?;
+        say(&plan, None, sample, global)
+    })();
+    // Where it was not made there is nothing to remove.
+    let _removed = std::fs::remove_dir_all(&folder);
+    ended
+}
+
+fn failure(failed: Failed) -> anyhow::Error {
+    anyhow::anyhow!("{} ({})", failed.reason, failed.code)
+}
+
+fn say(
+    plan: &Plan,
+    folder: Option<&Path>,
+    sample: Option<Sample>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let count = |number: fn(&Piece) -> u64| plan.pieces().iter().map(number).sum::<u64>();
+    let (items, bytes) = (count(|piece| piece.items), count(|piece| piece.bytes));
+    let hours = sample
+        .map(|Sample { items: made, secs }| secs / made.max(1) as f64 * items as f64 / 3600.0);
+    let planned = Planned {
+        job: plan.job(),
+        plan: folder,
+        destination: plan.destination(),
+        plan_hash: plan.hash(),
+        pieces: plan.pieces().len() as u64,
+        items,
+        bytes,
+        sample: sample.map(|Sample { items, secs }| SampleOf { items, secs }),
+        estimated_hours: hours,
+    };
+    if global.json {
+        report::json(&planned)?;
+        return Ok(Exit::Done);
+    }
+    let mut text = format!(
+        "{} pieces of {}: {items} items, {:.1} MB to read, into {}\n",
+        planned.pieces,
+        planned.job,
+        bytes as f64 / 1e6,
+        planned.destination.display()
+    );
+    if let (Some(SampleOf { items, secs }), Some(hours)) = (&planned.sample, hours) {
+        text += &format!(
+            "{items} items were made to time them: {secs:.1} s; all take about {hours:.2} hours of one process \
+             like this one\n"
+        );
+    }
+    if let Some(folder) = folder {
+        let folder = folder.display();
+        text += &format!(
+            "make the pieces: stance stage work {folder} [--shard I/N]\n\
+             then: stance stage commit {folder}\n"
+        );
+    }
+    report::text(&text);
+    Ok(Exit::Done)
+}
+
+fn work(args: &WorkArgs, global: &Global) -> anyhow::Result<Exit> {
+    #[cfg(unix)]
+    if let (Some(bytes), false) = (args.memory, args.isolate) {
+        rlimit::setrlimit(rlimit::Resource::AS, bytes, bytes)
+            .context("cannot limit the memory of this process")?;
+    }
+    let worker = Worker::with_jobs(&args.plan, jobs())?;
+    let ids = chosen(args, worker.plan())?;
+    let (mut done, mut before, mut failed) = (0u64, 0u64, 0u64);
+    let bars = global.bars();
+    let progress: &dyn datasets_spec::Progress = &bars;
+    progress.begin("work", Some(ids.len() as u64));
+    for id in &ids {
+        let record = match args.isolate {
+            true => isolated(args, &worker, id, global),
+            false => worker.make(id),
+        };
+        match record.outcome {
+            Outcome::Done => done += 1,
+            Outcome::DoneBefore => before += 1,
+            Outcome::Failed => failed += 1,
+        }
+        progress.advance(1);
+        if global.json {
+            report::text(&serde_json::to_string(&record)?);
+        } else if !record.is_done() {
+            let [code, reason] = [&record.code, &record.reason];
+            let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
+            report::note(&format!(
+                "piece {} {} failed ({code}): {reason}",
+                record.piece, record.name
+            ));
+        }
+    }
+    progress.finish(&format!("{} pieces", ids.len()));
+    if !global.json {
+        report::text(&format!(
+            "{done} pieces made, {before} were there already, {failed} failed"
+        ));
+    }
+    Ok(match failed {
+        0 => Exit::Done,
+        _ => Exit::Quarantined,
+    })
+}
+
+/// Ids of the pieces to make, in their order in the plan unless they are named.
+fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
+    if args.items.is_empty() {
+        let is_chosen = |piece: &&Piece| match args.shard {
+            Some(Share { index, of }) => piece.number % of == index,
+            None => true,
+        };
+        let pieces = plan.pieces().iter().filter(is_chosen);
+        return Ok(pieces.map(|piece| piece.id.clone()).collect());
+    }
+    let mut ids = Vec::new();
+    for item in &args.items {
+        if item != "-" {
+            ids.push(item.trim().to_owned());
+            continue;
+        }
+        for line in std::io::stdin().lock().lines() {
+            let line = line.context("cannot read the ids")?;
+            let words = line.split([' ', '\t', ',']);
+            ids.extend(words.filter(|word| !word.is_empty()).map(str::to_owned));
+        }
+    }
+    let known: BTreeSet<&str> = plan
+        .pieces()
+        .iter()
+        .map(|piece| piece.id.as_str())
+        .collect();
+    if let Some(unknown) = ids.iter().find(|id| !known.contains(id.as_str())) {
+        bail!(
+            "the plan {} has no piece {unknown:?}; ids are in its pieces.parquet, and `stance stage status` \
+             lists those that are missing",
+            plan.path().display()
+        );
+    }
+    Ok(ids)
+}
+
+/// Makes a piece in a process of its own.
+fn isolated(args: &WorkArgs, worker: &Worker, id: &str, global: &Global) -> Record {
+    let begun = Instant::now();
+    let failed = match child(args, id, global) {
+        Ok((Some(record), _)) => return record,
+        Ok((None, status)) => Failed::new("E-CRASH", ended(status)),
+        Err(error) => Failed::new("E-IO", format!("cannot start a process: {error}")),
+    };
+    match worker.plan().piece(id) {
+        Some(piece) => worker.fail(piece, failed, begun.elapsed().as_secs_f64()),
+        None => worker.make(id),
+    }
+}
+
+fn child(
+    args: &WorkArgs,
+    id: &str,
+    global: &Global,
+) -> std::io::Result<(Option<Record>, ExitStatus)> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["--json", "--no-progress"]);
+    if let Some(threads) = global.threads() {
+        command.args(["--threads", &threads.to_string()]);
+    }
+    command.args(["stage", "work"]).arg(&args.plan);
+    command.args(["--items", id]);
+    #[cfg(unix)]
+    if let Some(bytes) = args.memory {
+        command.args(["--memory", &bytes.to_string()]);
+    }
+    let mut child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()?;
+    let mut record = None;
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).lines() {
+            record = serde_json::from_str(&line?).ok().or(record);
+        }
+    }
+    Ok((record, child.wait()?))
+}
+
+/// How a process ended that left no record.
+fn ended(status: ExitStatus) -> String {
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::ExitStatusExt;
+
+        if let Some(signal) = status.signal() {
+            let why = match signal {
+                signal_hook::consts::SIGKILL => {
+                    ": killed, by the system for want of memory or by somebody"
+                }
+                signal_hook::consts::SIGABRT => ": aborted, for want of memory or by a defect",
+                _ => "",
+            };
+            return format!("the process that made this piece ended by signal {signal}{why}");
+        }
+    }
+    format!("the process that made this piece ended without a record ({status})")
+}
+
+fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
+    let options = CommitOptions {
+        quarantine_failed: args.quarantine_failed,
+        holder: global.holder(),
+    };
+    let done = work::commit(&args.plan, &jobs(), &options, &global.bars())?;
+    let quarantined = done
+        .accounting
+        .as_ref()
+        .map_or(0, |counts| counts.quarantined);
+    if global.json {
+        report::json(&done)?;
+    } else {
+        let mut text = String::new();
+        if done.already_committed {
+            text += "the plan was committed before; nothing was done\n";
+        }
+        if let Some(counts) = &done.accounting {
+            text += &format!(
+                "{} sources: {} ingested, {} quarantined, {} skipped\n",
+                counts.sources, counts.ingested, counts.quarantined, counts.skipped
+            );
+            for (code, count) in &counts.codes {
+                text += &format!("  {code:<20} {count:>6}\n");
+            }
+        }
+        if done.failed > 0 {
+            text += &format!("{} of {} pieces failed\n", done.failed, done.pieces);
+        }
+        for (table, rows) in &done.tables {
+            text += &format!("{table:<12} {rows:>8} rows\n");
+        }
+        text += &format!(
+            "{} with root hash {}\n",
+            done.destination.display(),
+            done.root_hash
+        );
+        report::text(&text);
+    }
+    Ok(match (done.already_committed, quarantined + done.failed) {
+        (true, _) | (false, 0) => Exit::Done,
+        (false, _) => Exit::Quarantined,
+    })
+}
+
+fn status(args: &StatusArgs, global: &Global) -> anyhow::Result<Exit> {
+    let plan = Plan::open(&args.plan)?;
+    let status = work::status(&plan)?;
+    if global.json {
+        report::json(&status)?;
+        return Ok(Exit::Done);
+    }
+    let mut text = format!(
+        "{} pieces: {} done, {} missing, {} failed{}\n",
+        status.pieces,
+        status.done,
+        status.missing.len(),
+        status.failed.len(),
+        if status.committed { "; committed" } else { "" }
+    );
+    if status.secs > 0.0 {
+        text += &format!("{:.1} s of work in what is done\n", status.secs);
+    }
+    for record in &status.failed {
+        let [code, reason] = [&record.code, &record.reason];
+        let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
+        text += &format!(
+            "failed {} {} ({code}): {reason}\n",
+            record.piece, record.name
+        );
+    }
+    const SHOWN: usize = 20;
+    for id in status.missing.iter().take(SHOWN) {
+        text += &format!("missing {id}\n");
+    }
+    if status.missing.len() > SHOWN {
+        let more = status.missing.len() - SHOWN;
+        text += &format!("and {more} more missing; --json lists all\n");
+    }
+    report::text(&text);
+    Ok(Exit::Done)
+}

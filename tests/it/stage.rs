@@ -1,0 +1,524 @@
+//! Jobs in pieces through the command: any number of processes make what one makes.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+
+use datasets_spec::Dataset;
+use datasets_spec::dataset::Transaction;
+use datasets_spec::record::QuarantineRow;
+use datasets_spec::table::read_rows;
+use pipeline::work::{Outcome, Piece, Record};
+use serde::Deserialize;
+
+use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance};
+
+/// Clips of the corpus of which the training split takes two shards.
+const CLIPS: usize = 340;
+
+/// The document of `stage commit --json`, as a script relies on it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Committed {
+    #[expect(dead_code, reason = "part of the contract")]
+    destination: PathBuf,
+    already_committed: bool,
+    pieces: u64,
+    failed: u64,
+    tables: BTreeMap<String, u64>,
+    accounting: Option<Counts>,
+    root_hash: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Counts {
+    sources: u64,
+    ingested: u64,
+    quarantined: u64,
+    skipped: u64,
+    codes: BTreeMap<String, u64>,
+}
+
+/// The document of `stage plan --json`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Planned {
+    #[expect(dead_code, reason = "part of the contract")]
+    job: String,
+    #[expect(dead_code, reason = "part of the contract")]
+    plan: Option<PathBuf>,
+    #[expect(dead_code, reason = "part of the contract")]
+    destination: PathBuf,
+    #[expect(dead_code, reason = "part of the contract")]
+    plan_hash: String,
+    pieces: u64,
+    items: u64,
+    bytes: u64,
+    sample: Option<Sample>,
+    estimated_hours: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Sample {
+    items: u64,
+    #[expect(dead_code, reason = "part of the contract")]
+    secs: f64,
+}
+
+/// The document of `stage status --json`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Status {
+    committed: bool,
+    pieces: u64,
+    done: u64,
+    missing: Vec<String>,
+    failed: Vec<Record>,
+    #[expect(dead_code, reason = "part of the contract")]
+    secs: f64,
+}
+
+fn root_hash(verb: &[&str], out: &Path) -> String {
+    let mut args = vec!["--json"];
+    args.extend(verb);
+    args.extend(["--out", arg(out)]);
+    let done: serde_json::Value = stance(&args).expect_code(0).json();
+    done["root_hash"].as_str().expect("a hash").to_owned()
+}
+
+/// Plans a job into `into`, with the plan in `plan`.
+fn planned(job: &[&str], into: &Path, plan: &Path) -> Planned {
+    let mut args = vec!["--json", "stage", "plan"];
+    args.extend(job);
+    args.extend(["--into", arg(into), "--out", arg(plan)]);
+    stance(&args).expect_code(0).json()
+}
+
+fn records(ran: &Ran) -> Vec<Record> {
+    let lines = ran.stdout.lines();
+    lines
+        .map(|line| serde_json::from_str(line).expect("a record on each line"))
+        .collect()
+}
+
+fn work(plan: &Path, more: &[&str], code: i32) -> Vec<Record> {
+    let mut args = vec!["--json", "stage", "work", arg(plan)];
+    args.extend(more);
+    records(&stance(&args).expect_code(code))
+}
+
+fn commit(plan: &Path, more: &[&str], code: i32) -> Committed {
+    let mut args = vec!["--json", "stage", "commit", arg(plan)];
+    args.extend(more);
+    stance(&args).expect_code(code).json()
+}
+
+fn status(plan: &Path) -> Status {
+    let args = ["--json", "stage", "status", arg(plan)];
+    stance(&args).expect_code(0).json()
+}
+
+fn pieces(plan: &Path) -> Vec<Piece> {
+    read_rows(&plan.join("pieces.parquet")).expect("a table of pieces")
+}
+
+fn count(records: &[Record], outcome: Outcome) -> usize {
+    let records = records.iter();
+    records.filter(|record| record.outcome == outcome).count()
+}
+
+fn started(args: &[&str]) -> Child {
+    command(args)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("stance starts")
+}
+
+/// Makes the pieces of a plan by four processes at once.
+fn by_four(plan: &Path) {
+    let shares = ["0/4", "1/4", "2/4", "3/4"];
+    let workers = shares.map(|share| started(&["stage", "work", arg(plan), "--shard", share]));
+    for mut worker in workers {
+        assert!(worker.wait().expect("a child").success());
+    }
+}
+
+/// Makes the pieces of a job in every way that a scheduler may, and returns the hash of the result: by four
+/// processes of which one is killed, again in another order, and after a file was lost.
+fn root_hash_in_pieces(job: &[&str], into: &Path, plan: &Path) -> String {
+    let made = planned(job, into, plan);
+    let ids: Vec<String> = pieces(plan).into_iter().map(|piece| piece.id).collect();
+    assert_eq!(made.pieces, ids.len() as u64);
+    // Whether the kill comes before, in or after a piece, the result must be the same.
+    let mut killed = started(&["--threads", "1", "stage", "work", arg(plan)]);
+    while files_in(into) == 0 && killed.try_wait().expect("a child").is_none() {
+        std::thread::yield_now();
+    }
+    killed.kill().expect("a child");
+    killed.wait().expect("a child");
+    by_four(plan);
+    let reversed: Vec<&str> = ids.iter().rev().map(String::as_str).collect();
+    let again = work(plan, &["--items", &reversed.join(",")], 0);
+    assert_eq!(count(&again, Outcome::DoneBefore), ids.len());
+    let order: Vec<&str> = again.iter().map(|record| record.piece.as_str()).collect();
+    assert_eq!(order, reversed);
+
+    let lost = again.iter().find(|record| !record.files.is_empty());
+    let lost = lost.expect("a piece with a file");
+    let staged = format!("meta/staged/0-{}/{}", plan_hash(plan), lost.files[0].path);
+    fs::remove_file(into.join(staged)).expect("a staged file");
+    assert_eq!(status(plan).missing, std::slice::from_ref(&lost.piece));
+    let made = work(plan, &[], 0);
+    assert_eq!(count(&made, Outcome::Done), 1, "only what is lost is made");
+
+    let done = commit(plan, &[], 0);
+    assert!(!done.already_committed && done.failed == 0, "{done:?}");
+    assert_eq!(done.pieces, ids.len() as u64);
+    let again = commit(plan, &[], 0);
+    assert!(again.already_committed && again.root_hash == done.root_hash);
+    // A late worker finds that nothing is left to do, and leaves nothing behind.
+    let late = work(plan, &[], 0);
+    assert_eq!(count(&late, Outcome::DoneBefore), ids.len());
+    assert!(status(plan).committed);
+    assert_eq!(
+        fs::read_dir(into.join("meta/staged"))
+            .expect("a folder")
+            .count(),
+        0
+    );
+    assert!(files_with_extension(into, "tmp").is_empty());
+    done.root_hash
+}
+
+fn plan_hash(plan: &Path) -> String {
+    let text = fs::read(plan.join("plan.json")).expect("a plan");
+    let plan: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    plan["plan_hash"].as_str().expect("a hash").to_owned()
+}
+
+fn files_in(folder: &Path) -> usize {
+    match folder.exists() {
+        true => files_with_extension(folder, "parquet").len(),
+        false => 0,
+    }
+}
+
+/// A corpus with several pieces, and where things go.
+struct Place {
+    dir: tempfile::TempDir,
+}
+
+impl Place {
+    fn new(clips: usize) -> Self {
+        Self { dir: corpus(clips) }
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// Plans the ingestion of the corpus.
+    fn planned(&self) -> [PathBuf; 2] {
+        let [into, plan] = ["dataset", "plan"].map(|name| self.at(name));
+        let source = self.at("corpus");
+        planned(&["ingest", arg(&source)], &into, &plan);
+        [into, plan]
+    }
+}
+
+#[test]
+fn an_ingestion_in_pieces_is_that_of_one_process() {
+    let place = Place::new(CLIPS);
+    let source = place.at("corpus");
+    fs::write(source.join("broken.bvh"), "HIERARCHY\n").expect("written");
+    let clean = place.at("clean");
+    let ran = stance(&["--json", "ingest", arg(&source), "--out", arg(&clean)]).expect_code(3);
+    let clean: serde_json::Value = ran.json();
+    let job = ["ingest", arg(&source)];
+    let [into, plan] = ["dataset", "plan"].map(|name| place.at(name));
+    let made = planned(&job, &into, &plan);
+    assert_eq!((made.pieces, made.items), (4, CLIPS as u64 + 1));
+    assert!(made.bytes > 0 && made.sample.is_none());
+    assert!(!into.exists(), "a plan touches no dataset");
+    by_four(&plan);
+    let done = commit(&plan, &[], 3);
+    assert_eq!(clean["root_hash"], done.root_hash);
+    let counts = done.accounting.expect("an ingestion has sources");
+    assert_eq!(counts.codes.values().sum::<u64>(), 1);
+    assert_eq!(
+        counts.sources,
+        counts.ingested + counts.quarantined + counts.skipped
+    );
+}
+
+#[test]
+fn pieces_that_are_killed_repeated_and_lost_give_the_same_dataset() {
+    let place = Place::new(CLIPS);
+    let source = place.at("corpus");
+    let verb = ["ingest", arg(&source)];
+    let clean = root_hash(&verb, &place.at("clean"));
+    let [into, plan] = ["dataset", "plan"].map(|name| place.at(name));
+    assert_eq!(root_hash_in_pieces(&verb, &into, &plan), clean);
+}
+
+#[test]
+fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
+    let place = Place::new(40);
+    let source = place.at("corpus");
+    let (first, second) = (place.at("one"), place.at("two"));
+    for out in [&first, &second] {
+        stance(&["ingest", arg(&source), "--out", arg(out)]).expect_code(0);
+    }
+    // One clip changes, one goes and one is new, so that shards are written again.
+    let files = files_with_extension(&source, "bvh");
+    let text = fs::read_to_string(&files[0]).expect("a file");
+    fs::write(&files[1], &text).expect("written");
+    fs::remove_file(&files[2]).expect("removed");
+    fs::write(source.join("new.bvh"), &text).expect("written");
+    let verb = ["ingest", arg(&source), "--drop-labels"];
+    let clean = root_hash(&verb, &first);
+    let plan = place.at("plan");
+    planned(&verb, &second, &plan);
+    by_four(&plan);
+    assert_eq!(commit(&plan, &[], 0).root_hash, clean);
+}
+
+#[test]
+fn the_real_data_in_pieces_is_that_of_one_process() {
+    let Some(source) = real_data("the_real_data_in_pieces_is_that_of_one_process") else {
+        return;
+    };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| dir.path().join(name);
+    let clean = stance(&["--json", "ingest", arg(&source), "--out", arg(&at("clean"))]);
+    let code = clean.code;
+    assert!(code == 0 || code == 3, "{}", clean.stderr);
+    let clean: serde_json::Value = clean.json();
+    planned(&["ingest", arg(&source)], &at("dataset"), &at("plan"));
+    by_four(&at("plan"));
+    let done = commit(&at("plan"), &[], code);
+    assert_eq!(clean["root_hash"], done.root_hash);
+    let counts = done.accounting.expect("counts");
+    for (name, count) in [
+        ("ingested", counts.ingested),
+        ("quarantined", counts.quarantined),
+    ] {
+        assert_eq!(clean[name], count, "{name}");
+    }
+}
+
+#[test]
+fn a_commit_of_an_incomplete_plan_is_refused_with_the_command_that_completes_it() {
+    let place = Place::new(12);
+    let [into, plan] = place.planned();
+    let first = &pieces(&plan)[0];
+    work(&plan, &["--items", &first.id], 0);
+    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
+    let missing = format!(
+        "{} of {} pieces are missing",
+        pieces(&plan).len() - 1,
+        pieces(&plan).len()
+    );
+    assert!(ran.stderr.contains(&missing), "{}", ran.stderr);
+    let command = format!("stance stage work {}", plan.display());
+    assert!(ran.stderr.contains(&command), "{}", ran.stderr);
+    assert!(Dataset::open(&into).is_err(), "nothing is committed");
+    let found = status(&plan);
+    assert_eq!((found.done, found.pieces), (1, pieces(&plan).len() as u64));
+    assert!(found.failed.is_empty() && !found.committed);
+    assert_eq!(found.missing.len() as u64, found.pieces - 1);
+}
+
+#[test]
+fn one_of_two_commits_wins_and_the_other_is_told() {
+    let place = Place::new(12);
+    let [into, plan] = place.planned();
+    work(&plan, &[], 0);
+    let lock = Transaction::begin(&into, "the other run").expect("locks");
+    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(75);
+    assert!(ran.stderr.contains("the other run"), "{}", ran.stderr);
+    drop(lock);
+    let both = [0, 1].map(|_| started(&["stage", "commit", arg(&plan)]));
+    let mut codes = both.map(|mut child| child.wait().expect("a child").code());
+    codes.sort_unstable();
+    // The second is locked out, or comes so late that it finds the dataset committed.
+    assert!(
+        codes == [Some(0), Some(75)] || codes == [Some(0), Some(0)],
+        "{codes:?}"
+    );
+    assert_eq!(Dataset::open(&into).expect("opens").manifest().version, 1);
+}
+
+#[test]
+fn a_plan_is_refused_once_its_destination_has_another_version() {
+    let place = Place::new(12);
+    let [into, plan] = place.planned();
+    let ids = pieces(&plan);
+    work(&plan, &["--items", &ids[0].id], 0);
+    let source = place.at("corpus");
+    stance(&["ingest", arg(&source), "--out", arg(&into), "--fps", "30"]).expect_code(0);
+    let before = Dataset::open(&into)
+        .expect("opens")
+        .manifest()
+        .root_hash
+        .clone();
+    for record in work(&plan, &[], 3) {
+        assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
+    }
+    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
+    assert!(ran.stderr.contains("plan again"), "{}", ran.stderr);
+    assert_eq!(
+        Dataset::open(&into).expect("opens").manifest().root_hash,
+        before
+    );
+}
+
+#[test]
+fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
+    let place = Place::new(CLIPS);
+    let [into, plan] = place.planned();
+    let source = place.at("corpus");
+    let bvh = &files_with_extension(&source, "bvh")[0];
+    let planned_bytes = fs::read(bvh).expect("a file");
+    // The same size, so that only its hash tells.
+    let mut changed = planned_bytes.clone();
+    let digit = changed
+        .iter()
+        .rposition(u8::is_ascii_digit)
+        .expect("a digit");
+    changed[digit] = if changed[digit] == b'1' { b'2' } else { b'1' };
+    fs::write(bvh, &changed).expect("written");
+    let made = work(&plan, &[], 3);
+    let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
+    let [failed] = failed[..] else {
+        panic!("one piece reads the file: {made:?}");
+    };
+    assert_eq!(failed.code.as_deref(), Some("E-SOURCE-CHANGED"));
+    let reason = failed.reason.as_deref().expect("a reason");
+    assert!(
+        reason.contains("plan again") && reason.contains(arg(bvh)),
+        "{reason}"
+    );
+    assert_eq!(status(&plan).failed.len(), 1);
+    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
+    assert!(ran.stderr.contains("--quarantine-failed"), "{}", ran.stderr);
+
+    let items = pieces(&plan)
+        .into_iter()
+        .find(|piece| piece.id == failed.piece)
+        .expect("a piece of the plan")
+        .items;
+    let done = commit(&plan, &["--quarantine-failed"], 3);
+    let counts = done.accounting.expect("counts");
+    assert_eq!((done.failed, counts.quarantined), (1, items));
+    assert_eq!(counts.codes["E-SOURCE-CHANGED"], items);
+    assert_eq!(
+        counts.sources,
+        counts.ingested + counts.quarantined + counts.skipped
+    );
+    assert_eq!(done.tables["motions"], counts.ingested);
+    let rows: Vec<QuarantineRow> = Dataset::open(&into)
+        .expect("opens")
+        .read(None)
+        .expect("rows");
+    assert!(rows.iter().all(|row| row.reason == reason));
+
+    // Most files of the piece are not to blame: the next run reads them.
+    let again = stance(&["--json", "ingest", arg(&source), "--out", arg(&into)]).expect_code(0);
+    let again: serde_json::Value = again.json();
+    assert_eq!(again["ingested"], CLIPS);
+}
+
+#[test]
+fn a_dry_run_counts_and_writes_nothing() {
+    let place = Place::new(12);
+    let [source, into] = ["corpus", "dataset"].map(|name| place.at(name));
+    let args = [
+        "--json",
+        "stage",
+        "plan",
+        "ingest",
+        arg(&source),
+        "--into",
+        arg(&into),
+        "--dry-run",
+    ];
+    let planned: Planned = stance(&args).expect_code(0).json();
+    assert_eq!(planned.items, 12);
+    assert!(planned.pieces > 0 && planned.bytes > 0);
+    let sample = planned.sample.expect("a sample");
+    assert!(sample.items > 0 && planned.estimated_hours.is_some_and(|hours| hours > 0.0));
+    let names: Vec<_> = fs::read_dir(place.dir.path())
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name())
+        .collect();
+    assert_eq!(names, ["corpus"]);
+}
+
+/// Kills the process that makes a piece, as the system does when memory is short.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_piece_whose_process_is_killed_fails_alone() {
+    let place = Place::new(CLIPS);
+    let [into, plan] = place.planned();
+    let largest = pieces(&plan).into_iter().max_by_key(|piece| piece.items);
+    let largest = largest.expect("a piece");
+    let worker = command(&["--json", "stage", "work", arg(&plan), "--isolate"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("stance starts");
+    let children = format!("/proc/{0}/task/{0}/children", worker.id());
+    let is_of_piece = |child: &str| {
+        let line = fs::read(format!("/proc/{child}/cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0)
+            .any(|word| word == largest.id.as_bytes())
+    };
+    let child = loop {
+        let children = fs::read_to_string(&children).expect("the worker waits for this piece");
+        let mut children = children.split_whitespace();
+        if let Some(child) = children.find(|child| is_of_piece(child)) {
+            break child.to_owned();
+        }
+        std::thread::yield_now();
+    };
+    let killed = std::process::Command::new("kill")
+        .args(["-9", &child])
+        .status();
+    assert!(killed.expect("kill starts").success());
+    let ran = Ran::from(worker.wait_with_output().expect("a child")).expect_code(3);
+    let made = records(&ran);
+    assert_eq!(made.len(), pieces(&plan).len());
+    for record in &made {
+        assert_eq!(record.is_done(), record.piece != largest.id, "{record:?}");
+    }
+    let done = commit(&plan, &["--quarantine-failed"], 3);
+    let counts = done.accounting.expect("counts");
+    assert_eq!(
+        counts.codes,
+        BTreeMap::from([("E-CRASH".to_owned(), largest.items)])
+    );
+    assert_eq!(done.tables["motions"], CLIPS as u64 - largest.items);
+    let rows: Vec<QuarantineRow> = Dataset::open(&into)
+        .expect("opens")
+        .read(None)
+        .expect("rows");
+    assert!(rows.iter().all(|row| row.reason.contains("signal 9")));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_piece_that_needs_more_memory_than_allowed_fails_and_can_be_made_with_more() {
+    let place = Place::new(12);
+    let [_, plan] = place.planned();
+    let id = pieces(&plan).remove(0).id;
+    let made = work(&plan, &["--items", &id, "--isolate", "--memory", "64MB"], 3);
+    assert_eq!(made[0].code.as_deref(), Some("E-CRASH"), "{made:?}");
+    let made = work(&plan, &["--items", &id, "--isolate", "--memory", "16GB"], 0);
+    assert_eq!(made[0].outcome, Outcome::Done);
+    assert!(status(&plan).failed.is_empty());
+}
