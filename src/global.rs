@@ -1,6 +1,7 @@
 //! Options that several verbs share.
 
 use datasets_spec::Seed;
+use pipeline::compose::Paging;
 use pipeline::stage::Context;
 use train::config::Preset;
 
@@ -35,6 +36,9 @@ impl Global {
                 .num_threads(threads.into())
                 .build_global()?;
         }
+        Paging::from_environment(|name| std::env::var_os(name))
+            .map_err(anyhow::Error::msg)?
+            .set_for_process();
         Ok(())
     }
 

@@ -10,14 +10,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use corpus::{CorpusOptions, write_corpus};
-use datasets_spec::dataset::commit_rows;
+use datasets_spec::dataset::{Commit, Transaction, commit_rows};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
+use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::compose::{
-    ComposeConfig, CoordinatorBatch, EditKind, Library, ReadOrder, Stream, WindowBatch,
+    ComposeConfig, CoordinatorBatch, EditKind, Library, Paging, ReadOrder, Stream, WindowBatch,
     WindowLoader,
 };
 use pipeline::ingest::{IngestOptions, ingest};
@@ -30,8 +31,13 @@ fn main() {
     divan::main();
 }
 
+/// Bytes for the motions: all of them are in memory.
+const IN_MEMORY: u64 = u64::MAX;
+/// Bytes for the motions: all of them are read from a file.
+const PAGED: u64 = 0;
+
 /// The built-in corpus, ingested, with its automatic masks and pairs of neighbouring clips.
-fn library() -> Arc<Library> {
+fn library(memory: u64) -> Arc<Library> {
     let dir = tempfile::tempdir().expect("a folder");
     let (corpus, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
     let options = CorpusOptions {
@@ -73,12 +79,34 @@ fn library() -> Arc<Library> {
             accepted_by: None,
         })
         .collect();
-    let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
-    Arc::new(library.expect("valid rows"))
+    let labelled = dir.path().join("labelled");
+    let transaction = Transaction::begin(&labelled, "bench").expect("begins");
+    let train = Some(Split::Train);
+    let tables = [
+        (
+            MotionRow::TABLE,
+            transaction.write_shards(train, &motions, &[]),
+        ),
+        (MaskRow::TABLE, transaction.write_shards(train, &masks, &[])),
+        (PairRow::TABLE, transaction.write_shards(train, &pairs, &[])),
+    ];
+    let tables = tables.map(|(table, files)| (table.to_owned(), files.expect("written")));
+    let commit = Commit {
+        tables: tables.into(),
+        skeleton,
+        ..Commit::default()
+    };
+    let dataset = transaction.commit(commit).expect("committed");
+    let paging = Paging {
+        memory,
+        folder: dir.path().join("frames"),
+        ..Paging::default()
+    };
+    Arc::new(Library::read(&dataset, Split::Train, &paging).expect("valid rows"))
 }
 
-fn stream(kind: EditKind) -> Stream {
-    let library = library();
+fn stream(kind: EditKind, memory: u64) -> Stream {
+    let library = library(memory);
     let config = ComposeConfig {
         kinds: vec![kind],
         ..ComposeConfig::default()
@@ -87,35 +115,36 @@ fn stream(kind: EditKind) -> Stream {
     Stream::new(library, config, Seed(0), &normalizer).expect("a stream")
 }
 
-fn fill(bencher: Bencher, kind: EditKind) {
-    let stream = stream(kind);
+fn fill(bencher: Bencher, kind: EditKind, memory: u64) {
+    let stream = stream(kind, memory);
     let count = BATCH.min(stream.epoch_len() as usize);
     let mut batch = WindowBatch::default();
     let mut epoch = 0;
     bencher.counter(ItemsCount::new(count)).bench_local(|| {
         epoch += 1;
-        stream.fill(epoch, 0, count, &mut batch);
+        stream.fill(epoch, 0, count, &mut batch).expect("read");
         black_box(&batch);
     });
 }
 
-#[divan::bench]
-fn semantic_windows(bencher: Bencher) {
-    fill(bencher, EditKind::Semantic);
+#[divan::bench(args = [IN_MEMORY, PAGED])]
+fn semantic_windows(bencher: Bencher, memory: u64) {
+    fill(bencher, EditKind::Semantic, memory);
 }
 
-#[divan::bench]
-fn style_windows(bencher: Bencher) {
-    fill(bencher, EditKind::Style);
+#[divan::bench(args = [IN_MEMORY, PAGED])]
+fn style_windows(bencher: Bencher, memory: u64) {
+    fill(bencher, EditKind::Style, memory);
 }
 
-#[divan::bench]
-fn coordinator_windows(bencher: Bencher) {
-    let stream = stream(EditKind::Semantic);
+#[divan::bench(args = [IN_MEMORY, PAGED])]
+fn coordinator_windows(bencher: Bencher, memory: u64) {
+    let stream = stream(EditKind::Semantic, memory);
     let mut batch = CoordinatorBatch::default();
     let mut first = 0;
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
-        stream.fill_coordinator(0, first, BATCH, &mut batch);
+        let filled = stream.fill_coordinator(0, first, BATCH, &mut batch);
+        filled.expect("read");
         first += BATCH as u64;
         black_box(&batch);
     });
@@ -129,9 +158,10 @@ fn recorded(dir: &Path) -> Dataset {
     if let Some(root) = std::env::var_os("STANCE_BENCH_WINDOWS") {
         return Dataset::open(Path::new(&root)).expect("recorded windows");
     }
-    let stream = stream(EditKind::Semantic);
+    let stream = stream(EditKind::Semantic, IN_MEMORY);
     let mut rows = Vec::new();
-    stream.for_each_recorded(0..RECORDED, |row, _, _| rows.push(row));
+    let recorded = stream.for_each_recorded(0..RECORDED, |row, _, _| rows.push(row));
+    recorded.expect("in memory");
     let split_of: fn(&WindowRow) -> Split = |row| row.split;
     let skeleton = stream.library().skeleton();
     commit_rows(dir, &rows, Some(split_of), skeleton, "plan", "bench").expect("committed")

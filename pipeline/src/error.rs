@@ -330,6 +330,7 @@ impl Error {
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),
+            Self::Compose(error) => return error.code(),
             Self::UnusableFile { path, code, .. } | Self::BodyModel { path, code, .. } => {
                 (*code, path)
             }

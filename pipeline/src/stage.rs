@@ -13,7 +13,7 @@ use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{
     EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
 };
-use datasets_spec::table::{Row, read_rows};
+use datasets_spec::table::{Row, read_column, read_rows};
 use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use kinematics::normalise::Normalizer;
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ use crate::annotation::pairs::{
 };
 use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
-use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Stream, draw_items};
+use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Paging, Stream, draw_items};
 use crate::ingest::IngestOptions;
 
 /// Tables that composed edits depend on.
@@ -267,24 +267,20 @@ pub fn listed_pairs(
     Ok((dataset, made.refused))
 }
 
-/// The motions, masks and pairs of one split.
+/// The motions, masks and pairs of one split. [`Paging::of_process`] says how many motions are in memory.
 ///
 /// # Errors
 /// The split has neither masks nor pairs, or a table cannot be read.
 pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
-    let masks: Vec<MaskRow> = dataset.read(Some(split))?;
-    let pairs: Vec<PairRow> = dataset.read(Some(split))?;
-    if masks.is_empty() && pairs.is_empty() {
+    let rows = |table| dataset.manifest().rows(table, Some(split));
+    if rows(MaskRow::TABLE) == 0 && rows(PairRow::TABLE) == 0 {
         return Err(Error::NoAnnotations {
             path: dataset.root().to_owned(),
             split,
         });
     }
-    let motions: Vec<MotionRow> = dataset.read(Some(split))?;
-    let skeleton = dataset.skeleton()?;
-    Ok(Arc::new(Library::new(
-        split, &motions, &masks, &pairs, &skeleton,
-    )?))
+    let library = Library::read(dataset, split, &Paging::of_process())?;
+    Ok(Arc::new(library))
 }
 
 /// The composer's stream over the training split and its normaliser: the one given, or else the one
@@ -328,11 +324,11 @@ pub fn triplets(
         .into_par_iter()
         .map(|number| {
             let (epoch, item) = (number / stream.epoch_len(), number % stream.epoch_len());
-            let row = stream.triplet(epoch, item).to_row();
+            let row = stream.triplet(epoch, item)?.to_row();
             context.progress.advance(1);
-            row
+            Ok(row)
         })
-        .collect();
+        .collect::<Result<_, Error>>()?;
     context
         .progress
         .finish(&format!("{count} triplets composed"));
@@ -358,15 +354,15 @@ pub fn windows(
     let plan = plan_hash("windows", &inputs);
     context.progress.begin("windows", Some(count));
     let skeleton = dataset.skeleton()?;
-    let make = |windows: Range<u64>| {
+    let make = |windows: Range<u64>| -> Result<Vec<WindowRow>, Error> {
         let mut rows = Vec::new();
         stream.for_each_recorded(windows, |row: WindowRow, _, _| {
             rows.push(row);
             context.progress.advance(1);
-        });
-        rows
+        })?;
+        Ok(rows)
     };
-    commit_table::<WindowRow>(out, &skeleton, &plan, context.holder, |transaction| {
+    commit_table::<WindowRow, Error>(out, &skeleton, &plan, context.holder, |transaction| {
         let facts = table_facts(&skeleton, &plan);
         transaction.write_made(Some(Split::Train), count, make, &facts)
     })?;
@@ -387,8 +383,12 @@ pub fn windows(
 /// # Errors
 /// The dataset cannot be read.
 pub fn can_coordinate(root: &Path) -> Result<bool, Error> {
-    let motions: Vec<MotionRow> = Dataset::open(root)?.read(Some(Split::Train))?;
-    let origins: BTreeSet<&str> = motions.iter().map(|row| row.id.source_clip()).collect();
+    let dataset = Dataset::open(root)?;
+    let mut origins = BTreeSet::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, Some(Split::Train)) {
+        let ids = read_column::<MotionRow, MotionId>(&path, "id")?;
+        origins.extend(ids.iter().map(|id| id.source_clip().to_owned()));
+    }
     Ok(origins.len() > 1)
 }
 

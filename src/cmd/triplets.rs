@@ -114,7 +114,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&args.dataset)?;
     let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
     let skeleton = dataset.skeleton()?;
-    let triplets = stream.first_triplets(args.count.max(1));
+    let triplets = stream.first_triplets(args.count.max(1))?;
     let foot_scores: Vec<[Option<f64>; 2]> = triplets
         .iter()
         .map(|triplet| {
@@ -138,7 +138,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
         foot_score: [mean(0), mean(1)],
     };
     if let Some(path) = &args.sheet {
-        let sheet = sheet(&stream, &skeleton);
+        let sheet = sheet(&stream, &skeleton)?;
         render::write_picture(path, &sheet, 1.0)?;
         report::note(&format!("sheet in {}", path.display()));
     }
@@ -152,7 +152,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
 
 /// Twelve triplets below each other: the original, what the edit takes from, the edit with a hard
 /// mask alone and with its soft ring, whose joints have a halo.
-fn sheet(stream: &Stream, skeleton: &Skeleton) -> String {
+fn sheet(stream: &Stream, skeleton: &Skeleton) -> anyhow::Result<String> {
     const TRIPLETS: usize = 12;
     const COLUMNS: usize = 2;
     let style = Style {
@@ -161,14 +161,14 @@ fn sheet(stream: &Stream, skeleton: &Skeleton) -> String {
         ..Style::default()
     };
     let mut panels = Vec::new();
-    for triplet in stream.sample_for_sheet(TRIPLETS) {
-        let hard_only = stream.with_hard_mask(&triplet);
+    for triplet in stream.sample_for_sheet(TRIPLETS)? {
+        let hard_only = stream.with_hard_mask(&triplet)?;
         let row = |label: &str, motion: &Motion, halo: JointSet| Row {
             highlighted: halo,
             ..Row::new(label, motion, skeleton)
         };
         let mask = triplet.mask;
-        let target = stream.taken(&triplet);
+        let target = stream.taken(&triplet)?;
         let rows = [
             row("original", &triplet.original, JointSet::EMPTY),
             row("target", &target, mask.hard()),
@@ -181,7 +181,7 @@ fn sheet(stream: &Stream, skeleton: &Skeleton) -> String {
         );
         panels.push((title, strip(&rows, &style)));
     }
-    eval::draw::strip::sheet(&panels, COLUMNS, style.width)
+    Ok(eval::draw::strip::sheet(&panels, COLUMNS, style.width))
 }
 
 fn table(counted: &Counted) -> String {

@@ -138,7 +138,16 @@ pub trait SegmentSource: Sync {
     }
 
     /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
-    fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch);
+    ///
+    /// # Errors
+    /// The motions cannot be read.
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut CoordinatorBatch,
+    ) -> Result<(), Error>;
 }
 
 impl SegmentSource for Stream {
@@ -154,8 +163,14 @@ impl SegmentSource for Stream {
         Ok(self.check_coordinator()?)
     }
 
-    fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut CoordinatorBatch) {
-        self.fill_coordinator(epoch, first_item, num_items, batch);
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut CoordinatorBatch,
+    ) -> Result<(), Error> {
+        Ok(self.fill_coordinator(epoch, first_item, num_items, batch)?)
     }
 }
 
@@ -263,7 +278,7 @@ pub fn train_coordinator<'a>(
     let val_batches: Vec<SegmentBatch> = (0..config.val_windows)
         .step_by(part)
         .map(|first| val_sampler.draw(first as u64, part.min(config.val_windows - first)))
-        .collect();
+        .collect::<Result<_, Error>>()?;
     let device = session.device.clone().autodiff();
     let model = draw(
         Coordinator::of_frames(&config.model, 3 * config.keypoints, &device),
@@ -303,7 +318,7 @@ struct SegmentSampler<'a> {
 
 impl SegmentSampler<'_> {
     /// The segments `first..first + count` of the run. The count goes on from one epoch to the next.
-    fn draw(&self, first: u64, count: usize) -> SegmentBatch {
+    fn draw(&self, first: u64, count: usize) -> Result<SegmentBatch, Error> {
         let epoch_len = self.source.epoch_len();
         let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut whole = CoordinatorBatch::default();
@@ -313,7 +328,7 @@ impl SegmentSampler<'_> {
             let (epoch, item) = (at / epoch_len, at % epoch_len);
             let missing = (count - whole.composed.len()) as u64;
             let num_items = missing.min(epoch_len - item) as usize;
-            self.source.fill(epoch, item, num_items, &mut part);
+            self.source.fill(epoch, item, num_items, &mut part)?;
             whole.windows.append(&mut part.windows);
             whole.composed.append(&mut part.composed);
         }
@@ -333,11 +348,11 @@ impl SegmentSampler<'_> {
                 timestep
             })
             .collect();
-        SegmentBatch {
+        Ok(SegmentBatch {
             windows: whole.windows,
             timesteps,
             composed: whole.composed,
-        }
+        })
     }
 }
 
@@ -356,7 +371,7 @@ impl Task for CoordinatorTask<'_> {
         run.micro_batches(step)
             .map(|(first, count)| {
                 let share = count as f64 / run.batch_size as f64;
-                Ok((share, self.sampler.draw(first, count)))
+                Ok((share, self.sampler.draw(first, count)?))
             })
             .collect()
     }

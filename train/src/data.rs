@@ -58,8 +58,7 @@ impl WindowSource for Stream {
         num_items: usize,
         batch: &mut WindowBatch,
     ) -> Result<(), Error> {
-        Stream::fill(self, epoch, first_item, num_items, batch);
-        Ok(())
+        Ok(Stream::fill(self, epoch, first_item, num_items, batch)?)
     }
 }
 

@@ -331,6 +331,7 @@ impl Error {
         match self {
             Self::Spec(error) => error.code(),
             Self::Pipeline(error) => error.code(),
+            Self::Compose(error) => error.code(),
             _ => None,
         }
     }

@@ -1161,11 +1161,18 @@ impl SegmentSource for Swings {
         WINDOW_NUMBERS
     }
 
-    fn fill(&self, _epoch: u64, first: u64, num_items: usize, batch: &mut CoordinatorBatch) {
+    fn fill(
+        &self,
+        _epoch: u64,
+        first: u64,
+        num_items: usize,
+        batch: &mut CoordinatorBatch,
+    ) -> Result<(), train::Error> {
         let first = self.first + first;
         let items = first..first + num_items as u64;
         batch.windows = items.clone().flat_map(Self::window).collect();
         batch.composed = items.map(|item| (item % 2) as f32).collect();
+        Ok(())
     }
 }
 

@@ -22,7 +22,7 @@ pub fn commit_rows<R: Row>(
     plan_hash: &str,
     holder: &str,
 ) -> Result<Dataset, Error> {
-    commit_table::<R>(root, skeleton, plan_hash, holder, |transaction| {
+    commit_table::<R, Error>(root, skeleton, plan_hash, holder, |transaction| {
         transaction.write_rows(rows, split_of, skeleton, plan_hash)
     })
 }
@@ -32,24 +32,25 @@ pub fn commit_rows<R: Row>(
 ///
 /// # Errors
 /// The folder is locked or cannot be written, or `write` fails.
-pub fn commit_table<R: Row>(
+pub fn commit_table<R: Row, E: From<Error>>(
     root: &Path,
     skeleton: &Skeleton,
     plan_hash: &str,
     holder: &str,
-    write: impl FnOnce(&Transaction) -> Result<Vec<FileEntry>, Error>,
-) -> Result<Dataset, Error> {
+    write: impl FnOnce(&Transaction) -> Result<Vec<FileEntry>, E>,
+) -> Result<Dataset, E> {
     let transaction = Transaction::begin(root, holder)?;
     let recorded = transaction.base().and_then(|base| base.plans.get(R::TABLE));
     if recorded.is_some_and(|recorded| recorded == plan_hash) {
         drop(transaction);
-        return Dataset::open(root);
+        return Ok(Dataset::open(root)?);
     }
     let entries = write(&transaction)?;
-    transaction.commit(Commit {
+    let dataset = transaction.commit(Commit {
         tables: BTreeMap::from([(R::TABLE.to_owned(), entries)]),
         plan_hash: plan_hash.to_owned(),
         skeleton: skeleton.clone(),
         ..Commit::default()
-    })
+    })?;
+    Ok(dataset)
 }

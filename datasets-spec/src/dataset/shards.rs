@@ -160,7 +160,9 @@ impl Transaction {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<Vec<FileEntry>, Error> {
-        let made = |range: Range<u64>| rows[range.start as usize..range.end as usize].to_vec();
+        let made = |range: Range<u64>| -> Result<Vec<R>, Error> {
+            Ok(rows[range.start as usize..range.end as usize].to_vec())
+        };
         self.write_made(split, rows.len() as u64, made, facts)
     }
 
@@ -168,14 +170,14 @@ impl Transaction {
     /// the range of rows.
     ///
     /// # Errors
-    /// As [`Transaction::write_rows`].
-    pub fn write_made<R: Row>(
+    /// As [`Transaction::write_rows`], or `make` fails.
+    pub fn write_made<R: Row, E: From<Error>>(
         &self,
         split: Option<Split>,
         num_rows: u64,
-        mut make: impl FnMut(Range<u64>) -> Vec<R>,
+        mut make: impl FnMut(Range<u64>) -> Result<Vec<R>, E>,
         facts: &[(&str, String)],
-    ) -> Result<Vec<FileEntry>, Error> {
+    ) -> Result<Vec<FileEntry>, E> {
         let of = num_rows.div_ceil(SHARD_ROWS).max(1);
         (0..of)
             .map(|index| {
@@ -186,7 +188,7 @@ impl Transaction {
                     of: of as usize,
                 };
                 let end = num_rows.min((index + 1) * SHARD_ROWS);
-                self.write_shard(&name, &make(index * SHARD_ROWS..end), facts)
+                Ok(self.write_shard(&name, &make(index * SHARD_ROWS..end)?, facts)?)
             })
             .collect()
     }

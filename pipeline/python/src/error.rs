@@ -56,11 +56,11 @@ macro_rules! plain {
 coded!(
     datasets_spec::Error,
     pipeline::Error,
+    pipeline::compose::Error,
     train::Error,
     eval::Error
 );
 plain!(
-    pipeline::compose::Error,
     corpus::Error,
     kinematics::Error,
     pipeline::feature::humanml3d::FeatureError,

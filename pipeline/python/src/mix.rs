@@ -6,7 +6,7 @@ use std::sync::Arc;
 use datasets_spec::{Dataset, Seed, Skeleton, Split};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use pipeline::compose::{ComposeConfig, Stream, WindowBatch};
+use pipeline::compose::{ComposeConfig, Paging, Stream, WindowBatch};
 use pipeline::stage;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -53,6 +53,8 @@ impl Mix {
             .transpose()
             .map_err(Failure::from)?;
         let split: Split = split.parse().map_err(Failure::from)?;
+        let paging = Paging::from_environment(|name| std::env::var_os(name));
+        paging.map_err(Failure::new)?.set_for_process();
         work::long(py, false, |_| {
             let dataset = Dataset::open(&path)?;
             let skeleton = Arc::new(dataset.skeleton()?);
@@ -132,9 +134,9 @@ impl Mix {
                 let (epoch, item) = (place / epoch_len, place % epoch_len);
                 let len = (count - done).min((epoch_len - item) as usize);
                 if len == count {
-                    self.stream.fill(epoch, item, len, &mut all);
+                    self.stream.fill(epoch, item, len, &mut all)?;
                 } else {
-                    self.stream.fill(epoch, item, len, &mut part);
+                    self.stream.fill(epoch, item, len, &mut part)?;
                     all.original.extend_from_slice(&part.original);
                     all.edited.extend_from_slice(&part.edited);
                     all.progress.extend_from_slice(&part.progress);
@@ -161,7 +163,7 @@ impl Mix {
                 "item {item} of an epoch of {len}"
             )));
         }
-        let composed = work::quick(py, || Ok(self.stream.triplet(epoch, item)))?;
+        let composed = work::quick(py, || Ok(self.stream.triplet(epoch, item)?))?;
         Ok(Triplet {
             original: Motion::of(composed.original, &self.skeleton),
             edited: Motion::of(composed.edited, &self.skeleton),

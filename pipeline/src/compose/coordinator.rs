@@ -4,7 +4,7 @@ use datasets_spec::BodyPart;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use super::stream::item_rng;
+use super::stream::{Room, WindowPlace, item_rng};
 use super::window::BlendPlan;
 use super::{Error, Stream};
 
@@ -43,6 +43,9 @@ impl Stream {
     /// Draws windows for the coordinator: an even item is an unmodified segment of the motion base, an
     /// odd one blends a body part of one segment into another segment of a different source clip. All draws derive from seed, epoch and item.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If [`Stream::check_coordinator`] fails.
     ///
@@ -54,7 +57,7 @@ impl Stream {
         first_item: u64,
         num_items: usize,
         batch: &mut CoordinatorBatch,
-    ) {
+    ) -> Result<(), Error> {
         let window = self.window_len();
         batch.windows.resize(num_items * window, 0.0);
         batch.composed.resize(num_items, 0.0);
@@ -71,29 +74,32 @@ impl Stream {
             .par_chunks_mut(window)
             .zip(&mut batch.composed)
             .enumerate()
-            .for_each(|(place, (out, composed))| {
+            .try_for_each_init(<[Room; 2]>::default, |rooms, (place, (out, composed))| {
+                let [room, other_room] = rooms;
                 let item = first_item + place as u64;
                 let mut rng = item_rng(seed, item);
                 let mut draw = |other_than: Option<usize>| loop {
                     let clip = self.base[rng.random_range(0..self.base.len())];
                     if other_than.is_none_or(|other| self.library.may_pair(clip, other)) {
                         let last = self.library.len_of(clip) - self.span;
-                        break (clip, rng.random_range(0..=last));
+                        let start = rng.random_range(0..=last);
+                        break WindowPlace { clip, start };
                     }
                 };
-                let (clip, start) = draw(None);
-                let segment = self.window_of(clip, start);
+                let at = draw(None);
+                let segment = self.window_of(at, room)?;
                 *composed = (item % 2) as f32;
                 if item.is_multiple_of(2) {
                     self.composer.original(segment, out);
-                    return;
+                    return Ok(());
                 }
-                let (other, other_start) = draw(Some(clip));
+                let other = draw(Some(at.clip));
                 let plan = &plans[rng.random_range(0..plans.len())];
                 let alpha = self.config.alpha.draw(&mut rng) as f32;
-                let taken = self.window_of(other, other_start);
+                let taken = self.window_of(other, other_room)?;
                 self.composer.blended(segment, taken, plan, alpha, out);
-            });
+                Ok(())
+            })
     }
 }
 
@@ -117,7 +123,8 @@ mod tests {
             .num_threads(threads)
             .build()
             .expect("a pool")
-            .install(|| stream.fill_coordinator(2, first, count, &mut batch));
+            .install(|| stream.fill_coordinator(2, first, count, &mut batch))
+            .expect("in memory");
         batch
     }
 

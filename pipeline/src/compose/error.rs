@@ -1,6 +1,8 @@
 //! Errors of composing edits and deriving masks.
 
-use datasets_spec::{MotionId, Split};
+use std::path::PathBuf;
+
+use datasets_spec::{Code, MotionId, Split};
 
 /// An error that names the row, motion or setting it happened to.
 #[derive(Debug, thiserror::Error)]
@@ -106,6 +108,41 @@ pub enum Error {
         motion: MotionId,
         /// What is wrong with it.
         source: datasets_spec::Error,
+    },
+    /// A motion has another length than its row states.
+    #[error("motion {motion} has {found} frames, and its row states {stated}; ingest it again")]
+    Length {
+        /// The motion.
+        motion: MotionId,
+        /// Its frames.
+        found: usize,
+        /// The frames that `n_frames` states.
+        stated: i32,
+    },
+    /// A file of the dataset cannot be read.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A file of frames changed after it was written.
+    #[error("{} is damaged: {problem}; remove it, and it is made again", path.display())]
+    Frames {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        problem: &'static str,
+    },
+    /// The frames of motions that do not fit in memory cannot be written to the disk.
+    #[error(
+        "cannot write {:.1} GB of frames to {}; free as much, name another folder in STANCE_CACHE, or raise STANCE_MEMORY",
+        *bytes as f64 / 1e9,
+        path.display()
+    )]
+    UnwrittenFrames {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+        /// The cause.
+        source: std::io::Error,
     },
     /// A mask row does not hold a mask.
     #[error("mask {mask:?} is not usable")]
@@ -222,4 +259,17 @@ pub enum Error {
         /// Rate of the target.
         target_fps: f64,
     },
+}
+
+impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let (code, path) = match self {
+            Self::Spec(error) => return error.code(),
+            Self::Frames { path, .. } => ("E-CORRUPT", path),
+            Self::UnwrittenFrames { path, .. } => ("E-IO", path),
+            _ => return None,
+        };
+        Some((code, Some(path.display().to_string())))
+    }
 }

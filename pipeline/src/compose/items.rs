@@ -113,7 +113,8 @@ impl Default for ItemConfig {
 /// if nothing new can be drawn, fewer items are returned than requested.
 ///
 /// # Errors
-/// A setting is out of range, no mask or pair of the tasks can be used, or one has no partner.
+/// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
+/// cannot be read.
 pub fn draw_items(
     library: &Arc<Library>,
     config: &ItemConfig,
@@ -125,7 +126,7 @@ pub fn draw_items(
         ..config.compose.clone()
     };
     compose.check()?;
-    let library = Arc::clone(library).aligned(compose.alignment);
+    let library = Arc::clone(library).aligned(compose.alignment)?;
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
     let drawer = Drawer {
@@ -211,7 +212,7 @@ impl Drawer<'_> {
         let library = self.library;
         if library.is_asked_as_is(subject) {
             let is_first = round == 0 && attempt == 0;
-            return Ok(is_first.then(|| self.as_is(subject)));
+            return is_first.then(|| self.as_is(subject)).transpose();
         }
         let id = library.subject_id(subject);
         let mut place = vec![
@@ -237,8 +238,8 @@ impl Drawer<'_> {
             },
             &pairing,
             self.config,
-        );
-        let other = self.other_take(&triplet);
+        )?;
+        let other = self.other_take(&triplet)?;
         let parts = match pairing.half {
             Some(half) => vec![half.name().to_owned()],
             None => library.parts_of(subject).to_vec(),
@@ -260,7 +261,7 @@ impl Drawer<'_> {
     }
 
     /// The item of a pair without a donor.
-    fn as_is(&self, subject: Subject) -> ItemRow {
+    fn as_is(&self, subject: Subject) -> Result<ItemRow, Error> {
         let library = self.library;
         let [source, target] = library.captured_of(subject).map(|clip| library.clip(clip));
         let mut row = ItemRow {
@@ -269,9 +270,9 @@ impl Drawer<'_> {
         };
         row.source_id = source.id.clone();
         row.target_id = target.id.clone();
-        row.set_motions(&source.motion, Some(&target.motion), None);
+        row.set_motions(&*source.motion()?, Some(&*target.motion()?), None);
         row.id = row.content_id();
-        row
+        Ok(row)
     }
 
     fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
@@ -293,43 +294,41 @@ impl Drawer<'_> {
     /// The edited motion of an item, made with another capture of the same action in the same style:
     /// an upper bound on how near an editor can come to the target. None without such a capture of
     /// at least a window.
-    fn other_take(&self, item: &Triplet) -> Option<Motion> {
+    fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = self.library;
         let target = library.captured(&item.target_id);
         let takes: Vec<&Clip> = library
             .other_takes(target)
             .filter(|clip| clip.id != item.source_id)
-            .filter(|clip| clip.motion.len() >= self.span.min(item.original.len()))
+            .filter(|clip| clip.len() >= self.span.min(item.original.len()))
             .collect();
-        let longest = takes.iter().map(|clip| clip.motion.len()).max()?;
+        let Some(longest) = takes.iter().map(|clip| clip.len()).max() else {
+            return Ok(None);
+        };
         // Draw one of the takes that cover most of the edit.
         let frames = longest.min(item.original.len());
         let takes: Vec<&Clip> = takes
             .into_iter()
-            .filter(|clip| clip.motion.len() >= frames)
+            .filter(|clip| clip.len() >= frames)
             .collect();
         let mut rng = self.seed.rng(&["other take", &item.id]);
-        let take = &takes[rng.random_range(0..takes.len())].motion;
+        let take = takes[rng.random_range(0..takes.len())];
         let start = item.target_start.min(take.len() - frames);
-        let over = take.crop(start..start + frames).ok()?;
+        let over = take.crop(start..start + frames)?;
         if item.mask == BlendMask::EMPTY {
-            return Some(over);
+            return Ok(Some(over));
         }
         let under = match item.donor_ids.first() {
-            Some(donor) => library
-                .captured(donor)
-                .motion
-                .crop(item.donor_start..item.donor_start + frames),
-            None => item.original.crop(0..frames),
+            Some(donor) => {
+                let donor = library.captured(donor);
+                donor.crop(item.donor_start..item.donor_start + frames)?
+            }
+            None => {
+                let original = item.original.crop(0..frames);
+                original.expect("as long as the take or longer")
+            }
         };
-        blend_motion(
-            &under.ok()?,
-            &over,
-            item.mask,
-            item.alpha,
-            self.config.slerp,
-        )
-        .ok()
+        blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp).map(Some)
     }
 }
 

@@ -292,16 +292,18 @@ mod tests {
         let stream = stream.expect("a stream");
         let mut whole = WindowBatch::default();
         let mut rows = Vec::new();
-        stream.for_each_recorded(0..count as u64, |row, batch, at| {
-            let window = stream.window_len();
-            whole
-                .original
-                .extend(&batch.original[at * window..][..window]);
-            whole.edited.extend(&batch.edited[at * window..][..window]);
-            whole.progress.push(row.progress);
-            whole.instructions.push(row.instruction.clone());
-            rows.push(row);
-        });
+        stream
+            .for_each_recorded(0..count as u64, |row, batch, at| {
+                let window = stream.window_len();
+                whole
+                    .original
+                    .extend(&batch.original[at * window..][..window]);
+                whole.edited.extend(&batch.edited[at * window..][..window]);
+                whole.progress.push(row.progress);
+                whole.instructions.push(row.instruction.clone());
+                rows.push(row);
+            })
+            .expect("in memory");
         let dir = tempfile::tempdir().expect("a folder");
         let split_of: fn(&WindowRow) -> Split = |row| row.split;
         let skeleton = Skeleton::smplx_neutral();

@@ -7,7 +7,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Stream, Triplet};
+use super::{Error, Stream, Triplet};
 
 /// Bins of the histogram of weights.
 const ALPHA_BINS: usize = 10;
@@ -76,7 +76,10 @@ impl Stream {
     }
 
     /// The first whole-clip triplets of the stream, epoch after epoch.
-    pub fn first_triplets(&self, count: u64) -> Vec<Triplet> {
+    ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    pub fn first_triplets(&self, count: u64) -> Result<Vec<Triplet>, Error> {
         (0..count)
             .into_par_iter()
             .map(|number| self.triplet(number / self.epoch_len(), number % self.epoch_len()))
@@ -84,11 +87,14 @@ impl Stream {
     }
 
     /// Triplets for a picture: the first of every kind with soft joints, then of other masks, if there are any.
-    pub fn sample_for_sheet(&self, count: usize) -> Vec<Triplet> {
+    ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    pub fn sample_for_sheet(&self, count: usize) -> Result<Vec<Triplet>, Error> {
         const LOOKED_AT: u64 = 512;
         let mut seen = BTreeMap::new();
         let mut rest = Vec::new();
-        for triplet in self.first_triplets(LOOKED_AT.min(2 * self.epoch_len())) {
+        for triplet in self.first_triplets(LOOKED_AT.min(2 * self.epoch_len()))? {
             let mask = (triplet.kind, triplet.mask.hard().names());
             // Prefer soft masks and show one triplet per mask.
             let number = seen.entry(mask).or_insert(0);
@@ -97,10 +103,11 @@ impl Stream {
             *number += 1;
         }
         rest.sort_by_key(|(rank, _)| *rank);
-        rest.into_iter()
+        Ok(rest
+            .into_iter()
             .take(count)
             .map(|(_, triplet)| triplet)
-            .collect()
+            .collect())
     }
 }
 
@@ -199,7 +206,7 @@ mod tests {
     #[test]
     fn every_triplet_is_counted_once() {
         let stream = stream(ComposeConfig::default());
-        let triplets = stream.first_triplets(40);
+        let triplets = stream.first_triplets(40).expect("in memory");
         let stats = triplet_stats(&triplets, &Skeleton::smplx_neutral());
         assert_eq!(stats.alphas.iter().sum::<usize>(), 40);
         assert_eq!(stats.masks.values().sum::<usize>(), 40);
@@ -219,7 +226,7 @@ mod tests {
                 .zip(stats.max_speed)
                 .all(|(mean, max)| *mean < max)
         );
-        let sheet = stream.sample_for_sheet(5);
+        let sheet = stream.sample_for_sheet(5).expect("in memory");
         assert_eq!(sheet.len(), 5);
         assert!(sheet.iter().any(|triplet| !triplet.mask.soft().is_empty()));
     }

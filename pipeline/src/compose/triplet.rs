@@ -53,9 +53,12 @@ impl Stream {
     /// Composes the whole-clip triplet of an item: the partner, the mask and the alpha that
     /// [`Stream::fill`] uses for the same item, on all frames the clips share.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If the item is not in the epoch.
-    pub fn triplet(&self, epoch: u64, item: u64) -> Triplet {
+    pub fn triplet(&self, epoch: u64, item: u64) -> Result<Triplet, Error> {
         let pairing = self.pairing(epoch, item);
         let place = Place {
             id: self.triplet_id(epoch, item),
@@ -71,9 +74,12 @@ impl Stream {
     /// use, with the partner, the mask and the alpha of an epoch. It is none of the [`Stream::triplet`]s,
     /// of which a motion has as many as windows.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If the number is not below [`Stream::num_clips`].
-    pub fn clip(&self, epoch: u64, number: u64) -> Triplet {
+    pub fn clip(&self, epoch: u64, number: u64) -> Result<Triplet, Error> {
         let (pairing, instruction) = self.clip_pairing(epoch, number);
         let kind = self.library.kind_of(pairing.subject).as_str();
         let place = Place {
@@ -89,7 +95,7 @@ impl Stream {
     /// Composes a recorded triplet again, bit for bit, from its id alone.
     ///
     /// # Errors
-    /// The id is not one of this stream's.
+    /// The id is not one of this stream's, or the motions cannot be read.
     pub fn explain(&self, id: &str) -> Result<Triplet, Error> {
         let unknown = || Error::TripletId {
             id: id.to_owned(),
@@ -106,37 +112,40 @@ impl Stream {
         if item >= self.epoch_len() || self.triplet_id(epoch, item) != id {
             return Err(unknown());
         }
-        Ok(self.triplet(epoch, item))
+        self.triplet(epoch, item)
     }
 
     /// The crop of the target that the edit of one of this stream's triplets takes from.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If the triplet is another stream's.
-    pub fn taken(&self, triplet: &Triplet) -> Motion {
+    pub fn taken(&self, triplet: &Triplet) -> Result<Motion, Error> {
         self.stretch(&triplet.target_id, triplet.target_start, triplet)
     }
 
     /// The edited motion without soft joints.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If the triplet is another stream's.
-    pub fn with_hard_mask(&self, triplet: &Triplet) -> Motion {
+    pub fn with_hard_mask(&self, triplet: &Triplet) -> Result<Motion, Error> {
         let under = match triplet.donor_ids.first() {
-            Some(donor) => self.stretch(donor, triplet.donor_start, triplet),
+            Some(donor) => self.stretch(donor, triplet.donor_start, triplet)?,
             None => triplet.original.clone(),
         };
         let mask = BlendMask::new(triplet.mask.hard(), JointSet::EMPTY).expect("nothing is soft");
-        let taken = self.taken(triplet);
+        let taken = self.taken(triplet)?;
         blend_motion(&under, &taken, mask, 0.0, self.config.slerp)
-            .expect("stretches of one triplet are in step")
     }
 
-    fn stretch(&self, id: &MotionId, start: usize, triplet: &Triplet) -> Motion {
-        let motion = &self.library.captured(id).motion;
-        motion
-            .crop(start..start + triplet.original.len())
-            .expect("a triplet lies inside its motions")
+    fn stretch(&self, id: &MotionId, start: usize, triplet: &Triplet) -> Result<Motion, Error> {
+        let clip = self.library.captured(id);
+        clip.crop(start..start + triplet.original.len())
     }
 
     fn triplet_id(&self, epoch: u64, item: u64) -> String {
@@ -160,20 +169,14 @@ impl Library {
         place: Place,
         pairing: &Pairing,
         config: &ComposeConfig,
-    ) -> Triplet {
-        let cut = |clip: usize, start: usize, len: usize| {
-            let motion = &self.clip(clip).motion;
-            motion
-                .crop(start..start + len)
-                .expect("a crop is drawn inside both motions")
-        };
+    ) -> Result<Triplet, Error> {
+        let cut = |clip: usize, start: usize, len: usize| self.clip(clip).crop(start..start + len);
         let mask = match pairing.partner {
             Some(_) => self.mask_of(pairing.subject, pairing.half, config),
             None => BlendMask::EMPTY,
         };
         let blend = |under: &Motion, over: &Motion| {
             blend_motion(under, over, mask, pairing.alpha, config.slerp)
-                .expect("crops of one library have one length and rate")
         };
         let (crop, donor) = (pairing.crop, pairing.donor);
         let id_of = |clip: usize| self.clip(clip).id.clone();
@@ -182,9 +185,9 @@ impl Library {
         {
             (Subject::Annotation(_), partner) => {
                 let source = partner.expect("a semantic edit has a source");
-                let original = cut(source, crop.source_start, crop.num_frames);
-                let taken = cut(target, crop.target_start, crop.num_frames);
-                let edited = blend(&original, &taken);
+                let original = cut(source, crop.source_start, crop.num_frames)?;
+                let taken = cut(target, crop.target_start, crop.num_frames)?;
+                let edited = blend(&original, &taken)?;
                 let starts = (crop.source_start, crop.target_start);
                 (id_of(source), starts, original, edited, Vec::new())
             }
@@ -192,21 +195,21 @@ impl Library {
                 let source = self.clips_of(pairing.subject)[0];
                 let shift = donor.target_start;
                 let starts = (crop.source_start + shift, crop.target_start + shift);
-                let before = cut(source, starts.0, donor.num_frames);
-                let after = cut(target, starts.1, donor.num_frames);
+                let before = cut(source, starts.0, donor.num_frames)?;
+                let after = cut(target, starts.1, donor.num_frames)?;
                 let source_id = id_of(self.captured_of(pairing.subject)[0]);
                 match partner {
                     None => (source_id, starts, before, after, Vec::new()),
                     Some(clip) => {
-                        let under = cut(clip, donor.source_start, donor.num_frames);
-                        let (original, edited) = (blend(&under, &before), blend(&under, &after));
+                        let under = cut(clip, donor.source_start, donor.num_frames)?;
+                        let (original, edited) = (blend(&under, &before)?, blend(&under, &after)?);
                         (source_id, starts, original, edited, vec![id_of(clip)])
                     }
                 }
             }
         };
         let is_pair = matches!(pairing.subject, Subject::Pair(_));
-        Triplet {
+        Ok(Triplet {
             id: place.id,
             split: self.split(),
             kind: self.kind_of(pairing.subject).as_str(),
@@ -229,7 +232,7 @@ impl Library {
             recipe_hash: place.recipe_hash,
             original,
             edited,
-        }
+        })
     }
 }
 
@@ -302,7 +305,7 @@ mod tests {
             };
             let (recorded, later) = (stream(config.clone()), stream(config));
             for item in 0..recorded.epoch_len() {
-                let triplet = recorded.triplet(2, item);
+                let triplet = recorded.triplet(2, item).expect("in memory");
                 assert_eq!(later.explain(&triplet.id).expect("its own id"), triplet);
                 assert_eq!(
                     later.explain(&triplet.id).expect("its own id").to_row(),
@@ -338,7 +341,7 @@ mod tests {
             };
             let recorded = stream();
             let item = at.index(recorded.epoch_len() as usize) as u64;
-            let triplet = recorded.triplet(epoch.into(), item);
+            let triplet = recorded.triplet(epoch.into(), item).expect("in memory");
             let explained = stream().explain(&triplet.id).expect("its own id");
             prop_assert_eq!(explained.to_row(), triplet.to_row());
             prop_assert_eq!(explained, triplet);
@@ -355,9 +358,10 @@ mod tests {
             let stream = stream(config);
             let mut told = 0;
             for number in 0..stream.num_clips() {
-                let [first, second] = [0, 1].map(|epoch| stream.clip(epoch, number));
+                let clip = |epoch| stream.clip(epoch, number).expect("in memory");
+                let [first, second] = [0, 1].map(clip);
                 assert_eq!(first.target_id, second.target_id);
-                assert_eq!(stream.clip(0, number), first);
+                assert_eq!(clip(0), first);
                 assert_eq!(first.original.len(), first.edited.len());
                 told += usize::from(first.original != second.original);
             }
@@ -387,7 +391,7 @@ mod tests {
             };
             for (epoch, item) in (0..10).flat_map(|e| (0..stream.epoch_len()).map(move |i| (e, i)))
             {
-                let triplet = stream.triplet(epoch, item);
+                let triplet = stream.triplet(epoch, item).expect("in memory");
                 assert_eq!(stream.explain(&triplet.id).expect("its own id"), triplet);
                 let frames = triplet.original.len();
                 let cut = |id: &MotionId, start: usize| {
@@ -473,7 +477,7 @@ mod tests {
     fn the_two_sides_differ_in_the_mask_alone() {
         let stream = stream(ComposeConfig::default());
         for item in 0..stream.epoch_len() {
-            let triplet = stream.triplet(0, item);
+            let triplet = stream.triplet(0, item).expect("in memory");
             let (before, after) = (&triplet.original, &triplet.edited);
             assert_eq!((before.len(), before.fps()), (after.len(), after.fps()));
             for joint in 0..22 {
@@ -492,6 +496,7 @@ mod tests {
     #[test]
     fn a_row_gives_the_motions_back() {
         let triplet = stream(ComposeConfig::default()).triplet(0, 0);
+        let triplet = triplet.expect("in memory");
         let row = triplet.to_row();
         assert_eq!(row.original().expect("valid"), triplet.original);
         assert_eq!(row.edited().expect("valid"), triplet.edited);

@@ -7,8 +7,8 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use datasets_spec::{BlendMask, Motion};
-use glam::{DMat3, Quat};
+use datasets_spec::{BlendMask, Motion, Pose};
+use glam::{DMat3, DVec3, Quat};
 use kinematics::canonical::Anchor;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
@@ -36,6 +36,28 @@ pub(super) struct Frame {
     rotations: [[f32; QUAT]; NUM_BODY_JOINTS],
 }
 
+impl Frame {
+    fn new(pose: &Pose, keypoints: &[DVec3; NUM_KEYPOINTS]) -> Self {
+        let mut points = [0.0; FRAME_WIDTH + 2 * MARGIN];
+        for (slot, point) in keypoints.iter().enumerate() {
+            points[place(slot)..place(slot) + 3].copy_from_slice(&point.as_vec3().to_array());
+        }
+        Self {
+            points,
+            rotations: pose.rotations.map(|rotation| rotation.as_quat().to_array()),
+        }
+    }
+
+    /// Prepares all frames of a motion, in place of those that `frames` holds.
+    pub(super) fn prepare(motion: &Motion, skeleton: &Skeleton, frames: &mut Vec<Self>) {
+        let poses = motion.poses();
+        let keypoints = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
+        frames.clear();
+        let both = poses.iter().zip(&keypoints);
+        frames.extend(both.map(|(pose, keypoints)| Self::new(pose, keypoints)));
+    }
+}
+
 /// A motion subsampled to the model's rate, at every phase: with a stride of 2, even frames are one phase and
 /// odd frames the next, so that a window may start at any stored frame with its frames adjacent in memory.
 #[derive(Clone, Debug)]
@@ -54,18 +76,8 @@ impl Thinned {
         let mut frames = Vec::with_capacity(motion.len());
         let mut phase_bounds = vec![0];
         for phase in 0..stride {
-            frames.extend((phase..motion.len()).step_by(stride).map(|frame| {
-                let pose = &poses[frame];
-                let mut points = [0.0; FRAME_WIDTH + 2 * MARGIN];
-                for (slot, point) in keypoints[frame].into_iter().enumerate() {
-                    points[place(slot)..place(slot) + 3]
-                        .copy_from_slice(&point.as_vec3().to_array());
-                }
-                Frame {
-                    points,
-                    rotations: pose.rotations.map(|rotation| rotation.as_quat().to_array()),
-                }
-            }));
+            let phase = (phase..motion.len()).step_by(stride);
+            frames.extend(phase.map(|frame| Frame::new(&poses[frame], &keypoints[frame])));
             phase_bounds.push(frames.len());
         }
         Self {
@@ -525,8 +537,8 @@ fn sinc_of_square(square: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{BodyPart, Pose};
-    use glam::{DQuat, DVec3};
+    use datasets_spec::BodyPart;
+    use glam::DQuat;
     use kinematics::canonical::{WINDOW_FRAMES, canonicalise};
     use proptest::prelude::*;
 

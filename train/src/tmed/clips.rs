@@ -35,7 +35,10 @@ pub trait ClipSource: Sync {
     fn num_clips(&self) -> u64;
 
     /// A clip of an epoch.
-    fn clip(&self, epoch: u64, number: u64) -> ClipEdit;
+    ///
+    /// # Errors
+    /// Its motions cannot be read.
+    fn clip(&self, epoch: u64, number: u64) -> Result<ClipEdit, Error>;
 }
 
 impl ClipSource for Stream {
@@ -43,13 +46,13 @@ impl ClipSource for Stream {
         Stream::num_clips(self)
     }
 
-    fn clip(&self, epoch: u64, number: u64) -> ClipEdit {
-        let triplet = Stream::clip(self, epoch, number);
-        ClipEdit {
+    fn clip(&self, epoch: u64, number: u64) -> Result<ClipEdit, Error> {
+        let triplet = Stream::clip(self, epoch, number)?;
+        Ok(ClipEdit {
             instruction: triplet.instruction,
             source: triplet.original,
             target: triplet.edited,
-        }
+        })
     }
 }
 
@@ -62,13 +65,13 @@ impl ClipSource for CapturedPairs {
         self.0.num_pairs() as u64
     }
 
-    fn clip(&self, _epoch: u64, number: u64) -> ClipEdit {
-        let (instruction, [source, target]) = self.0.pair(number as usize);
-        ClipEdit {
+    fn clip(&self, _epoch: u64, number: u64) -> Result<ClipEdit, Error> {
+        let (instruction, [source, target]) = self.0.pair(number as usize)?;
+        Ok(ClipEdit {
             instruction: instruction.to_owned(),
-            source: source.clone(),
-            target: target.clone(),
-        }
+            source: source.into_owned(),
+            target: target.into_owned(),
+        })
     }
 }
 
@@ -89,7 +92,7 @@ pub(crate) fn statistics(
         let moments = (0..taken)
             .into_par_iter()
             .map(|place| {
-                let clip = source.clip(0, place * count / taken);
+                let clip = source.clip(0, place * count / taken)?;
                 let of = |motion: &Motion| -> Result<Moments, Error> {
                     let features = features_of_motion(motion, fps, max_frames, skeleton);
                     let features =
@@ -280,7 +283,7 @@ impl ClipSampler<'_> {
             config, skeleton, ..
         } = *self;
         let diffusion = &config.diffusion;
-        let clip = self.source.clip(epoch, number);
+        let clip = self.source.clip(epoch, number)?;
         let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {
             let features = features_of_motion(motion, config.fps, config.max_frames, skeleton);
             let mut features = features.map_err(|source| unusable(&clip.instruction, source))?;
@@ -357,12 +360,12 @@ mod tests {
             self.0
         }
 
-        fn clip(&self, epoch: u64, number: u64) -> ClipEdit {
-            ClipEdit {
+        fn clip(&self, epoch: u64, number: u64) -> Result<ClipEdit, Error> {
+            Ok(ClipEdit {
                 instruction: format!("walk {number}"),
                 source: line(4 + number, 0.1),
                 target: line(6 + number, 0.2 + 0.1 * epoch as f64),
-            }
+            })
         }
     }
 

@@ -97,7 +97,7 @@ fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
             problem: format!("it is pairs, and the {split} split has none; set it to composed"),
         });
     }
-    let texts = (0..library.num_pairs()).map(|pair| library.pair(pair).0.to_owned());
+    let texts = (0..library.num_pairs()).map(|pair| library.instruction_of_pair(pair).to_owned());
     let texts = texts.collect();
     Ok((Box::new(CapturedPairs(library)), texts))
 }

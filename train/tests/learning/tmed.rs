@@ -53,14 +53,14 @@ impl ClipSource for Arms {
         10
     }
 
-    fn clip(&self, _epoch: u64, number: u64) -> ClipEdit {
+    fn clip(&self, _epoch: u64, number: u64) -> Result<ClipEdit, train::Error> {
         let (frames, speed) = (12 + number as usize % 3, 0.5 + 0.1 * number as f64);
         let edited = number as usize % 2;
-        ClipEdit {
+        Ok(ClipEdit {
             instruction: INSTRUCTIONS[edited].to_owned(),
             source: arm(frames, speed, 0.0),
             target: arm(frames + 2, speed, [1.0, -1.0][edited]),
-        }
+        })
     }
 }
 

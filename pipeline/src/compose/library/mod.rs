@@ -1,17 +1,24 @@
 //! The motions, masks and pairs of one split, and every rule on them: which rows fit together, which
 //! clips partners are drawn from, and who may be blended with whom.
 
+mod frames;
 mod normaliser;
+#[cfg(test)]
+mod paged_tests;
 mod pairing;
+mod read;
 mod rows;
 
+use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use datasets_spec::{BlendMask, BodyPart, Fps, Motion, MotionId, Skeleton, Split};
 use rayon::prelude::*;
 
-use super::align;
-use super::config::{Alignment, EditKind};
+use super::config::{Alignment, COMPOSE_VERSION, EditKind};
+use super::{Error, Paging, align};
+use frames::FrameFile;
 
 pub(super) use pairing::{Pairing, Subject};
 pub(crate) use rows::{check_mask, check_pair, motion_on};
@@ -23,12 +30,86 @@ pub(super) struct Clip {
     /// Number shared by all clips of one source clip: mirrored and cropped copies.
     pub(super) origin: usize,
     /// Kind of source it came from.
-    pub(super) source: String,
-    pub(super) action: Option<String>,
-    pub(super) style: Option<String>,
-    pub(super) motion: Motion,
+    pub(super) source: Arc<str>,
+    pub(super) action: Option<Arc<str>>,
+    pub(super) style: Option<Arc<str>>,
+    frames: Frames,
     /// Whether it may be drawn as a partner. Time-warped copies may not.
     pub(super) in_base: bool,
+}
+
+/// Where the frames of a clip are.
+#[derive(Clone, Debug)]
+enum Frames {
+    Memory(Arc<Motion>),
+    File {
+        file: Arc<FrameFile>,
+        /// Its first frame there.
+        first: u64,
+        len: usize,
+    },
+}
+
+impl Clip {
+    /// Number of frames.
+    pub(super) fn len(&self) -> usize {
+        match &self.frames {
+            Frames::Memory(motion) => motion.len(),
+            Frames::File { len, .. } => *len,
+        }
+    }
+
+    /// All frames.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    pub(super) fn motion(&self) -> Result<Cow<'_, Motion>, Error> {
+        match &self.frames {
+            Frames::Memory(motion) => Ok(Cow::Borrowed(motion)),
+            Frames::File { file, first, len } => {
+                Ok(Cow::Owned(file.motion(*first, *len, 1, &mut Vec::new())?))
+            }
+        }
+    }
+
+    /// The frames of a range.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    ///
+    /// # Panics
+    /// If the range is empty or leaves the clip.
+    pub(super) fn crop(&self, frames: Range<usize>) -> Result<Motion, Error> {
+        match &self.frames {
+            Frames::Memory(motion) => Ok(motion.crop(frames).expect("a range inside the clip")),
+            Frames::File { .. } => self.thinned(frames.start, frames.len(), 1, &mut Vec::new()),
+        }
+    }
+
+    /// `count` frames, each `stride` after the one before, from frame `start` on. `room` is reused from call
+    /// to call.
+    ///
+    /// # Errors
+    /// They cannot be read.
+    ///
+    /// # Panics
+    /// If the frames leave the clip, or are in memory.
+    pub(super) fn thinned(
+        &self,
+        start: usize,
+        count: usize,
+        stride: usize,
+        room: &mut Vec<u8>,
+    ) -> Result<Motion, Error> {
+        let Frames::File { file, first, len } = &self.frames else {
+            unreachable!("frames in memory need not be read")
+        };
+        assert!(
+            count > 0 && start + (count - 1) * stride < *len,
+            "the window leaves the motion"
+        );
+        file.motion(first + start as u64, count, stride, room)
+    }
 }
 
 /// An accepted (motion, mask, text).
@@ -39,8 +120,8 @@ struct Annotation {
     clip: usize,
     mask: BlendMask,
     /// Names of the parts the mask is made of.
-    parts: Vec<String>,
-    instruction: String,
+    parts: Arc<[String]>,
+    instruction: Arc<str>,
 }
 
 /// Two motions of one body that differ in one respect, and the instruction for the difference.
@@ -57,25 +138,30 @@ struct Pair {
     /// Halves of the body that may be edited.
     halves: Vec<BodyPart>,
     /// Names of the parts that the pair says it changes.
-    parts: Vec<String>,
+    parts: Arc<[String]>,
     /// Whether it is a pair of MotionFix, which is evaluated without a donor.
     is_motionfix: bool,
-    instruction: String,
+    instruction: Arc<str>,
 }
 
 /// All motions and masks of one split: the motion base and the annotated set of MotionCutMix.
 ///
 /// Clips and annotations are ordered by id, so nothing depends on the order of the rows it was
-/// made from.
+/// made from. Ids, lengths and labels are in memory. The frames are too, or are read from a file when they are
+/// needed ([`Paging`]): every result is the same to the last bit.
 #[derive(Clone, Debug)]
 pub struct Library {
     split: Split,
     fps: Fps,
     skeleton: Skeleton,
+    /// Clips as they were captured, by id, and then time-warped copies.
     clips: Vec<Clip>,
+    num_captured: usize,
     annotations: Vec<Annotation>,
     pairs: Vec<Pair>,
     alignment: Alignment,
+    /// Where the frames are that are not in memory, and the key of their file.
+    paged: Option<(Paging, String)>,
 }
 
 impl Library {
@@ -99,6 +185,17 @@ impl Library {
         self.clips.len()
     }
 
+    /// Number of motions whose frames are in memory: all or none.
+    pub fn num_in_memory(&self) -> usize {
+        let in_memory = |clip: &&Clip| matches!(clip.frames, Frames::Memory(_));
+        self.clips.iter().filter(in_memory).count()
+    }
+
+    /// Whether frames are read from a file when they are needed.
+    pub(super) fn is_paged(&self) -> bool {
+        self.paged.is_some()
+    }
+
     /// Number of pairs.
     pub fn num_pairs(&self) -> usize {
         self.pairs.len()
@@ -107,12 +204,23 @@ impl Library {
     /// A pair as it was captured: the instruction of the dataset and the motions before and after the
     /// edit, which may differ in length.
     ///
+    /// # Errors
+    /// The motions cannot be read.
+    ///
     /// # Panics
     /// If the index is not below [`Library::num_pairs`].
-    pub fn pair(&self, index: usize) -> (&str, [&Motion; 2]) {
+    pub fn pair(&self, index: usize) -> Result<(&str, [Cow<'_, Motion>; 2]), Error> {
         let pair = &self.pairs[index];
-        let motions = [pair.captured, pair.target].map(|clip| &self.clips[clip].motion);
-        (&pair.instruction, motions)
+        let [source, target] = [pair.captured, pair.target].map(|clip| self.clips[clip].motion());
+        Ok((&pair.instruction, [source?, target?]))
+    }
+
+    /// The instruction of a pair.
+    ///
+    /// # Panics
+    /// If the index is not below [`Library::num_pairs`].
+    pub fn instruction_of_pair(&self, index: usize) -> &str {
+        &self.pairs[index].instruction
     }
 
     /// A clip by its index.
@@ -125,17 +233,15 @@ impl Library {
     /// # Panics
     /// If no motion has this id.
     pub(super) fn captured(&self, id: &MotionId) -> &Clip {
-        let mut clips = self.clips.iter();
-        clips
-            .find(|clip| clip.in_base && clip.id == *id)
-            .expect("a motion of this library")
+        let captured = &self.clips[..self.num_captured];
+        let found = captured.binary_search_by(|clip| clip.id.cmp(id));
+        &captured[found.expect("a motion of this library")]
     }
 
     /// Other captures of the same action in the same style; none where the action is not known.
     pub(super) fn other_takes(&self, target: &Clip) -> impl Iterator<Item = &Clip> {
-        self.clips.iter().filter(|clip| {
-            clip.in_base
-                && clip.action.is_some()
+        self.clips[..self.num_captured].iter().filter(|clip| {
+            clip.action.is_some()
                 && clip.action == target.action
                 && clip.style == target.style
                 && clip.origin != target.origin
@@ -143,35 +249,84 @@ impl Library {
     }
 
     /// The library with the motions of its pairs aligned in time.
-    pub(super) fn aligned(self: Arc<Self>, alignment: Alignment) -> Arc<Self> {
+    ///
+    /// # Errors
+    /// The motions cannot be read, or the frames of aligned ones cannot be written.
+    pub(super) fn aligned(self: Arc<Self>, alignment: Alignment) -> Result<Arc<Self>, Error> {
         if alignment == self.alignment {
-            return self;
+            return Ok(self);
         }
         let mut library = Self::clone(&self);
-        library.clips.retain(|clip| clip.in_base);
+        library.clips.truncate(library.num_captured);
         for pair in &mut library.pairs {
             pair.source = pair.captured;
         }
         if alignment == Alignment::TimeWarp {
-            let warped: Vec<Clip> = library
-                .pairs
-                .par_iter()
-                .map(|pair| {
-                    let (source, target) =
-                        (&library.clips[pair.captured], &library.clips[pair.target]);
-                    Clip {
-                        motion: align::warped(&source.motion, &target.motion, &library.skeleton),
-                        in_base: false,
-                        ..source.clone()
-                    }
-                })
-                .collect();
+            let warped = library.warped()?;
             for (pair, clip) in library.pairs.iter_mut().zip(warped) {
                 pair.source = library.clips.len();
                 library.clips.push(clip);
             }
         }
         library.alignment = alignment;
-        Arc::new(library)
+        Ok(Arc::new(library))
     }
+
+    /// The source of each pair, aligned with its target.
+    fn warped(&self) -> Result<Vec<Clip>, Error> {
+        let warped = |pair: &Pair| -> Result<Motion, Error> {
+            let [source, target] =
+                [pair.captured, pair.target].map(|clip| self.clips[clip].motion());
+            Ok(align::warped(&*source?, &*target?, &self.skeleton))
+        };
+        let frames: Vec<Frames> = match &self.paged {
+            None => self
+                .pairs
+                .par_iter()
+                .map(|pair| Ok(Frames::Memory(Arc::new(warped(pair)?))))
+                .collect::<Result<_, Error>>()?,
+            Some((paging, key)) => {
+                let lens: Vec<usize> = (self.pairs.iter())
+                    .map(|pair| self.clips[pair.target].len())
+                    .collect();
+                let mut hasher = blake3::Hasher::new();
+                let rules = (COMPOSE_VERSION, env!("CARGO_PKG_VERSION"));
+                hasher.update(format!("time warp by {rules:?} of {key} ").as_bytes());
+                hasher.update(self.skeleton.name().as_bytes());
+                for pair in &self.pairs {
+                    hasher.update(&(pair.captured as u64).to_le_bytes());
+                    hasher.update(&(pair.target as u64).to_le_bytes());
+                }
+                let key = hasher.finalize().to_hex().to_string();
+                let num_frames = lens.iter().sum::<usize>() as u64;
+                let file = FrameFile::open(paging, &key, num_frames, self.fps, |writer| {
+                    writer.extend(&lens, |pair| warped(&self.pairs[pair]))
+                })?;
+                frames_of_file(Arc::new(file), lens).collect()
+            }
+        };
+        let clips = self.pairs.iter().zip(frames).map(|(pair, frames)| Clip {
+            frames,
+            in_base: false,
+            ..self.clips[pair.captured].clone()
+        });
+        Ok(clips.collect())
+    }
+}
+
+/// The frames of clips that lie one after another in a file.
+fn frames_of_file(
+    file: Arc<FrameFile>,
+    lens: impl IntoIterator<Item = usize>,
+) -> impl Iterator<Item = Frames> {
+    let mut next = 0;
+    lens.into_iter().map(move |len| {
+        let first = next;
+        next += len as u64;
+        Frames::File {
+            file: Arc::clone(&file),
+            first,
+            len,
+        }
+    })
 }

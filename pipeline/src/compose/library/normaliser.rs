@@ -6,7 +6,7 @@ use kinematics::canonical::{canonicalise, window_starts};
 use kinematics::normalise::Normalizer;
 use rayon::prelude::*;
 
-use super::{Clip, Library};
+use super::Library;
 use crate::compose::config::RangeRule;
 use crate::compose::{ComposeConfig, Error};
 
@@ -19,8 +19,8 @@ impl Library {
     /// spaced over all.
     ///
     /// # Errors
-    /// The library is not of the training split, no motion is as long as a window, or a setting is
-    /// out of range.
+    /// The library is not of the training split, no motion is as long as a window, a setting is
+    /// out of range, or the motions cannot be read.
     ///
     /// # Source
     /// Paper App. B.2.
@@ -31,34 +31,36 @@ impl Library {
         config.check()?;
         let stride = config.stride(self.fps)?;
         let span = config.span(stride);
-        let windows: Vec<(usize, usize)> = self
-            .clips
+        let advance = config.advance(stride).max(1);
+        let captured = &self.clips[..self.num_captured];
+        // Windows before those of each clip.
+        let mut num_windows = 0;
+        let first_windows: Vec<usize> = captured
             .iter()
-            .enumerate()
-            .filter(|(_, clip)| clip.in_base)
-            .flat_map(|(clip, Clip { motion, .. })| {
-                window_starts(motion.len(), span, config.advance(stride))
-                    .into_iter()
-                    .map(move |start| (clip, start))
+            .map(|clip| {
+                let first = num_windows;
+                num_windows += window_starts(clip.len(), span, advance).len();
+                first
             })
             .collect();
-        let num_used = windows.len().min(MAX_RANGE_WINDOWS);
-        let frames: Vec<KeypointFrame> = (0..num_used)
+        let num_used = num_windows.min(MAX_RANGE_WINDOWS);
+        let frames: Vec<Vec<KeypointFrame>> = (0..num_used)
             .into_par_iter()
-            .flat_map_iter(|used| {
-                let (clip, start) = windows[used * windows.len() / num_used];
-                let motion = &self.clips[clip].motion;
-                let mut window: Vec<Pose> = (start..start + span)
+            .map(|used| {
+                let window = used * num_windows / num_used;
+                let clip = first_windows.partition_point(|&first| first <= window) - 1;
+                let start = (window - first_windows[clip]) * advance;
+                let motion = captured[clip].crop(start..start + span)?;
+                let mut window: Vec<Pose> = (0..span)
                     .step_by(stride)
                     .map(|frame| motion.pose(frame))
                     .collect();
                 canonicalise(&mut window, config.anchor, &self.skeleton);
-                window
-                    .into_iter()
-                    .map(|pose| self.skeleton.keypoints(&pose))
-                    .collect::<Vec<_>>()
+                let keypoints = window.iter().map(|pose| self.skeleton.keypoints(pose));
+                Ok(keypoints.collect())
             })
-            .collect();
+            .collect::<Result<_, Error>>()?;
+        let frames = frames.concat();
         let fitted = match config.range {
             RangeRule::PerAxis => Normalizer::fit(&frames),
             RangeRule::Scalar => Normalizer::fit_shared(&frames),

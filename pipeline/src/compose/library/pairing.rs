@@ -1,6 +1,7 @@
 //! Who is edited and who may be blended with whom.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
 use rand::RngExt;
@@ -51,16 +52,16 @@ impl Library {
     ) -> Result<Vec<usize>, Error> {
         let is_of_base = |clip: &Clip| clip.in_base && config.base.takes(&clip.source);
         if !self.clips.is_empty() && !self.clips.iter().any(is_of_base) {
-            let found: BTreeSet<&String> = self.clips.iter().map(|clip| &clip.source).collect();
+            let found: BTreeSet<&str> = self.clips.iter().map(|clip| &*clip.source).collect();
             return Err(Error::BaseSources {
                 split: self.split(),
                 wanted: config.base.sources.clone(),
-                found: found.into_iter().cloned().collect(),
+                found: found.into_iter().map(str::to_owned).collect(),
             });
         }
         let candidates: Vec<usize> = (0..self.clips.len())
             .filter(|&clip| is_of_base(&self.clips[clip]))
-            .filter(|&clip| self.clips[clip].motion.len() >= span)
+            .filter(|&clip| self.clips[clip].len() >= span)
             .collect();
         let ids: Vec<&str> = candidates
             .iter()
@@ -132,16 +133,13 @@ impl Library {
 
     /// Number of frames of a clip.
     pub(in crate::compose) fn len_of(&self, clip: usize) -> usize {
-        self.clips[clip].motion.len()
+        self.clips[clip].len()
     }
 
     /// Frames that windows can be taken from.
     pub(in crate::compose) fn frames_of(&self, subject: Subject) -> usize {
         let clips = self.clips_of(subject).into_iter();
-        clips
-            .map(|clip| self.clips[clip].motion.len())
-            .min()
-            .unwrap_or(0)
+        clips.map(|clip| self.clips[clip].len()).min().unwrap_or(0)
     }
 
     /// The joints of the partner that are replaced.
@@ -170,11 +168,7 @@ impl Library {
         half: Option<BodyPart>,
         config: &ComposeConfig,
     ) -> Vec<String> {
-        let text = match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
-            Subject::Pair(pair) => &self.pairs[pair].instruction,
-        };
-        config.phrases.wordings(text, half)
+        config.phrases.wordings(self.text_of(subject), half)
     }
 
     /// Whether two clips may be blended: not a clip with itself, its mirror image or another crop of the
@@ -319,7 +313,7 @@ impl Library {
     }
 
     /// The instruction of the dataset.
-    pub(in crate::compose) fn text_of(&self, subject: Subject) -> &str {
+    pub(in crate::compose) fn text_of(&self, subject: Subject) -> &Arc<str> {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
             Subject::Pair(pair) => &self.pairs[pair].instruction,
@@ -358,7 +352,7 @@ impl Library {
         let long: Vec<usize> = other_action
             .iter()
             .copied()
-            .filter(|&clip| self.clips[clip].motion.len() >= needed)
+            .filter(|&clip| self.clips[clip].len() >= needed)
             .collect();
         [long, other_action, other]
             .into_iter()

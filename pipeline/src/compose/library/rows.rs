@@ -1,16 +1,17 @@
 //! Rows of a dataset as a library, and what makes a row unusable.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 
-use super::{Annotation, Clip, Library, Pair};
+use super::{Annotation, Clip, Frames, Library, Pair};
 use crate::compose::config::{Alignment, EditKind};
 use crate::compose::{Error, ItemTask, style_instruction};
 
 impl Library {
-    /// Takes the rows of one split. A split without motions gives an empty library.
+    /// Takes the rows of one split, with all motions in memory. A split without motions gives an empty library.
     ///
     /// # Errors
     /// A row is of another split, skeleton or rate, appears twice, or is not usable; or a mask
@@ -22,86 +23,219 @@ impl Library {
         pairs: &[PairRow],
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
-        let same_split = |table, id: &str, found| {
-            if found == split {
-                Ok(())
-            } else {
-                Err(Error::OtherSplit {
-                    table,
-                    id: id.to_owned(),
-                    found,
-                    expected: split,
-                })
-            }
-        };
-        let mut clips = BTreeMap::new();
-        let mut fps = None;
+        let mut rows = LibraryRows::new(split, skeleton);
         for row in motions {
-            same_split("motions", row.id.as_str(), row.split)?;
-            let motion = motion_on(row, skeleton)?;
-            let expected = *fps.get_or_insert(motion.fps());
-            if motion.fps() != expected {
-                return Err(Error::OtherRate {
-                    motion: row.id.clone(),
-                    found: motion.fps().get(),
-                    expected: expected.get(),
-                });
-            }
-            let clip = Clip {
-                id: row.id.clone(),
-                origin: 0,
-                source: row.source.clone(),
-                action: row.action.clone(),
-                style: row.style.clone(),
-                motion,
-                in_base: true,
+            let stated = StatedClip {
+                id: &row.id,
+                split: row.split,
+                source: &row.source,
+                action: row.action.as_deref(),
+                style: row.style.as_deref(),
             };
-            if clips.insert(row.id.clone(), clip).is_some() {
-                return Err(Error::Duplicate {
-                    table: "motions",
-                    id: row.id.as_str().to_owned(),
-                });
-            }
+            let motion = motion_on(row, skeleton)?;
+            let fps = motion.fps();
+            rows.add_clip(&stated, fps, Frames::Memory(Arc::new(motion)))?;
         }
-        let mut clips: Vec<Clip> = clips.into_values().collect();
+        rows.end_of_clips()?;
+        rows.add_masks(masks)?;
+        rows.add_pairs(pairs)?;
+        rows.library()
+    }
+}
+
+/// What the row of a clip states beside its frames.
+pub(super) struct StatedClip<'a> {
+    pub(super) id: &'a MotionId,
+    pub(super) split: Split,
+    pub(super) source: &'a str,
+    pub(super) action: Option<&'a str>,
+    pub(super) style: Option<&'a str>,
+}
+
+/// A library to which rows are added: first all clips, then masks and pairs.
+pub(super) struct LibraryRows<'a> {
+    split: Split,
+    skeleton: &'a Skeleton,
+    fps: Option<Fps>,
+    clips: Vec<Clip>,
+    annotations: Vec<Annotation>,
+    pairs: Vec<Pair>,
+    texts: Shared<str>,
+    lists: Shared<[String]>,
+}
+
+impl<'a> LibraryRows<'a> {
+    pub(super) fn new(split: Split, skeleton: &'a Skeleton) -> Self {
+        Self {
+            split,
+            skeleton,
+            fps: None,
+            clips: Vec::new(),
+            annotations: Vec::new(),
+            pairs: Vec::new(),
+            texts: Shared::default(),
+            lists: Shared::default(),
+        }
+    }
+
+    fn check_split(&self, table: &'static str, id: &str, found: Split) -> Result<(), Error> {
+        if found == self.split {
+            return Ok(());
+        }
+        Err(Error::OtherSplit {
+            table,
+            id: id.to_owned(),
+            found,
+            expected: self.split,
+        })
+    }
+
+    /// Adds a clip, whose skeleton is the library's.
+    pub(super) fn add_clip(
+        &mut self,
+        stated: &StatedClip<'_>,
+        fps: Fps,
+        frames: Frames,
+    ) -> Result<(), Error> {
+        self.check_split("motions", stated.id.as_str(), stated.split)?;
+        let expected = *self.fps.get_or_insert(fps);
+        if fps != expected {
+            return Err(Error::OtherRate {
+                motion: stated.id.clone(),
+                found: fps.get(),
+                expected: expected.get(),
+            });
+        }
+        let mut shared = |text: &str| self.texts.get(text);
+        self.clips.push(Clip {
+            id: stated.id.clone(),
+            origin: 0,
+            source: shared(stated.source),
+            action: stated.action.map(&mut shared),
+            style: stated.style.map(&mut shared),
+            frames,
+            in_base: true,
+        });
+        Ok(())
+    }
+
+    /// Orders and numbers the clips.
+    pub(super) fn end_of_clips(&mut self) -> Result<(), Error> {
+        self.clips.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("motions", &self.clips, |clip| clip.id.as_str())?;
         let mut origins = BTreeMap::new();
-        for clip in &mut clips {
+        for clip in &mut self.clips {
             let next = origins.len();
             clip.origin = *origins
                 .entry(clip.id.source_clip().to_owned())
                 .or_insert(next);
         }
-        let mut annotations = BTreeMap::new();
-        for row in masks {
-            same_split("masks", &row.id, row.split)?;
-            let annotation = annotation(row, &clips)?;
-            if annotations.insert(row.id.clone(), annotation).is_some() {
-                return Err(Error::Duplicate {
-                    table: "masks",
-                    id: row.id.clone(),
-                });
-            }
+        Ok(())
+    }
+
+    /// Adds masks, in any order.
+    pub(super) fn add_masks(&mut self, rows: &[MaskRow]) -> Result<(), Error> {
+        for row in rows {
+            self.check_split("masks", &row.id, row.split)?;
+            let clip = self.clip("mask", &row.id, &row.motion_id)?;
+            self.annotations.push(Annotation {
+                id: row.id.clone(),
+                clip,
+                mask: blend_of_mask(row)?,
+                parts: self.lists.get(row.parts.as_slice()),
+                instruction: self.texts.get(row.text.as_str()),
+            });
         }
-        let mut known_pairs = BTreeMap::new();
-        for row in pairs {
-            same_split("pairs", &row.id, row.split)?;
-            let pair = pair(row, &clips)?;
-            if known_pairs.insert(row.id.clone(), pair).is_some() {
-                return Err(Error::Duplicate {
-                    table: "pairs",
-                    id: row.id.clone(),
-                });
-            }
+        Ok(())
+    }
+
+    /// Adds pairs, in any order.
+    pub(super) fn add_pairs(&mut self, rows: &[PairRow]) -> Result<(), Error> {
+        for row in rows {
+            self.check_split("pairs", &row.id, row.split)?;
+            let source = self.clip("pair", &row.id, &row.source_id)?;
+            let target = self.clip("pair", &row.id, &row.target_id)?;
+            let (kind, instruction, parts) = meaning_of_pair(row)?;
+            self.pairs.push(Pair {
+                id: row.id.clone(),
+                kind,
+                captured: source,
+                source,
+                target,
+                halves: halves_of(&parts),
+                parts: self.lists.get(row.parts.as_slice()),
+                is_motionfix: row.source == ItemTask::MotionFix.as_str(),
+                instruction: self.texts.get(instruction.as_str()),
+            });
         }
-        Ok(Self {
-            split,
-            fps: fps.unwrap_or(Fps::STORE),
-            skeleton: skeleton.clone(),
-            clips,
-            annotations: annotations.into_values().collect(),
-            pairs: known_pairs.into_values().collect(),
-            alignment: Alignment::None,
+        Ok(())
+    }
+
+    /// Index of the clip that a row belongs to.
+    fn clip(&self, table: &'static str, row: &str, id: &MotionId) -> Result<usize, Error> {
+        let found = self.clips.binary_search_by(|clip| clip.id.cmp(id));
+        found.map_err(|_| Error::UnknownMotion {
+            table,
+            row: row.to_owned(),
+            motion: id.clone(),
         })
+    }
+
+    /// The library of all rows.
+    pub(super) fn library(mut self) -> Result<Library, Error> {
+        self.annotations.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("masks", &self.annotations, |annotation| &annotation.id)?;
+        self.pairs.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("pairs", &self.pairs, |pair| &pair.id)?;
+        Ok(Library {
+            split: self.split,
+            fps: self.fps.unwrap_or(Fps::STORE),
+            skeleton: self.skeleton.clone(),
+            num_captured: self.clips.len(),
+            clips: self.clips,
+            annotations: self.annotations,
+            pairs: self.pairs,
+            alignment: Alignment::None,
+            paged: None,
+        })
+    }
+}
+
+/// Checks sorted rows.
+fn check_distinct<T>(
+    table: &'static str,
+    rows: &[T],
+    id_of: impl Fn(&T) -> &str,
+) -> Result<(), Error> {
+    match rows.windows(2).find(|two| id_of(&two[0]) == id_of(&two[1])) {
+        None => Ok(()),
+        Some(two) => Err(Error::Duplicate {
+            table,
+            id: id_of(&two[0]).to_owned(),
+        }),
+    }
+}
+
+/// Values that many rows repeat, each held once.
+struct Shared<T: ?Sized>(HashSet<Arc<T>>);
+
+impl<T: ?Sized> Default for Shared<T> {
+    fn default() -> Self {
+        Self(HashSet::new())
+    }
+}
+
+impl<T: ?Sized + Eq + std::hash::Hash> Shared<T> {
+    fn get<'b>(&mut self, value: &'b T) -> Arc<T>
+    where
+        Arc<T>: From<&'b T>,
+    {
+        if let Some(known) = self.0.get(value) {
+            return Arc::clone(known);
+        }
+        let new = Arc::from(value);
+        self.0.insert(Arc::clone(&new));
+        new
     }
 }
 
@@ -120,31 +254,6 @@ pub(crate) fn motion_on(row: &MotionRow, skeleton: &Skeleton) -> Result<Motion, 
     row.motion().map_err(|source| Error::Motion {
         motion: row.id.clone(),
         source,
-    })
-}
-
-fn pair(row: &PairRow, clips: &[Clip]) -> Result<Pair, Error> {
-    let find = |id: &MotionId| {
-        clips
-            .binary_search_by(|clip| clip.id.cmp(id))
-            .map_err(|_| Error::UnknownMotion {
-                table: "pair",
-                row: row.id.clone(),
-                motion: id.clone(),
-            })
-    };
-    let (source, target) = (find(&row.source_id)?, find(&row.target_id)?);
-    let (kind, instruction, parts) = meaning_of_pair(row)?;
-    Ok(Pair {
-        id: row.id.clone(),
-        kind,
-        captured: source,
-        source,
-        target,
-        halves: halves_of(&parts),
-        parts: row.parts.clone(),
-        is_motionfix: row.source == ItemTask::MotionFix.as_str(),
-        instruction,
     })
 }
 
@@ -207,23 +316,6 @@ fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
     } else {
         touched
     }
-}
-
-fn annotation(row: &MaskRow, clips: &[Clip]) -> Result<Annotation, Error> {
-    let clip = clips
-        .binary_search_by(|clip| clip.id.cmp(&row.motion_id))
-        .map_err(|_| Error::UnknownMotion {
-            table: "mask",
-            row: row.id.clone(),
-            motion: row.motion_id.clone(),
-        })?;
-    Ok(Annotation {
-        id: row.id.clone(),
-        clip,
-        mask: blend_of_mask(row)?,
-        parts: row.parts.clone(),
-        instruction: row.text.clone(),
-    })
 }
 
 /// The blend mask of a row; its text must not be empty.

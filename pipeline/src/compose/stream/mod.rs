@@ -12,7 +12,7 @@ use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rayon::prelude::*;
 
-use target::Target;
+use target::{SharedSides, Target};
 
 use super::draw::Shuffle;
 use super::library::{Pairing, Subject};
@@ -46,6 +46,29 @@ impl WindowBatch {
     }
 }
 
+/// The clips in use at the model's rate.
+#[derive(Clone, Debug)]
+enum Prepared {
+    /// All of them, by clip index.
+    Ahead(Vec<Option<Thinned>>),
+    /// Each window when it is drawn, from frames that are read then.
+    WhenDrawn,
+}
+
+/// A window of a clip: its first stored frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WindowPlace {
+    pub(super) clip: usize,
+    pub(super) start: usize,
+}
+
+/// Room for a window that is read, reused from one to the next.
+#[derive(Debug, Default)]
+pub(super) struct Room {
+    bytes: Vec<u8>,
+    frames: Vec<Frame>,
+}
+
 /// Composes edits of the motions of one split, item by item.
 ///
 /// An epoch visits every window of every annotated motion and of every pair once, in a shuffled
@@ -63,8 +86,9 @@ pub struct Stream {
     pub(super) seed: Seed,
     pub(super) recipe_hash: String,
     pub(super) composer: Composer,
-    /// The clips in use at the model's rate, by clip index.
-    pub(super) thinned: Vec<Option<Thinned>>,
+    prepared: Prepared,
+    /// Stored frames from one of a window to the next.
+    stride: usize,
     /// Indices of the clips partners are drawn from.
     pub(super) base: Vec<usize>,
     targets: Vec<Target>,
@@ -80,7 +104,7 @@ impl Stream {
     ///
     /// # Errors
     /// A setting is out of range, the stored rate is no multiple of the model's, no annotated
-    /// motion or pair is as long as a window, or one has no partner.
+    /// motion or pair is as long as a window, one has no partner, or the motions cannot be read.
     ///
     /// # Panics
     /// If the normaliser's range is empty or not finite.
@@ -98,12 +122,13 @@ impl Stream {
             }),
             "the normaliser has an empty range: {normalizer:?}"
         );
-        let library = library.aligned(config.alignment);
+        let library = library.aligned(config.alignment)?;
         let stride = config.stride(library.fps())?;
         let (span, advance) = (config.span(stride), config.advance(stride));
         let base = library.base(&config, seed, span)?;
 
         let mut targets = Vec::new();
+        let mut shared = SharedSides::default();
         let mut first_items = Vec::new();
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
@@ -120,7 +145,14 @@ impl Stream {
                 fixed.map_or_else(|| library.frames_of(subject), |fixed| fixed.crop.num_frames);
             first_items.push(num_items);
             num_items += ((num_frames - span) / advance + 1) as u64;
-            targets.push(Target::new(&library, &config, subject, num_frames, fixed));
+            targets.push(Target::new(
+                &library,
+                &config,
+                subject,
+                num_frames,
+                fixed,
+                &mut shared,
+            ));
         }
         if targets.is_empty() {
             return Err(Error::NoItem {
@@ -129,29 +161,37 @@ impl Stream {
             });
         }
 
-        let mut used = vec![false; library.num_motions()];
-        for &clip in &base {
-            used[clip] = true;
-        }
-        for target in &targets {
-            for clip in library.clips_of(target.subject) {
+        let prepared = if library.is_paged() {
+            Prepared::WhenDrawn
+        } else {
+            let mut used = vec![false; library.num_motions()];
+            for &clip in &base {
                 used[clip] = true;
             }
-        }
-        let thinned = used
-            .into_par_iter()
-            .enumerate()
-            .map(|(clip, used)| {
-                used.then(|| Thinned::new(&library.clip(clip).motion, stride, library.skeleton()))
-            })
-            .collect();
+            for target in &targets {
+                for clip in library.clips_of(target.subject) {
+                    used[clip] = true;
+                }
+            }
+            let prepare = |clip: usize| -> Result<Thinned, Error> {
+                let motion = library.clip(clip).motion()?;
+                Ok(Thinned::new(&motion, stride, library.skeleton()))
+            };
+            let thinned = used
+                .into_par_iter()
+                .enumerate()
+                .map(|(clip, used)| used.then(|| prepare(clip)).transpose())
+                .collect::<Result<_, Error>>()?;
+            Prepared::Ahead(thinned)
+        };
         Ok(Self {
             composer: Composer::new(library.skeleton(), config.anchor, normalizer),
             recipe_hash: config.recipe_hash(),
             library,
             config,
             seed,
-            thinned,
+            prepared,
+            stride,
             base,
             targets,
             first_items,
@@ -196,8 +236,8 @@ impl Stream {
             .targets
             .iter()
             .flat_map(|target| {
-                let sides = target.sides.iter().flat_map(|side| &side.wordings);
-                sides.chain(&target.plain).cloned()
+                let sides = target.sides.iter().flat_map(|side| &*side.wordings);
+                sides.chain(&*target.plain).cloned()
             })
             .collect();
         all.sort_unstable();
@@ -212,9 +252,18 @@ impl Stream {
     /// original window as a canonical segment, and its fixed frames are in the canonical frame of the
     /// edited window.
     ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
+    ///
     /// # Panics
     /// If the items are not all in the epoch.
-    pub fn fill(&self, epoch: u64, first_item: u64, num_items: usize, batch: &mut WindowBatch) {
+    pub fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
         /// Items per parallel job.
         const AT_ONCE: usize = 16;
         let end = first_item.saturating_add(num_items as u64);
@@ -234,7 +283,8 @@ impl Stream {
             .zip(batch.progress.par_chunks_mut(AT_ONCE))
             .zip(batch.instructions.par_chunks_mut(AT_ONCE))
             .enumerate()
-            .for_each(|(chunk, (((original, edited), progress), instructions))| {
+            .try_for_each_init(<[Room; 3]>::default, |rooms, (chunk, windows)| {
+                let (((original, edited), progress), instructions) = windows;
                 let windows = original
                     .chunks_exact_mut(window)
                     .zip(edited.chunks_exact_mut(window));
@@ -244,21 +294,25 @@ impl Stream {
                 {
                     let place = first_item + (chunk * AT_ONCE + place) as u64;
                     let drawn = self.draw_window(order.at(place), epoch_seed);
-                    self.compose(&drawn, original, edited);
+                    self.compose(&drawn, rooms, original, edited)?;
                     *progress = drawn.progress as f32;
                     instruction.clear();
                     instruction.push_str(drawn.instruction);
                 }
-            });
+                Ok(())
+            })
     }
 
     /// Composes windows of the stream, epoch after epoch, as rows for recording. `take` gets each row,
     /// its batch and its index in the batch.
+    ///
+    /// # Errors
+    /// The motions are not in memory and cannot be read.
     pub fn for_each_recorded(
         &self,
         windows: std::ops::Range<u64>,
         mut take: impl FnMut(WindowRow, &WindowBatch, usize),
-    ) {
+    ) -> Result<(), Error> {
         /// Windows composed at a time.
         const AT_ONCE: u64 = 4096;
         let window = self.window_len();
@@ -267,7 +321,7 @@ impl Stream {
         while done < windows.end {
             let (epoch, first) = (done / self.num_items, done % self.num_items);
             let len = AT_ONCE.min(windows.end - done).min(self.num_items - first);
-            self.fill(epoch, first, len as usize, &mut batch);
+            self.fill(epoch, first, len as usize, &mut batch)?;
             for at in 0..len as usize {
                 let frames = |numbers: &[f32]| {
                     let window = &numbers[at * window..][..window];
@@ -286,11 +340,24 @@ impl Stream {
             }
             done += len;
         }
+        Ok(())
     }
 
-    fn compose(&self, drawn: &DrawnWindow<'_>, original: &mut [f32], edited: &mut [f32]) {
+    fn compose(
+        &self,
+        drawn: &DrawnWindow<'_>,
+        rooms: &mut [Room; 3],
+        original: &mut [f32],
+        edited: &mut [f32],
+    ) -> Result<(), Error> {
+        let [first, second, third] = rooms;
         let [before, after] = drawn.windows;
-        match (drawn.under, drawn.plan) {
+        let read =
+            |at: Option<WindowPlace>, room| at.map(|at| self.window_of(at, room)).transpose();
+        let before = read(before, first)?;
+        let after = read(after, second)?;
+        let under = read(drawn.under, third)?;
+        match (under, drawn.plan) {
             (Some(under), Some(plan)) => {
                 let alpha = drawn.alpha as f32;
                 match before {
@@ -301,13 +368,13 @@ impl Stream {
                 self.composer.blended(under, after, plan, alpha, edited);
             }
             _ => {
-                let [before, after] = drawn
-                    .windows
-                    .map(|w| w.expect("a plain pair is two motions"));
+                let [before, after] =
+                    [before, after].map(|window| window.expect("a plain pair is two motions"));
                 self.composer.original(before, original);
                 self.composer.original(after, edited);
             }
         }
+        Ok(())
     }
 
     /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window.
@@ -340,11 +407,26 @@ impl Stream {
         self.seed.derive(&["compose", &epoch.to_string()])
     }
 
-    pub(super) fn window_of(&self, clip: usize, start: usize) -> &[Frame] {
-        self.thinned[clip]
-            .as_ref()
-            .expect("every clip that can be drawn is thinned out")
-            .window(start, self.config.window)
+    /// The frames of a window, read into the room if they are not in memory.
+    pub(super) fn window_of<'a>(
+        &'a self,
+        at: WindowPlace,
+        room: &'a mut Room,
+    ) -> Result<&'a [Frame], Error> {
+        let (clip, window) = (at.clip, self.config.window);
+        match &self.prepared {
+            Prepared::Ahead(thinned) => {
+                let thinned = thinned[clip].as_ref();
+                let thinned = thinned.expect("every clip that can be drawn is thinned out");
+                Ok(thinned.window(at.start, window))
+            }
+            Prepared::WhenDrawn => {
+                let clip = self.library.clip(clip);
+                let motion = clip.thinned(at.start, window, self.stride, &mut room.bytes)?;
+                Frame::prepare(&motion, self.library.skeleton(), &mut room.frames);
+                Ok(&room.frames)
+            }
+        }
     }
 
     /// The target of an item, and the index of its window.
@@ -357,7 +439,7 @@ impl Stream {
     }
 
     fn draw_pairing(&self, target: &Target, rng: &mut Rng) -> Pairing {
-        target.fixed.unwrap_or_else(|| {
+        target.fixed.as_deref().copied().unwrap_or_else(|| {
             self.library
                 .draw_pairing(&self.base, target.subject, &self.config, rng)
         })
@@ -378,7 +460,7 @@ impl Stream {
             } else {
                 rng.random_range(0..=library.len_of(clip) - self.span)
             };
-            self.window_of(clip, at)
+            WindowPlace { clip, start: at }
         };
         let crop = pairing.crop;
         let (windows, under, shown) = match target.subject {
@@ -391,7 +473,7 @@ impl Stream {
                     None => start,
                 };
                 (
-                    [None, Some(self.window_of(clip, at))],
+                    [None, Some(WindowPlace { clip, start: at })],
                     Some(under),
                     (at, clip),
                 )
@@ -404,18 +486,21 @@ impl Stream {
                 let under = pairing
                     .partner
                     .map(|donor| partner_at(&mut rng, donor, pairing.donor.source_start));
-                let before = self.window_of(source, crop.source_start + start);
-                (
-                    [Some(before), Some(self.window_of(target, at))],
-                    under,
-                    (at, target),
-                )
+                let before = WindowPlace {
+                    clip: source,
+                    start: crop.source_start + start,
+                };
+                let after = WindowPlace {
+                    clip: target,
+                    start: at,
+                };
+                ([Some(before), Some(after)], under, (at, target))
             }
         };
         DrawnWindow {
             windows,
             under,
-            plan: target.side_of(&pairing).0.map(|side| &side.plan),
+            plan: target.side_of(&pairing).0.map(|side| &*side.plan),
             alpha: pairing.alpha,
             progress: shown.0 as f64 / library.len_of(shown.1) as f64,
             instruction: target.wording(&pairing),
@@ -436,9 +521,9 @@ pub(super) fn item_rng(epoch_seed: Seed, item: u64) -> Rng {
 
 struct DrawnWindow<'a> {
     /// Windows before and after the edit; before a semantic edit there is only the partner.
-    windows: [Option<&'a [Frame]>; 2],
+    windows: [Option<WindowPlace>; 2],
     /// The window of the partner, which they are blended into.
-    under: Option<&'a [Frame]>,
+    under: Option<WindowPlace>,
     plan: Option<&'a BlendPlan>,
     alpha: f64,
     progress: f64,

@@ -1,6 +1,9 @@
 //! An annotation or pair as a target of a stream.
 
-use datasets_spec::BodyPart;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use datasets_spec::{BlendMask, BodyPart};
 
 use crate::compose::library::{Pairing, Subject};
 use crate::compose::window::BlendPlan;
@@ -15,16 +18,56 @@ pub(super) struct Target {
     /// The ways it can be blended: one for an annotation, one for each half of a pair.
     pub(super) sides: Vec<Side>,
     /// Wordings of the instruction of a pair without a donor.
-    pub(super) plain: Vec<String>,
+    pub(super) plain: Wordings,
     /// The fixed pairing, without MotionCutMix.
-    pub(super) fixed: Option<Pairing>,
+    pub(super) fixed: Option<Box<Pairing>>,
+}
+
+/// The wordings of an instruction.
+pub(super) type Wordings = Arc<[String]>;
+
+/// What many targets have in common, held once: a dataset has more masks than body parts.
+#[derive(Debug, Default)]
+pub(super) struct SharedSides {
+    plans: HashMap<BlendMask, Arc<BlendPlan>>,
+    wordings: HashMap<(Arc<str>, Option<BodyPart>), Wordings>,
+}
+
+impl SharedSides {
+    fn wordings(
+        &mut self,
+        library: &Library,
+        config: &ComposeConfig,
+        subject: Subject,
+        part: Option<BodyPart>,
+    ) -> Wordings {
+        let text = Arc::clone(library.text_of(subject));
+        let known = self.wordings.entry((text, part));
+        let made = || library.wordings(subject, part, config).into();
+        Arc::clone(known.or_insert_with(made))
+    }
+
+    fn side(
+        &mut self,
+        library: &Library,
+        config: &ComposeConfig,
+        subject: Subject,
+        part: Option<BodyPart>,
+    ) -> Side {
+        let mask = library.mask_of(subject, part, config);
+        let plan = self.plans.entry(mask);
+        Side {
+            plan: Arc::clone(plan.or_insert_with(|| Arc::new(BlendPlan::new(mask, config.slerp)))),
+            wordings: self.wordings(library, config, subject, part),
+        }
+    }
 }
 
 /// A blend of a target, and the wordings of its instruction.
 #[derive(Clone, Debug)]
 pub(super) struct Side {
-    pub(super) plan: BlendPlan,
-    pub(super) wordings: Vec<String>,
+    pub(super) plan: Arc<BlendPlan>,
+    pub(super) wordings: Wordings,
 }
 
 impl Target {
@@ -34,19 +77,19 @@ impl Target {
         subject: Subject,
         num_frames: usize,
         fixed: Option<Pairing>,
+        shared: &mut SharedSides,
     ) -> Self {
-        let side = |part: Option<BodyPart>| Side {
-            plan: BlendPlan::new(library.mask_of(subject, part, config), config.slerp),
-            wordings: library.wordings(subject, part, config),
-        };
+        let none = Wordings::default();
         let (sides, plain) = match subject {
-            Subject::Annotation(_) => (vec![side(None)], Vec::new()),
+            Subject::Annotation(_) => (vec![shared.side(library, config, subject, None)], none),
             Subject::Pair(_) => {
                 let halves = library.halves_of(subject).iter();
-                let sides = halves.map(|half| side(Some(*half))).collect();
+                let sides = halves
+                    .map(|half| shared.side(library, config, subject, Some(*half)))
+                    .collect();
                 let plain = match config.undonored_ratio > 0.0 {
-                    true => library.wordings(subject, None, config),
-                    false => Vec::new(),
+                    true => shared.wordings(library, config, subject, None),
+                    false => none,
                 };
                 (sides, plain)
             }
@@ -56,7 +99,7 @@ impl Target {
             num_frames,
             sides,
             plain,
-            fixed,
+            fixed: fixed.map(Box::new),
         }
     }
 

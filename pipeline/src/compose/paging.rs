@@ -1,0 +1,236 @@
+//! How much memory the motions that edits are composed of may take, and where those lie that take more.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::SystemTime;
+
+/// Bytes that motions may take in memory by default: 40 hours of training clips.
+const DEFAULT_MEMORY: u64 = 3_000_000_000;
+/// Bytes that the files of frames may take together by default: 3,000 hours.
+const DEFAULT_KEPT: u64 = 64_000_000_000;
+
+/// Settings of this process, if it made any.
+static OF_PROCESS: OnceLock<Paging> = OnceLock::new();
+
+/// Where a process holds the motions that it composes edits of. It is like the number of threads: no result
+/// depends on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Paging {
+    /// Bytes that the motions of a split may take in memory. Those that take more are read from a file of
+    /// frames while edits are composed.
+    pub memory: u64,
+    /// Folder of the files of frames. It should be on a disk of this machine.
+    pub folder: PathBuf,
+    /// Bytes that the files of the folder may take together; those that were not used for longest are removed
+    /// when one is added.
+    pub kept: u64,
+}
+
+impl Default for Paging {
+    fn default() -> Self {
+        Self {
+            memory: DEFAULT_MEMORY,
+            folder: std::env::temp_dir().join("stance").join("frames"),
+            kept: DEFAULT_KEPT,
+        }
+    }
+}
+
+impl Paging {
+    /// What the environment says: `STANCE_MEMORY` (bytes, such as `8GB`), `STANCE_CACHE` (a folder, else `stance` in
+    /// `XDG_CACHE_HOME` or in `.cache` of the home folder, else in the folder of temporary files) and
+    /// `STANCE_CACHE_SIZE` (bytes). The caller passes the way to read a variable.
+    ///
+    /// # Errors
+    /// A size cannot be read; the text says which.
+    pub fn from_environment(get: impl Fn(&str) -> Option<OsString>) -> Result<Self, String> {
+        let named = |name: &str| get(name).filter(|value| !value.is_empty());
+        let size = |name: &str, otherwise: u64| match named(name) {
+            None => Ok(otherwise),
+            Some(text) => {
+                parse_bytes(&text.to_string_lossy()).map_err(|problem| format!("{name}: {problem}"))
+            }
+        };
+        let folder = |name: &str| named(name).map(PathBuf::from);
+        let cache = folder("STANCE_CACHE")
+            .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("stance")))
+            .or_else(|| Some(folder("LOCALAPPDATA")?.join("stance")))
+            .or_else(|| Some(folder("HOME")?.join(".cache").join("stance")));
+        let otherwise = Self::default();
+        Ok(Self {
+            memory: size("STANCE_MEMORY", otherwise.memory)?,
+            folder: cache.map_or(otherwise.folder, |cache| cache.join("frames")),
+            kept: size("STANCE_CACHE_SIZE", otherwise.kept)?,
+        })
+    }
+
+    /// Makes these the settings of the process, unless it has some.
+    pub fn set_for_process(self) {
+        // The first settings hold, as with the threads of the process.
+        let _set = OF_PROCESS.set(self);
+    }
+
+    /// The settings of the process.
+    pub fn of_process() -> Self {
+        OF_PROCESS.get().cloned().unwrap_or_default()
+    }
+
+    /// The file of this key.
+    pub(super) fn file(&self, key: &str) -> PathBuf {
+        self.folder.join(format!("{key}.frames"))
+    }
+
+    /// Notes that a file is used, so that others are removed before it.
+    pub(super) fn touch(path: &Path) {
+        // A file that may not be written to can be read all the same.
+        if let Ok(file) = File::options().append(true).open(path) {
+            let _touched = file.set_modified(SystemTime::now());
+        }
+    }
+
+    /// Removes the files that were not used for longest, until the others take no more than they may.
+    /// `added` stays.
+    pub(super) fn remove_others(&self, added: &Path) {
+        let Ok(entries) = fs::read_dir(&self.folder) else {
+            return;
+        };
+        let mut files: Vec<(SystemTime, u64, PathBuf)> = entries
+            .flatten()
+            .filter_map(|entry| {
+                let (path, known) = (entry.path(), entry.metadata().ok()?);
+                let extension = path.extension()?;
+                let is_ours = extension == "frames" || extension == "part";
+                is_ours.then(|| Some((known.modified().ok()?, known.len(), path)))?
+            })
+            .collect();
+        files.sort_unstable();
+        let mut total: u64 = files.iter().map(|(_, len, _)| len).sum();
+        for (_, len, path) in files {
+            if total <= self.kept {
+                break;
+            }
+            if path == added || is_being_written(&path) {
+                continue;
+            }
+            // Where an open file cannot be removed, it stays until the next one is added.
+            if fs::remove_file(&path).is_ok() {
+                total -= len;
+            }
+        }
+    }
+}
+
+/// Whether another process holds the lock of an unfinished file.
+fn is_being_written(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension == "part")
+        && File::open(path).is_ok_and(|file| file.try_lock().is_err())
+}
+
+/// Reads a number of bytes: digits, then `kB`, `MB`, `GB` or `TB` (powers of 1,000) or nothing.
+///
+/// # Errors
+/// The text is none; what is expected.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let factor = match text[digits.len()..].to_ascii_uppercase().as_str() {
+        "" | "B" => Some(1.0),
+        "KB" | "K" => Some(1e3),
+        "MB" | "M" => Some(1e6),
+        "GB" | "G" => Some(1e9),
+        "TB" | "T" => Some(1e12),
+        _ => None,
+    };
+    let number = digits.trim().parse::<f64>().ok();
+    factor
+        .zip(number)
+        .map(|(factor, number)| factor * number)
+        .filter(|bytes| bytes.is_finite() && *bytes >= 0.0)
+        .map(|bytes| bytes as u64)
+        .ok_or_else(|| format!("{text:?} is no size; write a number and a unit, such as 2GB"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units_of_a_thousand() {
+        for (text, bytes) in [
+            ("0", 0),
+            ("12", 12),
+            ("1kB", 1_000),
+            ("2 MB", 2_000_000),
+            ("1.5GB", 1_500_000_000),
+            ("3t", 3_000_000_000_000),
+        ] {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "GB", "-1GB", "2 pages", "nan"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_environment_names_memory_and_folder() {
+        let of = |known: &[(&str, &str)]| {
+            Paging::from_environment(|name| {
+                let found = known.iter().find(|(known, _)| *known == name);
+                found.map(|(_, value)| OsString::from(value))
+            })
+        };
+        let none = of(&[("STANCE_MEMORY", "")]).expect("valid");
+        assert_eq!(none, Paging::default());
+        let all = [
+            ("HOME", "/home/ada"),
+            ("STANCE_MEMORY", "1GB"),
+            ("STANCE_CACHE_SIZE", "5GB"),
+        ];
+        let found = of(&all).expect("valid");
+        assert_eq!((found.memory, found.kept), (1_000_000_000, 5_000_000_000));
+        assert_eq!(found.folder, Path::new("/home/ada/.cache/stance/frames"));
+        let found = of(&[all.as_slice(), &[("STANCE_CACHE", "/scratch")]].concat());
+        assert_eq!(found.expect("valid").folder, Path::new("/scratch/frames"));
+        let wrong = of(&[("STANCE_MEMORY", "much")]).expect_err("no size");
+        assert!(wrong.starts_with("STANCE_MEMORY"), "{wrong}");
+    }
+
+    #[test]
+    fn the_files_that_were_not_used_for_longest_are_removed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let paging = Paging {
+            memory: 0,
+            folder: folder.path().to_owned(),
+            kept: 250,
+        };
+        let at = |secs| SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(secs);
+        for (name, secs) in [("a", 1), ("b", 2), ("c", 3), ("added", 0)] {
+            let path = paging.file(name);
+            fs::write(&path, [0; 100]).expect("written");
+            let file = File::options().append(true).open(&path).expect("opens");
+            file.set_modified(at(secs)).expect("set");
+        }
+        let killed = folder.path().join("killed.part");
+        fs::write(&killed, [0; 100]).expect("written");
+        let file = File::options().append(true).open(&killed).expect("opens");
+        file.set_modified(at(2)).expect("set");
+        Paging::touch(&paging.file("a"));
+        fs::write(folder.path().join("other.txt"), [0; 100]).expect("written");
+        paging.remove_others(&paging.file("added"));
+        let mut left: Vec<String> = fs::read_dir(folder.path())
+            .expect("listed")
+            .map(|entry| {
+                entry
+                    .expect("an entry")
+                    .file_name()
+                    .to_string_lossy()
+                    .into_owned()
+            })
+            .collect();
+        left.sort();
+        assert_eq!(left, ["a.frames", "added.frames", "other.txt"]);
+    }
+}
