@@ -1,23 +1,13 @@
-//! The one place that names a burn device.
+//! The options that name a device, and the devices of this process.
 
 use std::sync::OnceLock;
 
-use anyhow::bail;
 use burn::tensor::Device;
+use train::device::{DeviceName, list, open};
+use train::model::{fused, precision};
 
-/// Kinds of devices models can run on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Kind {
-    /// The processor, by burn's fastest backend for it
-    #[default]
-    Cpu,
-    /// The processor, by burn-ndarray: slower, and independent of the kernels of this program
-    Ndarray,
-    /// An NVIDIA GPU, in a program built with `--features cuda`
-    Cuda,
-    /// A GPU through Vulkan, in a program built with `--features wgpu`
-    Wgpu,
-}
+use crate::exit::Exit;
+use crate::report;
 
 static CHOSEN: OnceLock<Vec<Device>> = OnceLock::new();
 
@@ -25,9 +15,11 @@ static CHOSEN: OnceLock<Vec<Device>> = OnceLock::new();
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Model options")]
 pub(crate) struct DeviceArgs {
-    /// Device that models run on
-    #[arg(long, value_enum, default_value_t)]
-    device: Kind,
+    /// Device that models run on: cpu; cuda or wgpu, for a card, in a program built with that feature;
+    /// wgpu:discrete, wgpu:integrated, wgpu:virtual or wgpu:software, for one kind of card; ndarray, an
+    /// independent backend for the processor. `list` prints those of this machine
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    device: DeviceName,
     /// Use the backend's own operations, without the fused kernels for the processor
     #[arg(long)]
     no_fused: bool,
@@ -40,8 +32,11 @@ impl DeviceArgs {
     }
 
     fn choose_of(&self, count: usize) -> anyhow::Result<()> {
-        train::model::fused::set_enabled(!self.no_fused);
-        choose(self.device, count)
+        fused::set_enabled(!self.no_fused);
+        let devices = open(self.device, count)?;
+        // Chosen once, when the program starts.
+        let _ = CHOSEN.set(devices);
+        Ok(())
     }
 }
 
@@ -54,70 +49,24 @@ pub(crate) struct TrainDeviceArgs {
     /// Number of GPUs to train on together
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     devices: u16,
+    /// Multiply in bfloat16, on a device that can; weights and optimiser stay in single precision
+    #[arg(long)]
+    bf16: bool,
 }
 
 impl TrainDeviceArgs {
     /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.one.choose_of(self.devices.into())
-    }
-}
-
-fn choose(kind: Kind, count: usize) -> anyhow::Result<()> {
-    let devices = match kind {
-        // A second copy of the processor would share its cores with the first.
-        Kind::Cpu | Kind::Ndarray if count > 1 => {
-            bail!("--devices counts GPUs; the processor is one device")
+        self.one.choose_of(self.devices.into())?;
+        if self.bf16 && !devices().iter().all(precision::has_bf16) {
+            anyhow::bail!(
+                "device {} does not compute in bfloat16; leave out --bf16",
+                self.one.device
+            );
         }
-        Kind::Cpu => vec![Device::flex()],
-        Kind::Ndarray => vec![ndarray()?],
-        Kind::Cuda => cuda(count)?,
-        Kind::Wgpu => wgpu(count)?,
-    };
-    // Chosen once, when the program starts.
-    let _ = CHOSEN.set(devices);
-    Ok(())
-}
-
-#[cfg(feature = "ndarray")]
-#[expect(clippy::unnecessary_wraps, reason = "without the feature it fails")]
-#[expect(
-    deprecated,
-    reason = "the independent backend that results are compared with"
-)]
-fn ndarray() -> anyhow::Result<Device> {
-    Ok(Device::ndarray())
-}
-
-#[cfg(not(feature = "ndarray"))]
-fn ndarray() -> anyhow::Result<Device> {
-    bail!("this program was built without --features ndarray; build it again with it")
-}
-
-#[cfg(feature = "cuda")]
-#[expect(clippy::unnecessary_wraps, reason = "without the feature it fails")]
-fn cuda(count: usize) -> anyhow::Result<Vec<Device>> {
-    Ok((0..count).map(Device::cuda).collect())
-}
-
-#[cfg(not(feature = "cuda"))]
-fn cuda(_count: usize) -> anyhow::Result<Vec<Device>> {
-    bail!("this program was built without --features cuda; build it again with it")
-}
-
-#[cfg(feature = "wgpu")]
-#[expect(clippy::unnecessary_wraps, reason = "without the feature it fails")]
-fn wgpu(count: usize) -> anyhow::Result<Vec<Device>> {
-    use burn::tensor::DeviceKind;
-
-    Ok((0..count)
-        .map(|index| Device::vulkan(DeviceKind::DiscreteGpu(index)))
-        .collect())
-}
-
-#[cfg(not(feature = "wgpu"))]
-fn wgpu(_count: usize) -> anyhow::Result<Vec<Device>> {
-    bail!("this program was built without --features wgpu; build it again with it")
+        precision::set_bf16(self.bf16);
+        Ok(())
+    }
 }
 
 /// The devices models run on.
@@ -128,4 +77,32 @@ pub(crate) fn devices() -> &'static [Device] {
 /// The device models run on, the first of several.
 pub(crate) fn device() -> Device {
     devices()[0].clone()
+}
+
+/// Whether words of a command line ask for the list of devices, whatever verb they are for.
+pub(crate) fn is_list_asked(words: &[String]) -> bool {
+    let named = words
+        .windows(2)
+        .any(|pair| pair[0] == "--device" && pair[1] == "list");
+    named || words.iter().any(|word| word == "--device=list")
+}
+
+/// Prints the devices of this machine that this program can use.
+pub(crate) fn print_list(is_json: bool) -> anyhow::Result<Exit> {
+    let found = list();
+    if is_json {
+        report::json(&found)?;
+        return Ok(Exit::Done);
+    }
+    let lines: Vec<String> = found
+        .iter()
+        .map(|device| {
+            format!(
+                "{:<16} {:>2}  {}",
+                device.name, device.index, device.description
+            )
+        })
+        .collect();
+    report::text(&lines.join("\n"));
+    Ok(Exit::Done)
 }

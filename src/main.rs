@@ -25,6 +25,18 @@ use failure::Failure;
 const USAGE: u8 = 2;
 
 fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args_os()
+        .map(|word| word.to_string_lossy().into_owned())
+        .collect();
+    if device::is_list_asked(&words) {
+        return match device::print_list(words.iter().any(|word| word == "--json")) {
+            Ok(exit) => exit.into(),
+            Err(error) => {
+                report::error(&error);
+                Exit::of_error(&error).into()
+            }
+        };
+    }
     let cli = match cli::Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {

@@ -70,8 +70,19 @@ pub(crate) struct Args {
     /// Folder of the CLIP text encoder, for settings that use it [default: the hub's cache]
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
+    /// Memory of the device in GB: steps are split into micro-batches that fit, in place of micro_batch_size of the
+    /// settings
+    #[arg(long, value_name = "GB", value_parser = gigabytes)]
+    memory: Option<f64>,
     #[command(flatten)]
     device: TrainDeviceArgs,
+}
+
+fn gigabytes(text: &str) -> Result<f64, String> {
+    let parsed = text.parse::<f64>().ok();
+    parsed
+        .filter(|gb| gb.is_finite() && *gb > 0.0)
+        .ok_or_else(|| format!("{text:?} is no positive number"))
 }
 
 fn model_names() -> PossibleValuesParser {
@@ -145,6 +156,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         text_encoder: &text_encoder(args.text_encoder.as_deref()),
         seed: global.given_seed(),
         length,
+        memory: args.memory.map(|gb| (1e9 * gb) as u64),
     };
     let done = with_session(&global.bars(), |session| (kind.train)(&request, session))?;
     if global.json {

@@ -700,3 +700,31 @@ fn training_is_the_same_without_the_fused_operations_and_on_another_backend() {
         }
     }
 }
+
+#[test]
+fn devices_are_listed_on_any_command_line_and_others_are_refused() {
+    for args in [
+        &["train", "--device", "list"][..],
+        &["edit", "--device=list", "--json"],
+    ] {
+        let listed = stance(args).expect_code(0).stdout;
+        assert!(
+            listed.contains("cpu") && listed.contains("threads"),
+            "{listed}"
+        );
+    }
+    let listed: Value =
+        serde_json::from_str(&stance(&["train", "--device=list", "--json"]).stdout).expect("JSON");
+    assert_eq!(listed[0]["name"], "cpu");
+    let train = ["train", "tmr", "x", "--out", "y"];
+    let refused = |more: &[&str], code| stance(&[&train, more].concat()).expect_code(code).stderr;
+    let unknown = refused(&["--device", "gpu"], 2);
+    assert!(unknown.contains("wgpu:software"), "{unknown}");
+    let several = refused(&["--devices", "2"], 1);
+    assert!(several.contains("one device"), "{several}");
+    refused(&["--memory", "-1"], 2);
+    if !cfg!(feature = "cuda") {
+        let absent = refused(&["--device", "cuda"], 1);
+        assert!(absent.contains("--features cuda"), "{absent}");
+    }
+}

@@ -26,6 +26,7 @@ use crate::model::coordinator::Coordinator;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
+use crate::transfer::{read, weighted_mean};
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
@@ -389,14 +390,11 @@ impl Task for CoordinatorTask<'_> {
     }
 
     fn validate(&self, model: &Coordinator, device: &Device) -> f32 {
-        let mut sum = 0.0;
-        let mut count = 0.0;
-        for batch in &self.val_batches {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            sum += f64::from(loss) * batch.timesteps.len() as f64;
-            count += batch.timesteps.len() as f64;
-        }
-        (sum / count) as f32
+        weighted_mean(
+            self.val_batches
+                .iter()
+                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &Coordinator, run_dir: &Path) -> Result<Files, Error> {
@@ -521,11 +519,7 @@ impl TrainedCoordinator {
             TensorData::new(seen, [rows, window, 3 * keypoints]),
             &self.device,
         );
-        self.model
-            .probability(x, &vec![0; rows])
-            .into_data()
-            .try_into_vec_as()
-            .expect("a float tensor gives floats")
+        read(self.model.probability(x, &vec![0; rows]))
     }
 }
 

@@ -1,6 +1,6 @@
 //! What MotionReFit's denoiser predicts, its guidance and its loss.
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
@@ -98,13 +98,11 @@ impl Extrapolation {
         self.gains.len()
     }
 
-    /// The guessed change, and the spread of what is left.
+    /// The gains and spreads of windows on a device, those of windows without fixed frames being others.
     ///
     /// # Shapes
-    /// `fixed`, the change of the fixed frames, `[B, 2, 84]`; `is_start` `[B]`; the results
-    /// `[B, W, 84]` and `[B, W, 1]`.
-    fn guess(&self, fixed: Tensor<3>, is_start: &[bool]) -> (Tensor<3>, Tensor<3>) {
-        let device = fixed.device();
+    /// `is_start` `[B]`; the results `[B, W, 2]` and `[B, W, 1]`.
+    fn tables(&self, is_start: &[bool], device: &Device) -> (Tensor<3>, Tensor<3>) {
         let (rows, window) = (is_start.len(), self.window());
         let gains: Vec<f32> = is_start
             .iter()
@@ -127,36 +125,49 @@ impl Extrapolation {
             })
             .copied()
             .collect();
-        let gains = Tensor::<3>::from_data(
-            TensorData::new(gains, [rows, window, FIXED_FRAMES]),
-            &device,
-        );
-        let spreads = Tensor::<3>::from_data(TensorData::new(spreads, [rows, window, 1]), &device);
-        // Two products and a sum; a matrix product of this size is mostly overhead.
-        let part =
-            |frame: usize| gains.clone().narrow(2, frame, 1) * fixed.clone().narrow(1, frame, 1);
-        (part(0) + part(1), spreads)
+        (
+            Tensor::from_data(TensorData::new(gains, [rows, window, FIXED_FRAMES]), device),
+            Tensor::from_data(TensorData::new(spreads, [rows, window, 1]), device),
+        )
     }
 }
 
 /// What a prediction is relative to, beside the noisy window.
-#[derive(Clone, Copy, Debug)]
-pub struct Basis<'a> {
+#[derive(Clone, Debug)]
+pub struct Basis {
     /// Normalised original windows, `[B, W, 84]`.
-    pub original: &'a Tensor<3>,
-    /// Whether nothing is fixed in a window, `[B]`.
-    pub is_start: &'a [bool],
-    /// The linear guess, for [`Prediction::Residual`].
-    pub extrapolation: Option<&'a Extrapolation>,
+    original: Tensor<3>,
+    /// Gains and spreads of the linear guess, for [`Prediction::Residual`].
+    tables: Option<(Tensor<3>, Tensor<3>)>,
 }
 
-impl Basis<'_> {
-    /// The guess and the spread for windows whose fixed frames are clean.
+impl Basis {
+    /// What predictions for normalised original windows, `[B, W, 84]`, are relative to. `is_start` says
+    /// whether nothing is fixed in a window, `[B]`; `extrapolation` is there for [`Prediction::Residual`].
+    pub fn new(
+        original: Tensor<3>,
+        is_start: &[bool],
+        extrapolation: Option<&Extrapolation>,
+    ) -> Self {
+        let device = original.device();
+        Self {
+            tables: extrapolation.map(|guess| guess.tables(is_start, &device)),
+            original,
+        }
+    }
+
+    /// The guessed change and the spread of what is left, for windows whose fixed frames are clean.
     fn guess(&self, windows: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let fixed = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
-        self.extrapolation
-            .expect("a residual comes with what it is relative to")
-            .guess(fixed(windows) - fixed(self.original), self.is_start)
+        let change = fixed(windows) - fixed(&self.original);
+        let (gains, spreads) = self
+            .tables
+            .clone()
+            .expect("a residual comes with what it is relative to");
+        // Two products and a sum; a matrix product of this size is mostly overhead.
+        let part =
+            |frame: usize| gains.clone().narrow(2, frame, 1) * change.clone().narrow(1, frame, 1);
+        (part(0) + part(1), spreads)
     }
 }
 
@@ -170,17 +181,17 @@ impl Schedule {
         prediction: Prediction,
         predicted: Tensor<3>,
         x_t: &Tensor<3>,
-        basis: Basis<'_>,
+        basis: &Basis,
         timesteps: &[usize],
     ) -> Tensor<3> {
-        let original = basis.original;
+        let original = &basis.original;
         match prediction {
             Prediction::Noise => self.predict_x0(x_t.clone(), timesteps, predicted),
             Prediction::Clean => predicted,
             Prediction::Change => predicted + original.clone(),
             Prediction::Velocity => {
-                let (signal, _) = self.mixture(timesteps, &x_t.device());
-                let change_t = x_t.clone() - original.clone() * signal;
+                let (signal, _) = self.mixture(timesteps);
+                let change_t = x_t.clone() - signal.times(original.clone());
                 original.clone() + self.from_velocity(change_t, timesteps, predicted)
             }
             Prediction::Residual => {
@@ -298,11 +309,7 @@ impl Objective<'_> {
         });
         let x_t = self.shown(&x0, &noise, &batch.timesteps, starts.as_ref());
         let original = windows(&batch.original);
-        let basis = Basis {
-            original: &original,
-            is_start: &batch.is_start,
-            extrapolation: self.extrapolation,
-        };
+        let basis = Basis::new(original.clone(), &batch.is_start, self.extrapolation);
         let change = || x0.clone() - original.clone();
         let target = match config.prediction {
             Prediction::Noise => noise,
@@ -339,7 +346,7 @@ impl Objective<'_> {
         }
         if config.contact_weight > 0.0 {
             let clean =
-                schedule.clean_of(config.prediction, predicted, &x_t, basis, &batch.timesteps);
+                schedule.clean_of(config.prediction, predicted, &x_t, &basis, &batch.timesteps);
             // The editor puts the fixed frames back; a foot that rests on them must not leave them.
             let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
             let contact = self.sliding(clean, x0);
@@ -415,7 +422,6 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::Device;
     use proptest::prelude::*;
 
     use super::*;
@@ -505,12 +511,8 @@ mod tests {
         let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
         let x0 = windows(&edited);
         let nothing = x0.zeros_like();
-        let basis = Basis {
-            original: &windows(&original),
-            is_start: &[false; 64],
-            extrapolation: Some(&fitted),
-        };
-        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, basis, &[0; 64]);
+        let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
+        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, &basis, &[0; 64]);
         for (a, b) in edited.iter().zip(values(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
@@ -578,9 +580,8 @@ mod tests {
                 (Prediction::Change, change.clone()),
                 (Prediction::Velocity, schedule.velocity(change.clone(), &[t], tensor(&noise))),
             ] {
-                let original = &tensor(&original);
-                let basis = Basis { original, is_start: &[false], extrapolation: None };
-                let back = schedule.clean_of(prediction, predicted, &x_t, basis, &[t]);
+                let basis = Basis::new(tensor(&original), &[false], None);
+                let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
                 for (a, b) in x0.iter().zip(values(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");

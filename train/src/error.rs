@@ -199,6 +199,14 @@ pub enum Error {
         /// Step of the newest checkpoint; 0 where there is none.
         kept: u64,
     },
+    /// A device is not there, or gives wrong numbers.
+    #[error("device {name} {problem}")]
+    Device {
+        /// Name it was asked for by.
+        name: String,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// An item to edit is malformed.
     #[error("item {id:?} {problem}")]
     Item {

@@ -17,6 +17,7 @@ use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, TrainerConfig, train};
+use crate::transfer::weighted_mean;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
@@ -355,14 +356,11 @@ impl Task for EditorTask<'_> {
     }
 
     fn validate(&self, model: &MotionRefit, device: &Device) -> f32 {
-        let mut sum = 0.0;
-        let mut count = 0.0;
-        for batch in &self.val_batches {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            sum += f64::from(loss) * batch.len() as f64;
-            count += batch.len() as f64;
-        }
-        (sum / count) as f32
+        weighted_mean(
+            self.val_batches
+                .iter()
+                .map(|batch| (batch.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &MotionRefit, run_dir: &Path) -> Result<Files, Error> {

@@ -1,9 +1,6 @@
 //! Sampling with a network that predicts the clean motion under the cosine schedule: TMED and MDM.
 
-use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::Rng;
-use rand::RngExt;
-use rand_distr::StandardNormal;
+use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -114,28 +111,13 @@ impl SampleSteps {
     }
 }
 
-/// Standard normal noise for a batch of sequences. Each sequence has its own generator, so its noise does not depend
-/// on the batch. Frames past the end of a sequence are zero.
-///
-/// # Shapes
-/// `B` generators and lengths give `[B, T, width]`, `T` being the largest length.
-pub fn noise(rngs: &mut [Rng], lengths: &[usize], width: usize, device: &Device) -> Tensor<3> {
-    let frames = lengths.iter().copied().max().unwrap_or(0);
-    let mut values = vec![0.0f32; rngs.len() * frames * width];
-    let rows = values.chunks_exact_mut((frames * width).max(1));
-    for ((row, rng), length) in rows.zip(rngs.iter_mut()).zip(lengths) {
-        for value in &mut row[..length * width] {
-            *value = rng.sample(StandardNormal);
-        }
-    }
-    Tensor::from_data(TensorData::new(values, [rngs.len(), frames, width]), device)
-}
-
 #[cfg(test)]
 mod tests {
-    use datasets_spec::Seed;
+    use burn::tensor::Device;
+    use datasets_spec::{Rng, Seed};
 
     use super::*;
+    use crate::sample::noise::Noise;
 
     #[test]
     fn fewer_steps_are_spread_over_those_of_training() {
@@ -165,9 +147,10 @@ mod tests {
         let rngs = |rows: &[&str]| -> Vec<Rng> {
             rows.iter().map(|row| Seed(1).rng(&["row", row])).collect()
         };
-        let sampled = |rows: &[&str], lengths: &[usize]| -> Vec<f32> {
+        let sampled = |rows: &[&str]| -> Vec<f32> {
             let mut rngs = rngs(rows);
-            let start = noise(&mut rngs, lengths, 2, &device);
+            let mut noise = Noise::new(&mut rngs, [3, 2], 8, &device);
+            let start = noise.step();
             let mut indices = Vec::new();
             let x = steps.sample(
                 start,
@@ -175,18 +158,17 @@ mod tests {
                     0 => x.clone(),
                     _ => x.clone().mul_scalar(0.5),
                 },
-                |_| noise(&mut rngs, lengths, 2, &device),
+                |_| noise.step(),
                 |step, _| indices.push(step.index),
             );
             assert!(indices.into_iter().eq((0..7).rev()));
             x.into_data().try_into_vec_as().expect("floats")
         };
-        let both = sampled(&["a", "b"], &[3, 2]);
-        assert_eq!(both[..6], sampled(&["a"], &[3]));
-        assert_eq!(both[6..10], sampled(&["b"], &[2]));
-        assert_eq!(both[10..], [0.0; 2], "nothing is past the end");
+        let both = sampled(&["a", "b"]);
+        assert_eq!(both[..6], sampled(&["a"]));
+        assert_eq!(both[6..], sampled(&["b"]));
 
-        let start = noise(&mut rngs(&["a"]), &[3], 2, &device);
+        let start = Noise::new(&mut rngs(&["a"]), [3, 2], 1, &device).step();
         let wanted = start.clone().mul_scalar(3.0);
         let x = steps.sample(
             start.clone(),

@@ -26,6 +26,7 @@ use crate::model::pose_net::{
 };
 use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
+use crate::transfer::{read, weighted_mean};
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -321,7 +322,7 @@ impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
     }
 
     fn validate(&self, net: &M, device: &Device) -> f32 {
-        self.loss(net, &self.val, device).into_scalar()
+        weighted_mean([(1, self.loss(net, &self.val, device))])
     }
 
     fn save(&self, net: &M, run_dir: &Path) -> Result<Files, Error> {
@@ -502,7 +503,7 @@ impl PoseNet {
             Network::Paper(net) => net.forward(points),
             Network::Official(net) => net.forward(points),
         };
-        out.into_data().try_to_vec().expect("floats")
+        read(out)
     }
 
     /// Poses of keypoint frames in metres: the rotations are the network's, the pelvis is where it

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::checkpoint::Start;
-use crate::config::{Preset, RunLength, RunSettings, overlay};
+use crate::config::{NetworkConfig, Preset, RunLength, RunSettings, overlay};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
@@ -55,6 +55,8 @@ pub struct TrainRequest<'a> {
     pub seed: Option<u64>,
     /// Length in place of that of the settings.
     pub length: Option<RunLength>,
+    /// Memory of the device in bytes, which decides the micro-batches in place of the settings.
+    pub memory: Option<u64>,
 }
 
 impl TrainRequest<'_> {
@@ -70,6 +72,15 @@ impl TrainRequest<'_> {
     pub fn change(&self, run: &mut RunSettings) {
         run.seed = self.seed.unwrap_or(run.seed);
         run.length = self.length.unwrap_or(run.length);
+    }
+
+    /// Splits the steps of a run into micro-batches that fit into the request's memory. `tokens` are those
+    /// of a sample.
+    pub(crate) fn split(&self, run: &mut RunSettings, model: &NetworkConfig, tokens: usize) {
+        if let Some(memory) = self.memory {
+            let fitting = model.samples_in(memory, tokens);
+            run.micro_batch_size = Some(fitting.min(run.batch_size));
+        }
     }
 }
 

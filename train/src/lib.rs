@@ -2,7 +2,7 @@
 //!
 //! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained
 //! editor answers test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. The
-//! crate chooses no device and reads no clock or environment, and nothing but
+//! crate chooses no device but by [`device::open`], and reads no clock or environment, and nothing but
 //! [`text::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a [`Session`].
 //!
 //! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
@@ -59,6 +59,7 @@ pub mod config;
 pub mod coordinator;
 pub mod data;
 pub mod ddim;
+pub mod device;
 pub mod diffusion;
 pub mod edit;
 mod error;
@@ -87,6 +88,7 @@ pub mod text;
 pub mod tmed;
 pub mod tmr;
 pub mod trainer;
+pub mod transfer;
 pub mod vocabulary;
 
 pub use error::Error;

@@ -25,6 +25,7 @@ use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -355,14 +356,11 @@ impl Task for MdmTask<'_> {
     }
 
     fn validate(&self, model: &Conditioned<Mdm>, device: &Device) -> f32 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for batch in &self.val_batches {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            let rows = batch.lengths.len() as f64;
-            sum += f64::from(loss) * rows;
-            count += rows;
-        }
-        (sum / count) as f32
+        weighted_mean(
+            self.val_batches
+                .iter()
+                .map(|batch| (batch.lengths.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &Conditioned<Mdm>, run_dir: &Path) -> Result<Files, Error> {

@@ -6,8 +6,6 @@ use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
 use kinematics::resample::grid;
 use pipeline::feature::humanml3d::Features;
-use rand::RngExt;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use crate::checkpoint::{RunRecord, read_for_use, read_record, weights_hash};
@@ -19,12 +17,14 @@ use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::{Mdm, PreparedMdm};
+use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
 use crate::system::{
     EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource,
 };
+use crate::transfer::read;
 use crate::{Error, Session};
 
 /// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
@@ -320,24 +320,18 @@ impl MdmBpSystem {
             let half = |index: usize| both.clone().narrow(0, index * rows, rows);
             Ok(guide(half(0), half(1), self.guidance))
         };
-        let scale = self.temperature as f32;
-        let noise = |_| {
-            let values = items
-                .iter_mut()
-                .flat_map(|item| {
-                    (0..frames * HUMANML3D_WIDTH)
-                        .map(|_| scale * item.rng.sample::<f32, _>(StandardNormal))
-                })
-                .collect();
-            tensor(values, frames)
-        };
+        let mut noise = Noise::new(
+            items.iter_mut().map(|item| &mut item.rng),
+            [frames, HUMANML3D_WIDTH],
+            // One for the start, and one for each step from it down to 0.
+            2 + self.inpainting.start,
+            &self.device,
+        )
+        .scaled(self.temperature);
         let x = self
             .inpainting
-            .sample(&source, &kept, clean, noise, |_, _| {})?;
-        let values: Vec<f32> = x
-            .into_data()
-            .try_into_vec_as()
-            .expect("a float tensor gives floats");
+            .sample(&source, &kept, clean, |_| noise.step(), |_, _| {})?;
+        let values = read(x);
         let rows = values.chunks_exact(frames * HUMANML3D_WIDTH);
         Ok(rows
             .zip(items)
@@ -443,6 +437,9 @@ impl EditSystem for MdmBpSystem {
 
 #[cfg(test)]
 mod tests {
+    use rand::RngExt;
+    use rand_distr::StandardNormal;
+
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {

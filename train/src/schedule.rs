@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 
 use crate::Error;
 use crate::config::{LINEAR_VARIANCES, ScheduleName};
@@ -149,8 +149,8 @@ impl Schedule {
     /// # Shapes
     /// `x0`, `noise` and the result `[B, W, D]`; `timesteps` `[B]`.
     pub fn q_sample(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x0.device());
-        x0 * signal + noise * spread
+        let (signal, spread) = self.mixture(timesteps);
+        signal.times(x0) + spread.times(noise)
     }
 
     /// The clean window that the predicted noise implies, not yet clipped.
@@ -158,18 +158,9 @@ impl Schedule {
     /// # Shapes
     /// As [`Schedule::q_sample`].
     pub fn predict_x0(&self, x_t: Tensor<3>, timesteps: &[usize], eps: Tensor<3>) -> Tensor<3> {
-        let device = x_t.device();
-        let of_x = column(
-            timesteps,
-            |t| self.alphas_cumprod[t].sqrt().recip(),
-            &device,
-        );
-        let of_eps = column(
-            timesteps,
-            |t| (self.alphas_cumprod[t].recip() - 1.0).sqrt(),
-            &device,
-        );
-        x_t * of_x - eps * of_eps
+        let of_x = Column::new(timesteps, |t| self.alphas_cumprod[t].sqrt().recip());
+        let of_eps = Column::new(timesteps, |t| (self.alphas_cumprod[t].recip() - 1.0).sqrt());
+        of_x.times(x_t) - of_eps.times(eps)
     }
 
     /// The velocity of clean numbers and noise: `sqrt(a) noise - sqrt(1 - a) x0`.
@@ -177,8 +168,8 @@ impl Schedule {
     /// # Shapes
     /// As [`Schedule::q_sample`].
     pub fn velocity(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x0.device());
-        noise * signal - x0 * spread
+        let (signal, spread) = self.mixture(timesteps);
+        signal.times(noise) - spread.times(x0)
     }
 
     /// The clean numbers that noisy ones and their velocity imply; the inverse of
@@ -187,15 +178,15 @@ impl Schedule {
     /// # Shapes
     /// As [`Schedule::q_sample`].
     pub fn from_velocity(&self, x_t: Tensor<3>, timesteps: &[usize], v: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps, &x_t.device());
-        x_t * signal - v * spread
+        let (signal, spread) = self.mixture(timesteps);
+        signal.times(x_t) - spread.times(v)
     }
 
     /// Weights of signal and noise in noisy windows.
-    pub(crate) fn mixture(&self, timesteps: &[usize], device: &Device) -> (Tensor<3>, Tensor<3>) {
+    pub(crate) fn mixture(&self, timesteps: &[usize]) -> (Column, Column) {
         (
-            column(timesteps, |t| self.alphas_cumprod[t].sqrt(), device),
-            column(timesteps, |t| (1.0 - self.alphas_cumprod[t]).sqrt(), device),
+            Column::new(timesteps, |t| self.alphas_cumprod[t].sqrt()),
+            Column::new(timesteps, |t| (1.0 - self.alphas_cumprod[t]).sqrt()),
         )
     }
 
@@ -204,10 +195,9 @@ impl Schedule {
     /// # Shapes
     /// As [`Schedule::q_sample`].
     pub fn posterior_mean(&self, x0: Tensor<3>, x_t: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
-        let device = x_t.device();
-        let of_x0 = column(timesteps, |t| self.posterior_mean_coef1[t], &device);
-        let of_x = column(timesteps, |t| self.posterior_mean_coef2[t], &device);
-        x0 * of_x0 + x_t * of_x
+        let of_x0 = Column::new(timesteps, |t| self.posterior_mean_coef1[t]);
+        let of_x = Column::new(timesteps, |t| self.posterior_mean_coef2[t]);
+        of_x0.times(x0) + of_x.times(x_t)
     }
 
     /// One reverse step, given the estimate of the clean window: noise of the posterior variance is
@@ -238,14 +228,39 @@ impl Schedule {
     }
 }
 
-/// A coefficient per window, ready to be multiplied with a batch.
-fn column(timesteps: &[usize], coefficient: impl Fn(usize) -> f64, device: &Device) -> Tensor<3> {
-    let values: Vec<f32> = timesteps.iter().map(|&t| coefficient(t) as f32).collect();
-    Tensor::from_data(TensorData::new(values, [timesteps.len(), 1, 1]), device)
+/// A coefficient per window, to be multiplied with a batch. While sampling all windows are at one step: their
+/// coefficient is then an argument of the multiplication, and nothing is sent to the device.
+pub(crate) enum Column {
+    Same(f64),
+    Each(Vec<f32>),
+}
+
+impl Column {
+    fn new(timesteps: &[usize], coefficient: impl Fn(usize) -> f64) -> Self {
+        match timesteps {
+            [first, rest @ ..] if rest.iter().all(|timestep| timestep == first) => {
+                Self::Same(coefficient(*first))
+            }
+            _ => Self::Each(timesteps.iter().map(|&t| coefficient(t) as f32).collect()),
+        }
+    }
+
+    /// The windows, each times its coefficient.
+    pub(crate) fn times(&self, x: Tensor<3>) -> Tensor<3> {
+        match self {
+            Self::Same(coefficient) => x.mul_scalar(*coefficient),
+            Self::Each(coefficients) => {
+                let shape = [coefficients.len(), 1, 1];
+                let device = x.device();
+                x * Tensor::from_data(TensorData::new(coefficients.clone(), shape), &device)
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use burn::tensor::Device;
     use proptest::prelude::*;
 
     use super::*;
@@ -286,6 +301,19 @@ mod tests {
             assert!((kept - beta).abs() < 1e-12);
         }
         assert!(Schedule::cosine(0).is_err());
+    }
+
+    #[test]
+    fn windows_at_one_step_are_noised_as_those_at_several() {
+        let schedule = Schedule::cosine(40).expect("steps");
+        let three = |values: [f32; 3]| {
+            Tensor::<3>::from_data(TensorData::new(values.to_vec(), [3, 1, 1]), &Device::flex())
+        };
+        let (x0, noise) = (three([0.3, -0.7, 0.9]), three([1.1, -2.0, 0.4]));
+        let noised = |timesteps| schedule.q_sample(x0.clone(), timesteps, noise.clone());
+        let (same, mixed) = (values(noised(&[7; 3])), values(noised(&[7, 7, 8])));
+        assert_eq!(same[..2], mixed[..2]);
+        assert_ne!(same[2], mixed[2]);
     }
 
     proptest! {

@@ -23,6 +23,7 @@ use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::tmr::{SequenceEncoder, Tmr, TmrSizes, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::{read, weighted_mean};
 use crate::vocabulary::{TokenBatch, Vocabulary};
 use crate::{Error, Session};
 
@@ -453,15 +454,10 @@ fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Devic
 }
 
 fn validate(model: &Tmr, batches: &[ClipBatch], config: &TmrConfig, device: &Device) -> f32 {
-    let num_clips: usize = batches.iter().map(|batch| batch.lengths.len()).sum();
-    let sum: f64 = batches
-        .iter()
-        .map(|batch| {
-            let loss: f32 = batch_loss(model, batch, config, device).into_scalar();
-            f64::from(loss) * batch.lengths.len() as f64
-        })
-        .sum();
-    (sum / num_clips as f64) as f32
+    weighted_mean(batches.iter().map(|batch| {
+        let loss = batch_loss(model, batch, config, device);
+        (batch.lengths.len(), loss)
+    }))
 }
 
 fn clips(
@@ -815,9 +811,8 @@ impl TmrEncoder {
 
 fn rows(tensor: Tensor<2>) -> Vec<Vec<f32>> {
     let [_, width] = tensor.dims();
-    let values: Vec<f32> = tensor
-        .into_data()
-        .try_into_vec_as()
-        .expect("a float tensor gives floats");
-    values.chunks_exact(width).map(<[f32]>::to_vec).collect()
+    read(tensor)
+        .chunks_exact(width)
+        .map(<[f32]>::to_vec)
+        .collect()
 }

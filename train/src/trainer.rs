@@ -16,6 +16,7 @@ use crate::config::RunSettings;
 use crate::data::prefetch;
 use crate::model::dropout::seeded;
 use crate::optimizer::adamw;
+use crate::transfer::read_all;
 use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
@@ -239,13 +240,15 @@ pub fn train<T: Task>(
     }
 
     let mut whole = Speed::default();
+    let mut unread = Unread::default();
     session
         .progress
         .begin(&format!("train {}", config.kind), Some(num_steps));
     session.progress.advance(state.step);
-    let model = std::thread::scope(|scope| {
+    let model = std::thread::scope(|scope| -> Result<T::Model, Error> {
         let batches = prefetch(scope, state.step..num_steps, |step| task.draw(step));
         let mut recent = Speed::default();
+        let mut others = Others::new(&model, session.more_devices);
         while state.step < num_steps && !session.is_stopped() {
             let begun = session.secs();
             let parts = batches
@@ -255,15 +258,10 @@ pub fn train<T: Task>(
 
             let masks = Seed(settings.seed).derive(&["dropout", &state.step.to_string()]);
             let rate = settings.optimizer.rate_at(state.step, num_steps);
-            let (loss, mut gradients) = gradients_of(task, &model, &parts, &device, masks, session);
-            if !loss.is_finite() {
-                return Err(Error::Diverged {
-                    what: "training",
-                    step: state.step,
-                    kept,
-                });
-            }
-            let gradient_norm = settings
+            let (loss, mut gradients) =
+                gradients_of(task, &model, &parts, &device, masks, &mut others);
+            unread.losses.push(loss);
+            unread.norm = settings
                 .optimizer
                 .max_gradient_norm
                 .map(|max_norm| clip_grad_norm(&mut gradients, &model, max_norm));
@@ -273,11 +271,18 @@ pub fn train<T: Task>(
             }
 
             state.step += 1;
-            state.pending.push(loss);
+            let is_last = state.step == num_steps;
+            let is_logged = state.step.is_multiple_of(settings.log_every) || is_last;
+            let is_validated = state.step.is_multiple_of(settings.val_every) || is_last;
+            // A card is waited for here alone, so the time of a line holds all that its steps took.
+            let gradient_norm = if is_logged || is_validated {
+                unread.read(&mut state, kept)?
+            } else {
+                None
+            };
             recent.add(session.secs() - begun, received - begun);
             session.progress.advance(1);
-            let is_last = state.step == num_steps;
-            if state.step.is_multiple_of(settings.log_every) || is_last {
+            if is_logged {
                 let loss = mean(&state.pending);
                 let samples_per_sec = recent.samples_per_sec(settings.batch_size);
                 run.log(&MetricsLine {
@@ -301,7 +306,7 @@ pub fn train<T: Task>(
             }
             let keep_every = settings.keep_epochs * config.steps_per_epoch();
             let is_kept = keep_every > 0 && state.step.is_multiple_of(keep_every);
-            if state.step.is_multiple_of(settings.val_every) || is_last {
+            if is_validated {
                 let used = used(&model, ema.as_ref());
                 let val_loss = task.validate(&used, session.device);
                 if !val_loss.is_finite() {
@@ -334,6 +339,8 @@ pub fn train<T: Task>(
                 run.write(Slot::Epoch(epoch), &files)?;
             }
         }
+        // A run that is stopped is saved with the losses since its last line.
+        unread.read(&mut state, kept)?;
         whole.merge(&recent);
         Ok(model)
     })?;
@@ -369,22 +376,184 @@ pub fn train<T: Task>(
     Ok((used(&model, ema.as_ref()), report))
 }
 
-/// The loss of a step and its gradients on the first device. The micro-batches are spread over all
-/// devices of the session, each of which holds a copy of the model; their results are added in the order
-/// of the micro-batches, so that a step does not depend on which device is done first.
+/// The losses and the norm of steps that are still on the device.
+#[derive(Default)]
+struct Unread {
+    losses: Vec<Tensor<1>>,
+    /// Norm of the last step's gradient before clipping.
+    norm: Option<Tensor<1>>,
+}
+
+impl Unread {
+    /// Reads everything at once: appends the losses to those of `state`, and returns the norm.
+    fn read(&mut self, state: &mut TrainState, kept: u64) -> Result<Option<f64>, Error> {
+        let Self { mut losses, norm } = std::mem::take(self);
+        let first = state.step - losses.len() as u64;
+        let num_losses = losses.len();
+        losses.extend(norm);
+        let mut values = read_all(losses);
+        let norm = values.drain(num_losses..).next().map(f64::from);
+        if let Some(place) = values.iter().position(|loss| !loss.is_finite()) {
+            return Err(Error::Diverged {
+                what: "training",
+                step: first + place as u64,
+                kept,
+            });
+        }
+        state.pending.extend(values);
+        Ok(norm)
+    }
+}
+
+/// The devices beside the first that compute micro-batches, each with a copy of the model.
+struct Others<M> {
+    devices: Vec<Device>,
+    copies: Vec<M>,
+}
+
+impl<M: Module> Others<M> {
+    fn new(model: &M, devices: &[Device]) -> Self {
+        let devices: Vec<Device> = devices
+            .iter()
+            .map(|device| device.clone().autodiff())
+            .collect();
+        Self {
+            copies: devices
+                .iter()
+                .map(|device| model.clone().fork(device))
+                .collect(),
+            devices,
+        }
+    }
+
+    /// Gives the copies the weights that the model has now, each device in one transfer.
+    fn update(&mut self, model: &M) {
+        let weights = Flat::of_weights(model);
+        let copies = std::mem::take(&mut self.copies);
+        self.copies = copies
+            .into_iter()
+            .zip(&self.devices)
+            .map(|(copy, device)| {
+                copy.map(&mut PutWeights {
+                    from: &weights.to_device(device),
+                    next: 0,
+                })
+            })
+            .collect();
+    }
+}
+
+/// Numbers of parameters in one tensor without gradients of its own, in the order in which a model visits
+/// the parameters.
+struct Flat {
+    ids: Vec<ParamId>,
+    values: Tensor<1>,
+}
+
+impl Flat {
+    /// The weights of a model.
+    fn of_weights<M: Module>(model: &M) -> Self {
+        struct Collect(Vec<ParamId>, Vec<Tensor<1>>);
+        impl ModuleVisitor for Collect {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                self.0.push(param.id);
+                self.1.push(param.val().inner().reshape([-1]));
+            }
+        }
+        let mut found = Collect(Vec::new(), Vec::new());
+        model.visit(&mut found);
+        Self {
+            ids: found.0,
+            values: Tensor::cat(found.1, 0),
+        }
+    }
+
+    /// The gradients of a model; some parameters may have none.
+    fn of_gradients<M: Module>(model: &M, gradients: &GradientsParams) -> Self {
+        struct Collect<'a>(&'a GradientsParams, Vec<ParamId>, Vec<Tensor<1>>);
+        impl ModuleVisitor for Collect<'_> {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                if let Some(gradient) = self.0.get::<D>(param.id) {
+                    self.1.push(param.id);
+                    self.2.push(gradient.reshape([-1]));
+                }
+            }
+        }
+        let mut found = Collect(gradients, Vec::new(), Vec::new());
+        model.visit(&mut found);
+        Self {
+            ids: found.1,
+            values: Tensor::cat(found.2, 0),
+        }
+    }
+
+    fn to_device(&self, device: &Device) -> Self {
+        Self {
+            ids: self.ids.clone(),
+            values: self.values.clone().to_device(&device.clone().inner()),
+        }
+    }
+
+    /// The inverse of [`Flat::of_gradients`].
+    fn into_gradients<M: Module>(self, model: &M) -> GradientsParams {
+        struct Put {
+            from: Flat,
+            next: usize,
+            place: usize,
+            gradients: GradientsParams,
+        }
+        impl ModuleVisitor for Put {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                if self.from.ids.get(self.place) == Some(&param.id) {
+                    let shape = param.shape();
+                    let count = shape.num_elements();
+                    let values = self.from.values.clone().narrow(0, self.next, count);
+                    self.gradients
+                        .register::<D>(param.id, values.reshape(shape));
+                    self.next += count;
+                    self.place += 1;
+                }
+            }
+        }
+        let mut put = Put {
+            from: self,
+            next: 0,
+            place: 0,
+            gradients: GradientsParams::new(),
+        };
+        model.visit(&mut put);
+        put.gradients
+    }
+}
+
+/// Replaces the weights of a model by those of a [`Flat`] of the same model.
+struct PutWeights<'a> {
+    from: &'a Flat,
+    next: usize,
+}
+
+impl ModuleMapper for PutWeights<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        param.map(|now| {
+            let count = now.shape().num_elements();
+            let values = self.from.values.clone().narrow(0, self.next, count);
+            self.next += count;
+            Tensor::from_inner(values.reshape(now.dims())).set_require_grad(now.is_require_grad())
+        })
+    }
+}
+
+/// The loss of a step and its gradients on the first device. Every device computes a share of the
+/// micro-batches and adds up their gradients; the sums cross to the first device in one transfer each and
+/// are added in the order of the devices, so that a step does not depend on which is done first.
 fn gradients_of<T: Task>(
     task: &T,
     model: &T::Model,
     parts: &[(f64, T::Batch)],
     device: &Device,
     masks: Seed,
-    session: &Session<'_>,
-) -> (f32, GradientsParams) {
-    let others: Vec<Device> = session
-        .more_devices
-        .iter()
-        .map(|device| device.clone().autodiff())
-        .collect();
+    others: &mut Others<T::Model>,
+) -> (Tensor<1>, GradientsParams) {
     let one = |model: &T::Model, index: usize, device: &Device| {
         let (share, batch) = &parts[index];
         // Dropout depends on the step and the micro-batch, so that a continued run repeats it. A GPU
@@ -392,52 +561,70 @@ fn gradients_of<T: Task>(
         let seed = masks.draw_u64(&[&index.to_string()]);
         device.seed(seed);
         let loss = seeded(seed, || task.loss(model, batch, device)).mul_scalar(*share);
-        let value: f32 = loss.clone().into_scalar();
+        let value = loss.clone().inner();
         (value, GradientsParams::from_grads(loss.backward(), model))
     };
     if parts.len() == 1 {
         return one(model, 0, device);
     }
-    let mut total = 0.0;
-    let mut sum = GradientsAccumulator::new();
-    if others.is_empty() {
-        for index in 0..parts.len() {
+    let num_devices = 1 + others.devices.len();
+    // The share of one device: the losses of its micro-batches, and the sum of their gradients.
+    let share_of = |model: &T::Model, place: usize, device: &Device| {
+        let mut losses = Vec::new();
+        let mut sum = GradientsAccumulator::new();
+        for index in (place..parts.len()).step_by(num_devices) {
             let (loss, gradients) = one(model, index, device);
-            total += loss;
+            losses.push((index, loss));
             sum.accumulate(model, gradients);
         }
-        return (total, sum.grads());
-    }
-    let devices: Vec<Device> = std::iter::once(device.clone()).chain(others).collect();
-    let mut found: Vec<(usize, f32, GradientsParams)> = std::thread::scope(|scope| {
-        let running: Vec<_> = devices
-            .iter()
-            .enumerate()
-            .map(|(place, device)| {
-                let copy = model.clone().fork(device);
-                let (one, stride) = (&one, devices.len());
-                scope.spawn(move || {
-                    (place..parts.len())
-                        .step_by(stride)
-                        .map(|index| {
-                            let (loss, gradients) = one(&copy, index, device);
-                            (index, loss, gradients)
+        (losses, sum.grads())
+    };
+    let (mut losses, gradients) = if others.devices.is_empty() {
+        share_of(model, 0, device)
+    } else {
+        others.update(model);
+        let shares: Vec<_> = std::thread::scope(|scope| {
+            let running: Vec<_> = (1..)
+                .zip(others.copies.iter().zip(&others.devices))
+                .map(|(place, (copy, device))| {
+                    // A handle of its own for the thread; the numbers are shared.
+                    let (copy, share_of) = (copy.clone(), &share_of);
+                    scope.spawn(move || {
+                        // With fewer micro-batches than devices, some have nothing to do.
+                        (place < parts.len()).then(|| {
+                            let (losses, gradients) = share_of(&copy, place, device);
+                            (losses, Flat::of_gradients(&copy, &gradients))
                         })
-                        .collect::<Vec<_>>()
+                    })
                 })
-            })
-            .collect();
-        running
-            .into_iter()
-            .flat_map(|thread| thread.join().expect("a device's thread does not panic"))
-            .collect()
-    });
-    found.sort_by_key(|(index, ..)| *index);
-    for (_, loss, gradients) in found {
-        total += loss;
-        sum.accumulate(model, gradients.to_device(device, model));
-    }
-    (total, sum.grads())
+                .collect();
+            let (losses, gradients) = share_of(model, 0, device);
+            let mut shares = vec![(losses, gradients)];
+            for thread in running {
+                let found = thread.join().expect("a device's thread does not panic");
+                shares.extend(found.map(|(losses, gradients)| {
+                    let gradients = gradients.to_device(device);
+                    (losses, gradients.into_gradients(model))
+                }));
+            }
+            shares
+        });
+        let mut sum = GradientsAccumulator::new();
+        let mut all = Vec::new();
+        for (losses, gradients) in shares {
+            all.extend(losses);
+            sum.accumulate(model, gradients);
+        }
+        (all, sum.grads())
+    };
+    losses.sort_by_key(|(index, _)| *index);
+    let plain = device.clone().inner();
+    let total = losses
+        .into_iter()
+        .map(|(_, loss)| loss.to_device(&plain))
+        .reduce(|total, loss| total + loss)
+        .expect("a step has a micro-batch");
+    (total, gradients)
 }
 
 /// The model for validation and inference: with EMA weights if the settings ask for them.
@@ -454,44 +641,38 @@ fn mean(losses: &[f32]) -> f32 {
 }
 
 /// Scales the gradients down to `max_norm` if their total norm is larger, as `clip_grad_norm_` of
-/// PyTorch does, and returns the norm before.
-fn clip_grad_norm<M: Module>(gradients: &mut GradientsParams, model: &M, max_norm: f64) -> f64 {
-    struct Norm<'a> {
-        gradients: &'a GradientsParams,
-        square: f64,
-    }
-    impl ModuleVisitor for Norm<'_> {
+/// PyTorch does, and returns the norm before. Nothing is read: gradients within the norm are
+/// multiplied by one.
+fn clip_grad_norm<M: Module>(
+    gradients: &mut GradientsParams,
+    model: &M,
+    max_norm: f64,
+) -> Tensor<1> {
+    struct Squares<'a>(&'a GradientsParams, Vec<Tensor<1>>);
+    impl ModuleVisitor for Squares<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if let Some(gradient) = self.gradients.get::<D>(param.id) {
-                let square: f32 = gradient.square().sum().into_scalar();
-                self.square += f64::from(square);
+            if let Some(gradient) = self.0.get::<D>(param.id) {
+                self.1.push(gradient.square().sum());
             }
         }
     }
     struct Scale<'a> {
         gradients: &'a mut GradientsParams,
-        by: f64,
+        by: Tensor<1>,
     }
     impl ModuleVisitor for Scale<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             if let Some(gradient) = self.gradients.remove::<D>(param.id) {
-                self.gradients
-                    .register(param.id, gradient.mul_scalar(self.by));
+                let scaled = gradient * self.by.clone().reshape([1; D]);
+                self.gradients.register(param.id, scaled);
             }
         }
     }
-    let mut norm = Norm {
-        gradients,
-        square: 0.0,
-    };
-    model.visit(&mut norm);
-    let norm = norm.square.sqrt();
-    if norm > max_norm {
-        model.visit(&mut Scale {
-            gradients,
-            by: max_norm / norm,
-        });
-    }
+    let mut squares = Squares(gradients, Vec::new());
+    model.visit(&mut squares);
+    let norm = Tensor::cat(squares.1, 0).sum().sqrt();
+    let by = norm.clone().recip().mul_scalar(max_norm).clamp_max(1.0);
+    model.visit(&mut Scale { gradients, by });
     norm
 }
 
@@ -651,11 +832,46 @@ mod tests {
         // Weights: two columns of (3, 0, 4); biases: two ones.
         let expected = (2.0 * 25.0 + 2.0f64).sqrt();
         let mut clipped = gradients();
-        let norm = clip_grad_norm(&mut clipped, &model, 1.0);
-        assert!((norm - expected).abs() < 1e-5);
-        assert!((clip_grad_norm(&mut clipped, &model, 100.0) - 1.0).abs() < 1e-5);
+        let clip = |gradients: &mut GradientsParams, max_norm| -> f64 {
+            let norm = clip_grad_norm(gradients, &model, max_norm);
+            f64::from(norm.into_scalar::<f32>())
+        };
+        assert!((clip(&mut clipped, 1.0) - expected).abs() < 1e-5);
+        assert!((clip(&mut clipped, 100.0) - 1.0).abs() < 1e-5);
         let mut left = gradients();
-        clip_grad_norm(&mut left, &model, 100.0);
-        assert!((clip_grad_norm(&mut left, &model, 100.0) - expected).abs() < 1e-5);
+        clip(&mut left, 100.0);
+        assert!((clip(&mut left, 100.0) - expected).abs() < 1e-5);
+        // A model at rest, and one beyond the range of numbers.
+        let mut none = gradients();
+        let zero = model.weight.val().inner().zeros_like();
+        none.register(model.weight.id, zero.clone());
+        let bias = model.bias.as_ref().expect("it has a bias");
+        none.register(bias.id, bias.val().inner().zeros_like());
+        assert_eq!(clip(&mut none, 1.0), 0.0);
+        let left = none.get::<2>(model.weight.id).expect("a gradient");
+        assert_eq!(left.into_data(), zero.into_data());
+    }
+
+    #[test]
+    fn weights_and_gradients_cross_in_one_tensor_and_come_back() {
+        let device = Device::flex().autodiff();
+        let (model, other) = (layer(1, &device), layer(2, &device));
+        let mut others = Others::new(&model, &[Device::flex()]);
+        let weights = Flat::of_weights(&other);
+        let mut put = PutWeights {
+            from: &weights,
+            next: 0,
+        };
+        others.update(&model.clone().map(&mut put));
+        let copy = &others.copies[0];
+        assert_eq!(numbers(copy), numbers(&other));
+        let x = Tensor::<2>::from_data([[3.0, 0.0, 4.0]], &device);
+        let gradients = GradientsParams::from_grads(copy.forward(x).sum().backward(), copy);
+        let flat = Flat::of_gradients(copy, &gradients).to_device(&device);
+        let back = flat.into_gradients(&model);
+        let weight = back.get::<2>(model.weight.id).expect("a gradient");
+        let expected = gradients.get::<2>(model.weight.id).expect("a gradient");
+        assert_eq!(weight.into_data(), expected.into_data());
+        assert_eq!(back.len(), 2);
     }
 }

@@ -93,6 +93,7 @@ impl<'a> Work<'a> {
             text_encoder: &text_encoder(self.plan.text_encoder.as_deref()),
             seed: training.seed,
             length: None,
+            memory: None,
         };
         let train = training.model.train;
         let done = with_session(&self.global.bars(), |session| train(&request, session))

@@ -116,6 +116,24 @@ pub struct NetworkConfig {
     pub dropout: f64,
 }
 
+impl NetworkConfig {
+    /// Samples of `tokens` tokens that a training step can compute at once in so many bytes; at least one. It is
+    /// an estimate: the numbers that the layers keep for the backward pass, and for every weight
+    /// itself, its gradient and the two moments of AdamW.
+    pub fn samples_in(&self, memory: u64, tokens: usize) -> usize {
+        const BYTES: u64 = 4;
+        let [width, hidden, layers] =
+            [self.width, self.feed_forward, self.num_layers].map(|size| size as u64);
+        let weights = layers * (4 * width * width + 2 * width * hidden);
+        // Of a token: projections, attention, norms and dropout; the hidden layer, its activation and
+        // dropout; and a row of attention weights, its softmax and dropout for each head.
+        let kept = 14 * width + 3 * hidden + 3 * (self.num_heads * tokens) as u64;
+        let sample = BYTES * layers * tokens as u64 * kept;
+        let left = memory.saturating_sub(4 * BYTES * weights);
+        usize::try_from(left / sample.max(1)).map_or(usize::MAX, |samples| samples.max(1))
+    }
+}
+
 /// How the coordinator guides the editor.
 ///
 /// The coordinator gives the probability that a window was composed of several; guidance descends its
@@ -496,6 +514,18 @@ pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn micro_batches_grow_with_memory() {
+        const GB: u64 = 1_000_000_000;
+        let model = TrainConfig::preset(Preset::Paper).model;
+        // 5.9 MB for a window of 17 tokens, and 0.3 GB for the weights.
+        let samples = |memory| model.samples_in(memory, 17);
+        assert_eq!(samples(0), 1);
+        assert!((250..350).contains(&samples(2 * GB)), "{}", samples(2 * GB));
+        assert!(samples(8 * GB) > 1_024);
+        assert!(model.samples_in(8 * GB, 300) < samples(8 * GB) / 17);
+    }
 
     #[test]
     fn presets_are_usable_and_survive_json() {

@@ -19,6 +19,7 @@ use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -159,14 +160,11 @@ impl<'a> Task for AutoencoderTask<'a> {
     }
 
     fn validate(&self, model: &MotionVae, device: &Device) -> f32 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for batch in &self.val {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            let rows = batch.0.lengths.len() as f64;
-            sum += f64::from(loss) * rows;
-            count += rows;
-        }
-        (sum / count) as f32
+        weighted_mean(
+            self.val
+                .iter()
+                .map(|batch| (batch.0.lengths.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {

@@ -20,6 +20,7 @@ use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::{read, weighted_mean};
 use crate::{Error, Session};
 
 pub(super) const WEIGHTS: &str = "denoiser.safetensors";
@@ -157,11 +158,8 @@ fn latent_std(
     for crops in sampler.whole(config.run.micro_batch()) {
         let rows = crops.lengths.len();
         let noise = latent_noise(sampler.seed, count as u64, rows, width);
-        let latents = autoencoder.latents(&crops, &noise, device).into_data();
-        let values: Vec<f32> = latents
-            .try_into_vec_as()
-            .expect("a float tensor gives floats");
-        for row in values.chunks_exact(width) {
+        let latents = autoencoder.latents(&crops, &noise, device);
+        for row in read(latents).chunks_exact(width) {
             for ((sum, square), &value) in sums.iter_mut().zip(&mut squares).zip(row) {
                 *sum += f64::from(value);
                 *square += f64::from(value) * f64::from(value);
@@ -222,10 +220,7 @@ impl DiffusionTask<'_> {
             noise.extend((0..width).map(|_| rng.sample::<f32, _>(StandardNormal)));
         }
         Ok(LatentBatch {
-            latents: latents
-                .into_data()
-                .try_into_vec_as()
-                .expect("a float tensor gives floats"),
+            latents: read(latents),
             noise,
             timesteps,
             texts: self.texts.batch(captions.into_iter())?,
@@ -271,14 +266,11 @@ impl Task for DiffusionTask<'_> {
     }
 
     fn validate(&self, model: &Self::Model, device: &Device) -> f32 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for batch in &self.val {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            let rows = batch.timesteps.len() as f64;
-            sum += f64::from(loss) * rows;
-            count += rows;
-        }
-        (sum / count) as f32
+        weighted_mean(
+            self.val
+                .iter()
+                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {

@@ -21,6 +21,7 @@ use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
+use crate::transfer::read;
 use crate::{Error, Session};
 
 /// A motion to generate.
@@ -216,10 +217,7 @@ impl Generator {
             },
             |_| {},
         )?;
-        Ok(latents
-            .into_data()
-            .try_into_vec_as()
-            .expect("a float tensor gives floats"))
+        Ok(read(latents))
     }
 
     /// The motions of latent vectors, all as long as one another.
@@ -227,11 +225,7 @@ impl Generator {
         let data = TensorData::new(latents, [rows, self.record.train.model.width]);
         let latents = Tensor::<2>::from_data(data, &self.device);
         let network = &self.autoencoder.network;
-        let decoded = network.decode(latents, &vec![frames; rows], frames);
-        let values: Vec<f32> = decoded
-            .into_data()
-            .try_into_vec_as()
-            .expect("a float tensor gives floats");
+        let values = read(network.decode(latents, &vec![frames; rows], frames));
         let restored = self.autoencoder.stats.restored(&values);
         let (features, _) = restored.as_chunks();
         features.chunks_exact(frames).map(<[_]>::to_vec).collect()

@@ -23,6 +23,8 @@ use kernels::rows::{
     residual_norm_backward, times_derivatives,
 };
 
+use super::precision::is_bf16;
+
 /// Numbers of a tensor of the processor's backend.
 type Buffer = FloatTensor<Flex>;
 /// The same with a place in the graph of gradients.
@@ -38,7 +40,8 @@ pub fn set_enabled(is_enabled: bool) {
 
 /// Whether the fused operations are used on a device: only in the memory of the processor.
 pub(crate) fn is_used(device: &Device) -> bool {
-    ENABLED.load(Ordering::Relaxed) && device.clone().inner() == Device::flex()
+    // The kernels compute in single precision.
+    ENABLED.load(Ordering::Relaxed) && !is_bf16() && device.clone().inner() == Device::flex()
 }
 
 /// The factors of a dropout: 0 with probability `prob`, otherwise `1 / (1 - prob)`.
@@ -287,7 +290,7 @@ struct LayerState {
     layer: PreparedLayer,
     x: Buffer,
     length: usize,
-    padding: Option<Vec<bool>>,
+    padding: Option<Arc<[bool]>>,
     masks: Masks,
     saved: Saved,
 }
@@ -443,7 +446,7 @@ pub(crate) fn encoder_layer(
     x: &Tensor<3>,
     tensors: LayerTensors,
     num_heads: usize,
-    padding: Option<Vec<bool>>,
+    padding: Option<Arc<[bool]>>,
     prob: f64,
     draw_key: impl FnOnce() -> u64,
 ) -> Option<Tensor<3>> {

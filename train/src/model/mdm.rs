@@ -8,7 +8,7 @@ use super::denoiser::IndexEmbedding;
 use super::dropout::drop_out;
 use super::fused::PreparedEncoder;
 use super::position::positions;
-use super::transformer::{Encoder, padding_of};
+use super::transformer::{Encoder, Padding};
 use crate::config::NetworkConfig;
 
 /// A transformer over one token of diffusion step and caption, and a token for each frame.
@@ -66,7 +66,7 @@ impl Mdm {
         let [_, frames, _] = x.dims();
         let padding = lengths.map(|lengths| {
             let tokens: Vec<usize> = lengths.iter().map(|length| 1 + length).collect();
-            padding_of(&tokens, 1 + frames, &x.device()).unsqueeze_dims(&[1, 1])
+            Padding::after(&tokens, 1 + frames)
         });
         let tokens = drop_out(&self.dropout, self.tokens(x, timesteps, text));
         let tokens = self.sequence_encoder.forward(tokens, padding.as_ref());

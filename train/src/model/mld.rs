@@ -4,11 +4,12 @@
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::{relu, silu};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
+use super::position::Tables;
 use super::skip::{SkipDecoder, SkipEncoder};
 use super::tmr::Distribution;
-use super::transformer::padding_of;
+use super::transformer::Padding;
 use crate::config::NetworkConfig;
 
 /// Learned tokens put before the frames: one becomes the mean, one the log variance.
@@ -78,7 +79,6 @@ impl MotionVae {
     /// `x` `[B, T, F]`; `lengths` `[B]`, the frames of each row that are not padding.
     pub fn encode(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
         let [batch, frames, _] = x.dims();
-        let device = x.device();
         let x = self.skel_embedding.forward(x);
         let [_, _, width] = x.dims();
         let tokens = self
@@ -89,7 +89,7 @@ impl MotionVae {
         let length = NUM_TOKENS + frames;
         let x = Tensor::cat(vec![tokens, x], 1) + self.query_pos_encoder.rows(length);
         let lengths: Vec<usize> = lengths.iter().map(|frames| NUM_TOKENS + frames).collect();
-        let padding = padding_of(&lengths, length, &device).unsqueeze_dims(&[1, 1]);
+        let padding = Padding::after(&lengths, length);
         let x = self.encoder.encode(x, Some(&padding));
         let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
         Distribution {
@@ -109,16 +109,17 @@ impl MotionVae {
             .query_pos_decoder
             .rows(frames)
             .expand([batch, frames, width]);
-        let padding = padding_of(lengths, frames, &device);
-        let mask = padding.clone().unsqueeze_dims(&[1, 1]);
+        let padding = Padding::after(lengths, frames);
         let x = self
             .decoder
-            .decode(queries, &latent.unsqueeze_dim(1), Some(&mask));
+            .decode(queries, &latent.unsqueeze_dim(1), Some(&padding));
         let x = self.final_layer.forward(x);
         let [_, _, num_features] = x.dims();
-        let padding = padding
-            .reshape([batch, frames, 1])
-            .expand([batch, frames, num_features]);
+        let padding =
+            padding
+                .mask(&device)
+                .reshape([batch, frames, 1])
+                .expand([batch, frames, num_features]);
         x.mask_fill(padding, 0.0)
     }
 }
@@ -189,6 +190,13 @@ impl LatentDenoiser {
 /// # Shapes
 /// `[B]` steps give `[B, width]`.
 pub fn step_sinusoid(timesteps: &[usize], width: usize, device: &Device) -> Tensor<2> {
+    /// Computed once for each width and device.
+    static TABLES: Tables = Tables::new(step_sinusoid_values);
+    TABLES.rows(timesteps, width, device)
+}
+
+/// The numbers of [`step_sinusoid`], row by row.
+fn step_sinusoid_values(timesteps: &[usize], width: usize) -> Vec<f32> {
     /// Base of the wavelengths.
     const BASE: f64 = 10_000.0;
     let half = width / 2;
@@ -199,5 +207,5 @@ pub fn step_sinusoid(timesteps: &[usize], width: usize, device: &Device) -> Tens
         values.extend((0..half).map(|pair| angle(pair).sin() as f32));
         values.resize(values.len() + width % 2, 0.0);
     }
-    Tensor::from_data(TensorData::new(values, [timesteps.len(), width]), device)
+    values
 }

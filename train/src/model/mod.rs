@@ -11,6 +11,7 @@ pub mod mld;
 pub mod motionrefit;
 pub mod pose_net;
 pub mod position;
+pub mod precision;
 pub mod skip;
 pub mod text;
 pub mod tmed;

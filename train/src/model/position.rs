@@ -1,9 +1,14 @@
 //! Sinusoidal tables of positions, diffusion steps and progress.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use std::sync::{Mutex, PoisonError};
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
 
 /// Base of the wavelengths.
 const BASE: f64 = 10_000.0;
+
+/// Least number of rows of a table that is kept.
+const LEAST_ROWS: usize = 128;
 
 /// The rows `indices` of the sinusoidal table: column `2i` holds `sin(p / 10000^(2i/d))`, column
 /// `2i + 1` the cosine.
@@ -14,8 +19,84 @@ const BASE: f64 = 10_000.0;
 /// # Source
 /// Vaswani et al. 2017, Sec. 3.5; used alike by MotionReFit, TMR, MDM and TMED.
 pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
-    let values = sinusoid_values(indices, width);
-    Tensor::from_data(TensorData::new(values, [indices.len(), width]), device)
+    /// Computed once for each width and device.
+    static TABLES: Tables = Tables::new(sinusoid_values);
+    TABLES.rows(indices, width, device)
+}
+
+/// Tables whose rows are found by their number, kept on each device that asked for them, so that a step
+/// of training or sampling computes and sends none.
+pub(crate) struct Tables {
+    values: fn(&[usize], usize) -> Vec<f32>,
+    kept: Mutex<Vec<(Device, Tensor<2>)>>,
+}
+
+impl Tables {
+    /// Tables of what `values` gives for the numbers of rows and a width, row by row.
+    pub(crate) const fn new(values: fn(&[usize], usize) -> Vec<f32>) -> Self {
+        Self {
+            values,
+            kept: Mutex::new(Vec::new()),
+        }
+    }
+
+    /// Rows of the table of a width.
+    ///
+    /// # Shapes
+    /// `[N]` indices give `[N, width]`.
+    pub(crate) fn rows(&self, indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
+        let table = self.table(
+            indices.iter().max().map_or(0, |last| last + 1),
+            width,
+            device,
+        );
+        let count = indices.len();
+        match indices {
+            [first, rest @ ..] if rest.iter().all(|index| index == first) => {
+                table.narrow(0, *first, 1).expand([count, width])
+            }
+            _ if indices.iter().copied().eq(0..count) => table.narrow(0, 0, count),
+            _ => {
+                let indices: Vec<i32> = indices.iter().map(|&index| index as i32).collect();
+                let indices = TensorData::new(indices, [count]);
+                table.select(0, Tensor::<1, Int>::from_data(indices, device))
+            }
+        }
+    }
+
+    /// A table of at least so many rows.
+    fn table(&self, rows: usize, width: usize, device: &Device) -> Tensor<2> {
+        let plain = device.clone().inner();
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = kept
+            .iter()
+            .position(|(on, table)| *on == plain && table.dims()[1] == width);
+        let place = match known {
+            Some(place) if kept[place].1.dims()[0] >= rows => place,
+            _ => {
+                let rows = rows.next_power_of_two().max(LEAST_ROWS);
+                let numbers: Vec<usize> = (0..rows).collect();
+                let values = TensorData::new((self.values)(&numbers, width), [rows, width]);
+                let table = Tensor::from_data(values, &plain);
+                match known {
+                    Some(place) => {
+                        kept[place].1 = table;
+                        place
+                    }
+                    None => {
+                        kept.push((plain, table));
+                        kept.len() - 1
+                    }
+                }
+            }
+        };
+        let table = kept[place].1.clone();
+        if device.is_autodiff() {
+            Tensor::from_inner(table)
+        } else {
+            table
+        }
+    }
 }
 
 /// The numbers of [`sinusoid`], row by row.
@@ -67,6 +148,18 @@ mod tests {
         ];
         for (value, expected) in values.iter().zip(expected) {
             assert!((value - expected).abs() < 1e-7, "{value} {expected}");
+        }
+    }
+
+    #[test]
+    fn rows_of_a_table_are_those_computed_for_themselves() {
+        for device in [Device::flex(), Device::flex().autodiff()] {
+            // Each of the three ways, and a table that must grow.
+            for indices in [&[5, 5, 5][..], &[0, 1, 2, 3], &[900, 3, 900], &[2]] {
+                let rows = sinusoid(indices, 6, &device).into_data();
+                let rows = rows.try_into_vec_as::<f32>().expect("floats");
+                assert_eq!(rows, sinusoid_values(indices, 6), "{indices:?}");
+            }
         }
     }
 }

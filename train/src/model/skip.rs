@@ -2,9 +2,9 @@
 
 use burn::module::Module;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear, LinearConfig};
-use burn::tensor::{Bool, Device, Tensor};
+use burn::tensor::{Device, Tensor};
 
-use super::transformer::{DecoderLayer, EncoderLayer};
+use super::transformer::{DecoderLayer, EncoderLayer, Padding};
 use crate::config::NetworkConfig;
 
 /// Layers whose second half sees what the first half made: the last of the first with the first of the
@@ -64,8 +64,8 @@ impl SkipLayers<EncoderLayer> {
     /// Applies the layers.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` `[B, 1, 1, T]`, true where a token is padding.
-    pub fn encode(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    pub fn encode(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         self.forward(x, |layer, x| layer.forward(x, padding))
     }
 }
@@ -82,13 +82,8 @@ impl SkipLayers<DecoderLayer> {
     /// Applies the layers.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` `[B, 1, 1, T]`.
-    pub fn decode(
-        &self,
-        x: Tensor<3>,
-        memory: &Tensor<3>,
-        padding: Option<&Tensor<4, Bool>>,
-    ) -> Tensor<3> {
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
+    pub fn decode(&self, x: Tensor<3>, memory: &Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         self.forward(x, |layer, x| layer.forward(x, memory.clone(), padding))
     }
 }

@@ -2,13 +2,13 @@
 
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
-use burn::tensor::{Bool, Device, Int, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use super::denoiser::IndexEmbedding;
 use super::dropout::drop_out;
 use super::motionrefit::TextSource;
-use super::position::positions;
-use super::transformer::Encoder;
+use super::position::sinusoid;
+use super::transformer::{Encoder, Padding, padding_of};
 use crate::config::NetworkConfig;
 
 /// A transformer over one sequence: the diffusion step, the tokens of the instruction, the source, a
@@ -123,7 +123,7 @@ impl Tmed {
                 [text[row], source[row], lengths[row]]
             })
             .collect();
-        let padding = padding(&visible, parts, &device);
+        let padding = padding(&visible, parts);
         let tokens = self
             .encoder
             .forward(drop_out(&self.dropout, tokens), padding.as_ref());
@@ -134,7 +134,7 @@ impl Tmed {
         if lengths.iter().all(|&length| length == frames) {
             return out;
         }
-        let past = super::transformer::padding_of(lengths, frames, &device);
+        let past = padding_of(lengths, frames, &device);
         let past = past
             .unsqueeze_dim::<3>(2)
             .expand([batch, frames, num_features]);
@@ -165,18 +165,11 @@ fn place_table(
         &rows[..]
     };
     let length = distinct[0].len();
-    let end = 1 + distinct.iter().flatten().copied().max().unwrap_or(0);
-    let indices: Vec<i32> = distinct.iter().flatten().map(|&at| at as i32).collect();
-    let count = indices.len();
-    let indices = Tensor::<1, Int>::from_data(TensorData::new(indices, [count]), device);
-    positions(end, width, device)
-        .squeeze_dim::<2>(0)
-        .select(0, indices)
-        .reshape([distinct.len(), length, width])
+    sinusoid(&distinct.concat(), width, device).reshape([distinct.len(), length, width])
 }
 
-/// The mask attention takes: true where a token is padding. None if no row has any.
-fn padding(visible: &[[usize; 3]], parts: [usize; 3], device: &Device) -> Option<Tensor<4, Bool>> {
+/// The tokens that are padding, or nothing if no row has any.
+fn padding(visible: &[[usize; 3]], parts: [usize; 3]) -> Option<Padding> {
     if visible.iter().all(|row| *row == parts) {
         return None;
     }
@@ -190,8 +183,7 @@ fn padding(visible: &[[usize; 3]], parts: [usize; 3], device: &Device) -> Option
         padded.push(false);
         padded.extend((0..target).map(|frame| frame >= row[2]));
     }
-    let shape = [visible.len(), 1, 1, length];
-    Some(Tensor::from_data(TensorData::new(padded, shape), device))
+    Some(Padding::new(padded, visible.len()))
 }
 
 /// TMED: the denoiser together with the word vectors trained with it, where there are some.

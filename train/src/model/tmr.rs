@@ -8,7 +8,7 @@ use burn::tensor::{Bool, Device, Tensor, TensorData};
 use super::dropout::drop_out;
 use super::position::positions;
 use super::text::token_tensor;
-use super::transformer::{Decoder, Encoder, padding_of};
+use super::transformer::{Decoder, Encoder, Padding};
 use crate::config::NetworkConfig;
 use crate::vocabulary::{PADDING, TokenBatch};
 
@@ -96,7 +96,7 @@ impl SequenceEncoder {
         let x = Tensor::cat(vec![tokens, x], 1);
         let x = x + positions(NUM_TOKENS + steps, width, &device);
         let with_tokens: Vec<usize> = lengths.iter().map(|length| NUM_TOKENS + length).collect();
-        let padding = padding_mask(&with_tokens, NUM_TOKENS + steps, &device);
+        let padding = padding(&with_tokens, NUM_TOKENS + steps);
         let x = self
             .sequence_encoder
             .forward(drop_out(&self.dropout, x), padding.as_ref());
@@ -134,7 +134,7 @@ impl SequenceDecoder {
         let [batch, width] = latent.dims();
         let device = latent.device();
         let queries = positions(steps, width, &device).expand([batch, steps, width]);
-        let padding = padding_mask(lengths, steps, &device);
+        let padding = padding(lengths, steps);
         let x = self.sequence_decoder.forward(
             drop_out(&self.dropout, queries),
             latent.unsqueeze_dim(1),
@@ -145,22 +145,23 @@ impl SequenceDecoder {
             None => x,
             Some(padding) => {
                 let [_, _, num_features] = x.dims();
-                let padding =
-                    padding
-                        .reshape([batch, steps, 1])
-                        .expand([batch, steps, num_features]);
+                let padding = padding.mask(&device).reshape([batch, steps, 1]).expand([
+                    batch,
+                    steps,
+                    num_features,
+                ]);
                 x.mask_fill(padding, 0.0)
             }
         }
     }
 }
 
-/// The mask attention takes, or nothing if no row is padded.
-fn padding_mask(lengths: &[usize], width: usize, device: &Device) -> Option<Tensor<4, Bool>> {
+/// The padding of rows, or nothing if none is shorter than `width`.
+fn padding(lengths: &[usize], width: usize) -> Option<Padding> {
     lengths
         .iter()
         .any(|&length| length < width)
-        .then(|| padding_of(lengths, width, device).unsqueeze_dims(&[1, 1]))
+        .then(|| Padding::after(lengths, width))
 }
 
 /// Sizes of the TMR networks.

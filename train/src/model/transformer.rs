@@ -1,15 +1,56 @@
 //! The post-norm transformer of `torch.nn`, in its own layout and names.
 
+use std::cell::OnceCell;
+use std::sync::Arc;
+
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::{gelu, softmax};
-use burn::tensor::module::{attention, linear};
+use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
 use super::dropout::{draw_key, drop_out, probability};
 use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
+use super::precision::{forward, product};
 use crate::config::NetworkConfig;
+
+/// Which tokens of a batch of sequences are padding. The program knows it, so that nothing is read from a
+/// device; the mask is sent once, to the first layer that needs it there.
+#[derive(Clone, Debug)]
+pub struct Padding {
+    /// Row by row, true where a token is padding.
+    values: Arc<[bool]>,
+    rows: usize,
+    mask: OnceCell<Tensor<4, Bool>>,
+}
+
+impl Padding {
+    /// The padding of `rows` sequences of the same length, row by row.
+    pub fn new(values: Vec<bool>, rows: usize) -> Self {
+        Self {
+            values: values.into(),
+            rows,
+            mask: OnceCell::new(),
+        }
+    }
+
+    /// The padding of rows that end before `width` tokens.
+    pub fn after(lengths: &[usize], width: usize) -> Self {
+        Self::new(padded(lengths, width), lengths.len())
+    }
+
+    /// The mask on a device.
+    ///
+    /// # Shapes
+    /// `[B, 1, 1, T]`
+    pub fn mask(&self, device: &Device) -> Tensor<4, Bool> {
+        let shape = [self.rows, 1, 1, self.values.len() / self.rows.max(1)];
+        self.mask
+            .get_or_init(|| Tensor::from_data(TensorData::new(self.values.to_vec(), shape), device))
+            .clone()
+    }
+}
 
 /// Multi-head self-attention with query, key and value in one projection.
 #[derive(Module, Debug)]
@@ -34,8 +75,8 @@ impl SelfAttention {
     /// Attends from every token to every token that is not padding.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` `[B, 1, 1, T]`, true where a token is padding.
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         let [batch, length, width] = x.dims();
         let head = width / self.num_heads;
         let weight = self.in_proj.weight.val();
@@ -45,13 +86,13 @@ impl SelfAttention {
         let [q, k, v] = [0, 1, 2].map(|part| {
             let weight = weight.clone().narrow(1, part * width, width);
             let bias = bias.clone().map(|bias| bias.narrow(0, part * width, width));
-            linear(x.clone(), weight, bias)
+            product(x.clone(), weight, bias)
                 .reshape([batch, length, self.num_heads, head])
                 .swap_dims(1, 2)
         });
         let mask = padding.map(|padding| {
             padding
-                .clone()
+                .mask(&x.device())
                 .expand([batch, self.num_heads, length, length])
         });
         let attended = if q.device().is_autodiff() {
@@ -66,8 +107,8 @@ impl SelfAttention {
         } else {
             attention(q, k, v, mask, None, AttentionModuleOptions::default())
         };
-        self.out_proj
-            .forward(attended.swap_dims(1, 2).reshape([batch, length, width]))
+        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
+        forward(&self.out_proj, attended)
     }
 }
 
@@ -104,7 +145,7 @@ impl SingleMemoryAttention {
             .bias
             .as_ref()
             .map(|bias| bias.val().narrow(0, 2 * width, width));
-        self.out_proj.forward(linear(memory, weight, bias))
+        forward(&self.out_proj, product(memory, weight, bias))
     }
 }
 
@@ -137,19 +178,30 @@ impl EncoderLayer {
     ///
     /// # Shapes
     /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         let fused = self.tensors().and_then(|tensors| {
             let device = x.device();
             encoder_layer(
                 &x,
                 tensors,
                 self.self_attn.num_heads,
-                padding.map(padding_values),
+                padding.map(|padding| Arc::clone(&padding.values)),
                 probability(&self.dropout, &device),
                 draw_key,
             )
         });
         fused.unwrap_or_else(|| self.forward_composed(x, padding))
+    }
+
+    /// The weights of its products.
+    pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
+        let linears = [
+            &self.self_attn.in_proj,
+            &self.self_attn.out_proj,
+            &self.linear1,
+            &self.linear2,
+        ];
+        linears.map(|linear| linear.weight.val())
     }
 
     /// The trainable tensors, where the layer has all of them.
@@ -163,7 +215,7 @@ impl EncoderLayer {
         let [b0, b1, b2, b3] = linears.map(|linear| linear.bias.as_ref().map(|bias| bias.val()));
         let beta = |norm: &LayerNorm| norm.beta.as_ref().map(|beta| beta.val());
         Some(LayerTensors {
-            weights: linears.map(|linear| linear.weight.val()),
+            weights: self.weights(),
             vectors: [
                 b0?,
                 b1?,
@@ -177,11 +229,11 @@ impl EncoderLayer {
         })
     }
 
-    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         let attended = self.self_attn.forward(x.clone(), padding);
         let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
-        let hidden = drop_out(&self.dropout, gelu(self.linear1.forward(x.clone())));
-        let hidden = self.linear2.forward(hidden);
+        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
+        let hidden = forward(&self.linear2, hidden);
         self.norm2.forward(x + drop_out(&self.dropout, hidden))
     }
 }
@@ -216,7 +268,7 @@ impl Encoder {
     ///
     /// # Shapes
     /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         self.layers
             .iter()
             .fold(x, |x, layer| layer.forward(x, padding))
@@ -254,19 +306,14 @@ impl DecoderLayer {
     /// Applies the layer.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` `[B, 1, 1, T]`.
-    pub fn forward(
-        &self,
-        x: Tensor<3>,
-        memory: Tensor<3>,
-        padding: Option<&Tensor<4, Bool>>,
-    ) -> Tensor<3> {
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` as in [`SelfAttention::forward`].
+    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         let attended = self.self_attn.forward(x.clone(), padding);
         let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
         let remembered = self.multihead_attn.forward(memory);
         let x = self.norm2.forward(x + drop_out(&self.dropout, remembered));
-        let hidden = drop_out(&self.dropout, gelu(self.linear1.forward(x.clone())));
-        let hidden = self.linear2.forward(hidden);
+        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
+        let hidden = forward(&self.linear2, hidden);
         self.norm3.forward(x + drop_out(&self.dropout, hidden))
     }
 }
@@ -291,21 +338,19 @@ impl Decoder {
     ///
     /// # Shapes
     /// As [`DecoderLayer::forward`].
-    pub fn forward(
-        &self,
-        x: Tensor<3>,
-        memory: Tensor<3>,
-        padding: Option<&Tensor<4, Bool>>,
-    ) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         self.layers
             .iter()
             .fold(x, |x, layer| layer.forward(x, memory.clone(), padding))
     }
 }
 
-/// Padding `[B, 1, 1, T]` as plain values.
-fn padding_values(padding: &Tensor<4, Bool>) -> Vec<bool> {
-    padding.clone().into_data().iter::<bool>().collect()
+/// True from a row's length on, row by row.
+fn padded(lengths: &[usize], width: usize) -> Vec<bool> {
+    lengths
+        .iter()
+        .flat_map(|&length| (0..width).map(move |token| token >= length))
+        .collect()
 }
 
 /// The mask of rows that end before `width` tokens: true from a row's length on.
@@ -313,11 +358,8 @@ fn padding_values(padding: &Tensor<4, Bool>) -> Vec<bool> {
 /// # Shapes
 /// `[B]` lengths give `[B, width]`.
 pub fn padding_of(lengths: &[usize], width: usize, device: &Device) -> Tensor<2, Bool> {
-    let padded: Vec<bool> = lengths
-        .iter()
-        .flat_map(|&length| (0..width).map(move |token| token >= length))
-        .collect();
-    Tensor::from_data(TensorData::new(padded, [lengths.len(), width]), device)
+    let padded = TensorData::new(padded(lengths, width), [lengths.len(), width]);
+    Tensor::from_data(padded, device)
 }
 
 #[cfg(test)]
@@ -378,9 +420,7 @@ mod tests {
         let (batch, length) = (9, 11);
         let x = Tensor::random([batch, length, 24], Distribution::Normal(0.0, 1.0), &device);
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
-        let padding = padding_of(&lengths, length, &device)
-            .unsqueeze_dim::<3>(1)
-            .unsqueeze_dim::<4>(2);
+        let padding = Padding::after(&lengths, length);
         for padding in [None, Some(&padding)] {
             let fused = run(&layer, &x, |layer, x| layer.forward(x, padding));
             let composed = run(&layer, &x, |layer, x| layer.forward_composed(x, padding));
@@ -388,10 +428,8 @@ mod tests {
                 check_equal(fused, composed, 3e-5);
             }
             let plain = layer.valid();
-            let inferred = plain.forward(
-                x.clone().inner(),
-                padding.map(|p| p.clone().inner()).as_ref(),
-            );
+            let padding = padding.map(|_| Padding::after(&lengths, length));
+            let inferred = plain.forward(x.clone().inner(), padding.as_ref());
             check_equal(&values(inferred), &fused[0], 1e-5);
         }
     }
@@ -411,9 +449,7 @@ mod tests {
             let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1)).expect("known layers");
             let data = TensorData::new(numbers.clone(), [batch, length, 24]);
             let x = Tensor::<3>::from_data(data, &device);
-            let padding = padding_of(&lengths, length, &device)
-                .unsqueeze_dim::<3>(1)
-                .unsqueeze_dim::<4>(2);
+            let padding = Padding::after(&lengths, length);
             run(&layer, &x, |layer, x| layer.forward(x, Some(&padding)))
         });
         // The backend's derivative of GELU is that of its approximation by tanh, which differs from the exact

@@ -9,10 +9,9 @@ use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{NormalizedFrame, Normalizer};
 use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
-use rand::RngExt;
-use rand_distr::StandardNormal;
 
 use super::item::EditItem;
+use super::noise::Noise;
 use super::sampler::{Condition, Guide, Sampler};
 use super::settings::{EditSettings, EditTimes};
 use super::windows::{WindowModel, WindowRequest, edit_windows};
@@ -25,6 +24,7 @@ use crate::j2s::PoseNet;
 use crate::model::denoiser::PreparedWeights;
 use crate::model::motionrefit::MotionRefit;
 use crate::schedule::Schedule;
+use crate::transfer::read;
 use crate::{Error, Session};
 
 /// A trained editor.
@@ -280,25 +280,15 @@ impl WindowModel for Generator<'_> {
             guidance: settings.guidance,
             coordinator: coordinator.as_ref(),
         };
-        let x = sampler.sample(
-            &condition,
-            |_| {
-                let scale = settings.temperature as f32;
-                let noise: Vec<f32> = requests
-                    .iter_mut()
-                    .flat_map(|request| {
-                        (0..frames * 3 * keypoints)
-                            .map(|_| scale * request.rng.sample::<f32, _>(StandardNormal))
-                    })
-                    .collect();
-                window(noise, frames)
-            },
-            |_, _| {},
-        );
-        let generated = x
-            .into_data()
-            .try_into_vec_as()
-            .expect("a float tensor gives floats");
+        let mut noise = Noise::new(
+            requests.iter_mut().map(|request| &mut request.rng),
+            [frames, 3 * keypoints],
+            1 + editor.schedule.len(),
+            &editor.device,
+        )
+        .scaled(settings.temperature);
+        let x = sampler.sample(&condition, |_| noise.step(), |_, _| {});
+        let generated = read(x);
         let guided = coordinator.map_or(0.0, |guide| guide.secs.get());
         self.times.coordinator_secs += guided;
         self.times.diffusion_secs += session.secs() - begun - guided;

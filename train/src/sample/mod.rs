@@ -2,6 +2,7 @@
 
 mod editor;
 mod item;
+pub(crate) mod noise;
 mod sampler;
 mod settings;
 mod windows;

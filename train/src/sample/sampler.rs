@@ -31,7 +31,8 @@ pub struct Guide<'a> {
     pub config: GuidanceConfig,
     /// Seconds since any fixed moment.
     pub clock: &'a dyn Fn() -> f64,
-    /// Seconds spent in it so far.
+    /// Seconds spent in it so far. A card computes behind the program, and waiting for it would leave it
+    /// idle: there these are the seconds of asking, and the time it computes counts as the denoiser's.
     pub secs: Cell<f64>,
 }
 
@@ -43,8 +44,6 @@ impl Guide<'_> {
         if !is_guided || self.config.strength == 0.0 {
             return None;
         }
-        // A device computes behind the program: what is waited for on either side is the guide's alone.
-        let _ = x.to_data();
         let begun = (self.clock)();
         // A clean window is seen as one of the first step, whose noise is a hundredth.
         let seen_as = match target {
@@ -55,7 +54,6 @@ impl Guide<'_> {
             .network
             .gradient(x.clone(), &vec![seen_as; x.dims()[0]])
             .mul_scalar(self.config.strength);
-        let _ = gradient.to_data();
         self.secs.set(self.secs.get() + (self.clock)() - begun);
         Some(gradient)
     }
@@ -118,11 +116,7 @@ impl Sampler<'_> {
             self.denoiser
                 .prepare(self.weights, self.schedule.len(), text, &progress, original);
         let is_start = vec![condition.fixed.is_none(); batch];
-        let basis = Basis {
-            original: &condition.original,
-            is_start: &is_start,
-            extrapolation: self.extrapolation,
-        };
+        let basis = Basis::new(condition.original.clone(), &is_start, self.extrapolation);
         let push = |target, x: &Tensor<3>, timestep| {
             self.coordinator
                 .and_then(|guide| guide.push(target, x, timestep))
@@ -143,7 +137,7 @@ impl Sampler<'_> {
                 self.prediction,
                 predicted,
                 x,
-                basis,
+                &basis,
                 &vec![timestep; batch],
             );
             if self.clip {

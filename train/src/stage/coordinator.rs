@@ -56,6 +56,7 @@ pub fn train_coordinator<'a>(
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
     request.change(&mut config.run);
+    request.split(&mut config.run, &config.model, 1 + config.window);
     let report = train_coordinator(
         request.dataset,
         request.start,

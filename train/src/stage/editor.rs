@@ -114,6 +114,7 @@ pub fn train_editor<'a>(
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TrainConfig::preset(request.preset))?;
     request.change(&mut config.run);
+    request.split(&mut config.run, &config.model, 1 + config.window);
     let inputs = EditorInputs {
         compose: request.compose,
         windows: request.windows,

@@ -18,6 +18,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&MdmConfig::preset(request.preset))?;
     request.change(&mut config.run);
+    request.split(&mut config.run, &config.model, 1 + config.max_frames);
     train_on_captions(request, (&config.text, mdm::CLIP), session, |corpus| {
         train_mdm(request.start, &config, corpus, session)
     })

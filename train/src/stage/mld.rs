@@ -18,6 +18,11 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let mut config = request.settings(&MldConfig::preset(request.preset))?;
     request.change(&mut config.autoencoder.run);
     request.change(&mut config.run);
+    // The encoder and the decoder of motions: twice the layers.
+    let autoencoder = &mut config.autoencoder;
+    let tokens = 2 * (2 + autoencoder.max_frames);
+    request.split(&mut autoencoder.run, &autoencoder.model, tokens);
+    request.split(&mut config.run, &config.model, 3);
     train_on_captions(request, (&config.text, mld::CLIP), session, |corpus| {
         train_mld(request.start, &config, corpus, session)
     })

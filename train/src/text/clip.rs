@@ -11,6 +11,7 @@ use crate::Error;
 use crate::model::clip::{ClipConfig, ClipText};
 use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 use crate::model::weights::to_safetensors;
+use crate::transfer::read;
 
 /// File names of the weights, safetensors first; the other is a pickle.
 const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
@@ -231,10 +232,7 @@ impl ClipEncoder {
             return Ok(Vec::new());
         }
         let tokens = self.tokenizer.encode_batch(texts, self.network.context())?;
-        let hidden = self.network.hidden(&tokens, None).into_data();
-        let values: Vec<f32> = hidden
-            .try_into_vec_as()
-            .expect("a network of single precision gives single precision");
+        let values = read(self.network.hidden(&tokens, None));
         let width = self.token_width();
         let rows = values.chunks_exact(tokens.width * width);
         let lengths = self.network.lengths(&tokens);
@@ -260,9 +258,6 @@ impl ClipEncoder {
         }
         let context = self.network.context();
         let tokens = self.tokenizer.encode_batch(texts, context)?;
-        let data = self.network.forward(&tokens).into_data();
-        Ok(data
-            .try_into_vec_as()
-            .expect("a network of single precision gives single precision"))
+        Ok(read(self.network.forward(&tokens)))
     }
 }

@@ -16,14 +16,16 @@ use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
 use crate::checkpoint::{self, RunRecord, check_skeleton, read_for_use, weights_hash};
 use crate::config::Preset;
 use crate::fit::TextRecord;
-use crate::gaussian::{SampleSteps, noise};
+use crate::gaussian::SampleSteps;
 use crate::model::tmed::{Condition, TmedModel};
 use crate::sample::EditTimes;
+use crate::sample::noise::Noise;
 use crate::system::{
     EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource,
 };
 use crate::text::table::EmbeddingTable;
+use crate::transfer::read;
 use crate::{Error, Session};
 
 /// TMED as a system.
@@ -223,10 +225,12 @@ impl TmedSystem {
             .iter()
             .map(|question| seed.rng(&["edit", question.id]))
             .collect();
-        let mut drawn =
-            || noise(&mut rngs, &lengths, NUM_FEATURES, device).mul_scalar(settings.temperature);
+        let shape = [frames, NUM_FEATURES];
+        let num_steps = 1 + settings.steps.timesteps().len();
+        let mut noise =
+            Noise::new(&mut rngs, shape, num_steps, device).scaled(settings.temperature);
         let start = match settings.start {
-            EditStart::Noise => drawn(),
+            EditStart::Noise => noise.step(),
             EditStart::Source => {
                 let mut values = vec![0.0f32; batch * frames * NUM_FEATURES];
                 for (row, question) in values
@@ -245,10 +249,10 @@ impl TmedSystem {
         let clean = settings.steps.sample(
             start,
             |x, step| guided(denoiser, &branches, &condition, x, &lengths, step.timestep),
-            |_| drawn(),
+            |_| noise.step(),
             |_, _| {},
         );
-        let values: Vec<f32> = clean.into_data().try_into_vec_as().expect("floats");
+        let values = read(clean);
         Ok(values.as_chunks::<NUM_FEATURES>().0.to_vec())
     }
 

@@ -118,6 +118,9 @@ fn composed(dataset: &Dataset, compose: &ComposeConfig, seed: Seed) -> Result<[C
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TmedConfig::preset(request.preset))?;
     request.change(&mut config.run);
+    // Step, text, source, separator and target.
+    let tokens = 2 + config.text.words.max_words + 2 * config.max_frames;
+    request.split(&mut config.run, &config.model, tokens);
     let report = train_on_dataset(
         request.dataset,
         request.start,

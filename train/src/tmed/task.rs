@@ -18,6 +18,7 @@ use crate::model::tmed::TmedModel;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
+use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -190,12 +191,11 @@ impl Task for TmedTask<'_> {
     }
 
     fn validate(&self, model: &TmedModel, device: &Device) -> f32 {
-        let mut sum = 0.0;
-        for batch in &self.val_batches {
-            let loss: f32 = self.loss(model, batch, device).into_scalar();
-            sum += f64::from(loss) * batch.len() as f64;
-        }
-        (sum / self.config.val_clips as f64) as f32
+        weighted_mean(
+            self.val_batches
+                .iter()
+                .map(|batch| (batch.len(), self.loss(model, batch, device))),
+        )
     }
 
     fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {

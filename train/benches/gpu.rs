@@ -1,0 +1,181 @@
+//! The denoiser of the paper on a device: training steps, guided sampling, and the share of time a run waits
+//! for data. `train/benches/gpu.sh` calls it; results are JSON lines on stdout.
+//!
+//! `cargo bench --features wgpu --bench gpu -- wgpu` names the device; `--peak TFLOPS` is the peak of its f32
+//! products, `--bf16` multiplies in bfloat16, `--quick` makes every measurement once on a small batch.
+#![expect(clippy::print_stdout, reason = "results are printed")]
+
+use std::time::Instant;
+
+use burn::module::Module;
+use burn::optim::GradientsParams;
+use burn::tensor::{Device, Distribution, Tensor};
+use datasets_spec::{Fps, Seed};
+use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use serde_json::json;
+use train::config::{Prediction, Preset, ScheduleName, TrainConfig};
+use train::data::{NoisyBatch, TextBatch};
+use train::device::{DeviceName, open};
+use train::diffusion::Objective;
+use train::model::denoiser::Denoiser;
+use train::model::precision;
+use train::model::weights::draw;
+use train::optimizer::adamw;
+use train::sample::{Condition, Sampler};
+use train::schedule::Schedule;
+
+/// Steps that are measured, after [`WARM_UP`] that are not.
+const STEPS: usize = 20;
+const WARM_UP: usize = 3;
+
+fn main() {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let after = |name: &str| {
+        let place = words.iter().position(|word| word == name)?;
+        words.get(place + 1).cloned()
+    };
+    let name: DeviceName = words
+        .iter()
+        .find_map(|word| word.parse().ok())
+        .unwrap_or_default();
+    let peak: Option<f64> = after("--peak").and_then(|peak| peak.parse().ok());
+    let is_quick = words.iter().any(|word| word == "--quick");
+    let device = match open(name, 1) {
+        Ok(devices) => devices[0].clone(),
+        Err(error) => panic!("{error}"),
+    };
+    let is_bf16 = words.iter().any(|word| word == "--bf16");
+    assert!(
+        !is_bf16 || precision::has_bf16(&device),
+        "the device does not compute in bfloat16"
+    );
+    precision::set_bf16(is_bf16);
+    let (batches, samples) = match is_quick {
+        true => (vec![8], vec![1]),
+        false => (vec![64, 256, 1024], vec![1, 32, 1024]),
+    };
+    for batch in batches {
+        let secs = training_step(batch, if is_quick { 1 } else { STEPS }, &device);
+        let mut line = json!({
+            "what": "training step", "batch": batch, "secs": secs, "samples_per_sec": batch as f64 / secs,
+        });
+        if let Some(peak) = peak {
+            line["share_of_peak"] = (batch as f64 * flops() / secs / (peak * 1e12)).into();
+        }
+        println!("{line}");
+    }
+    for batch in samples {
+        let secs = sample(batch, &device);
+        println!(
+            "{}",
+            json!({ "what": "100 guided steps", "batch": batch, "secs": secs })
+        );
+    }
+}
+
+/// Operations of the products of a training step, of one window: a multiplication and an addition for each weight
+/// and token forwards, twice that backwards.
+fn flops() -> f64 {
+    let config = TrainConfig::preset(Preset::Paper).model;
+    let (width, hidden) = (config.width as f64, config.feed_forward as f64);
+    let weights = config.num_layers as f64 * (4.0 * width * width + 2.0 * width * hidden);
+    3.0 * 2.0 * weights * (1 + WINDOW_FRAMES) as f64
+}
+
+fn network(device: &Device) -> Denoiser {
+    let config = TrainConfig::preset(Preset::Paper);
+    let width = config.model.width;
+    draw(
+        Denoiser::new(&config.model, config.diffusion.previous, width, device),
+        Seed(1),
+    )
+    .expect("known layers")
+}
+
+fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
+}
+
+/// Seconds of a step: batch to the device, forward, loss, backward and AdamW, read once at the end.
+fn training_step(rows: usize, steps: usize, device: &Device) -> f64 {
+    let device = device.clone().autodiff();
+    let numbers = rows * WINDOW_FRAMES * FRAME_WIDTH;
+    let values = || -> Vec<f32> { (0..numbers).map(|at| (at as f32 * 0.37).sin()).collect() };
+    let batch = NoisyBatch {
+        original: values(),
+        edited: values(),
+        noise: values(),
+        timesteps: (0..rows).map(|row| row % 100).collect(),
+        progress: vec![0.5; rows],
+        texts: TextBatch::Vectors(Vec::new()),
+        text_kept: vec![1.0; rows],
+        is_start: vec![false; rows],
+    };
+    let config = TrainConfig::preset(Preset::Paper);
+    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: None,
+        config: &config.diffusion,
+        normalizer: &Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        fps: Fps::STORE,
+    };
+    let text = normal([rows, config.model.width], &device);
+    let mut model = network(&device);
+    let mut optimizer = adamw(0.01);
+    let mut begun = Instant::now();
+    for step in 0..WARM_UP + steps {
+        let loss = objective.loss(&model, &batch, text.clone());
+        let last = loss.clone().inner();
+        let gradients = GradientsParams::from_grads(loss.backward(), &model);
+        model = optimizer.step(1e-4, model, gradients);
+        if step + 1 == WARM_UP || step + 1 == WARM_UP + steps {
+            // Waits until the device is done.
+            let loss: f32 = last.into_scalar();
+            assert!(loss.is_finite(), "the loss is {loss}");
+            device.sync().expect("the device computes");
+            if step + 1 == WARM_UP {
+                begun = Instant::now();
+            }
+        }
+    }
+    begun.elapsed().as_secs_f64() / steps as f64
+}
+
+/// Seconds of 100 guided steps.
+fn sample(batch: usize, device: &Device) -> f64 {
+    let network = network(device).valid();
+    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
+    let condition = Condition {
+        original: normal([batch, WINDOW_FRAMES, FRAME_WIDTH], device),
+        fixed: Some(normal([batch, FIXED_FRAMES, FRAME_WIDTH], device)),
+        text: normal([batch, 512], device),
+        progress: vec![0.5; batch],
+    };
+    let weights = network.prepared_weights();
+    let sampler = Sampler {
+        denoiser: &network,
+        weights: &weights,
+        schedule: &schedule,
+        prediction: Prediction::Noise,
+        extrapolation: None,
+        clip: true,
+        guidance: 4.0,
+        coordinator: None,
+    };
+    let noise = normal([batch, WINDOW_FRAMES, FRAME_WIDTH], device);
+    let mut secs = 0.0;
+    // Kernels are compiled in the first run.
+    for _ in 0..2 {
+        let begun = Instant::now();
+        let x = sampler.sample(&condition, |_| noise.clone(), |_, _| {});
+        let sum: f32 = x.sum().into_scalar();
+        assert!(sum.is_finite(), "a window is {sum}");
+        secs = begun.elapsed().as_secs_f64();
+    }
+    secs
+}

@@ -1,0 +1,57 @@
+#!/usr/bin/env bash
+# Measures training and sampling on a card: the denoiser of the paper by itself (`gpu.rs`), the same in PyTorch
+# where it is installed and sees the card (`gpu.py`), and the whole chain on the built-in corpus with the share of
+# time that training waited for data. Results are JSON lines in the folder that is named.
+#
+#   train/benches/gpu.sh [FOLDER] [DEVICE] [FEATURE]
+#
+# DEVICE is that of `stance --device list` (wgpu unless named), FEATURE the one the program is built with (wgpu, or cuda
+# where its build can fetch the compiler of its kernels). PEAK_TFLOPS is the card's peak of f32 products, as its data
+# sheet states it. A card without a toolchain is measured with a target folder that was built elsewhere: with NO_BUILD=1
+# the programs in it are run as they are.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+out=${1:-gpu-results}
+device=${2:-wgpu}
+feature=${3:-wgpu}
+peak=${PEAK_TFLOPS:+--peak $PEAK_TFLOPS}
+mkdir -p "$out"
+
+if [ -z "${NO_BUILD:-}" ]; then
+  cargo build --release --features "$feature" -p stance
+  cargo bench --features "$feature" -p stance -p train --bench gpu --no-run
+fi
+stance=target/release/stance
+bench=$(find target/release/deps -maxdepth 1 -name 'gpu-*' -type f -perm -u+x -printf '%T@ %p\n' | sort -n | tail -1 | cut -d ' ' -f 2)
+
+nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader >"$out/card.txt" 2>/dev/null || true
+"$stance" --device list | tee "$out/devices.txt"
+
+echo "== the denoiser, f32"
+# shellcheck disable=SC2086
+"$bench" "$device" $peak | tee "$out/denoiser.jsonl"
+echo "== the denoiser, bf16"
+# shellcheck disable=SC2086
+"$bench" "$device" $peak --bf16 | tee "$out/denoiser-bf16.jsonl" || echo "not measured: the device does not compute in bf16"
+
+echo "== PyTorch"
+if python3 -c 'import torch, sys; sys.exit(not torch.cuda.is_available())' 2>/dev/null; then
+  python3 train/benches/gpu.py | tee "$out/pytorch.jsonl"
+else
+  echo "not measured: no PyTorch that sees a card"
+fi
+
+echo "== the whole chain on the built-in corpus"
+rm -rf "$out/demo"
+begun=$SECONDS
+"$stance" demo --device "$device" --out "$out/demo"
+echo "{\"what\": \"demo\", \"secs\": $((SECONDS - begun))}" | tee "$out/chain.jsonl"
+# Samples per second and the share of time spent waiting for data, of the last line of the editor's run.
+grep '"samples_per_sec"' "$out/demo/runs/motionrefit/metrics.jsonl" | tail -1 | tee -a "$out/chain.jsonl"
+
+echo "== 1,000 items edited"
+"$stance" items "$out/demo/dataset" --split test --count 1000 --out "$out/items"
+begun=$SECONDS
+"$stance" edit "$out/demo/runs/motionrefit" --items "$out/items" --device "$device" --out "$out/edits"
+echo "{\"what\": \"items edited\", \"secs\": $((SECONDS - begun))}" | tee -a "$out/chain.jsonl"

@@ -1,0 +1,468 @@
+//! The devices that models run on: opening, listing and testing them. This is the only file that names the
+//! backends.
+
+use std::fmt;
+use std::str::FromStr;
+
+use burn::tensor::activation::softmax;
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
+use serde::Serialize;
+
+use crate::Error;
+use crate::config::NetworkConfig;
+use crate::model::transformer::{EncoderLayer, Padding};
+use crate::model::weights::draw;
+use crate::transfer::read;
+
+/// A kind of device, as it is asked for by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DeviceName {
+    /// `cpu`: the processor, by burn's fastest backend for it and the kernels of this program.
+    #[default]
+    Cpu,
+    /// `ndarray`: the processor, by burn-ndarray.
+    Ndarray,
+    /// `cuda`: NVIDIA cards.
+    Cuda,
+    /// `wgpu`: the first cards found, of any of the kinds below but the last.
+    Wgpu,
+    /// `wgpu:KIND`: cards of one kind.
+    WgpuKind(Adapter),
+}
+
+/// A kind of card that wgpu knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Adapter {
+    /// A card with memory of its own.
+    Discrete,
+    /// A card that shares the memory of the processor.
+    Integrated,
+    /// A part of a card, in a virtual machine.
+    Virtual,
+    /// A driver that computes on the processor, through OpenGL. It is slow, and there to test the program.
+    Software,
+}
+
+impl Adapter {
+    /// All kinds, in the order in which `wgpu` looks for them.
+    pub const ALL: [Self; 4] = [
+        Self::Discrete,
+        Self::Integrated,
+        Self::Virtual,
+        Self::Software,
+    ];
+
+    /// Name of the kind.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Discrete => "discrete",
+            Self::Integrated => "integrated",
+            Self::Virtual => "virtual",
+            Self::Software => "software",
+        }
+    }
+}
+
+impl fmt::Display for DeviceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cpu => f.write_str("cpu"),
+            Self::Ndarray => f.write_str("ndarray"),
+            Self::Cuda => f.write_str("cuda"),
+            Self::Wgpu => f.write_str("wgpu"),
+            Self::WgpuKind(adapter) => write!(f, "wgpu:{}", adapter.name()),
+        }
+    }
+}
+
+impl FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let simple = [Self::Cpu, Self::Ndarray, Self::Cuda, Self::Wgpu];
+        let known: Vec<Self> = simple
+            .into_iter()
+            .chain(Adapter::ALL.map(Self::WgpuKind))
+            .collect();
+        known
+            .iter()
+            .copied()
+            .find(|known| known.to_string() == name)
+            .ok_or_else(|| {
+                let known: Vec<String> = known.iter().map(Self::to_string).collect();
+                format!("{name:?} is no device; known are {}", known.join(", "))
+            })
+    }
+}
+
+/// A device that is there.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct FoundDevice {
+    /// Name to ask for it by.
+    pub name: String,
+    /// Its place among the devices of that name.
+    pub index: usize,
+    /// What it calls itself.
+    pub description: String,
+}
+
+/// Opens `count` devices and tests each that is not the processor.
+///
+/// # Errors
+/// The program was built without the backend, there are not so many devices, or one gives wrong numbers.
+pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
+    let fails = |problem: String| Error::Device {
+        name: name.to_string(),
+        problem,
+    };
+    let devices = match name {
+        // A second copy of the processor would share its cores with the first.
+        DeviceName::Cpu | DeviceName::Ndarray if count > 1 => {
+            return Err(fails(
+                "is one device: the processor; several are for cards".to_owned(),
+            ));
+        }
+        DeviceName::Cpu => return Ok(vec![Device::flex()]),
+        DeviceName::Ndarray => return backend::ndarray().map(|device| vec![device]).map_err(fails),
+        DeviceName::Cuda => backend::cuda(count),
+        DeviceName::Wgpu => {
+            let mut problem = String::new();
+            let found = Adapter::ALL
+                .into_iter()
+                .filter(|adapter| *adapter != Adapter::Software)
+                .find_map(|adapter| {
+                    backend::wgpu(adapter, count)
+                        .map_err(|why| problem = why)
+                        .ok()
+                });
+            found.ok_or(problem)
+        }
+        DeviceName::WgpuKind(adapter) => backend::wgpu(adapter, count),
+    }
+    .map_err(&fails)?;
+    for device in &devices {
+        check(device).map_err(&fails)?;
+    }
+    Ok(devices)
+}
+
+/// The devices of this machine that this build of the program can use. Every card is opened, none is tested.
+pub fn list() -> Vec<FoundDevice> {
+    let threads = rayon::current_num_threads();
+    let mut found = vec![FoundDevice {
+        name: DeviceName::Cpu.to_string(),
+        index: 0,
+        description: format!("the processor, {threads} threads"),
+    }];
+    if backend::ndarray().is_ok() {
+        found.push(FoundDevice {
+            name: DeviceName::Ndarray.to_string(),
+            index: 0,
+            description: "the processor, by burn-ndarray".to_owned(),
+        });
+    }
+    let cards = backend::list();
+    found.extend(
+        cards
+            .into_iter()
+            .map(|(name, index, description)| FoundDevice {
+                name: name.to_string(),
+                index,
+                description,
+            }),
+    );
+    found
+}
+
+/// Tests a device on known numbers, in seconds: a sum, a product, a softmax, a gradient and a layer of a
+/// transformer, forwards and backwards. Backends and drivers have faults that give wrong numbers without an
+/// error; the README of this crate lists those that are known.
+///
+/// # Errors
+/// A description of what is wrong.
+pub fn check(device: &Device) -> Result<(), String> {
+    let device = device.clone().inner();
+    let ones: Vec<f32> = (1..=1000u16).map(f32::from).collect();
+    let sum = Tensor::<1>::from_data(TensorData::new(ones, [1000]), &device).sum();
+    compare("the sum of 1 to 1,000", &read(sum), &[500_500.0], 0.0)?;
+
+    let (a, b) = (
+        waves(&[33, 40], 0.37, &device),
+        waves(&[40, 29], 0.71, &device),
+    );
+    let flex = Device::flex();
+    let product = |device: &Device| {
+        let (a, b) = (
+            waves(&[33, 40], 0.37, device),
+            waves(&[40, 29], 0.71, device),
+        );
+        read(a.matmul(b))
+    };
+    let found = read(a.clone().matmul(b));
+    compare("a matrix product", &found, &product(&flex), 1e-4)?;
+
+    let found = read(softmax(a.mul_scalar(8.0), 1));
+    let rows: Vec<f32> = found.chunks_exact(40).map(|row| row.iter().sum()).collect();
+    compare("the sums of a softmax", &rows, &[1.0; 33], 1e-5)?;
+    let expected = read(softmax(waves(&[33, 40], 0.37, &flex).mul_scalar(8.0), 1));
+    compare("a softmax", &found, &expected, 1e-5)?;
+
+    // The gradient of sum(x^2) / 2 is x; weights alone ask for it, as in training.
+    let weight = waves(&[17, 23], 0.53, &device.clone().autodiff()).require_grad();
+    let grads = weight.clone().square().sum().div_scalar(2.0).backward();
+    let grad = weight.grad(&grads).ok_or("no gradient came back")?;
+    compare("a gradient", &read(grad), &read(weight.inner()), 1e-6)?;
+
+    let (found, expected) = (layer(&device)?, layer(&flex)?);
+    for ((what, found), (_, expected)) in found.iter().zip(&expected) {
+        compare(what, found, expected, 5e-3)?;
+    }
+    Ok(())
+}
+
+/// Numbers between -1 and 1 that do not repeat.
+fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = (0..shape[0] * shape[1])
+        .map(|index| (index as f32 * step).sin())
+        .collect();
+    Tensor::from_data(TensorData::new(values, *shape), device)
+}
+
+/// The output of a layer of a transformer with padding, and the gradients of its weights.
+fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
+    const CONFIG: NetworkConfig = NetworkConfig {
+        width: 32,
+        num_layers: 1,
+        num_heads: 4,
+        feed_forward: 48,
+        dropout: 0.0,
+    };
+    let device = device.clone().autodiff();
+    let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1))
+        .map_err(|error| format!("its weights cannot be drawn: {error}"))?;
+    let x = waves(&[5 * 11, 32], 0.37, &device).reshape([5, 11, 32]);
+    let padding = Padding::after(&[11, 4, 7, 9, 11], 11);
+    let out = layer.forward(x, Some(&padding));
+    let wave = waves(&[5 * 11, 32], 0.19, &device).reshape([5, 11, 32]);
+    let grads = (out.clone() * wave).sum().backward();
+    let mut found = vec![("a layer of a transformer", read(out.inner()))];
+    for weight in layer.weights() {
+        let grad = weight.grad(&grads).ok_or("a layer has no gradient")?;
+        found.push(("the gradient of a layer of a transformer", read(grad)));
+    }
+    Ok(found)
+}
+
+/// Compares numbers, their differences in units of the largest of them.
+fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Result<(), String> {
+    let unit = expected
+        .iter()
+        .fold(1.0f32, |most, value| most.max(value.abs()));
+    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+        // Not-a-number compares as false.
+        let is_equal = (found - expected).abs() <= tolerance * unit;
+        if !is_equal {
+            return Err(format!(
+                "computes {what} wrongly: number {index} is {found}, and {expected} is right; do not \
+                 train on it (see \"Training on a GPU\" in train/README.md)"
+            ));
+        }
+    }
+    if found.len() == expected.len() {
+        Ok(())
+    } else {
+        Err(format!(
+            "computes {what} wrongly: {} numbers in place of {}",
+            found.len(),
+            expected.len()
+        ))
+    }
+}
+
+/// What the features of this build reach. Errors say what is wrong with the device.
+mod backend {
+    use super::{Adapter, Device, DeviceName};
+
+    #[cfg(not(all(feature = "ndarray", feature = "cuda", feature = "wgpu")))]
+    fn without(feature: &str) -> String {
+        format!("needs a program built with --features {feature}")
+    }
+
+    #[cfg(feature = "ndarray")]
+    #[expect(
+        clippy::unnecessary_wraps,
+        deprecated,
+        reason = "without the feature it fails; the independent backend that results are compared with"
+    )]
+    pub(super) fn ndarray() -> Result<Device, String> {
+        Ok(Device::ndarray())
+    }
+
+    #[cfg(not(feature = "ndarray"))]
+    pub(super) fn ndarray() -> Result<Device, String> {
+        Err(without("ndarray"))
+    }
+
+    #[cfg(feature = "cuda")]
+    pub(super) fn cuda(count: usize) -> Result<Vec<Device>, String> {
+        let found = cuda_devices();
+        if found.len() < count {
+            return Err(format!("has {} cards, not {count}", found.len()));
+        }
+        Ok(found.into_iter().take(count).collect())
+    }
+
+    #[cfg(feature = "cuda")]
+    fn cuda_devices() -> Vec<Device> {
+        use burn::tensor::DeviceType;
+
+        Device::enumerate(DeviceType::Cuda).into_vec()
+    }
+
+    #[cfg(not(feature = "cuda"))]
+    pub(super) fn cuda(_count: usize) -> Result<Vec<Device>, String> {
+        Err(without("cuda"))
+    }
+
+    #[cfg(feature = "wgpu")]
+    pub(super) fn wgpu(adapter: Adapter, count: usize) -> Result<Vec<Device>, String> {
+        (0..count)
+            .map(|index| wgpu_device(adapter, index))
+            .collect()
+    }
+
+    /// Opens a card, or gives one that was opened before.
+    #[cfg(feature = "wgpu")]
+    fn wgpu_device(adapter: Adapter, index: usize) -> Result<Device, String> {
+        use std::sync::{Mutex, PoisonError};
+
+        use burn::tensor::DeviceKind;
+        use burn::tensor::wgpu::WgpuBackend;
+
+        /// A card can be opened once in a process.
+        static OPENED: Mutex<Vec<((&str, usize), Device)>> = Mutex::new(Vec::new());
+
+        let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (adapter.name(), index);
+        if let Some((_, device)) = opened.iter().find(|(known, _)| *known == key) {
+            return Ok(device.clone());
+        }
+        let (kind, api) = match adapter {
+            Adapter::Discrete => (DeviceKind::DiscreteGpu(index), WgpuBackend::Vulkan),
+            Adapter::Integrated => (DeviceKind::IntegratedGpu(index), WgpuBackend::Vulkan),
+            Adapter::Virtual => (DeviceKind::VirtualGpu(index), WgpuBackend::Vulkan),
+            // Mesa's Vulkan on the processor crashes at the first sum: cubecl-spirv 0.11.3.
+            Adapter::Software => (DeviceKind::Cpu, WgpuBackend::Gl),
+        };
+        if adapter == Adapter::Software && index > 0 {
+            return Err("is one device".to_owned());
+        }
+        let device = Device::wgpu_options()
+            .device_kind(kind)
+            .graphics_api(api)
+            .init()
+            .map_err(|error| {
+                format!(
+                    "cannot be opened: {error}; --device list shows the devices that can, and a \
+                     driver for {api:?} must be installed"
+                )
+            })?;
+        opened.push((key, device.clone()));
+        Ok(device)
+    }
+
+    #[cfg(not(feature = "wgpu"))]
+    pub(super) fn wgpu(_adapter: Adapter, _count: usize) -> Result<Vec<Device>, String> {
+        Err(without("wgpu"))
+    }
+
+    /// The cards that can be opened: name, place among those of the name, and description.
+    #[cfg_attr(
+        not(any(feature = "cuda", feature = "wgpu")),
+        expect(
+            clippy::missing_const_for_fn,
+            unused_mut,
+            reason = "no card is reached"
+        )
+    )]
+    pub(super) fn list() -> Vec<(DeviceName, usize, String)> {
+        let mut found = Vec::new();
+        #[cfg(feature = "cuda")]
+        for (index, device) in cuda_devices().into_iter().enumerate() {
+            found.push((DeviceName::Cuda, index, described(&device)));
+        }
+        #[cfg(feature = "wgpu")]
+        for adapter in Adapter::ALL {
+            for (index, device) in (0..).map_while(|at| Some((at, wgpu_device(adapter, at).ok()?)))
+            {
+                found.push((DeviceName::WgpuKind(adapter), index, described(&device)));
+            }
+        }
+        found
+    }
+
+    #[cfg(any(feature = "cuda", feature = "wgpu"))]
+    fn described(device: &Device) -> String {
+        device
+            .identity()
+            .map_or_else(|| "a card without a name".to_owned(), |card| card.name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_as_they_are_written() {
+        for name in [
+            "cpu",
+            "ndarray",
+            "cuda",
+            "wgpu",
+            "wgpu:discrete",
+            "wgpu:software",
+        ] {
+            assert_eq!(
+                name.parse::<DeviceName>().map(|name| name.to_string()),
+                Ok(name.into())
+            );
+        }
+        let error = "gpu".parse::<DeviceName>().expect_err("no device");
+        assert!(error.contains("wgpu:integrated"), "{error}");
+    }
+
+    #[test]
+    fn the_processor_passes_the_test_of_devices() {
+        assert_eq!(check(&Device::flex()), Ok(()));
+    }
+
+    #[test]
+    fn wrong_numbers_are_named() {
+        assert_eq!(compare("a sum", &[2.0, 1.0], &[2.0, 1.0], 0.0), Ok(()));
+        let wrong = |found: &[f32]| {
+            let error = compare("a sum", found, &[2.0, 1.0], 1e-3);
+            error.expect_err("wrong numbers")
+        };
+        assert!(wrong(&[2.0, f32::NAN]).contains("a sum wrongly: number 1 is NaN"));
+        assert!(wrong(&[2.1, 1.0]).contains("number 0 is 2.1, and 2 is right"));
+        assert!(wrong(&[2.0]).contains("1 numbers in place of 2"));
+    }
+
+    #[test]
+    fn the_processor_is_one_device_and_is_listed() {
+        let error = open(DeviceName::Cpu, 2)
+            .expect_err("one device")
+            .to_string();
+        assert!(error.contains("device cpu is one device"), "{error}");
+        assert_eq!(list()[0].name, "cpu");
+        #[cfg(not(feature = "wgpu"))]
+        {
+            let error = open(DeviceName::Wgpu, 1)
+                .expect_err("not built")
+                .to_string();
+            assert!(error.contains("--features wgpu"), "{error}");
+        }
+    }
+}

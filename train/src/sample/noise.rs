@@ -1,0 +1,126 @@
+//! The noise of the steps of sampling.
+//!
+//! The program draws it, not the device: a motion is then the same wherever it is sampled, up to rounding,
+//! and does not depend on what else is in its batch. Many steps are drawn and sent at once, so that a
+//! device does not wait for each.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Rng;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+
+/// Numbers drawn and sent at once: 16 MB. Most batches need one or two such blocks.
+const BLOCK: usize = 1 << 22;
+
+/// Standard normal noise for a batch of sequences, step after step. Each sequence has its own generator.
+pub(crate) struct Noise<'a> {
+    rngs: Vec<&'a mut Rng>,
+    /// Frames of a sequence and numbers of a frame.
+    shape: [usize; 2],
+    scale: f32,
+    device: &'a Device,
+    /// Steps still to be drawn.
+    left: usize,
+    /// Steps that were drawn, `[S, B, T, width]`, and the first that was not taken.
+    block: Option<(Tensor<4>, usize)>,
+}
+
+impl<'a> Noise<'a> {
+    /// Noise of `num_steps` steps for sequences of `shape`, frames and numbers of a frame.
+    pub(crate) fn new(
+        rngs: impl IntoIterator<Item = &'a mut Rng>,
+        shape: [usize; 2],
+        num_steps: usize,
+        device: &'a Device,
+    ) -> Self {
+        Self {
+            rngs: rngs.into_iter().collect(),
+            shape,
+            scale: 1.0,
+            device,
+            left: num_steps,
+            block: None,
+        }
+    }
+
+    /// The same noise times a factor.
+    pub(crate) fn scaled(mut self, scale: f64) -> Self {
+        self.scale = scale as f32;
+        self
+    }
+
+    /// The noise of the next step.
+    ///
+    /// # Shapes
+    /// `[B, T, width]`
+    ///
+    /// # Panics
+    /// If all steps were taken.
+    pub(crate) fn step(&mut self) -> Tensor<3> {
+        let (block, next) = match self.block.take() {
+            Some((block, next)) if next < block.dims()[0] => (block, next),
+            _ => (self.draw(), 0),
+        };
+        let noise = block.clone().narrow(0, next, 1).squeeze_dim::<3>(0);
+        self.block = Some((block, next + 1));
+        noise
+    }
+
+    fn draw(&mut self) -> Tensor<4> {
+        assert!(self.left > 0, "noise is drawn for the steps that are made");
+        let [frames, width] = self.shape;
+        let (rows, row) = (self.rngs.len(), frames * width);
+        let steps = (BLOCK / (rows * row).max(1)).clamp(1, self.left);
+        self.left -= steps;
+        let scale = self.scale;
+        let drawn: Vec<Vec<f32>> = self
+            .rngs
+            .par_iter_mut()
+            .map(|rng| {
+                (0..steps * row)
+                    .map(|_| scale * rng.sample::<f32, _>(StandardNormal))
+                    .collect()
+            })
+            .collect();
+        let mut values = Vec::with_capacity(steps * rows * row);
+        for step in 0..steps {
+            for drawn in &drawn {
+                values.extend_from_slice(&drawn[step * row..(step + 1) * row]);
+            }
+        }
+        let shape = [steps, rows, frames, width];
+        Tensor::from_data(TensorData::new(values, shape), self.device)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+
+    use super::*;
+
+    #[test]
+    fn noise_is_that_of_each_row_whatever_is_drawn_ahead() {
+        const SHAPE: [usize; 2] = [700, 300];
+        let device = Device::flex();
+        let rngs = || ["a", "b"].map(|row| Seed(1).rng(&["row", row]));
+        let mut one_by_one = rngs();
+        let mut ahead = rngs();
+        // Two blocks: the first holds nine steps of two rows.
+        let mut noise = Noise::new(&mut ahead, SHAPE, 11, &device).scaled(0.5);
+        for _ in 0..11 {
+            let step = noise.step().into_data();
+            let step: Vec<f32> = step.try_into_vec_as().expect("floats");
+            let expected: Vec<f32> = one_by_one
+                .iter_mut()
+                .flat_map(|rng| {
+                    (0..SHAPE[0] * SHAPE[1])
+                        .map(|_| 0.5 * rng.sample::<f32, _>(StandardNormal))
+                        .collect::<Vec<f32>>()
+                })
+                .collect();
+            assert!(step == expected);
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Every network on a device that is not the processor: a driver in software, by the same backend as a card.
+//! `train/tests/gpu` runs it.
+
+#[path = "support/items.rs"]
+mod items;
+mod support;
+
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use burn::tensor::Device;
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{NoProgress, Progress, Seed, Skeleton};
+use support::{Data, on, settings, train};
+use train::device::{Adapter, DeviceName, check, list, open};
+use train::metrics::{self, Curves};
+use train::mld::{Base, Generator, LatentNoise};
+use train::registry::open_system;
+use train::system::{EditConfig, SystemSource, edit_items};
+use train::text::source::TextEncoderSource;
+
+const NAME: DeviceName = DeviceName::WgpuKind(Adapter::Software);
+
+static DEVICE: LazyLock<Device> = LazyLock::new(|| {
+    let devices = open(NAME, 1).expect("the driver is installed, and computes rightly");
+    devices[0].clone()
+});
+
+static DATA: LazyLock<Data> = LazyLock::new(Data::new);
+
+static ITEMS: LazyLock<Vec<ItemRow>> = LazyLock::new(|| items::items(&DATA));
+
+/// Steps of a run.
+const STEPS: u64 = 10;
+
+/// Largest difference of a loss between the devices, as a share of it. Sums are taken in another order, and
+/// AdamW turns the rounding of a gradient near zero into a whole step of its weight, so the difference grows
+/// from 1e-6 over the ten steps. A wrong derivative changes a loss by per cents.
+const LOSS_TOLERANCE: f64 = 2e-3;
+
+fn close(found: &[(f64, f64)], expected: &[(f64, f64)], tolerance: f64) -> Result<(), String> {
+    if found.len() != expected.len() || found.is_empty() {
+        return Err(format!(
+            "{} points in place of {}",
+            found.len(),
+            expected.len()
+        ));
+    }
+    for ((step, found), (_, expected)) in found.iter().zip(expected) {
+        // Not-a-number compares as false.
+        let is_close = (found - expected).abs() <= tolerance * expected.abs();
+        if !is_close {
+            return Err(format!("at step {step} {found} in place of {expected}"));
+        }
+    }
+    Ok(())
+}
+
+fn check_curves(what: &str, found: &Curves, expected: &Curves) {
+    for (kind, found, expected) in [
+        ("loss", &found.loss, &expected.loss),
+        ("validation loss", &found.val_loss, &expected.val_loss),
+    ] {
+        if let Err(problem) = close(found, expected, LOSS_TOLERANCE) {
+            panic!("{what}, {kind}: {problem}");
+        }
+    }
+}
+
+/// Trains a network on a device and returns its losses.
+fn trained(network: &str, device: &Device, on_device: &str) -> Curves {
+    let run = DATA.run(&format!("{network}-{on_device}"));
+    let stop = AtomicBool::new(false);
+    on(device, &NoProgress, &stop, |session| {
+        train(&DATA, network, &run, &settings(network, STEPS, 1), session);
+    });
+    metrics::read(&run).expect("metrics")
+}
+
+fn edits(network: &str, device: &Device) -> Vec<EditRow> {
+    // Trained on the processor, used on either.
+    let run = DATA.run(&format!("{network}-cpu"));
+    let source = SystemSource {
+        coordinator: (network == "motionrefit").then(|| DATA.run("coordinator-cpu")),
+        ..SystemSource::best(&run, TextEncoderSource::default())
+    };
+    let config = EditConfig::default();
+    let skeleton = Skeleton::smplx_neutral();
+    let system = open_system(&source, &config, &skeleton, device).expect("opens");
+    let stop = AtomicBool::new(false);
+    on(device, &NoProgress, &stop, |session| {
+        edit_items(&*system, &ITEMS, Seed(1), session)
+            .expect("edits")
+            .0
+    })
+}
+
+fn check_motions(network: &str) {
+    /// Largest difference of a joint in metres. The noise is the same; a few rounded steps of sampling lie
+    /// between.
+    const TOLERANCE_M: f64 = 2e-3;
+    let skeleton = Skeleton::smplx_neutral();
+    let (found, expected) = (edits(network, &DEVICE), edits(network, &Device::flex()));
+    assert_eq!(found.len(), expected.len());
+    for (found, expected) in found.iter().zip(&expected) {
+        let [found, expected] = [found, expected].map(|row| row.motion().expect("a motion"));
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.poses().iter().zip(expected.poses()) {
+            let [found, expected] = [found, expected].map(|pose| skeleton.keypoints(pose));
+            for (found, expected) in found.iter().zip(&expected) {
+                let distance = found.distance(*expected);
+                assert!(distance < TOLERANCE_M, "{network}: {distance} m");
+            }
+        }
+    }
+}
+
+/// Everything in one test: a process opens the device once, and its kernels are compiled once.
+#[test]
+fn every_network_trains_and_samples_as_on_the_processor() {
+    assert_eq!(check(&DEVICE), Ok(()));
+    let listed = list();
+    assert!(
+        listed.iter().any(|device| device.name == NAME.to_string()),
+        "{listed:?}"
+    );
+    let error = open(DeviceName::WgpuKind(Adapter::Discrete), 9).expect_err("no nine cards");
+    assert!(error.to_string().contains("--device list"), "{error}");
+
+    for network in [
+        "coordinator",
+        "motionrefit",
+        "tmr",
+        "j2s",
+        "tmed",
+        "mdm",
+        "mld",
+    ] {
+        let expected = trained(network, &Device::flex(), "cpu");
+        let found = trained(network, &DEVICE, "wgpu");
+        check_curves(network, &found, &expected);
+    }
+    for network in ["motionrefit", "tmed", "mdm"] {
+        check_motions(network);
+    }
+    check_variants();
+    check_crossing();
+}
+
+/// The motions that the generator makes.
+fn check_variants() {
+    let made = |device: &Device| -> Vec<f32> {
+        let generator = Generator::load(&DATA.run("mld-cpu"), device).expect("loads");
+        let base = Base {
+            id: "a".to_owned(),
+            text: "a person walks".to_owned(),
+            frames: 40,
+        };
+        let stop = AtomicBool::new(false);
+        let variants = on(device, &NoProgress, &stop, |session| {
+            let noise = LatentNoise::Absolute(0.1);
+            generator
+                .variants(&[base], 2, noise, Seed(0), session)
+                .expect("generates")
+        });
+        let frames = variants.into_iter().flatten().flatten();
+        frames.flatten().collect()
+    };
+    let (found, expected) = (made(&DEVICE), made(&Device::flex()));
+    assert!(!found.is_empty() && found.len() == expected.len());
+    for (found, expected) in found.iter().zip(&expected) {
+        assert!(
+            (found - expected).abs() < 5e-3,
+            "{found} in place of {expected}"
+        );
+    }
+}
+
+/// Stops a run after some steps.
+struct StopAfter<'a> {
+    stop: &'a AtomicBool,
+    left: AtomicU64,
+}
+
+impl Progress for StopAfter<'_> {
+    fn begin(&self, _stage: &str, _total: Option<u64>) {}
+    fn advance(&self, count: u64) {
+        let left = self.left.load(Ordering::Relaxed).saturating_sub(count);
+        self.left.store(left, Ordering::Relaxed);
+        self.stop.store(left == 0, Ordering::Relaxed);
+    }
+    fn message(&self, _text: &str) {}
+    fn finish(&self, _summary: &str) {}
+}
+
+/// A run that goes from the processor to the device and back is the run of the processor.
+fn check_crossing() {
+    let run = DATA.run("crossing");
+    let own = settings("motionrefit", STEPS, 1);
+    // Progress counts the steps of earlier sessions too.
+    for (device, until) in [
+        (&Device::flex(), 3),
+        (&*DEVICE, 7),
+        (&Device::flex(), u64::MAX),
+    ] {
+        let stop = AtomicBool::new(false);
+        let progress = StopAfter {
+            stop: &stop,
+            left: AtomicU64::new(until),
+        };
+        on(device, &progress, &stop, |session| {
+            train(&DATA, "motionrefit", &run, &own, session);
+        });
+    }
+    let expected = metrics::read(&DATA.run("motionrefit-cpu")).expect("metrics");
+    check_curves(
+        "crossing",
+        &metrics::read(&run).expect("metrics"),
+        &expected,
+    );
+}

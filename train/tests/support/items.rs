@@ -1,0 +1,23 @@
+//! Questions for editing systems.
+
+use datasets_spec::record::ItemRow;
+use datasets_spec::{NoProgress, Seed, Split};
+use pipeline::compose::{ItemConfig, ItemCount};
+use pipeline::stage::{self, Context};
+
+use crate::support::Data;
+
+/// Two items of the test split.
+pub(crate) fn items(data: &Data) -> Vec<ItemRow> {
+    let context = Context {
+        progress: &NoProgress,
+        holder: "a test",
+    };
+    let config = ItemConfig {
+        count: ItemCount::Exactly(2),
+        ..ItemConfig::default()
+    };
+    let (dataset, place) = (data.dataset(), data.run("items"));
+    let drawn = stage::items(&dataset, &place, Split::Test, &config, Seed(0), &context);
+    drawn.expect("items").dataset.read(None).expect("rows")
+}

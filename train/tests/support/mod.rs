@@ -1,0 +1,124 @@
+//! A small dataset of the built-in corpus, and every network trained on it.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use burn::tensor::Device;
+use corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
+use datasets_spec::{NoProgress, Progress, Seed};
+use pipeline::annotation::masks::MaskConfig;
+use pipeline::ingest::ingest;
+use pipeline::stage::{self, Context, IngestConfig, Judged};
+use serde_json::{Value, json};
+use train::Session;
+use train::checkpoint::Start;
+use train::config::{Preset, RunLength, TrainConfig};
+use train::kind::TrainRequest;
+use train::registry;
+use train::text::source::TextEncoderSource;
+
+/// A dataset, in a folder that goes with it.
+pub(crate) struct Data {
+    folder: tempfile::TempDir,
+}
+
+impl Data {
+    /// Makes the dataset.
+    pub(crate) fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (sources, dataset) = (folder.path().join("corpus"), folder.path().join("dataset"));
+        let options = CorpusOptions {
+            seed: Seed(0),
+            clips: CLIPS_PER_TAKE,
+        };
+        write_corpus(&sources, &options, &NoProgress).expect("a corpus");
+        let options = IngestConfig::default().options(Seed(0));
+        ingest(&[sources], &dataset, &options, "a test", &NoProgress).expect("ingested");
+        let context = Context {
+            progress: &NoProgress,
+            holder: "a test",
+        };
+        stage::masks(&dataset, &MaskConfig::default(), Judged::Keep, &context).expect("masks");
+        Self { folder }
+    }
+
+    /// The folder of the dataset.
+    pub(crate) fn dataset(&self) -> PathBuf {
+        self.folder.path().join("dataset")
+    }
+
+    /// A folder for a run.
+    pub(crate) fn run(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+}
+
+/// Runs something on a device.
+pub(crate) fn on<T>(
+    device: &Device,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+    act: impl FnOnce(&Session<'_>) -> T,
+) -> T {
+    let begun = Instant::now();
+    act(&Session {
+        device,
+        more_devices: &[],
+        progress,
+        stop,
+        clock: &|| begun.elapsed(),
+    })
+}
+
+/// Settings of a short run of a network: a line every `log_every` steps and one validation at its end.
+pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
+    let mut own = json!({
+        "batch_size": 4,
+        "length": { "steps": steps },
+        "log_every": log_every,
+        "val_every": steps,
+    });
+    let more = match network {
+        "motionrefit" => json!({
+            "val_windows": 8,
+            "diffusion": { "num_steps": 10, "schedule": "official" },
+        }),
+        "coordinator" => json!({
+            "val_windows": 8, "diffusion_steps": 10, "noise_steps": 5, "schedule": "official",
+        }),
+        "tmed" => json!({ "val_clips": 4, "diffusion": { "num_steps": 10 } }),
+        "mdm" => json!({ "diffusion_steps": 10 }),
+        "mld" => {
+            let autoencoder = own.clone();
+            json!({ "diffusion_steps": 20, "sampling_steps": 10, "autoencoder": autoencoder })
+        }
+        "j2s" => json!({ "width": 64 }),
+        _ => json!({}),
+    };
+    let (Some(settings), Some(more)) = (own.as_object_mut(), more.as_object()) else {
+        unreachable!("both are objects");
+    };
+    settings.extend(more.clone());
+    own
+}
+
+/// Trains a network by its name, or continues its run.
+pub(crate) fn train(data: &Data, network: &str, run: &Path, own: &Value, session: &Session<'_>) {
+    let kind = registry::model(network).expect("a network");
+    let request = TrainRequest {
+        dataset: &data.dataset(),
+        start: Start::from(run),
+        preset: Preset::Tiny,
+        own,
+        compose: &TrainConfig::compose_preset(Preset::Tiny),
+        windows: None,
+        text_encoder: &TextEncoderSource::default(),
+        seed: Some(3),
+        length: own["length"]["steps"].as_u64().map(RunLength::of_steps),
+        memory: None,
+    };
+    if let Err(error) = (kind.train)(&request, session) {
+        panic!("{network}: {error}");
+    }
+}
