@@ -6,13 +6,16 @@ use crate::cmd;
 use crate::exit::Exit;
 use crate::global::Global;
 
-/// Note on failures, for scripts.
-const FAILURES: &str = "With --json, a failure is a JSON document on stdout too, with the fields code (such as \
+/// Notes on URLs, and on failures for scripts.
+const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, az://, and for reading http://, https:// \
+                     and hf://datasets/OWNER/NAME. Credentials and endpoint are those of the environment (AWS_*, \
+                     GOOGLE_*, AZURE_*); STANCE_REMOTE_CACHE_SIZE (10GB; 0 for none) bounds the local cache.\n\n\
+                     With --json, a failure is a JSON document on stdout too, with the fields code (such as \
                         E-IO), item (a file, folder or clip, or null) and reason.";
 
 /// Human-motion data from raw files to a published result table, for text-guided motion editing.
 #[derive(Debug, Parser)]
-#[command(name = "stance", version, arg_required_else_help = true, after_help = FAILURES)]
+#[command(name = "stance", version, arg_required_else_help = true, after_help = NOTES)]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,

@@ -7,6 +7,7 @@ mod evaluators;
 mod exit;
 mod failure;
 mod global;
+mod local;
 mod progress;
 mod report;
 mod seeds;
@@ -50,7 +51,8 @@ fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { USAGE } else { 0 });
         }
     };
-    match cli.run() {
+    let registered = remote_store::register().map_err(anyhow::Error::from);
+    match registered.and_then(|()| cli.run()) {
         Ok(exit) => exit.into(),
         Err(error) => {
             report::error(&error);

@@ -1,7 +1,9 @@
 //! Table A4: time to edit a window, by stage.
 
+use std::io::Write;
 use std::path::Path;
 
+use datasets_spec::store::{ByPath, Store};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -35,7 +37,9 @@ impl WindowTimes {
     /// The file is missing or malformed.
     pub fn read(edits: &Path) -> Result<Self, Error> {
         let path = edits.join(TIMES);
-        let parsed = std::fs::read(&path).and_then(|bytes| Ok(serde_json::from_slice(&bytes)?));
+        let parsed = ByPath
+            .read(&path)
+            .and_then(|bytes| Ok(serde_json::from_slice(&bytes)?));
         parsed.map_err(|source| Error::Times { path, source })
     }
 
@@ -46,7 +50,15 @@ impl WindowTimes {
     pub fn write(&self, edits: &Path) -> Result<(), Error> {
         let path = edits.join(TIMES);
         let text = serde_json::to_vec_pretty(self).expect("plain numbers serialise");
-        std::fs::write(&path, text).map_err(|source| Error::Times { path, source })
+        let write = || {
+            let mut file = ByPath.create(&path)?;
+            file.write_all(&text)?;
+            file.publish()
+        };
+        write().map_err(|source| Error::Times {
+            path: path.clone(),
+            source,
+        })
     }
 
     /// All three together.

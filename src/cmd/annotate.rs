@@ -59,6 +59,7 @@ const DAY: i64 = 24 * HOUR;
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder with motions
+    #[arg(value_parser = crate::local::path())]
     dataset: PathBuf,
     /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]

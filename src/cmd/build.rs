@@ -30,7 +30,7 @@ pub(crate) struct Args {
     #[arg(long, num_args = 1..)]
     sources: Vec<PathBuf>,
     /// Folder for everything, in place of that of the configuration
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: Option<PathBuf>,
 }
 

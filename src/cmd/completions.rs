@@ -31,7 +31,7 @@ pub(crate) fn run(args: &Args, mut command: Command) -> Exit {
 #[derive(clap::Args, Debug)]
 pub(crate) struct ManArgs {
     /// Folder to write, such as ~/.local/share/man/man1
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
 

@@ -15,7 +15,7 @@ use crate::report;
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder to write to
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
     /// Number of clips
     #[arg(long, default_value_t = CorpusOptions::default().clips)]

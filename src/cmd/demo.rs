@@ -19,7 +19,7 @@ use crate::global::Global;
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder for everything the demo makes
-    #[arg(long, default_value = "stance-demo")]
+    #[arg(long, default_value = "stance-demo", value_parser = crate::local::path())]
     out: PathBuf,
     /// Fewer clips and far fewer training steps: shows that the chain works, not how well
     #[arg(long)]

@@ -267,6 +267,9 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     if args.out.is_empty() {
         bail!("say where to write: --out FILE");
     }
+    for out in &args.out {
+        crate::local::check(out).map_err(anyhow::Error::msg)?;
+    }
     let skeleton = skeleton(args)?;
     let original = opened(args, id, &skeleton)?;
     let layers = asked(args, &original);

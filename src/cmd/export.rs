@@ -39,7 +39,7 @@ pub(crate) struct Args {
     #[arg(long)]
     targets: bool,
     /// New folder to write
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
 

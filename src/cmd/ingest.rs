@@ -38,10 +38,10 @@ use crate::report;
 /// when the dataset is made. A dataset that exists keeps the seed of its splits.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Files and folders to read
+    /// Files, folders and URLs to read
     #[arg(required = true)]
     sources: Vec<PathBuf>,
-    /// Dataset folder to write
+    /// Dataset folder or URL to write
     #[arg(long)]
     out: PathBuf,
     /// Read files of this format only

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::manifest::{Accounting, Manifest};
 use datasets_spec::record::{CAPTION_BY_RULE, EditRow, ItemRow, MotionRow};
+use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
 use pipeline::catalogue::{Catalogue, Group, catalogue};
@@ -31,7 +32,7 @@ use crate::report;
 /// that would be quarantined ends with exit code 3.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Dataset folder, Parquet shard, manifest, or motion file
+    /// Dataset folder or URL, Parquet shard, manifest, or motion file
     path: PathBuf,
     /// Id of a clip of the dataset, or of an item
     #[arg(long)]
@@ -55,15 +56,21 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         return show(&Clip::of(&stored_clip(&dataset, id)?), Clip::text, global);
     }
-    if path.is_dir() {
+    // A URL is that of a file if its name has an extension and there is such an object.
+    let is_folder = if is_url(path) {
+        path.extension().is_none() || ByPath.size(path).is_err()
+    } else {
+        path.is_dir()
+    };
+    if is_folder {
         let dataset = Dataset::open_unverified(path)?;
         return show(&Document::of(&dataset)?, Document::text, global);
     }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("parquet") => show(&describe(path)?, shard_text, global),
         Some("json") => {
-            let text =
-                std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            let read = ByPath.read(path);
+            let text = read.with_context(|| format!("cannot read {}", path.display()))?;
             let manifest: Manifest = serde_json::from_slice(&text)
                 .with_context(|| format!("{} is no manifest", path.display()))?;
             show(&manifest, manifest_text, global)

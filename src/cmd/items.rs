@@ -66,7 +66,7 @@ struct ExportArgs {
     #[arg(long)]
     targets: bool,
     /// New folder to write
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
 

@@ -88,7 +88,7 @@ struct ImportArgs {
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
     /// Run folder to write
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
     #[command(flatten)]
     device: DeviceArgs,
@@ -103,7 +103,7 @@ struct ExportArgs {
     #[arg(long, default_value = "best")]
     checkpoint: Slot,
     /// Folder to write to
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
 

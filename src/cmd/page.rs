@@ -33,7 +33,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
     /// File to write
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
     /// Items in the viewer, spread over the table
     #[arg(long, default_value_t = 12)]

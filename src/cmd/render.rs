@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long)]
     dataset: Option<PathBuf>,
     /// File to write: .svg, .png or .gif
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
     /// Figures in a row
     #[arg(long, default_value_t = Style::default().num_figures)]

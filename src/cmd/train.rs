@@ -37,7 +37,7 @@ pub(crate) struct Args {
     #[arg(required = true)]
     dataset: Option<PathBuf>,
     /// Run folder to write
-    #[arg(long, required = true)]
+    #[arg(long, required = true, value_parser = crate::local::path())]
     out: Option<PathBuf>,
     /// Named settings
     #[arg(long, value_enum, default_value_t)]
@@ -104,7 +104,7 @@ struct PlotArgs {
     #[arg(required = true)]
     runs: Vec<PathBuf>,
     /// Picture to draw: .svg or .png
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
     /// Draw losses on a logarithmic axis
     #[arg(long)]

@@ -1,10 +1,12 @@
 //! Editing systems: an item in, a motion out. Verbs that edit know a system by [`EditSystem`] alone.
 
 use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, JointSet, Motion, Seed};
 use pipeline::stage::commit_edits;
@@ -143,7 +145,7 @@ impl Remarks {
     /// The file is malformed or cannot be read.
     pub fn read(edits: &Path) -> Result<Self, Error> {
         let path = edits.join(REMARKS);
-        match std::fs::read(&path) {
+        match ByPath.read(&path) {
             Ok(bytes) => {
                 serde_json::from_slice(&bytes).map_err(|source| Error::Json { path, source })
             }
@@ -159,7 +161,12 @@ impl Remarks {
     pub fn write(&self, edits: &Path) -> Result<(), Error> {
         let path = edits.join(REMARKS);
         let text = serde_json::to_vec_pretty(self).expect("words and a number serialise");
-        std::fs::write(&path, text).map_err(Error::io("write", &path))
+        let write = || {
+            let mut file = ByPath.create(&path)?;
+            file.write_all(&text)?;
+            file.publish()
+        };
+        write().map_err(Error::io("write", &path))
     }
 
     /// One line for each warning.

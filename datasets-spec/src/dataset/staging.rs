@@ -1,6 +1,7 @@
 //! Shards that are made for a plan before its commit.
 
 use std::collections::BTreeSet;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -31,6 +32,12 @@ pub struct Staging {
     folder: PathBuf,
 }
 
+/// Where the shards of a plan that starts from a version wait.
+pub(super) fn folder_of(root: &Path, base: u64, plan_hash: &str) -> PathBuf {
+    let name = format!("{base}-{plan_hash}");
+    root.join(META).join(STAGED).join(name)
+}
+
 impl Staging {
     /// The staged shards of a plan that starts from the version `base` of the dataset at `root`, or from none.
     pub fn new(
@@ -54,13 +61,12 @@ impl Staging {
         (base, tables): (u64, BTreeSet<String>),
         plan_hash: &str,
     ) -> Self {
-        let name = format!("{base}-{plan_hash}");
         Self {
             root: root.to_owned(),
             store,
             version: base + 1,
             replaced: tables,
-            folder: root.join(META).join(STAGED).join(name),
+            folder: folder_of(root, base, plan_hash),
         }
     }
 
@@ -174,8 +180,12 @@ impl Transaction {
                 continue;
             }
             if !self.is_alone() {
-                let bytes = store.read(&staged).map_err(Error::io("read", &staged))?;
-                file.path = self.add(&file.path, &bytes)?;
+                match store.read(&staged) {
+                    Ok(bytes) => file.path = self.add(&file.path, &bytes)?,
+                    // Another run of the same plan has committed and removed it.
+                    Err(error) if error.kind() == ErrorKind::NotFound => {}
+                    Err(error) => return Err(Error::io("read", &staged)(error)),
+                }
                 continue;
             }
             let folder = place.parent().unwrap_or(&self.root).to_owned();

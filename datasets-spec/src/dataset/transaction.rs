@@ -12,6 +12,7 @@ use super::layout::{
     read_manifest,
 };
 use super::open::Dataset;
+use super::staging::folder_of;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
 use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
@@ -206,6 +207,9 @@ impl Transaction {
 
         let path = manifest_path(&self.root, manifest.version);
         if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {
+            // What was staged for this version serves no other one. If it cannot be removed, pruning removes it.
+            let staged = folder_of(&self.root, manifest.version - 1, &commit.plan_hash);
+            let _removed = self.store.remove_dir_all(&staged);
             return Err(Error::Overtaken {
                 path: self.root,
                 version: manifest.version,

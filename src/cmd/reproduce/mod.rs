@@ -44,7 +44,7 @@ pub(crate) struct Args {
     #[arg(long)]
     dataset: Option<PathBuf>,
     /// Folder for the results in place of the plan's
-    #[arg(long)]
+    #[arg(long, value_parser = crate::local::path())]
     out: Option<PathBuf>,
     /// Print the published rows of the paper as well, marked as published
     #[arg(long)]

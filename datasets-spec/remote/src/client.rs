@@ -1,0 +1,403 @@
+//! Requests to object stores, from blocking code.
+
+use std::io;
+use std::ops::Range;
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures_util::TryStreamExt;
+use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
+use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
+use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey};
+use object_store::http::HttpBuilder;
+use object_store::path::Path as Key;
+use object_store::{
+    Attribute, Attributes, ClientConfigKey, ClientOptions, Error, GetOptions, ObjectMeta,
+    ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, RetryConfig,
+};
+use tokio::runtime::{Builder, Runtime};
+
+use crate::place::{Place, Scheme};
+
+/// Threads of the runtime. They only wait and copy.
+const NUM_THREADS: usize = 2;
+/// Time after which a request counts as lost, in seconds: long enough for a whole shard on a slow line.
+const TIMEOUT: &str = "900 seconds";
+/// Time in which a connection is made.
+const CONNECT_TIMEOUT: &str = "10 seconds";
+/// Requests of one read that run at the same time.
+const NUM_PARALLEL: usize = 4;
+/// Bytes that are asked for at once.
+pub(crate) const MAX_REQUEST: u64 = 32 << 20;
+/// How often a body that ends too early is asked for again, and a file that may not replace another is put.
+const ATTEMPTS: u32 = 4;
+/// Metadata of an object that names the write that made it.
+const WRITER: &str = "stancewriter";
+
+/// Runs a future on the runtime of this crate. Unlike `block_on` it may be called from anywhere.
+fn wait<T: Send + 'static>(
+    future: impl Future<Output = io::Result<T>> + Send + 'static,
+) -> io::Result<T> {
+    static RUNTIME: OnceLock<io::Result<Runtime>> = OnceLock::new();
+    let runtime = RUNTIME.get_or_init(|| {
+        Builder::new_multi_thread()
+            .worker_threads(NUM_THREADS)
+            .thread_name("remote-store")
+            .enable_all()
+            .build()
+    });
+    let runtime = runtime
+        .as_ref()
+        .map_err(|error| io::Error::new(error.kind(), error.to_string()))?;
+    let (send, receive) = sync_channel(1);
+    runtime.spawn(async move {
+        // The receiver waits below.
+        let _sent = send.send(future.await);
+    });
+    let ended = || io::Error::other("a request ended without an answer");
+    receive.recv().map_err(|_| ended())?
+}
+
+/// A bucket, container or host.
+#[derive(Clone, Debug)]
+pub(crate) struct Client {
+    store: Arc<dyn ObjectStore>,
+}
+
+/// An object's content, and the name of its version if the storage names versions.
+#[derive(Clone, Debug)]
+pub(crate) struct Got {
+    pub(crate) bytes: Bytes,
+    pub(crate) size: u64,
+    pub(crate) tag: Option<String>,
+}
+
+/// An entry of a listing.
+pub(crate) struct Listed {
+    pub(crate) key: Key,
+    pub(crate) size: u64,
+    pub(crate) tag: Option<String>,
+}
+
+/// The name of an object's version, if versions can be told by it.
+fn tag_of(meta: ObjectMeta) -> Option<String> {
+    meta.e_tag.filter(|tag| !tag.starts_with("W/"))
+}
+
+impl Client {
+    pub(crate) fn new(store: Arc<dyn ObjectStore>) -> Self {
+        Self { store }
+    }
+
+    /// The client of the bucket that a place is in.
+    pub(crate) fn of(place: &Place, retries: usize) -> io::Result<Self> {
+        let retry = RetryConfig {
+            max_retries: retries,
+            ..RetryConfig::default()
+        };
+        let name = place.authority.as_str();
+        let unset = |name: &str| std::env::var_os(name).is_none();
+        let times = [
+            (ClientConfigKey::Timeout, TIMEOUT),
+            (ClientConfigKey::ConnectTimeout, CONNECT_TIMEOUT),
+        ];
+        let store: Result<Arc<dyn ObjectStore>, Error> = match place.scheme {
+            Scheme::S3 => {
+                let mut builder = AmazonS3Builder::from_env();
+                for (key, value) in times {
+                    if unset(&format!("AWS_{}", key.as_ref().to_ascii_uppercase())) {
+                        builder = builder.with_config(AmazonS3ConfigKey::Client(key), value);
+                    }
+                }
+                // An endpoint that the user names without encryption is meant so.
+                let endpoints = ["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"];
+                let mut endpoints = endpoints.iter().filter_map(|name| std::env::var(name).ok());
+                if endpoints.any(|endpoint| endpoint.starts_with("http://")) {
+                    builder = builder.with_allow_http(true);
+                }
+                let built = builder.with_bucket_name(name).with_retry(retry).build();
+                built.map(|store| Arc::new(store) as _)
+            }
+            Scheme::Gcs => {
+                let mut builder = GoogleCloudStorageBuilder::from_env();
+                for (key, value) in times {
+                    builder = builder.with_config(GoogleConfigKey::Client(key), value);
+                }
+                let built = builder.with_bucket_name(name).with_retry(retry).build();
+                built.map(|store| Arc::new(store) as _)
+            }
+            Scheme::Azure => {
+                let mut builder = MicrosoftAzureBuilder::from_env();
+                for (key, value) in times {
+                    builder = builder.with_config(AzureConfigKey::Client(key), value);
+                }
+                let built = builder.with_container_name(name).with_retry(retry).build();
+                built.map(|store| Arc::new(store) as _)
+            }
+            Scheme::Http => {
+                let options = times
+                    .into_iter()
+                    .fold(ClientOptions::new(), |options, (key, value)| {
+                        options.with_config(key, value)
+                    })
+                    .with_allow_http(true);
+                let builder = HttpBuilder::new().with_url(&place.root);
+                let built = builder
+                    .with_client_options(options)
+                    .with_retry(retry)
+                    .build();
+                built.map(|store| Arc::new(store) as _)
+            }
+            Scheme::Hub => {
+                return Err(io::Error::other("the hub's cache is no object store"));
+            }
+        };
+        store.map(Self::new).map_err(io_error)
+    }
+
+    /// An object, if it is no larger than one request; else its first bytes are none, and its size is told.
+    pub(crate) fn get(&self, key: &Key) -> io::Result<Got> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move {
+            repeated(|| async {
+                let result = store.get_opts(&key, GetOptions::default()).await;
+                let result = result.map_err(io_error)?;
+                let (size, tag) = (result.meta.size, tag_of(result.meta.clone()));
+                let bytes = if size > MAX_REQUEST {
+                    Bytes::new()
+                } else {
+                    let bytes = result.bytes().await.map_err(io_error)?;
+                    whole(bytes, size)?
+                };
+                Ok(Got { bytes, size, tag })
+            })
+            .await
+        })
+    }
+
+    /// Size and version of an object.
+    pub(crate) fn head(&self, key: &Key) -> io::Result<(u64, Option<String>)> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move {
+            let meta = store.head(&key).await.map_err(io_error)?;
+            Ok((meta.size, tag_of(meta)))
+        })
+    }
+
+    /// Ranges of an object, a few at the same time. If `tag` is stated, another version is an error.
+    pub(crate) fn ranges(
+        &self,
+        key: &Key,
+        tag: Option<&str>,
+        ranges: &[Range<u64>],
+    ) -> io::Result<Vec<Bytes>> {
+        let (store, key, ranges) = (Arc::clone(&self.store), key.clone(), ranges.to_vec());
+        let tag = tag.map(str::to_owned);
+        wait(async move {
+            let mut bytes = Vec::new();
+            for ranges in ranges.chunks(NUM_PARALLEL) {
+                let start = |range: &Range<u64>| {
+                    let (store, key, tag) = (Arc::clone(&store), key.clone(), tag.clone());
+                    tokio::spawn(one_range(store, key, tag, range.clone()))
+                };
+                let started: Vec<_> = ranges.iter().map(start).collect();
+                for task in started {
+                    bytes.push(task.await.map_err(io::Error::other)??);
+                }
+            }
+            Ok(bytes)
+        })
+    }
+
+    /// Writes an object, whatever has its name.
+    pub(crate) fn put(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move {
+            let done = store.put(&key, PutPayload::from_bytes(bytes)).await;
+            done.map(|_| ()).map_err(io_error)
+        })
+    }
+
+    /// Writes an object unless there is one of its name.
+    pub(crate) fn put_new(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        let mut random = [0; 16];
+        getrandom::fill(&mut random).map_err(io::Error::other)?;
+        let writer: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        wait(async move {
+            let attribute = Attribute::Metadata(WRITER.into());
+            let mut wait = Duration::from_millis(100);
+            let mut last = io::Error::from(io::ErrorKind::TimedOut);
+            for _ in 0..ATTEMPTS {
+                let attributes = [(attribute.clone(), writer.clone())];
+                let options = PutOptions {
+                    mode: PutMode::Create,
+                    attributes: Attributes::from_iter(attributes),
+                    ..PutOptions::default()
+                };
+                let payload = PutPayload::from_bytes(bytes.clone());
+                match store.put_opts(&key, payload, options).await {
+                    Ok(_) => return Ok(()),
+                    Err(error) => last = io_error(error),
+                }
+                // The object may be ours, where the answer was lost or the request was repeated.
+                let head = GetOptions::new().with_head(true);
+                match store.get_opts(&key, head).await {
+                    Ok(found) => {
+                        let by = found.attributes.get(&attribute);
+                        return match by.is_some_and(|by| by.as_ref() == writer) {
+                            true => Ok(()),
+                            false => Err(io::ErrorKind::AlreadyExists.into()),
+                        };
+                    }
+                    Err(Error::NotFound { .. }) => {}
+                    Err(_) => return Err(last),
+                }
+                if last.kind() == io::ErrorKind::PermissionDenied {
+                    return Err(last);
+                }
+                tokio::time::sleep(wait).await;
+                wait *= 4;
+            }
+            Err(last)
+        })
+    }
+
+    /// Copies an object and removes the first.
+    pub(crate) fn rename(&self, from: &Key, to: &Key) -> io::Result<()> {
+        let (store, from, to) = (Arc::clone(&self.store), from.clone(), to.clone());
+        wait(async move {
+            store.copy(&from, &to).await.map_err(io_error)?;
+            store.delete(&from).await.map_err(io_error)
+        })
+    }
+
+    /// Removes objects; one that is not there is no error.
+    pub(crate) fn delete(&self, keys: Vec<Key>) -> io::Result<()> {
+        let store = Arc::clone(&self.store);
+        wait(async move {
+            for key in keys {
+                repeated(|| async {
+                    match store.delete(&key).await {
+                        Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+                        Err(error) => Err(io_error(error)),
+                    }
+                })
+                .await?;
+            }
+            Ok(())
+        })
+    }
+
+    /// All objects below a key.
+    pub(crate) fn list_all(&self, key: &Key) -> io::Result<Vec<Listed>> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move {
+            repeated(|| async {
+                let prefix = (!key.as_ref().is_empty()).then_some(&key);
+                let listed = store.list(prefix).map_ok(|meta| Listed {
+                    key: meta.location.clone(),
+                    size: meta.size,
+                    tag: tag_of(meta),
+                });
+                listed.try_collect().await.map_err(io_error)
+            })
+            .await
+        })
+    }
+
+    /// The objects and folders right below a key.
+    pub(crate) fn list(&self, key: &Key) -> io::Result<(Vec<Key>, Vec<Key>)> {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move {
+            repeated(|| async {
+                let prefix = (!key.as_ref().is_empty()).then_some(&key);
+                let listed = store.list_with_delimiter(prefix).await;
+                let listed = listed.map_err(io_error)?;
+                let objects = listed.objects.into_iter().map(|meta| meta.location);
+                Ok((objects.collect(), listed.common_prefixes))
+            })
+            .await
+        })
+    }
+}
+
+async fn one_range(
+    store: Arc<dyn ObjectStore>,
+    key: Key,
+    tag: Option<String>,
+    range: Range<u64>,
+) -> io::Result<Bytes> {
+    repeated(|| async {
+        let options = GetOptions::new()
+            .with_range(Some(range.clone()))
+            .with_if_match(tag.clone());
+        let result = store.get_opts(&key, options).await.map_err(io_error)?;
+        let bytes = result.bytes().await.map_err(io_error)?;
+        whole(bytes, range.end - range.start)
+    })
+    .await
+}
+
+/// Refuses a body of another length than stated.
+fn whole(bytes: Bytes, expected: u64) -> io::Result<Bytes> {
+    if bytes.len() as u64 == expected {
+        return Ok(bytes);
+    }
+    let text = format!("got {} bytes, expected {expected}", bytes.len());
+    Err(io::Error::new(io::ErrorKind::UnexpectedEof, text))
+}
+
+/// Repeats what may be repeated, such as a read that fails while its body arrives. Requests that are refused are
+/// repeated by the client itself.
+async fn repeated<T, F: Future<Output = io::Result<T>>>(read: impl Fn() -> F) -> io::Result<T> {
+    use io::ErrorKind::{AlreadyExists, NotFound, PermissionDenied, Unsupported};
+
+    let mut attempt = 1;
+    loop {
+        match read().await {
+            Err(error) if attempt < ATTEMPTS => match error.kind() {
+                AlreadyExists | NotFound | PermissionDenied | Unsupported => return Err(error),
+                _ => attempt += 1,
+            },
+            done => return done,
+        }
+    }
+}
+
+/// An error of a request, in one line.
+pub(crate) fn io_error(error: Error) -> io::Error {
+    use io::ErrorKind;
+
+    let kind = match &error {
+        Error::NotFound { .. } => ErrorKind::NotFound,
+        Error::AlreadyExists { .. } => ErrorKind::AlreadyExists,
+        Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => {
+            ErrorKind::PermissionDenied
+        }
+        Error::NotSupported { .. } | Error::NotImplemented { .. } => ErrorKind::Unsupported,
+        Error::Precondition { .. } => {
+            return io::Error::other("it was changed while it was read");
+        }
+        _ => ErrorKind::Other,
+    };
+    let text = error.to_string();
+    let text = match kind {
+        ErrorKind::NotFound => "there is no such object".to_owned(),
+        _ => shortened(&text),
+    };
+    io::Error::new(kind, text)
+}
+
+/// The beginning of a text, in one line.
+fn shortened(text: &str) -> String {
+    const LENGTH: usize = 400;
+    let line: Vec<&str> = text.split_whitespace().collect();
+    let line = line.join(" ");
+    match line.char_indices().nth(LENGTH) {
+        Some((end, _)) => format!("{} ...", &line[..end]),
+        None => line,
+    }
+}

@@ -1,0 +1,123 @@
+//! Settings from the environment.
+
+use std::ffi::OsString;
+use std::io;
+use std::path::PathBuf;
+
+use crate::hub::HubCache;
+
+/// How URLs are served.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// Folder and size in bytes of the local cache; none for no cache.
+    pub cache: Option<(PathBuf, u64)>,
+    /// How often a request that fails for a time is repeated.
+    pub retries: usize,
+    /// Where Hugging Face's tools keep datasets, if anywhere.
+    pub hub: Option<PathBuf>,
+}
+
+/// Bytes of the cache, unless the environment says otherwise.
+const CACHE_SIZE: u64 = 10_000_000_000;
+/// With waits that double from a tenth of a second, about 25 seconds.
+const RETRIES: usize = 8;
+
+impl Settings {
+    /// The settings that variables of the environment name: `STANCE_CACHE`, `STANCE_REMOTE_CACHE_SIZE`,
+    /// `STANCE_REMOTE_RETRIES`, and those of Hugging Face's tools.
+    ///
+    /// # Errors
+    /// A variable is malformed.
+    pub fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> io::Result<Self> {
+        let folder = |name: &str| {
+            let value = variable(name).filter(|value| !value.is_empty());
+            value.map(PathBuf::from)
+        };
+        let text = |name: &str| variable(name).map(|value| value.to_string_lossy().into_owned());
+        let malformed = |name: &str, expected: &str, found: &str| {
+            let text = format!("{name} must be {expected}, found {found:?}");
+            io::Error::new(io::ErrorKind::InvalidInput, text)
+        };
+        let size = match text("STANCE_REMOTE_CACHE_SIZE") {
+            None => CACHE_SIZE,
+            Some(found) => bytes_of(&found).ok_or_else(|| {
+                malformed(
+                    "STANCE_REMOTE_CACHE_SIZE",
+                    "a size such as 500MB or 20GB, or 0",
+                    &found,
+                )
+            })?,
+        };
+        let retries = match text("STANCE_REMOTE_RETRIES") {
+            None => RETRIES,
+            Some(found) => found
+                .parse()
+                .map_err(|_| malformed("STANCE_REMOTE_RETRIES", "a count", &found))?,
+        };
+        let home = || folder("HOME").or_else(|| folder("USERPROFILE"));
+        let cache = folder("STANCE_CACHE")
+            .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("stance")))
+            .or_else(|| Some(home()?.join(".cache/stance")));
+        Ok(Self {
+            cache: cache.filter(|_| size > 0).map(|folder| (folder, size)),
+            retries,
+            hub: HubCache::folder_of(folder),
+        })
+    }
+}
+
+/// Bytes of a size such as `20GB`.
+fn bytes_of(text: &str) -> Option<u64> {
+    let text = text.trim().to_ascii_uppercase();
+    let digits = text.trim_end_matches(|letter: char| letter.is_ascii_alphabetic());
+    let unit = match &text[digits.len()..] {
+        "" | "B" => 1,
+        "KB" => 1_000,
+        "MB" => 1_000_000,
+        "GB" => 1_000_000_000,
+        "TB" => 1_000_000_000_000,
+        _ => return None,
+    };
+    digits.trim().parse::<u64>().ok()?.checked_mul(unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(variables: &[(&str, &str)]) -> io::Result<Settings> {
+        Settings::from_variables(|name| {
+            let found = variables.iter().find(|(known, _)| *known == name);
+            found.map(|(_, value)| OsString::from(value))
+        })
+    }
+
+    #[test]
+    fn the_environment_names_the_cache_and_its_size() {
+        let plain = settings(&[("HOME", "/home/a")]).expect("settings");
+        assert_eq!(
+            plain.cache,
+            Some(("/home/a/.cache/stance".into(), CACHE_SIZE))
+        );
+        let own = [
+            ("STANCE_CACHE", "/c"),
+            ("STANCE_REMOTE_CACHE_SIZE", "500 MB"),
+            ("HOME", "/home/a"),
+        ];
+        let own = settings(&own).expect("settings");
+        assert_eq!(own.cache, Some(("/c".into(), 500_000_000)));
+        let off =
+            settings(&[("HOME", "/home/a"), ("STANCE_REMOTE_CACHE_SIZE", "0")]).expect("settings");
+        assert_eq!(off.cache, None);
+        let error = settings(&[("STANCE_REMOTE_CACHE_SIZE", "much")]).expect_err("malformed");
+        assert!(
+            error.to_string().contains("STANCE_REMOTE_CACHE_SIZE"),
+            "{error}"
+        );
+        let error = settings(&[("STANCE_REMOTE_RETRIES", "-1")]).expect_err("malformed");
+        assert!(
+            error.to_string().contains("STANCE_REMOTE_RETRIES"),
+            "{error}"
+        );
+    }
+}
