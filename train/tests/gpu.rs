@@ -105,7 +105,8 @@ fn check_motions(network: &str) {
     for (found, expected) in found.iter().zip(&expected) {
         let [found, expected] = [found, expected].map(|row| row.motion().expect("a motion"));
         assert_eq!(found.len(), expected.len());
-        for (found, expected) in found.poses().iter().zip(expected.poses()) {
+        let [found, expected] = [found, expected].map(|motion| motion.poses());
+        for (found, expected) in found.iter().zip(&expected) {
             let [found, expected] = [found, expected].map(|pose| skeleton.keypoints(pose));
             for (found, expected) in found.iter().zip(&expected) {
                 let distance = found.distance(*expected);
