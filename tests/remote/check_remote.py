@@ -204,6 +204,7 @@ def a_killed_run_goes_on_to_the_same_dataset(bench: Bench) -> None:
         assert seen.wait(120), "a shard is written"
         process.send_signal(signal.SIGKILL)
         process.communicate()
+        bench.proxy.wait_until_idle()
         bench.proxy.reset()
         again = bench.json("ingest", bench.source, "--out", out, code=QUARANTINED)
         assert again["root_hash"] == bench.local["root_hash"], number

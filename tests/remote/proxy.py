@@ -51,6 +51,8 @@ class Proxy:
     def __post_init__(self) -> None:
         self.count = 0
         self.lock = threading.Lock()
+        self.pending = 0
+        self.idle = threading.Condition()
         self.conditional = threading.Lock()
         proxy = self
 
@@ -61,7 +63,14 @@ class Proxy:
                 pass
 
             def answer(self) -> None:
-                proxy.answer(self)
+                with proxy.idle:
+                    proxy.pending += 1
+                try:
+                    proxy.answer(self)
+                finally:
+                    with proxy.idle:
+                        proxy.pending -= 1
+                        proxy.idle.notify_all()
 
             do_GET = do_PUT = do_HEAD = do_POST = do_DELETE = answer
 
@@ -84,6 +93,11 @@ class Proxy:
             self.faults = faults or Faults()
             self.requests = []
             self.count = 0
+
+    def wait_until_idle(self) -> None:
+        """Waits for requests that are under way, also those of a client that is gone."""
+        with self.idle:
+            assert self.idle.wait_for(lambda: self.pending == 0, timeout=60)
 
     def reads(self, part: str) -> list[Request]:
         return [request for request in self.requests if request.method == "GET" and part in request.path]
