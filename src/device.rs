@@ -3,6 +3,8 @@
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use train::device::{DeviceName, list, open};
 use train::model::{fused, precision};
 
@@ -25,7 +27,30 @@ pub(crate) struct DeviceArgs {
     no_fused: bool,
 }
 
+/// The options as a plan of pieces keeps them.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    device: String,
+    no_fused: bool,
+}
+
 impl DeviceArgs {
+    /// The options for a plan of pieces.
+    pub(crate) fn to_json(self) -> anyhow::Result<Value> {
+        Ok(serde_json::to_value(Stored {
+            device: self.device.to_string(),
+            no_fused: self.no_fused,
+        })?)
+    }
+
+    /// The options that a plan keeps.
+    pub(crate) fn from_json(options: Value) -> anyhow::Result<Self> {
+        let Stored { device, no_fused } = serde_json::from_value(options)?;
+        let device = device.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
+        Ok(Self { device, no_fused })
+    }
+
     /// Chooses the device of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
         self.choose_of(1)

@@ -10,6 +10,7 @@ use signal_hook::flag;
 use train::Session;
 use train::text::hub::HubCache;
 use train::text::source::TextEncoderSource;
+use train::work::Surroundings;
 
 use crate::device::{device, devices};
 use crate::exit::Exit;
@@ -63,6 +64,14 @@ pub(crate) fn with_session<T>(
 /// The cache of the Hugging Face hub that the environment names.
 pub(crate) fn hub_cache() -> Option<HubCache> {
     HubCache::from_variables(|name| std::env::var_os(name))
+}
+
+/// What this process adds to a plan whose job runs a model.
+pub(crate) fn surroundings() -> Surroundings {
+    Surroundings {
+        device: device(),
+        cache: hub_cache(),
+    }
 }
 
 /// Where CLIP is found: the folder the user names, else the hub's cache.

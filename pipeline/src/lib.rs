@@ -45,6 +45,7 @@ pub mod likeness;
 pub mod markers;
 pub mod merge;
 pub mod open;
+pub mod recording;
 pub mod reference;
 pub mod retarget;
 pub mod sidecar;

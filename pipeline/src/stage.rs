@@ -4,19 +4,15 @@
 //! same plan.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use datasets_spec::dataset::{Commit, Transaction, commit_rows, commit_table, table_facts};
+use datasets_spec::dataset::{Commit, Transaction, commit_rows, table_facts};
 use datasets_spec::manifest::plan_hash;
-use datasets_spec::record::{
-    EditRow, ItemRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
-};
+use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_column, read_rows};
 use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use kinematics::normalise::Normalizer;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -28,6 +24,8 @@ use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
 use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Paging, Stream, draw_items};
 use crate::ingest::IngestOptions;
+use crate::recording;
+use crate::work::Quarantine;
 
 /// Tables that composed edits depend on.
 pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
@@ -306,7 +304,7 @@ pub fn train_stream(
 /// Records whole-clip triplets of the training stream as a dataset of their own.
 ///
 /// # Errors
-/// The training split cannot be composed, or the folder cannot be written.
+/// As [`recording::record`].
 pub fn triplets(
     root: &Path,
     out: &Path,
@@ -315,31 +313,19 @@ pub fn triplets(
     seed: Seed,
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
-    let dataset = Dataset::open(root)?;
-    let (stream, _) = train_stream(&dataset, config, seed, None)?;
-    let inputs = (dataset.content_hash(&COMPOSED), config, seed, count);
-    let plan = plan_hash("triplets", &inputs);
-    context.progress.begin("triplets", Some(count));
-    let rows: Vec<TripletRow> = (0..count)
-        .into_par_iter()
-        .map(|number| {
-            let (epoch, item) = (number / stream.epoch_len(), number % stream.epoch_len());
-            let row = stream.triplet(epoch, item)?.to_row();
-            context.progress.advance(1);
-            Ok(row)
-        })
-        .collect::<Result<_, Error>>()?;
-    context
-        .progress
-        .finish(&format!("{count} triplets composed"));
-    let skeleton = dataset.skeleton()?;
-    context.commit(out, &rows, Some(|row| row.split), &skeleton, &plan)
+    let settings = recording::Settings {
+        kind: recording::Kind::Triplets,
+        count,
+        config: config.clone(),
+        seed,
+    };
+    recording::record(root, out, &settings, context)
 }
 
 /// Records windows of the training stream as a dataset of their own, with their normaliser.
 ///
 /// # Errors
-/// The training split cannot be composed, or the folder cannot be written.
+/// As [`recording::record`].
 pub fn windows(
     root: &Path,
     out: &Path,
@@ -348,34 +334,13 @@ pub fn windows(
     seed: Seed,
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
-    let dataset = Dataset::open(root)?;
-    let (stream, normalizer) = train_stream(&dataset, config, seed, None)?;
-    let inputs = (dataset.content_hash(&COMPOSED), config, seed, count);
-    let plan = plan_hash("windows", &inputs);
-    context.progress.begin("windows", Some(count));
-    let skeleton = dataset.skeleton()?;
-    let make = |windows: Range<u64>| -> Result<Vec<WindowRow>, Error> {
-        let mut rows = Vec::new();
-        stream.for_each_recorded(windows, |row: WindowRow, _, _| {
-            rows.push(row);
-            context.progress.advance(1);
-        })?;
-        Ok(rows)
+    let settings = recording::Settings {
+        kind: recording::Kind::Windows,
+        count,
+        config: config.clone(),
+        seed,
     };
-    commit_table::<WindowRow, Error>(out, &skeleton, &plan, context.holder, |transaction| {
-        let facts = table_facts(&skeleton, &plan);
-        transaction.write_made(Some(Split::Train), count, make, &facts)
-    })?;
-    context
-        .progress
-        .finish(&format!("{count} windows recorded"));
-    let rows = [NormalizerRow::new(
-        &normalizer,
-        &config.range_settings(),
-        &plan,
-    )];
-    let plan = plan_hash("normalizers", &(&plan, &rows[0].id));
-    context.commit(out, &rows, None, &skeleton, &plan)
+    recording::record(root, out, &settings, context)
 }
 
 /// Whether the training split can teach a coordinator: composing takes motions of two sources.
@@ -446,9 +411,25 @@ pub fn commit_edits(
     holder: &str,
 ) -> Result<Dataset, Error> {
     let transaction = Transaction::begin(out, holder)?;
+    let none = Quarantine::default();
+    commit_edits_in(transaction, items, edits, skeleton, plan_hash, &none)
+}
+
+/// [`commit_edits`] within a transaction that has begun, with the pieces that failed.
+///
+/// # Errors
+/// The folder cannot be written.
+pub fn commit_edits_in(
+    transaction: Transaction,
+    items: &[ItemRow],
+    edits: &[EditRow],
+    skeleton: &Skeleton,
+    plan_hash: &str,
+    quarantine: &Quarantine,
+) -> Result<Dataset, Error> {
     let item_split: fn(&ItemRow) -> Split = |row| row.split;
     let edit_split: fn(&EditRow) -> Split = |row| row.split;
-    let tables = [
+    let mut tables = BTreeMap::from([
         (
             ItemRow::TABLE.to_owned(),
             transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?,
@@ -457,32 +438,34 @@ pub fn commit_edits(
             EditRow::TABLE.to_owned(),
             transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?,
         ),
-    ];
+    ]);
+    let facts = table_facts(skeleton, plan_hash);
+    let accounting = quarantine.write(&transaction, &mut tables, &facts)?;
     Ok(transaction.commit(Commit {
-        tables: tables.into(),
+        tables,
         plan_hash: plan_hash.to_owned(),
         skeleton: skeleton.clone(),
+        accounting,
         ..Commit::default()
     })?)
 }
 
-/// Commits candidate pairs and their motions as a dataset.
+/// Commits candidate pairs and their motions as a dataset, with the pieces that failed.
 /// `facts` tells how they were made.
 ///
 /// # Errors
-/// The folder is locked or cannot be written.
+/// The folder cannot be written.
 pub fn commit_candidates(
-    out: &Path,
+    transaction: Transaction,
     candidates: &Candidates,
     facts: BTreeMap<String, String>,
     skeleton: &Skeleton,
     plan_hash: &str,
-    holder: &str,
+    quarantine: &Quarantine,
 ) -> Result<Dataset, Error> {
-    let transaction = Transaction::begin(out, holder)?;
     let motion_split: fn(&MotionRow) -> Split = |row| row.split;
     let pair_split: fn(&PairRow) -> Split = |row| row.split;
-    let tables = [
+    let mut tables = BTreeMap::from([
         (
             MotionRow::TABLE.to_owned(),
             transaction.write_rows(&candidates.motions, Some(motion_split), skeleton, plan_hash)?,
@@ -491,11 +474,14 @@ pub fn commit_candidates(
             PairRow::TABLE.to_owned(),
             transaction.write_rows(&candidates.pairs, Some(pair_split), skeleton, plan_hash)?,
         ),
-    ];
+    ]);
+    let table_facts = table_facts(skeleton, plan_hash);
+    let accounting = quarantine.write(&transaction, &mut tables, &table_facts)?;
     Ok(transaction.commit(Commit {
-        tables: tables.into(),
+        tables,
         plan_hash: plan_hash.to_owned(),
         skeleton: skeleton.clone(),
+        accounting,
         facts,
         ..Commit::default()
     })?)

@@ -12,6 +12,7 @@ use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
 use pipeline::open::{clip_of_file, stored_clip};
 use pipeline::stage::commit_edits;
+use pipeline::work::Plan;
 use pipeline::write::replace_file;
 use train::checkpoint::Slot;
 use train::history::EditHistory;
@@ -21,12 +22,13 @@ use train::system::{
     Answers, EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource,
     edit_layers, edit_motion, whole,
 };
+use train::work::edits::plan_edits;
 
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
-use crate::session::{text_encoder, with_session};
+use crate::session::{surroundings, text_encoder, with_session};
 use crate::stages::{self, note_remarks, per_window};
 
 /// Edit motions by instruction with a trained editor.
@@ -170,6 +172,28 @@ impl Args {
             &self.config(),
             skeleton,
             &device(),
+        )?)
+    }
+}
+
+impl Args {
+    /// Plans the answers to items for any number of processes.
+    pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
+        self.device.choose()?;
+        let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
+            bail!("answers to items are planned: --items ITEMS --into DIR");
+        };
+        let settings = (&self.config(), global.seed());
+        let device = self.device.to_json()?;
+        let surroundings = surroundings();
+        Ok(plan_edits(
+            &self.source(),
+            items,
+            out,
+            settings,
+            device,
+            surroundings,
+            plan,
         )?)
     }
 }

@@ -11,12 +11,17 @@ use datasets_spec::store::temporary_beside;
 use pipeline::work::{
     self, CommitOptions, Failed, Jobs, Outcome, Piece, Plan, Record, Sample, Worker,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use train::sample::EditTimes;
+use train::work::{Surroundings, device_of, edits, variants};
 
 use crate::cmd;
+use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
+use crate::session::surroundings;
+use crate::stages::per_window;
 
 /// Do a long job in pieces: by many processes on any number of machines, with the same result.
 ///
@@ -53,7 +58,13 @@ struct PlanArgs {
 #[derive(clap::Subcommand, Debug)]
 enum JobArgs {
     #[command(mut_arg("out", |arg| arg.long("into")))]
-    Ingest(cmd::ingest::Args),
+    Ingest(Box<cmd::ingest::Args>),
+    #[command(mut_arg("out", |arg| arg.long("into")))]
+    Triplets(Box<cmd::triplets::Args>),
+    #[command(mut_arg("out", |arg| arg.long("into")))]
+    Edit(Box<cmd::edit::Args>),
+    #[command(mut_arg("out", |arg| arg.long("into")))]
+    Variants(Box<cmd::variants::Args>),
 }
 
 /// Make pieces of a plan. Pieces that are there are passed over.
@@ -137,6 +148,23 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 /// The jobs of this program.
 fn jobs() -> Jobs {
     Jobs::default()
+        .with(
+            edits::JOB,
+            Box::new(|plan| edits::open_job(plan, of_plan(plan)?)),
+        )
+        .with(
+            variants::JOB,
+            Box::new(|plan| variants::open_job(plan, of_plan(plan)?)),
+        )
+}
+
+/// Chooses the device that a plan names.
+fn of_plan(plan: &Plan) -> Result<Surroundings, Failed> {
+    let failed = |error: anyhow::Error| Failed::new("E-DEVICE", format!("{error:#}"));
+    let device = device_of(plan)?;
+    let device = DeviceArgs::from_json(device).map_err(failed)?;
+    device.choose().map_err(failed)?;
+    Ok(surroundings())
 }
 
 /// The `--json` document of `plan`.
@@ -165,6 +193,9 @@ fn plan(args: &PlanArgs, global: &Global) -> anyhow::Result<Exit> {
     let make = |folder: &Path| -> anyhow::Result<Plan> {
         match &args.job {
             JobArgs::Ingest(args) => args.plan(folder, global),
+            JobArgs::Triplets(args) => args.plan(folder, global),
+            JobArgs::Edit(args) => args.plan(folder, global),
+            JobArgs::Variants(args) => args.plan(folder, global),
         }
     };
     if args.dry_run {
@@ -395,12 +426,22 @@ fn ended(status: ExitStatus) -> String {
     format!("the process that made this piece ended without a record ({status})")
 }
 
+/// What a commit of edits notes.
+#[derive(Deserialize)]
+struct TimesOf {
+    times: EditTimes,
+}
+
 fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
     let options = CommitOptions {
         quarantine_failed: args.quarantine_failed,
         holder: global.holder(),
     };
     let done = work::commit(&args.plan, &jobs(), &options, &global.bars())?;
+    // As `stance edit` does.
+    if let Ok(TimesOf { times }) = TimesOf::deserialize(&done.notes) {
+        per_window(&times).write(&done.destination)?;
+    }
     let quarantined = done
         .accounting
         .as_ref()

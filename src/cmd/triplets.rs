@@ -1,8 +1,8 @@
 //! `stance triplets`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use datasets_spec::record::{TripletRow, WindowRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
@@ -10,7 +10,9 @@ use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
 use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
+use pipeline::recording::{Kind, Settings, plan_recording};
 use pipeline::stage;
+use pipeline::work::Plan;
 use serde::Serialize;
 use serde_json::Value;
 use train::config::overlay;
@@ -245,6 +247,26 @@ struct Explained {
     recipe_hash: String,
     original_hash: String,
     edited_hash: String,
+}
+
+impl Args {
+    /// Plans the recording for any number of processes.
+    pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
+        let (Some(root), Some(out)) = (&self.dataset, &self.out) else {
+            bail!("a recording is planned from a dataset: DATASET --into DIR");
+        };
+        let (kind, count) = match self.windows {
+            Some(count) => (Kind::Windows, count),
+            None => (Kind::Triplets, self.count),
+        };
+        let settings = Settings {
+            kind,
+            count,
+            config: self.compose.config()?,
+            seed: global.seed(),
+        };
+        Ok(plan_recording(root, out, &settings, plan)?)
+    }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {

@@ -7,17 +7,19 @@ use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
 use pipeline::annotation::variants::{VariantConfig, VariantCounts};
+use pipeline::work::Plan;
 use serde::Serialize;
 use train::mld::LatentNoise;
 use train::stage::variants::{
     Instructions, MakeVariants, VariantReport, make_variants, pair_variants,
 };
+use train::work::variants::plan_variants;
 
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
-use crate::session::{text_encoder, with_session};
+use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
 ///
@@ -85,27 +87,55 @@ struct Document {
     root_hash: String,
 }
 
+impl Args {
+    fn filter(&self) -> VariantConfig {
+        VariantConfig {
+            min_distance_m: self.min_distance,
+            max_distance_m: self.max_distance,
+            max_foot_skate: self.max_skate,
+            max_bone_drift_m: self.max_drift,
+        }
+    }
+
+    fn config(&self) -> MakeVariants {
+        MakeVariants {
+            count: self.count,
+            variants: self.variants,
+            noise: match self.relative_noise {
+                Some(share) => LatentNoise::Relative(share),
+                None => LatentNoise::Absolute(self.noise),
+            },
+            filter: self.filter(),
+        }
+    }
+
+    /// Plans the variants for any number of processes.
+    pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
+        self.device.choose()?;
+        let (Some(generator), Some(instructions)) = (&self.generator, &self.instructions) else {
+            bail!(
+                "variants of a generator are planned: --generator RUN --instructions FILE|captions"
+            );
+        };
+        Ok(plan_variants(
+            [&self.dataset, generator, &self.out].map(PathBuf::as_path),
+            &read_instructions(instructions)?,
+            (&self.config(), global.seed()),
+            self.text_encoder.as_deref(),
+            self.device.to_json()?,
+            &surroundings(),
+            plan,
+        )?)
+    }
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.device.choose()?;
-    let filter = VariantConfig {
-        min_distance_m: args.min_distance,
-        max_distance_m: args.max_distance,
-        max_foot_skate: args.max_skate,
-        max_bone_drift_m: args.max_drift,
-    };
     let holder = global.holder();
     let made = match (&args.generator, &args.instructions) {
         (Some(generator), Some(instructions)) => {
             let instructions = read_instructions(instructions)?;
-            let config = MakeVariants {
-                count: args.count,
-                variants: args.variants,
-                noise: match args.relative_noise {
-                    Some(share) => LatentNoise::Relative(share),
-                    None => LatentNoise::Absolute(args.noise),
-                },
-                filter,
-            };
+            let config = args.config();
             let folders = [&args.dataset, generator, &args.out].map(PathBuf::as_path);
             let encoder = text_encoder(args.text_encoder.as_deref());
             with_session(&global.bars(), |session| {
@@ -120,7 +150,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 )
             })?
         }
-        _ => pair_variants(&args.dataset, &args.out, &filter, &holder)?,
+        _ => pair_variants(&args.dataset, &args.out, &args.filter(), &holder)?,
     };
     print(&made, global)
 }

@@ -13,7 +13,7 @@ use crate::train::Workshop;
 use crate::util::{arg, stance};
 
 /// Settings of a generator that is trained in a second.
-const SMALL: &str = "
+pub(crate) const SMALL: &str = "
     batch_size = 8
     val_every = 3
     diffusion_steps = 40
@@ -34,7 +34,7 @@ const SMALL: &str = "
 ";
 
 /// Bounds that pairs of an untrained network keep.
-const ANY: [&str; 8] = [
+pub(crate) const ANY: [&str; 8] = [
     "--min-distance",
     "0",
     "--max-distance",

@@ -90,6 +90,7 @@ pub mod tmr;
 pub mod trainer;
 pub mod transfer;
 pub mod vocabulary;
+pub mod work;
 
 pub use error::Error;
 pub use session::Session;

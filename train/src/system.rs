@@ -18,7 +18,7 @@ use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
 /// An editing system, ready to edit motions on one skeleton.
-pub trait EditSystem {
+pub trait EditSystem: Send {
     /// Name, weights and settings, as rows of edits record them.
     fn identity(&self) -> &SystemIdentity;
 
@@ -433,6 +433,42 @@ pub struct Answers {
     pub remarks: Remarks,
 }
 
+/// Warnings about edits of items.
+///
+/// # Errors
+/// An item has no frame rate.
+pub fn remarks_of(system: &dyn EditSystem, items: &[ItemRow]) -> Result<Remarks, Error> {
+    let motions = items
+        .iter()
+        .map(|item| {
+            let frames = usize::try_from(item.source_frames).unwrap_or(0);
+            Ok((frames, Fps::new(f64::from(item.fps))?))
+        })
+        .collect::<Result<Vec<_>, datasets_spec::Error>>()?;
+    let texts: Vec<&str> = items.iter().map(|item| item.instruction.as_str()).collect();
+    Ok(system.remarks(&motions, &texts))
+}
+
+/// Hash of everything that decides about the edits of items.
+pub(crate) fn edits_plan(
+    items: &[ItemRow],
+    identity: &SystemIdentity,
+    seed: Seed,
+    takes: u64,
+) -> String {
+    let ids: Vec<&str> = items.iter().map(|row| row.id.as_str()).collect();
+    let inputs = (
+        ids,
+        &identity.checkpoint_hash,
+        &identity.name,
+        &identity.settings,
+        seed,
+        takes,
+    );
+    // The number counts changes of what the table holds.
+    plan_hash("edits-5", &inputs)
+}
+
 /// Edits the items of a folder and commits items and edits as a dataset of their own. Take `n` of
 /// `takes` is sampled with `seed + n`. A table made by the same plan is kept.
 ///
@@ -448,27 +484,8 @@ pub fn answer_items(
     session: &Session<'_>,
 ) -> Result<Answers, Error> {
     let rows = items.items()?;
-    let motions = rows
-        .iter()
-        .map(|item| {
-            let frames = usize::try_from(item.source_frames).unwrap_or(0);
-            Ok((frames, Fps::new(f64::from(item.fps))?))
-        })
-        .collect::<Result<Vec<_>, datasets_spec::Error>>()?;
-    let texts: Vec<&str> = rows.iter().map(|item| item.instruction.as_str()).collect();
-    let remarks = system.remarks(&motions, &texts);
-    let identity = system.identity();
-    let ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
-    let inputs = (
-        ids,
-        &identity.checkpoint_hash,
-        &identity.name,
-        &identity.settings,
-        seed,
-        takes,
-    );
-    // The number counts changes of what the table holds.
-    let plan = plan_hash("edits-5", &inputs);
+    let remarks = remarks_of(system, &rows)?;
+    let plan = edits_plan(&rows, system.identity(), seed, takes);
     if let Ok(done) = Dataset::open_unverified(out)
         && done.manifest().plan(EditRow::TABLE) == plan
     {
@@ -478,7 +495,7 @@ pub fn answer_items(
             remarks,
         });
     }
-    let texts: Vec<String> = texts.into_iter().map(str::to_owned).collect();
+    let texts: Vec<String> = rows.iter().map(|item| item.instruction.clone()).collect();
     system.prepare(&texts, session)?;
     let mut times = EditTimes::default();
     let mut edits = Vec::new();

@@ -20,6 +20,6 @@ mod transaction;
 pub use commit::{commit_rows, commit_table};
 pub use layout::ShardName;
 pub use open::Dataset;
-pub use shards::table_facts;
+pub use shards::{SHARD_ROWS, table_facts};
 pub use staging::Staging;
 pub use transaction::{Commit, Pruned, Transaction};

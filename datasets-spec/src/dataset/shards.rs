@@ -13,7 +13,7 @@ use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
 /// Rows of a shard: a few hundred MB of motion at most.
-const SHARD_ROWS: u64 = 4096;
+pub const SHARD_ROWS: u64 = 4096;
 
 /// Facts that the files of a table carry.
 pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, String); 2] {

@@ -36,6 +36,8 @@ pub struct Commit {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Hash of the plan that made them.
     pub plan_hash: String,
+    /// Hashes of the plans of tables that have one of their own.
+    pub plans: BTreeMap<String, String>,
     /// The skeleton motions are posed on.
     pub skeleton: Skeleton,
     /// Counts of the sources, for a run that read any.
@@ -194,6 +196,7 @@ impl Transaction {
                 .plans
                 .insert(table.clone(), commit.plan_hash.clone());
         }
+        manifest.plans.extend(commit.plans);
         manifest.tables.extend(commit.tables);
         manifest.facts.extend(commit.facts);
         if let Some(accounting) = commit.accounting {

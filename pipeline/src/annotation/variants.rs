@@ -6,7 +6,7 @@ use datasets_spec::record::{CAPTION_BY_SOURCE, MotionRow, PairRow};
 use datasets_spec::table::Caption;
 use datasets_spec::{Motion, MotionId, Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::check::{FLAG_FLOOR_PENETRATION, FLAG_NO_CONTACT, check};
 use crate::clip::{Rejected, RotationSource};
@@ -16,7 +16,7 @@ use crate::feature::humanml3d::{Joints, joints_of_motion};
 pub const SOURCE: &str = "variants-1";
 
 /// Bounds within which two variants are a candidate pair.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VariantConfig {
     /// Root mean square distance in metres between their joints below which two variants are identical.
     pub min_distance_m: f64,
@@ -61,7 +61,7 @@ pub struct VariantGroup {
 }
 
 /// What became of variants. Each pair is counted once, by the first bound that it breaks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VariantCounts {
     /// Motions that variants were made of.
     pub bases: usize,
@@ -240,6 +240,35 @@ enum Verdict {
     Drifting,
     Floating,
     Kept,
+}
+
+impl std::ops::AddAssign for VariantCounts {
+    fn add_assign(&mut self, other: Self) {
+        let Self {
+            bases,
+            variants,
+            unpaired,
+            broken,
+            lengths,
+            identical,
+            different,
+            sliding,
+            drifting,
+            floating,
+            kept,
+        } = self;
+        *bases += other.bases;
+        *variants += other.variants;
+        *unpaired += other.unpaired;
+        *broken += other.broken;
+        *lengths += other.lengths;
+        *identical += other.identical;
+        *different += other.different;
+        *sliding += other.sliding;
+        *drifting += other.drifting;
+        *floating += other.floating;
+        *kept += other.kept;
+    }
 }
 
 impl VariantCounts {

@@ -244,11 +244,7 @@ impl Job for Ingestion {
                 Ok(made) => made,
                 Err(failed) => return Ok(Err(failed)),
             };
-            let notes: ShardNotes =
-                serde_json::from_value(notes).map_err(|error| Error::BadPlan {
-                    path: plan.path().to_owned(),
-                    reason: format!("piece {} has unknown notes: {error}", finished.piece.name),
-                })?;
+            let notes: ShardNotes = work::notes(plan, &finished.piece, notes)?;
             let shard = files.into_iter().next().ok_or_else(|| Error::BadPlan {
                 path: plan.path().to_owned(),
                 reason: format!("piece {} has no shard", finished.piece.name),

@@ -341,6 +341,7 @@ impl<'a> Run<'a> {
             facts,
             fresh: true,
             carried,
+            ..Commit::default()
         })?;
         Ok(IngestReport {
             dataset,

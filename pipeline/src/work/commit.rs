@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Progress;
-use datasets_spec::manifest::{Accounting, Manifest};
+use datasets_spec::manifest::{Accounting, FileEntry, Manifest};
+use datasets_spec::record::QuarantineRow;
+use datasets_spec::table::Row;
+use datasets_spec::{Progress, Transaction};
 use rayon::prelude::*;
 use serde::Serialize;
+use serde_json::Value;
 
 use super::job::{Finished, Jobs, Made};
 use super::plan::{Piece, Plan, State};
@@ -24,7 +27,7 @@ pub struct CommitOptions {
 }
 
 /// What a commit did.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Committed {
     /// The destination.
     pub destination: PathBuf,
@@ -40,6 +43,9 @@ pub struct Committed {
     pub accounting: Option<Accounting>,
     /// Hash over all files.
     pub root_hash: String,
+    /// What the job says of the result.
+    #[serde(skip_serializing_if = "Value::is_null")]
+    pub notes: Value,
 }
 
 impl Committed {
@@ -56,6 +62,7 @@ impl Committed {
                 .collect(),
             accounting: (manifest.accounting.sources > 0).then(|| manifest.accounting.clone()),
             root_hash: manifest.root_hash.clone(),
+            notes: Value::Null,
         }
     }
 }
@@ -224,4 +231,70 @@ fn already_committed(plan: &Plan) -> Result<Committed, Error> {
         already_committed: true,
         ..Committed::of(plan, dataset.manifest())
     })
+}
+
+/// Pieces that failed, as rows of the table of quarantined items: for jobs whose items are no sources.
+#[derive(Clone, Debug, Default)]
+pub struct Quarantine {
+    rows: Vec<QuarantineRow>,
+    pieces: u64,
+}
+
+impl Quarantine {
+    /// Separates the pieces that failed from the others.
+    pub fn of(pieces: Vec<Finished>) -> (Vec<(Piece, Made)>, Self) {
+        let mut quarantine = Self {
+            rows: Vec::new(),
+            pieces: pieces.len() as u64,
+        };
+        let mut made = Vec::new();
+        for Finished {
+            piece,
+            made: result,
+        } in pieces
+        {
+            match result {
+                Ok(result) => made.push((piece, result)),
+                Err(Failed { code, reason }) => quarantine.rows.push(QuarantineRow {
+                    path: piece.name,
+                    source_hash: String::new(),
+                    inputs_hash: String::new(),
+                    code,
+                    reason,
+                    byte_offset: None,
+                    stage: "piece".to_owned(),
+                }),
+            }
+        }
+        (made, quarantine)
+    }
+
+    /// Adds the table to those of a commit, and returns the counts; nothing where no piece failed.
+    ///
+    /// # Errors
+    /// The table cannot be written.
+    pub fn write(
+        &self,
+        transaction: &Transaction,
+        tables: &mut BTreeMap<String, Vec<FileEntry>>,
+        facts: &[(&str, String)],
+    ) -> Result<Option<Accounting>, Error> {
+        if self.rows.is_empty() {
+            return Ok(None);
+        }
+        let files = transaction.write_shards(None, &self.rows, facts)?;
+        tables.insert(QuarantineRow::TABLE.to_owned(), files);
+        let mut codes = BTreeMap::new();
+        for row in &self.rows {
+            *codes.entry(row.code.clone()).or_default() += 1;
+        }
+        let quarantined = self.rows.len() as u64;
+        Ok(Some(Accounting {
+            sources: self.pieces,
+            ingested: self.pieces - quarantined,
+            quarantined,
+            skipped: 0,
+            codes,
+        }))
+    }
 }

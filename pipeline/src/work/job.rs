@@ -6,12 +6,13 @@ use datasets_spec::Progress;
 use datasets_spec::dataset::Staging;
 use datasets_spec::manifest::FileEntry;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use super::commit::{CommitOptions, Committed};
 use super::plan::{Piece, Plan};
 use super::record::Failed;
-use crate::{Error, ingest};
+use crate::{Error, ingest, recording};
 
 /// A job whose plan was made: what all its pieces share.
 pub trait Job: Send + Sync {
@@ -72,6 +73,17 @@ pub struct Finished {
     pub made: Result<Made, Failed>,
 }
 
+/// What a piece notes for the commit.
+///
+/// # Errors
+/// The notes are those of another job.
+pub fn notes<T: DeserializeOwned>(plan: &Plan, piece: &Piece, notes: Value) -> Result<T, Error> {
+    serde_json::from_value(notes).map_err(|error| Error::BadPlan {
+        path: plan.path().to_owned(),
+        reason: format!("piece {} has unknown notes: {error}", piece.name),
+    })
+}
+
 /// Opens the job of a plan.
 pub type Open = Box<dyn Fn(&Plan) -> Result<Box<dyn Job>, Failed> + Send + Sync>;
 
@@ -81,7 +93,9 @@ pub struct Jobs(BTreeMap<&'static str, Open>);
 impl Default for Jobs {
     /// The jobs of this crate.
     fn default() -> Self {
-        Self(BTreeMap::new()).with(ingest::JOB, Box::new(ingest::open_job))
+        Self(BTreeMap::new())
+            .with(ingest::JOB, Box::new(ingest::open_job))
+            .with(recording::JOB, Box::new(recording::open_job))
     }
 }
 

@@ -35,10 +35,11 @@ mod plan;
 mod record;
 mod worker;
 
-pub use self::commit::{CommitOptions, Committed, Status, commit, status};
-pub use self::job::{Finished, Job, Jobs, Made, Open};
+pub use self::commit::{CommitOptions, Committed, Quarantine, Status, commit, status};
+pub use self::job::{Finished, Job, Jobs, Made, Open, notes};
 pub use self::plan::{Draft, Piece, Plan, State};
-pub(crate) use self::plan::{absolute, base_of, hash_file, read_json, write_json, write_table};
+pub use self::plan::{absolute, base_of};
+pub(crate) use self::plan::{hash_file, read_json, write_json, write_table};
 pub use self::record::{Failed, Outcome, Record};
 pub(crate) use self::record::{keep, staged};
 pub use self::worker::{Sample, Worker};

@@ -140,7 +140,7 @@ pub struct Draft {
 }
 
 /// Number and tables of the version that a plan starts from.
-pub(crate) fn base_of(manifest: Option<&Manifest>) -> (u64, BTreeSet<String>) {
+pub fn base_of(manifest: Option<&Manifest>) -> (u64, BTreeSet<String>) {
     let tables = manifest.into_iter().flat_map(|base| base.tables.keys());
     let version = manifest.map_or(0, |base| base.version);
     (version, tables.cloned().collect())
@@ -235,7 +235,10 @@ pub(crate) fn hash_file(path: &Path) -> Result<String, Error> {
 }
 
 /// A path that means the same for every worker.
-pub(crate) fn absolute(path: &Path) -> Result<PathBuf, Error> {
+///
+/// # Errors
+/// The path is empty, or the current folder is gone.
+pub fn absolute(path: &Path) -> Result<PathBuf, Error> {
     if is_url(path) {
         return Ok(path.to_owned());
     }

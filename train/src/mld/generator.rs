@@ -7,7 +7,7 @@ use datasets_spec::Seed;
 use pipeline::feature::humanml3d::Features;
 use rand::RngExt;
 use rand_distr::StandardNormal;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::autoencoder::Autoencoder;
 use super::diffusion::{MldRecord, WEIGHTS};
@@ -36,7 +36,7 @@ pub struct Base {
 }
 
 /// Standard deviation of the noise between the latent vectors of variants.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LatentNoise {
     /// In units of the latent space, as published.

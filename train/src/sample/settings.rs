@@ -54,7 +54,7 @@ pub struct EditSettings {
 ///
 /// # Source
 /// The columns of the paper's Table A4.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EditTimes {
     /// Seconds in the denoiser and the reverse steps.
     pub diffusion_secs: f64,

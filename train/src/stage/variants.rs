@@ -1,12 +1,13 @@
 //! Candidates of fine-grained pairs: variants that MLD makes of captions or of a list of instructions.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use burn::tensor::Device;
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, MotionId, Seed, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, MotionId, Seed, Skeleton, Split, Transaction};
 use pipeline::annotation::variants::{
     Candidates, Variant, VariantConfig, VariantCounts, VariantGroup, candidates, generated_row,
     groups_of_motions,
@@ -14,10 +15,11 @@ use pipeline::annotation::variants::{
 use pipeline::feature::humanml3d::{Features, recover_joints};
 use pipeline::feature::motion_of_joints;
 use pipeline::stage::commit_candidates;
+use pipeline::work::Quarantine;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::humanml3d::mean_bone_drift_m;
 use crate::mld::{Base, Generator, LatentNoise};
@@ -31,7 +33,8 @@ const BATCH: usize = 32;
 const LENGTH_UNIT: usize = 4;
 
 /// What variants are made of.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Instructions {
     /// The captions of the dataset's clips, each once, as long as its clip.
     Captions,
@@ -40,7 +43,7 @@ pub enum Instructions {
 }
 
 /// How variants are made.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MakeVariants {
     /// Maximum number of instructions, drawn by the seed; `None` for all.
     pub count: Option<usize>,
@@ -97,51 +100,154 @@ pub fn make_variants(
     holder: &str,
     session: &Session<'_>,
 ) -> Result<VariantReport, Error> {
-    let dataset = Dataset::open(root)?;
-    let skeleton = dataset.skeleton()?;
-    let mut generator = Generator::load(run, session.device)?;
-    let bases = bases(&dataset, instructions, config, generator.frames(), seed)?;
-    let texts: Vec<String> = bases.iter().map(|(base, _)| base.text.clone()).collect();
-    let made_of: Vec<(&str, usize, Split)> = bases
-        .iter()
-        .map(|(base, split)| (base.text.as_str(), base.frames, *split))
-        .collect();
-    let inputs = (generator.hash(), made_of, config, seed, skeleton.hash());
-    let plan = plan_hash("variants-1", &inputs);
-    let latent_std = Some(generator.latent_std());
-    if let Some(dataset) = made_before(out, &plan)? {
+    let mut making = Making::open([root, run], instructions, config, seed, session.device)?;
+    let latent_std = Some(making.generator.latent_std());
+    if let Some(dataset) = made_before(out, &making.plan_hash)? {
         return Ok(VariantReport {
             dataset,
             counts: None,
             latent_std,
         });
     }
-    generator.prepare(run, &texts, text_encoder, session)?;
+    making.prepare(text_encoder, session)?;
     let progress = session.progress;
-    progress.begin("variants", Some(bases.len() as u64));
-    let mut groups = Vec::with_capacity(bases.len());
-    for batch in bases.chunks(BATCH) {
-        let of_batch: Vec<Base> = batch.iter().map(|(base, _)| base.clone()).collect();
-        let noise = config.noise;
-        let features = generator.variants(&of_batch, config.variants, noise, seed, session)?;
-        for ((base, split), variants) in batch.iter().zip(features) {
-            groups.push(group(base, *split, &variants, &generator, &skeleton)?);
-            progress.advance(1);
-        }
+    progress.begin("variants", Some(making.bases.len() as u64));
+    let mut made = Candidates::default();
+    for batch in 0..making.num_batches() {
+        let Candidates {
+            motions,
+            pairs,
+            counts,
+        } = making.batch(batch, usize::MAX, session)?;
+        made.motions.extend(motions);
+        made.pairs.extend(pairs);
+        made.counts += counts;
+        progress.advance(making.batch_len(batch) as u64);
     }
-    let made = candidates(groups, &config.filter, &skeleton)?;
     progress.finish(&format!("{} candidate pairs", made.pairs.len()));
-    let facts = BTreeMap::from([
-        ("generator".to_owned(), generator.hash().to_owned()),
-        ("generator_seed".to_owned(), seed.0.to_string()),
-        variants_fact(config),
-    ]);
-    let dataset = commit_candidates(out, &made, facts, &skeleton, &plan, holder)?;
+    let transaction = Transaction::begin(out, holder)?;
+    let dataset = making.commit(transaction, &made, &Quarantine::default())?;
     Ok(VariantReport {
         dataset,
         counts: Some(made.counts),
         latent_std,
     })
+}
+
+/// A generator with what it makes variants of.
+pub(crate) struct Making {
+    generator: Generator,
+    run: PathBuf,
+    skeleton: Skeleton,
+    bases: Vec<(Base, Split)>,
+    config: MakeVariants,
+    seed: Seed,
+    plan_hash: String,
+}
+
+impl Making {
+    pub(crate) fn open(
+        [root, run]: [&Path; 2],
+        instructions: &Instructions,
+        config: &MakeVariants,
+        seed: Seed,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let dataset = Dataset::open(root)?;
+        let skeleton = dataset.skeleton()?;
+        let generator = Generator::load(run, device)?;
+        let bases = bases(&dataset, instructions, config, generator.frames(), seed)?;
+        let made_of: Vec<(&str, usize, Split)> = bases
+            .iter()
+            .map(|(base, split)| (base.text.as_str(), base.frames, *split))
+            .collect();
+        let inputs = (generator.hash(), made_of, config, seed, skeleton.hash());
+        Ok(Self {
+            plan_hash: plan_hash("variants-1", &inputs),
+            generator,
+            run: run.to_owned(),
+            skeleton,
+            bases,
+            config: *config,
+            seed,
+        })
+    }
+
+    pub(crate) fn plan_hash(&self) -> &str {
+        &self.plan_hash
+    }
+
+    pub(crate) fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
+    }
+
+    pub(crate) fn num_batches(&self) -> usize {
+        self.bases.len().div_ceil(BATCH)
+    }
+
+    pub(crate) fn batch_len(&self, batch: usize) -> usize {
+        self.bases.chunks(BATCH).nth(batch).map_or(0, <[_]>::len)
+    }
+
+    /// Prepares the generator for the texts.
+    pub(crate) fn prepare(
+        &mut self,
+        text_encoder: &TextEncoderSource,
+        session: &Session<'_>,
+    ) -> Result<(), Error> {
+        let texts: Vec<String> = self
+            .bases
+            .iter()
+            .map(|(base, _)| base.text.clone())
+            .collect();
+        self.generator
+            .prepare(&self.run, &texts, text_encoder, session)
+    }
+
+    /// The candidates of the first `most` bases of a batch.
+    pub(crate) fn batch(
+        &self,
+        batch: usize,
+        most: usize,
+        session: &Session<'_>,
+    ) -> Result<Candidates, Error> {
+        let batch = self.bases.chunks(BATCH).nth(batch).unwrap_or_default();
+        let batch = &batch[..batch.len().min(most)];
+        let bases: Vec<Base> = batch.iter().map(|(base, _)| base.clone()).collect();
+        let (count, noise) = (self.config.variants, self.config.noise);
+        let features = self
+            .generator
+            .variants(&bases, count, noise, self.seed, session)?;
+        let groups = batch.iter().zip(features);
+        let groups = groups.map(|((base, split), variants)| {
+            group(base, *split, &variants, &self.generator, &self.skeleton)
+        });
+        let groups = groups.collect::<Result<Vec<_>, Error>>()?;
+        Ok(candidates(groups, &self.config.filter, &self.skeleton)?)
+    }
+
+    /// Commits all candidates.
+    pub(crate) fn commit(
+        &self,
+        transaction: Transaction,
+        made: &Candidates,
+        quarantine: &Quarantine,
+    ) -> Result<Dataset, Error> {
+        let facts = BTreeMap::from([
+            ("generator".to_owned(), self.generator.hash().to_owned()),
+            ("generator_seed".to_owned(), self.seed.0.to_string()),
+            variants_fact(&self.config),
+        ]);
+        let (skeleton, plan) = (&self.skeleton, &self.plan_hash);
+        Ok(commit_candidates(
+            transaction,
+            made,
+            facts,
+            skeleton,
+            plan,
+            quarantine,
+        )?)
+    }
 }
 
 /// Pairs variants that were made elsewhere: motions of a dataset whose ids share a folder, as
@@ -177,7 +283,9 @@ pub fn pair_variants(
     }
     let made: Candidates = candidates(groups, config, &skeleton)?;
     let facts = BTreeMap::from([variants_fact(config)]);
-    let dataset = commit_candidates(out, &made, facts, &skeleton, &plan, holder)?;
+    let transaction = Transaction::begin(out, holder)?;
+    let none = Quarantine::default();
+    let dataset = commit_candidates(transaction, &made, facts, &skeleton, &plan, &none)?;
     Ok(VariantReport {
         dataset,
         counts: Some(made.counts),
@@ -193,7 +301,7 @@ fn variants_fact(config: &impl Serialize) -> (String, String) {
 
 /// The dataset of candidates, if it was made by the plan. Another dataset is not replaced, because people may
 /// have described its pairs.
-fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
+pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
     match Dataset::open_unverified(out) {
         Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
         Ok(_) => Err(Error::OtherDataset {

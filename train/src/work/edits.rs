@@ -1,0 +1,288 @@
+//! Edits of test items as a job in pieces.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use datasets_spec::dataset::{ShardName, Staging, Transaction, table_facts};
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::store::ByPath;
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, Progress, Seed, Skeleton};
+use pipeline::stage::commit_edits_in;
+use pipeline::work::{
+    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
+    absolute, base_of,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{Surroundings, of_commit};
+use crate::checkpoint::Slot;
+use crate::registry::open_system;
+use crate::sample::EditTimes;
+use crate::system::{
+    EditConfig, EditSystem, Remarks, SystemSource, edit_items, edits_plan, remarks_of,
+};
+use crate::{Error, Session};
+
+/// Name of the job.
+pub const JOB: &str = "edit";
+
+/// Items of a piece: as many windows as are generated at a time by default.
+const PIECE_ITEMS: usize = 64;
+
+/// The settings of a plan.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    items: PathBuf,
+    run: PathBuf,
+    checkpoint: String,
+    coordinator: Option<PathBuf>,
+    poses: Option<PathBuf>,
+    text_encoder: Option<PathBuf>,
+    config: EditConfig,
+    seed: Seed,
+    /// What the command line says of the device.
+    device: Value,
+}
+
+/// What a piece edits.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Detail {
+    take: u64,
+    first: usize,
+    end: usize,
+    of: usize,
+}
+
+/// What a piece notes for the commit.
+#[derive(Serialize, Deserialize)]
+struct Notes {
+    times: EditTimes,
+    remarks: Remarks,
+}
+
+/// A system with the items it answers.
+struct Editing {
+    system: Mutex<Box<dyn EditSystem>>,
+    rows: Vec<ItemRow>,
+    skeleton: Skeleton,
+    seed: Seed,
+    takes: u64,
+    plan_hash: String,
+    surroundings: Surroundings,
+}
+
+/// Plans the answers of a system to the items of a folder. `device` is kept for the workers, and `out` is the folder
+/// of the plan.
+///
+/// # Errors
+/// As [`answer_items`](crate::system::answer_items), or the folder of the plan is occupied.
+pub fn plan_edits(
+    source: &SystemSource,
+    items: &Path,
+    destination: &Path,
+    (config, seed): (&EditConfig, Seed),
+    device: Value,
+    surroundings: Surroundings,
+    out: &Path,
+) -> Result<Plan, Error> {
+    let path = |path: &Option<PathBuf>| path.as_deref().map(absolute).transpose();
+    let stored = Stored {
+        items: absolute(items)?,
+        run: absolute(&source.run)?,
+        checkpoint: source.slot.name(),
+        coordinator: path(&source.coordinator)?,
+        poses: path(&source.poses)?,
+        text_encoder: path(&source.text_encoder.folder)?,
+        config: config.clone(),
+        seed,
+        device,
+    };
+    let editing = Editing::open(&stored, surroundings)?;
+    let newest = Staging::newest(&ByPath, destination)?;
+    let draft = Draft {
+        job: JOB,
+        settings: serde_json::to_value(&stored).expect("settings are numbers and texts"),
+        destination: destination.to_owned(),
+        is_dataset: true,
+        pieces: editing.pieces(),
+        plan_hash: editing.plan_hash,
+        base: base_of(newest.as_ref()),
+    };
+    Ok(draft.write(out, |_| Ok(()))?)
+}
+
+/// Opens the job of a plan.
+///
+/// # Errors
+/// The system or the items cannot be read, or changed since they were planned.
+pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
+    let stored: Stored = plan.settings()?;
+    let editing = Editing::open(&stored, surroundings)?;
+    if editing.plan_hash != plan.hash() {
+        return Err(Failed::new(
+            "E-SOURCE-CHANGED",
+            format!(
+                "the items in {} or the run in {} changed since they were planned; plan again",
+                stored.items.display(),
+                stored.run.display()
+            ),
+        ));
+    }
+    let texts: Vec<String> = editing
+        .rows
+        .iter()
+        .map(|row| row.instruction.clone())
+        .collect();
+    editing.surroundings.with_session(|session| {
+        let mut system = editing
+            .system
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        system.prepare(&texts, session)
+    })?;
+    Ok(Box::new(editing))
+}
+
+impl Editing {
+    fn open(stored: &Stored, surroundings: Surroundings) -> Result<Self, Error> {
+        let items = Dataset::open(&stored.items)?;
+        let slot: Slot = stored.checkpoint.parse().map_err(|problem| Error::Config {
+            field: "checkpoint",
+            problem,
+        })?;
+        let source = SystemSource {
+            run: stored.run.clone(),
+            slot,
+            coordinator: stored.coordinator.clone(),
+            poses: stored.poses.clone(),
+            text_encoder: surroundings.text_encoder(stored.text_encoder.clone()),
+        };
+        let skeleton = items.skeleton()?;
+        let system = open_system(&source, &stored.config, &skeleton, &surroundings.device)?;
+        let rows = items.items()?;
+        let takes = stored.config.takes.max(1);
+        let identity = system.identity();
+        Ok(Self {
+            plan_hash: edits_plan(&rows, identity, stored.seed, stored.config.takes),
+            system: Mutex::new(system),
+            rows,
+            skeleton,
+            seed: stored.seed,
+            takes,
+            surroundings,
+        })
+    }
+
+    /// A piece for each run of items of each take, in the order of the rows of the table.
+    fn pieces(&self) -> Vec<Piece> {
+        let runs = self.rows.len().div_ceil(PIECE_ITEMS);
+        let of = runs * usize::try_from(self.takes).unwrap_or(usize::MAX);
+        let takes = (0..self.takes).flat_map(|take| (0..runs).map(move |run| (take, run)));
+        takes
+            .enumerate()
+            .map(|(number, (take, run))| {
+                let first = run * PIECE_ITEMS;
+                let end = self.rows.len().min(first + PIECE_ITEMS);
+                let name = format!("edits/take-{take}-items-{first}-to-{end}");
+                let ids = self.rows[first..end].iter().map(|row| row.id.as_str());
+                let items = (end - first) as u64;
+                let piece = Piece::new(&self.plan_hash, number, name, items, ids);
+                piece.with(
+                    0,
+                    &Detail {
+                        take,
+                        first,
+                        end,
+                        of,
+                    },
+                )
+            })
+            .collect()
+    }
+
+    fn edited(&self, detail: &Detail, end: usize) -> Result<(Vec<EditRow>, EditTimes), Failed> {
+        let rows = self.rows.get(detail.first..end).ok_or_else(|| {
+            Failed::new(
+                "E-PLAN",
+                "the plan has more items than its folder; plan again",
+            )
+        })?;
+        let seed = Seed(self.seed.0.wrapping_add(detail.take));
+        let system = self.system.lock().unwrap_or_else(PoisonError::into_inner);
+        let edit = |session: &Session<'_>| edit_items(&**system, rows, seed, session);
+        Ok(self.surroundings.with_session(edit)?)
+    }
+}
+
+impl Job for Editing {
+    fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
+        let detail: Detail = piece.detail()?;
+        let (edits, times) = self.edited(&detail, detail.end)?;
+        let remarks = match detail.take {
+            0 => {
+                let system = self.system.lock().unwrap_or_else(PoisonError::into_inner);
+                remarks_of(&**system, &self.rows[detail.first..detail.end])?
+            }
+            // They are of the items, whatever the take.
+            _ => Remarks::default(),
+        };
+        let name = ShardName {
+            table: EditRow::TABLE,
+            split: None,
+            index: usize::try_from(piece.number).unwrap_or(usize::MAX),
+            of: detail.of,
+        };
+        let facts = table_facts(&self.skeleton, &self.plan_hash);
+        let file = staging.write_shard(&name, &edits, &facts)?;
+        Ok(Made::new(vec![file], &Notes { times, remarks }))
+    }
+
+    fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
+        let detail: Detail = piece.detail()?;
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let end = detail.end.min(detail.first.saturating_add(count));
+        let (edits, _) = self.edited(&detail, end)?;
+        Ok(edits.len() as u64)
+    }
+
+    fn commit(
+        &self,
+        plan: &Plan,
+        pieces: Vec<Finished>,
+        options: &CommitOptions,
+        _progress: &dyn Progress,
+    ) -> Result<Committed, pipeline::Error> {
+        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
+        plan.check_open()?;
+        let staging = plan.staging();
+        let (made, quarantine) = Quarantine::of(pieces);
+        let (mut edits, mut times) = (Vec::new(), EditTimes::default());
+        let mut remarks = Remarks::default();
+        for (piece, Made { files, notes }) in made {
+            for file in &files {
+                edits.extend(read_rows::<EditRow>(&staging.path(file))?);
+            }
+            let notes: Notes = work::notes(plan, &piece, notes)?;
+            times += notes.times;
+            remarks.num_short += notes.remarks.num_short;
+            remarks.unknown_words.extend(notes.remarks.unknown_words);
+        }
+        let dataset = commit_edits_in(
+            transaction,
+            &self.rows,
+            &edits,
+            &self.skeleton,
+            plan.hash(),
+            &quarantine,
+        )?;
+        remarks.write(plan.destination()).map_err(of_commit)?;
+        Ok(Committed {
+            notes: json!({ "times": times, "remarks": remarks }),
+            ..Committed::of(plan, dataset.manifest())
+        })
+    }
+}

@@ -1,0 +1,74 @@
+//! Jobs of models in pieces, for any number of processes.
+
+pub mod edits;
+pub mod variants;
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use burn::tensor::Device;
+use datasets_spec::NoProgress;
+use pipeline::work::{Failed, Plan};
+use serde_json::Value;
+
+use crate::text::hub::HubCache;
+use crate::text::source::TextEncoderSource;
+use crate::{Error, Session};
+
+/// What the process of a worker adds to a plan.
+#[derive(Clone, Debug)]
+pub struct Surroundings {
+    /// Device that models run on.
+    pub device: Device,
+    /// Where text encoders are found that the plan names no folder of.
+    pub cache: Option<HubCache>,
+}
+
+impl Surroundings {
+    fn text_encoder(&self, folder: Option<PathBuf>) -> TextEncoderSource {
+        TextEncoderSource {
+            folder,
+            cache: self.cache.clone(),
+        }
+    }
+
+    /// Runs a part of a piece.
+    fn with_session<T>(&self, act: impl FnOnce(&Session<'_>) -> T) -> T {
+        let begun = Instant::now();
+        let clock = move || -> Duration { begun.elapsed() };
+        act(&Session {
+            device: &self.device,
+            more_devices: &[],
+            progress: &NoProgress,
+            stop: &AtomicBool::new(false),
+            clock: &clock,
+        })
+    }
+}
+
+/// What the command line said of the device when a plan was made.
+///
+/// # Errors
+/// The plan is of another job.
+pub fn device_of(plan: &Plan) -> Result<Value, pipeline::Error> {
+    Ok(plan.settings::<Value>()?["device"].take())
+}
+
+impl From<Error> for Failed {
+    fn from(error: Error) -> Self {
+        Self::of(error.code(), &error)
+    }
+}
+
+/// The error of a commit, which is one of the pipeline.
+fn of_commit(error: Error) -> pipeline::Error {
+    match error {
+        Error::Pipeline(error) => error,
+        Error::Spec(error) => error.into(),
+        error => {
+            let Failed { code, reason } = error.into();
+            pipeline::Error::Job { code, reason }
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Candidates of fine-grained pairs as a job in pieces.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use datasets_spec::dataset::{ShardName, Staging, Transaction, table_facts};
+use datasets_spec::record::{MotionRow, PairRow};
+use datasets_spec::store::ByPath;
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Progress, Seed};
+use pipeline::annotation::variants::{Candidates, VariantCounts};
+use pipeline::work::{
+    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
+    absolute, base_of,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{Surroundings, of_commit};
+use crate::Error;
+use crate::stage::variants::{Instructions, MakeVariants, Making, made_before};
+
+/// Name of the job.
+pub const JOB: &str = "variants";
+
+/// The settings of a plan.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    dataset: PathBuf,
+    generator: PathBuf,
+    instructions: Instructions,
+    config: MakeVariants,
+    text_encoder: Option<PathBuf>,
+    seed: Seed,
+    /// What the command line says of the device.
+    device: Value,
+}
+
+/// The batch that a piece makes.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Detail {
+    batch: usize,
+}
+
+/// What all batches share.
+struct Variants {
+    making: Mutex<Making>,
+    surroundings: Surroundings,
+}
+
+/// Plans the variants of a generator. `device` is kept for the workers, and `out` is the folder of the plan.
+///
+/// # Errors
+/// As [`make_variants`](crate::stage::variants::make_variants), or the folder of the plan is occupied.
+pub fn plan_variants(
+    [root, run, destination]: [&Path; 3],
+    instructions: &Instructions,
+    (config, seed): (&MakeVariants, Seed),
+    text_encoder: Option<&Path>,
+    device: Value,
+    surroundings: &Surroundings,
+    out: &Path,
+) -> Result<Plan, Error> {
+    let stored = Stored {
+        dataset: absolute(root)?,
+        generator: absolute(run)?,
+        instructions: instructions.clone(),
+        config: *config,
+        text_encoder: text_encoder.map(absolute).transpose()?,
+        seed,
+        device,
+    };
+    let making = Making::open(
+        [root, run],
+        instructions,
+        config,
+        seed,
+        &surroundings.device,
+    )?;
+    made_before(destination, making.plan_hash())?;
+    let newest = Staging::newest(&ByPath, destination)?;
+    let pieces = (0..making.num_batches()).map(|batch| {
+        let name = format!("variants/batch-{batch}-of-{}", making.num_batches());
+        let items = making.batch_len(batch) as u64;
+        let none = std::iter::empty();
+        Piece::new(making.plan_hash(), batch, name, items, none).with(0, &Detail { batch })
+    });
+    let draft = Draft {
+        job: JOB,
+        settings: serde_json::to_value(&stored).expect("settings are numbers and texts"),
+        destination: destination.to_owned(),
+        is_dataset: true,
+        pieces: pieces.collect(),
+        plan_hash: making.plan_hash().to_owned(),
+        base: base_of(newest.as_ref()),
+    };
+    Ok(draft.write(out, |_| Ok(()))?)
+}
+
+/// Opens the job of a plan.
+///
+/// # Errors
+/// The generator or the dataset cannot be read, or changed since they were planned.
+pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
+    let stored: Stored = plan.settings()?;
+    let folders = [stored.dataset.as_path(), stored.generator.as_path()];
+    let (config, seed) = (&stored.config, stored.seed);
+    let mut making = Making::open(
+        folders,
+        &stored.instructions,
+        config,
+        seed,
+        &surroundings.device,
+    )?;
+    if making.plan_hash() != plan.hash() {
+        return Err(Failed::new(
+            "E-SOURCE-CHANGED",
+            format!(
+                "the dataset {} or the generator {} changed since they were planned; plan again",
+                stored.dataset.display(),
+                stored.generator.display()
+            ),
+        ));
+    }
+    let encoder = surroundings.text_encoder(stored.text_encoder.clone());
+    surroundings.with_session(|session| making.prepare(&encoder, session))?;
+    Ok(Box::new(Variants {
+        making: Mutex::new(making),
+        surroundings,
+    }))
+}
+
+impl Job for Variants {
+    fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
+        let Detail { batch } = piece.detail()?;
+        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let made = self
+            .surroundings
+            .with_session(|session| making.batch(batch, usize::MAX, session))?;
+        let facts = table_facts(making.skeleton(), making.plan_hash());
+        let name = |table| ShardName {
+            table,
+            split: None,
+            index: batch,
+            of: making.num_batches(),
+        };
+        let motions = staging.write_shard(&name(MotionRow::TABLE), &made.motions, &facts)?;
+        let pairs = staging.write_shard(&name(PairRow::TABLE), &made.pairs, &facts)?;
+        Ok(Made::new(vec![motions, pairs], &made.counts))
+    }
+
+    fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
+        let Detail { batch } = piece.detail()?;
+        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let made = self
+            .surroundings
+            .with_session(|session| making.batch(batch, count, session))?;
+        Ok(made.counts.bases as u64)
+    }
+
+    fn commit(
+        &self,
+        plan: &Plan,
+        pieces: Vec<Finished>,
+        options: &CommitOptions,
+        _progress: &dyn Progress,
+    ) -> Result<Committed, pipeline::Error> {
+        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
+        plan.check_open()?;
+        let staging = plan.staging();
+        let (made, quarantine) = Quarantine::of(pieces);
+        let mut all = Candidates::default();
+        for (piece, Made { files, notes }) in made {
+            let [motions, pairs] = &files[..] else {
+                return Err(pipeline::Error::BadPlan {
+                    path: plan.path().to_owned(),
+                    reason: format!("piece {} has not two files", piece.name),
+                });
+            };
+            all.motions
+                .extend(read_rows::<MotionRow>(&staging.path(motions))?);
+            all.pairs
+                .extend(read_rows::<PairRow>(&staging.path(pairs))?);
+            all.counts += work::notes::<VariantCounts>(plan, &piece, notes)?;
+        }
+        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let dataset = making
+            .commit(transaction, &all, &quarantine)
+            .map_err(of_commit)?;
+        Ok(Committed {
+            notes: json!({ "counts": all.counts }),
+            ..Committed::of(plan, dataset.manifest())
+        })
+    }
+}
