@@ -1,0 +1,67 @@
+//! Projects a measured job to more executors.
+//!
+//! `project RECORDS COST`: RECORDS is the JSON of `stance stage work --json` lines or of any lines with a field `secs`
+//! (seconds of a piece); COST is the scheduler's seconds per piece. The model: one scheduler that serves a request at a
+//! time, each COST long, executors that ask for a piece, make it, and ask again, and that look every 50 ms where there
+//! is nothing to do (Ballista's interval). Pieces are drawn in turn from the measured ones, 20 for each executor.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::io::{BufRead, BufReader};
+
+use anyhow::Context;
+
+/// Seconds until the last piece is done.
+fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64) -> f64 {
+    let micros = |secs: f64| (secs * 1e6) as u64;
+    // Executors by the time when they ask next.
+    let mut asking: BinaryHeap<Reverse<u64>> = (0..executors).map(|_| Reverse(0)).collect();
+    let (mut free, mut end) = (0, 0);
+    for number in 0..count {
+        let Reverse(asked) = asking.pop().expect("there are executors");
+        // A request waits until the scheduler has served those before it.
+        free = free.max(asked) + micros(cost);
+        let done = free + micros(pieces[number % pieces.len()]);
+        end = end.max(done);
+        asking.push(Reverse(done));
+    }
+    end as f64 / 1e6
+}
+
+#[expect(clippy::print_stdout, reason = "the table is the result")]
+fn main() -> anyhow::Result<()> {
+    let mut args = std::env::args().skip(1);
+    let (file, cost) = (
+        args.next().context("RECORDS COST")?,
+        args.next().context("RECORDS COST")?,
+    );
+    let cost: f64 = cost.parse()?;
+    let lines = BufReader::new(std::fs::File::open(&file).with_context(|| file.clone())?).lines();
+    let mut pieces = Vec::new();
+    for line in lines {
+        let record: serde_json::Value = serde_json::from_str(&line?)?;
+        pieces.push(record["secs"].as_f64().context("a line without secs")?);
+    }
+    let mean = pieces.iter().sum::<f64>() / pieces.len() as f64;
+    println!(
+        "{} pieces measured, {mean:.3} s on average; scheduler {:.4} s a piece",
+        pieces.len(),
+        cost
+    );
+    println!(
+        "the scheduler serves at most {:.0} executors of such pieces",
+        mean / cost
+    );
+    println!("| executors | pieces | hours of work | wall s | efficiency |\n|---|---|---|---|---|");
+    for executors in [1, 2, 10, 100, 1000] {
+        let count = 20 * executors;
+        let wall = simulated(&pieces, count, executors, cost);
+        let work: f64 = (0..count).map(|number| pieces[number % pieces.len()]).sum();
+        println!(
+            "| {executors} | {count} | {:.2} | {wall:.1} | {:.0} % |",
+            work / 3600.0,
+            100.0 * work / (wall * executors as f64)
+        );
+    }
+    Ok(())
+}
