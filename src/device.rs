@@ -104,7 +104,7 @@ pub(crate) fn device() -> Device {
     devices()[0].clone()
 }
 
-/// Whether words of a command line ask for the list of devices, whatever verb they are for.
+/// Whether a command line has `--device list`, after any verb.
 pub(crate) fn is_list_asked(words: &[String]) -> bool {
     let named = words
         .windows(2)

@@ -36,7 +36,7 @@ pub trait NewFile: Write + Send {
     fn publish_new(self: Box<Self>) -> io::Result<()>;
 }
 
-/// A file read at stated places, by several threads.
+/// A file that several threads read at offsets of their own.
 pub trait ReadAt: Debug + Send + Sync {
     /// Size in bytes.
     fn size(&self) -> u64;

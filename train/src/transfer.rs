@@ -10,7 +10,7 @@ use burn::tensor::Tensor;
 
 static READS: AtomicU64 = AtomicU64::new(0);
 
-/// Reads by this process so far. Files of checkpoints are not among them.
+/// Number of reads from a device by this process so far, but for those that write checkpoints.
 pub fn num_reads() -> u64 {
     READS.load(Ordering::Relaxed)
 }

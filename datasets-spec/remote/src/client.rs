@@ -31,7 +31,7 @@ const CONNECT_TIMEOUT: &str = "10 seconds";
 const NUM_PARALLEL: usize = 4;
 /// Bytes that are asked for at once.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;
-/// How often a body that ends too early is asked for again, and a file that may not replace another is put.
+/// Attempts to read a body that ends too early, and attempts to create a file that must not exist yet.
 const ATTEMPTS: u32 = 4;
 /// Metadata of an object that names the write that made it.
 const WRITER: &str = "stancewriter";

@@ -2,8 +2,8 @@
 //!
 //! [`Remote`] is a [`Store`](datasets_spec::store::Store) for `s3://`, `gs://` and `az://`, for reading also
 //! `http://`, `https://` and `hf://`. A program calls [`register`] once; from then on every path that is a URL
-//! is served here. Credentials and endpoints come from the environment, as the format document says. The
-//! rest of the program is blocking: requests run on a runtime of this crate's own.
+//! is served here. Credentials and endpoints come from the environment, as the format document says.
+//! Requests are asynchronous and run on a runtime of this crate; its callers block until they are answered.
 
 mod cache;
 mod client;

@@ -179,7 +179,7 @@ impl Transaction {
     /// the range of rows.
     ///
     /// # Errors
-    /// As [`Transaction::write_rows`], or `make` fails.
+    /// `make` fails, the rows cannot be encoded, or a file cannot be written.
     pub fn write_made<R: Row, E: From<Error>>(
         &self,
         split: Option<Split>,

@@ -209,8 +209,8 @@ fn sync_folder_of(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A file read at stated places. Handles that are cloned share one position: two threads would read
-/// each other's bytes.
+/// A file that is read at offsets. Cloned handles share one position, so two threads that seek and then read
+/// would get each other's bytes.
 #[derive(Debug)]
 struct Positioned {
     file: File,

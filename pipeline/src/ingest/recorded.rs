@@ -90,7 +90,7 @@ pub(super) struct RecordedShard {
 }
 
 impl Recorded {
-    /// Reads the metadata columns of a version; none if it has no motions.
+    /// Reads what a version of the dataset holds, without its frames; none if it has no table of motions.
     fn read(root: &Path, base: &Manifest) -> Result<Option<Self>, Error> {
         if !base.tables.contains_key(MotionRow::TABLE) {
             return Ok(None);

@@ -31,8 +31,8 @@ pub struct Guide<'a> {
     pub config: GuidanceConfig,
     /// Seconds since any fixed moment.
     pub clock: &'a dyn Fn() -> f64,
-    /// Seconds spent in it so far. A card computes behind the program, and waiting for it would leave it
-    /// idle: there these are the seconds of asking, and the time it computes counts as the denoiser's.
+    /// Seconds spent in it so far. A card computes asynchronously, and nothing waits for it here: on a card
+    /// these are the seconds of queueing operations, and their computation is counted with the denoiser.
     pub secs: Cell<f64>,
 }
 

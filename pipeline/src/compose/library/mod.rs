@@ -185,7 +185,7 @@ impl Library {
         self.clips.len()
     }
 
-    /// Number of motions whose frames are in memory: all or none.
+    /// Number of motions whose frames are in memory: all motions, or 0 if frames are read from a file.
     pub fn num_in_memory(&self) -> usize {
         let in_memory = |clip: &&Clip| matches!(clip.frames, Frames::Memory(_));
         self.clips.iter().filter(in_memory).count()
