@@ -269,6 +269,9 @@ def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
             assert error.code == "E-DATASET"
         else:
             raise AssertionError("a folder without a manifest was opened")
+        source = next(path for path in sorted((work / "corpus").rglob("*.bvh")))
+        counts = stance.ingest(f"http://127.0.0.1:{server.server_port}/{source.relative_to(work).as_posix()}", work / "from-url")
+        assert counts["ingested"] == 1 and len(stance.Dataset(work / "from-url")) == 1
         server.shutdown()
 
 

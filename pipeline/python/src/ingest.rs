@@ -88,6 +88,8 @@ pub(crate) fn ingest(
         ..IngestOptions::default()
     };
     work::long(py, progress, |progress| {
+        // Anew for each call: a process that was forked has no threads of its parent, so none of its connections.
+        remote_store::register()?;
         let options = IngestOptions {
             pairs: pairs.as_deref().map(PairList::read).transpose()?,
             splits: splits.as_deref().map(SplitList::read).transpose()?,

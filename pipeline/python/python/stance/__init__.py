@@ -67,6 +67,8 @@ _Path = str | _os.PathLike[str]
 def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> dict[str, _Any]:
     """Turns motion files into one checked dataset at ``out``, or lets one grow, as ``stance ingest`` does.
 
+    Both may be URLs (``s3://``, ``gs://``, ``az://``; sources also ``http://``), with credentials from the environment.
+
     ``options``: ``fps`` (20; ``None`` keeps each clip's own), ``resample`` (``exact`` or ``humanml3d``), ``format``,
     ``seed``, ``license``, ``features`` (``humanml3d``), ``teleports`` (``quarantine``, ``trim`` or ``keep``),
     ``lenient``, ``made_captions``, ``pairs``, ``splits``, ``new_version``, ``drop_labels``, ``progress``.
