@@ -23,6 +23,7 @@ use datasets_spec::{Dataset, Fps, MotionId, NoProgress, Seed, Split};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::compose::{ComposeConfig, Paging, WindowBatch};
 use pipeline::ingest::{IngestOptions, ingest};
+use pipeline::recording;
 use pipeline::stage::{self, Context};
 
 /// Clips that are repeated.
@@ -50,7 +51,7 @@ fn main() -> Result<(), Failure> {
                 };
                 let config = ComposeConfig::default();
                 let (dataset, out) = (Path::new(dataset), Path::new(out));
-                let made = stage::windows(dataset, out, count, &config, Seed(0), &context)?;
+                let made = recording::windows(dataset, out, count, &config, Seed(0), &context)?;
                 Ok(made.manifest().root_hash.clone())
             })
         }

@@ -41,6 +41,7 @@ mod foreign_table;
 #[cfg(test)]
 mod golden;
 pub mod ingest;
+mod jobs;
 pub mod likeness;
 pub mod markers;
 pub mod merge;

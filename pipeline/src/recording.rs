@@ -129,6 +129,48 @@ pub fn record(
     Ok(dataset)
 }
 
+/// Records whole-clip triplets of the training stream as a dataset of their own.
+///
+/// # Errors
+/// As [`record`].
+pub fn triplets(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let settings = Settings {
+        kind: Kind::Triplets,
+        count,
+        config: config.clone(),
+        seed,
+    };
+    record(root, out, &settings, context)
+}
+
+/// Records windows of the training stream as a dataset of their own, with their normaliser.
+///
+/// # Errors
+/// As [`record`].
+pub fn windows(
+    root: &Path,
+    out: &Path,
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let settings = Settings {
+        kind: Kind::Windows,
+        count,
+        config: config.clone(),
+        seed,
+    };
+    record(root, out, &settings, context)
+}
+
 /// Plans a recording for any number of processes. `out` is the folder of the plan.
 ///
 /// # Errors
@@ -361,6 +403,6 @@ impl Job for Recording {
         let (made, quarantine) = Quarantine::of(pieces);
         let files = made.into_iter().flat_map(|(_, made)| made.files).collect();
         let dataset = self.commit(transaction, &plan.staging(), files, quarantine)?;
-        Ok(Committed::of(plan, dataset.manifest()))
+        Ok(plan.committed(dataset.manifest()))
     }
 }

@@ -24,7 +24,6 @@ use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
 use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Paging, Stream, draw_items};
 use crate::ingest::IngestOptions;
-use crate::recording;
 use crate::work::Quarantine;
 
 /// Tables that composed edits depend on.
@@ -299,48 +298,6 @@ pub fn train_stream(
     };
     let stream = Stream::new(library, config.clone(), seed, &normalizer)?;
     Ok((stream, normalizer))
-}
-
-/// Records whole-clip triplets of the training stream as a dataset of their own.
-///
-/// # Errors
-/// As [`recording::record`].
-pub fn triplets(
-    root: &Path,
-    out: &Path,
-    count: u64,
-    config: &ComposeConfig,
-    seed: Seed,
-    context: &Context<'_>,
-) -> Result<Dataset, Error> {
-    let settings = recording::Settings {
-        kind: recording::Kind::Triplets,
-        count,
-        config: config.clone(),
-        seed,
-    };
-    recording::record(root, out, &settings, context)
-}
-
-/// Records windows of the training stream as a dataset of their own, with their normaliser.
-///
-/// # Errors
-/// As [`recording::record`].
-pub fn windows(
-    root: &Path,
-    out: &Path,
-    count: u64,
-    config: &ComposeConfig,
-    seed: Seed,
-    context: &Context<'_>,
-) -> Result<Dataset, Error> {
-    let settings = recording::Settings {
-        kind: recording::Kind::Windows,
-        count,
-        config: config.clone(),
-        seed,
-    };
-    recording::record(root, out, &settings, context)
 }
 
 /// Whether the training split can teach a coordinator: composing takes motions of two sources.

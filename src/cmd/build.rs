@@ -10,6 +10,7 @@ use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::filter::Clips;
+use pipeline::recording;
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
@@ -104,7 +105,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let triplets = config.out.join("triplets");
     let (count, compose) = (config.triplets, &config.compose);
     let recorded = global
-        .stage(|context| stage::triplets(&root, &triplets, count, compose, seed, context))
+        .stage(|context| recording::triplets(&root, &triplets, count, compose, seed, context))
         .context("stage triplets")?;
     let dataset = datasets_spec::Dataset::open(&root)?;
     let mut exports = Vec::new();

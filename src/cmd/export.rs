@@ -1,13 +1,16 @@
 //! `stance export`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
-use pipeline::export::{Exported, Layout, Sides, export, export_edits, export_triplets};
+use pipeline::export::{
+    Exported, Layout, Sides, export, export_edits, export_triplets, plan_export,
+};
 use pipeline::filter::{Clips, Filter};
+use pipeline::work::Plan;
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -89,6 +92,23 @@ impl From<LayoutArg> for Layout {
             LayoutArg::HyMotion => Self::HyMotion,
             LayoutArg::Motionfix => Self::MotionFix,
         }
+    }
+}
+
+impl Args {
+    /// Plans the export of motions for any number of processes.
+    pub(crate) fn plan(&self, plan: &Path) -> anyhow::Result<Plan> {
+        if self.sources || self.targets {
+            bail!("exports of motions are planned; --sources and --targets are of items");
+        }
+        let layout = Layout::from(self.to);
+        Ok(plan_export(
+            &self.dataset,
+            layout,
+            self.filter.as_ref(),
+            &self.out,
+            plan,
+        )?)
     }
 }
 

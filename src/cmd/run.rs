@@ -17,6 +17,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
+use pipeline::recording;
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -304,7 +305,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     }
     global
         .stage(|context| {
-            stage::triplets(
+            recording::triplets(
                 &places.dataset,
                 &places.triplets,
                 config.triplets,

@@ -64,6 +64,8 @@ enum JobArgs {
     #[command(mut_arg("out", |arg| arg.long("into")))]
     Edit(Box<cmd::edit::Args>),
     #[command(mut_arg("out", |arg| arg.long("into")))]
+    Export(Box<cmd::export::Args>),
+    #[command(mut_arg("out", |arg| arg.long("into")))]
     Variants(Box<cmd::variants::Args>),
 }
 
@@ -195,6 +197,7 @@ fn plan(args: &PlanArgs, global: &Global) -> anyhow::Result<Exit> {
             JobArgs::Ingest(args) => args.plan(folder, global),
             JobArgs::Triplets(args) => args.plan(folder, global),
             JobArgs::Edit(args) => args.plan(folder, global),
+            JobArgs::Export(args) => args.plan(folder),
             JobArgs::Variants(args) => args.plan(folder, global),
         }
     };

@@ -10,7 +10,7 @@ use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
 use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
-use pipeline::recording::{Kind, Settings, plan_recording};
+use pipeline::recording::{self, Kind, Settings, plan_recording};
 use pipeline::stage;
 use pipeline::work::Plan;
 use serde::Serialize;
@@ -305,7 +305,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let seed = global.seed();
     if let Some(count) = args.windows {
         let recorded =
-            global.stage(|context| stage::windows(root, out, count, &config, seed, context))?;
+            global.stage(|context| recording::windows(root, out, count, &config, seed, context))?;
         let manifest = recorded.manifest();
         let rows = manifest.rows(WindowRow::TABLE, None);
         if global.json {
@@ -316,8 +316,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         return Ok(Exit::Done);
     }
-    let recorded =
-        global.stage(|context| stage::triplets(root, out, args.count, &config, seed, context))?;
+    let recorded = global
+        .stage(|context| recording::triplets(root, out, args.count, &config, seed, context))?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(TripletRow::TABLE, None);
     if global.json {

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 27] = [
+const VERBS: [&str; 28] = [
     "demo",
     "run",
     "build",
@@ -32,6 +32,7 @@ const VERBS: [&str; 27] = [
     "reproduce",
     "report",
     "render",
+    "stage",
     "completions",
     "man",
 ];
@@ -57,7 +58,7 @@ fn usage_errors_exit_with_2() {
 }
 
 /// Verbs that are found in other verbs.
-const INNER: [&[&str]; 9] = [
+const INNER: [&[&str]; 13] = [
     &["items", "export"],
     &["edits", "import"],
     &["eval", "compare"],
@@ -67,6 +68,10 @@ const INNER: [&[&str]; 9] = [
     &["model", "fetch"],
     &["train", "plot"],
     &["triplets", "stats"],
+    &["stage", "plan"],
+    &["stage", "work"],
+    &["stage", "commit"],
+    &["stage", "status"],
 ];
 
 /// One file holds all help texts, so that a change of any is seen and reviewed.

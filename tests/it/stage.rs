@@ -655,3 +655,206 @@ fn variants_in_pieces_are_those_of_one_process() {
     assert_eq!(root_hash_in_pieces(&job, &into, &plan), clean_hash);
     assert_eq!(pieces(&plan).len(), 2, "32 instructions are a batch");
 }
+
+/// Every file below a folder with its bytes.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let name = path.strip_prefix(folder).expect("below").to_owned();
+            found.insert(name, fs::read(&path).expect("a file"));
+        }
+    }
+    found
+}
+
+/// The folder of the pieces of an export, if there is one.
+fn pieces_beside(into: &Path) -> Option<PathBuf> {
+    let name = into.file_name().expect("a name").to_string_lossy();
+    let beside = fs::read_dir(into.parent().expect("a folder")).expect("a folder");
+    let mut beside = beside.map(|entry| entry.expect("an entry").path());
+    beside.find(|path| {
+        let found = path.file_name().expect("a name").to_string_lossy();
+        found.starts_with(&format!(".{name}.")) && found.ends_with(".pieces")
+    })
+}
+
+#[test]
+fn exports_in_pieces_are_those_of_one_process() {
+    let place = Place::new(CLIPS);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
+    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    for (layout, parts) in [
+        ("amass", 4),
+        ("bvh", 4),
+        ("humanml3d", 4),
+        ("humanml3d-272", 4),
+        ("motionmillion", 4),
+        ("hy-motion", 4),
+        ("webdataset", 1),
+    ] {
+        let job = ["export", arg(&dataset), "--to", layout];
+        let [clean, into, plan] =
+            ["clean", "into", "plan"].map(|name| place.at(&format!("{layout}-{name}")));
+        stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
+        let made = planned(&job, &into, &plan);
+        assert_eq!((made.pieces, made.items), (parts, CLIPS as u64), "{layout}");
+        assert!(made.bytes > 0, "{layout}");
+        by_four(&plan);
+        let ids: Vec<String> = pieces(&plan).into_iter().map(|piece| piece.id).collect();
+        let reversed: Vec<&str> = ids.iter().rev().map(String::as_str).collect();
+        let again = work(&plan, &["--items", &reversed.join(",")], 0);
+        assert_eq!(count(&again, Outcome::DoneBefore), ids.len(), "{layout}");
+        assert!(!into.exists(), "{layout}: an export appears whole");
+        let done = commit(&plan, &[], 0);
+        assert_eq!(done.tables["clips"], CLIPS as u64, "{layout}");
+        assert!(contents(&into) == contents(&clean), "{layout}");
+        let again = commit(&plan, &[], 0);
+        assert!(again.already_committed && again.root_hash == done.root_hash);
+        // A late worker finds that nothing is left to do, and leaves nothing behind.
+        assert_eq!(
+            count(&work(&plan, &[], 0), Outcome::DoneBefore),
+            ids.len(),
+            "{layout}"
+        );
+        assert_eq!(pieces_beside(&into), None, "{layout}");
+        fs::remove_dir_all(&clean).expect("removed");
+        fs::remove_dir_all(&into).expect("removed");
+    }
+}
+
+#[test]
+fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
+    let place = Place::new(CLIPS);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
+    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    let job = ["export", arg(&dataset), "--to", "humanml3d"];
+    let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
+    stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
+    let clean = contents(&clean);
+    planned(&job, &into, &plan);
+
+    // Whether the kill comes before, in or after a piece, the result must be the same.
+    let staged = format!("meta/staged/0-{}", plan_hash(&plan));
+    let has_begun = || {
+        let made = pieces_beside(&into)?.join(&staged).join("pieces");
+        fs::read_dir(made).ok()?.next()
+    };
+    let mut killed = started(&["--threads", "1", "stage", "work", arg(&plan)]);
+    while has_begun().is_none() && killed.try_wait().expect("a child").is_none() {
+        std::thread::yield_now();
+    }
+    killed.kill().expect("a child");
+    killed.wait().expect("a child");
+    by_four(&plan);
+
+    // A file that is lost costs its piece alone.
+    let home = pieces_beside(&into).expect("a folder of pieces");
+    let record = &work(&plan, &[], 0)[1];
+    let lost = home.join(staged).join(&record.files[0].path);
+    fs::remove_file(lost).expect("a staged file");
+    assert_eq!(status(&plan).missing, std::slice::from_ref(&record.piece));
+    assert_eq!(count(&work(&plan, &[], 0), Outcome::Done), 1);
+
+    // A commit that was killed before it published is made again; what another one put there is left alone.
+    let mut killed = started(&["stage", "commit", arg(&plan)]);
+    while !home.join("result/new_joints").exists() && killed.try_wait().expect("a child").is_none()
+    {
+        std::thread::yield_now();
+    }
+    killed.kill().expect("a child");
+    killed.wait().expect("a child");
+    if !into.exists() {
+        fs::create_dir_all(&into).expect("a folder");
+        fs::write(into.join("notes.txt"), "mine").expect("written");
+        let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
+        assert!(ran.stderr.contains(arg(&into)), "{}", ran.stderr);
+        fs::remove_dir_all(&into).expect("removed");
+    }
+    let done = commit(&plan, &[], 0);
+    assert!(contents(&into) == clean);
+    assert_eq!(pieces_beside(&into), None);
+
+    // One that was killed after it published is found to be done.
+    fs::create_dir(&home).expect("a folder");
+    fs::rename(plan.join("committed.json"), home.join("committed.json")).expect("moved");
+    let again = commit(&plan, &[], 0);
+    assert!(again.already_committed && again.root_hash == done.root_hash);
+    assert!(status(&plan).committed);
+    assert_eq!(pieces_beside(&into), None);
+    assert!(contents(&into) == clean);
+}
+
+#[test]
+fn a_dry_run_of_an_export_makes_a_few_clips() {
+    let place = Place::new(40);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
+    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    for layout in ["bvh", "webdataset"] {
+        let into = place.at("into");
+        let args = [
+            "--json",
+            "stage",
+            "plan",
+            "export",
+            arg(&dataset),
+            "--to",
+            layout,
+            "--into",
+            arg(&into),
+            "--dry-run",
+        ];
+        let planned: Planned = stance(&args).expect_code(0).json();
+        let sample = planned.sample.expect("a sample");
+        assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
+        assert!(planned.bytes > 0 && !into.exists(), "{layout}");
+    }
+}
+
+#[test]
+fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
+    let place = Place::new(24);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
+    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    let job = [
+        "export",
+        arg(&dataset),
+        "--to",
+        "bvh",
+        "--where",
+        "split = 'train'",
+    ];
+    let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
+    stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
+    planned(&job, &into, &plan);
+    // A file of the dataset that is damaged fails its pieces alone.
+    let shard = files_with_extension(&dataset.join("data/motions"), "parquet");
+    let shard = shard
+        .iter()
+        .find(|path| path.to_string_lossy().contains("train"))
+        .expect("a shard");
+    let whole = fs::read(shard).expect("a shard");
+    let mut damaged = whole.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    fs::write(shard, damaged).expect("written");
+    let made = work(&plan, &[], 3);
+    assert_eq!(
+        made[0].code.as_deref(),
+        Some("E-SOURCE-CHANGED"),
+        "{made:?}"
+    );
+    let args = ["stage", "commit", arg(&plan), "--quarantine-failed"];
+    let ran = stance(&args).expect_code(1);
+    assert!(ran.stderr.contains("whole or not at all"), "{}", ran.stderr);
+    fs::write(shard, whole).expect("written");
+    work(&plan, &[], 0);
+    commit(&plan, &[], 0);
+    assert!(contents(&into) == contents(&clean));
+}

@@ -10,7 +10,8 @@ use glam::DQuat;
 use kinematics::canonical::{Anchor, canonicalise, world_from_segment};
 use kinematics::resample::grid;
 use pipeline::compose::ComposeConfig;
-use pipeline::stage::{self, COMPOSED, Context};
+use pipeline::recording;
+use pipeline::stage::{COMPOSED, Context};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -80,7 +81,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         progress: session.progress,
         holder: "stance train nearest",
     };
-    let made = stage::triplets(
+    let made = recording::triplets(
         request.dataset,
         &run.join(TRIPLETS),
         config.triplets,

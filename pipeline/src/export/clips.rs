@@ -1,61 +1,109 @@
 //! Exports with one file per clip.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Motion, Progress, Skeleton};
+use datasets_spec::{Progress, Skeleton};
+use rayon::prelude::*;
 
+use super::amass::file_stem;
+use super::by_clip::{ByClip, Note};
+use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
 use crate::filter::Clips;
 use crate::sidecar::{LabelCaption, Sidecar};
 use crate::{Error, write};
 
-/// Writes a BVH file for each clip.
-pub(super) fn bvh(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
-    each(clips, folder, "bvh", progress, |motion, skeleton| {
-        Ok(write::bvh::encode(motion, skeleton).into_bytes())
-    })
+/// Makes the bytes of a clip's file.
+type Encode = fn(&MotionRow, &Skeleton) -> Result<std::io::Result<Vec<u8>>, Error>;
+
+/// A file for each clip under a path made from its id, with its metadata in a sidecar, so that ingesting it again
+/// loses nothing.
+pub(super) struct Files {
+    extension: &'static str,
+    encode: Encode,
+    skeleton: Skeleton,
+    /// Paths without extensions, by id.
+    stems: BTreeMap<String, String>,
 }
 
-/// Writes a GLB file for each clip.
-pub(super) fn gltf(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
-    each(clips, folder, "glb", progress, write::gltf::encode)
+impl Files {
+    fn new(
+        clips: &Clips,
+        extension: &'static str,
+        stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
+        encode: Encode,
+    ) -> Result<Self, Error> {
+        let mut taken = BTreeSet::new();
+        let ids = ids(clips)?.into_iter();
+        let stems = ids.map(|(id, _)| {
+            let stem = stem_of(&id, &mut taken);
+            (id, stem)
+        });
+        Ok(Self {
+            extension,
+            encode,
+            skeleton: clips.dataset().skeleton()?,
+            stems: stems.collect(),
+        })
+    }
+
+    /// BVH files.
+    pub(super) fn bvh(clips: &Clips) -> Result<Self, Error> {
+        let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".bvh"), taken);
+        Self::new(clips, "bvh", stem, |row, skeleton| {
+            Ok(Ok(write::bvh::encode(&row.motion()?, skeleton).into_bytes()))
+        })
+    }
+
+    /// GLB files.
+    pub(super) fn gltf(clips: &Clips) -> Result<Self, Error> {
+        let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".glb"), taken);
+        Self::new(clips, "glb", stem, |row, skeleton| {
+            Ok(write::gltf::encode(&row.motion()?, skeleton))
+        })
+    }
+
+    /// AMASS archives, named as those of the release, at the rate of recordings.
+    pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
+        Self::new(clips, "npz", file_stem, |row, skeleton| {
+            let motion = write::amass::at_rate_of_recordings(&row.motion()?)?;
+            Ok(write::amass::encode_smplx(&motion, skeleton))
+        })
+    }
 }
 
-/// Writes every clip under a path made from its id, with its metadata in a sidecar, so that ingesting it
-/// again loses nothing.
-fn each(
-    clips: &Clips,
-    folder: &Path,
-    extension: &str,
-    progress: &dyn Progress,
-    encode: impl Fn(&Motion, &Skeleton) -> std::io::Result<Vec<u8>>,
-) -> Result<u64, Error> {
-    let skeleton = clips.dataset().skeleton()?;
-    progress.begin("export", Some(clips.len()));
-    let mut taken = BTreeSet::new();
-    for shard in clips.shards(None) {
-        for row in shard.read()? {
-            let stem = safe_stem(row.id.as_str(), &format!(".{extension}"));
-            let stem = unique(stem, &mut taken);
-            let path = folder.join(format!("{stem}.{extension}"));
+impl ByClip for Files {
+    fn write(
+        &self,
+        rows: Vec<MotionRow>,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Note>, Error> {
+        let written = rows.into_par_iter().map(|row| {
+            let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
+            let path = folder.join(format!("{stem}.{}", self.extension));
             if let Some(parent) = path.parent() {
                 fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
             }
-            let bytes = encode(&row.motion()?, &skeleton).map_err(Error::io("encode", &path))?;
+            let bytes = (self.encode)(&row, &self.skeleton)?.map_err(Error::io("encode", &path))?;
             fs::write(&path, bytes).map_err(Error::io("write", &path))?;
             write_sidecar(folder, &stem, row)?;
             progress.advance(1);
-        }
+            Ok(None)
+        });
+        written.collect()
     }
-    progress.finish(&format!("{} clips", clips.len()));
-    Ok(clips.len())
+
+    fn finish(&self, clips: &Clips, _: &[Note], _: &Path) -> Result<u64, Error> {
+        Ok(clips.len())
+    }
 }
 
 /// Writes what is said of a clip beside its file.
-pub(super) fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
+fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
     let path = folder.join(format!("{stem}{}", Sidecar::SUFFIX));
     let captions = row.captions_by_origin();
     let said = Sidecar {

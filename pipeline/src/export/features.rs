@@ -2,15 +2,16 @@
 //! MotionMillion, and the 201 features of HY-Motion in the same form.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::ops::{Range, RangeInclusive};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Motion, Progress, Skeleton, Split};
 use pickle::npy;
 use rayon::prelude::*;
 
+use super::by_clip::{ByClip, Note};
+use super::feature_files::{Lines, file, read_features};
 use super::humanml3d::{caption_line, ids, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;
@@ -89,51 +90,113 @@ pub(super) const HY_MOTION: Form = Form {
     ..HUMANML3D_272
 };
 
-/// Writes a folder of features, and returns how many clips are in it. `ids.csv` lists the name, the split and the
-/// licence of each id. Captions made from file names are left out; plain captions cannot hold a time, so those of a
-/// part of the clip are too.
-///
-/// # Errors
-/// The dataset cannot be read or a file cannot be written.
-pub(super) fn write<const WIDTH: usize>(
-    clips: &Clips,
-    folder: &Path,
-    form: &Form,
-    recipe: &Recipe<WIDTH>,
-    progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let skeleton = clips.dataset().skeleton()?;
-    let mut writer = Writer {
-        root: folder.to_owned(),
-        form,
-        names: if form.is_plain {
-            paths(clips)?
-        } else {
-            names(clips)?
-        },
-        statistics: Statistics::<WIDTH>::default(),
-        listed: BTreeMap::new(),
-        ids: csv::Writer::from_writer(Vec::new()),
-    };
-    writer.note(["name", "id", "split", "license"])?;
-    progress.begin("export features", Some(clips.len()));
-    for shard in clips.shards(None) {
-        let rows = shard.read()?;
-        let features: Vec<Features<WIDTH>> = rows
-            .par_iter()
-            .map(|row| {
-                let features = (recipe.features)(&row.motion()?, &skeleton)?;
-                progress.advance(1);
-                Ok(features)
-            })
-            .collect::<Result<_, Error>>()?;
-        for (row, features) in rows.iter().zip(&features) {
-            writer.take(row, features)?;
-        }
+/// A folder of features. `ids.csv` lists the name, the split and the licence of each id. Captions made from file names
+/// are left out; plain captions cannot hold a time, so those of a part of the clip are too.
+pub(super) struct FeatureFolder<const WIDTH: usize> {
+    form: &'static Form,
+    recipe: &'static Recipe<WIDTH>,
+    skeleton: Skeleton,
+    names: BTreeMap<String, String>,
+}
+
+impl<const WIDTH: usize> FeatureFolder<WIDTH> {
+    /// The folder of some clips.
+    pub(super) fn new(
+        clips: &Clips,
+        form: &'static Form,
+        recipe: &'static Recipe<WIDTH>,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            form,
+            recipe,
+            skeleton: clips.dataset().skeleton()?,
+            names: if form.is_plain {
+                paths(clips)?
+            } else {
+                names(clips)?
+            },
+        })
     }
-    writer.finish(recipe.groups)?;
-    progress.finish(&format!("{} clips", clips.len()));
-    Ok(clips.len())
+
+    fn name(&self, id: &str) -> &str {
+        self.names.get(id).map_or("", String::as_str)
+    }
+
+    fn motion(&self, name: &str) -> String {
+        format!("{}/{name}.npy", self.form.motions)
+    }
+}
+
+impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
+    fn write(
+        &self,
+        rows: Vec<MotionRow>,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Note>, Error> {
+        let written = rows.par_iter().map(|row| {
+            let name = self.name(row.id.as_str());
+            let features = (self.recipe.features)(&row.motion()?, &self.skeleton)?;
+            let vector = npy::encode(&[features.len(), WIDTH], features.as_flattened());
+            file(folder, &self.motion(name), &vector)?;
+            let lines: String = match self.form.is_plain {
+                false => row.stated_captions().map(caption_line).collect(),
+                true => row
+                    .stated_captions()
+                    .filter(|caption| caption.from_s == 0.0 && caption.to_s == 0.0)
+                    .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
+                    .collect(),
+            };
+            // Loaders open the file of every clip; a clip whose file is empty is passed over.
+            file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
+            progress.advance(1);
+            Ok(None)
+        });
+        written.collect()
+    }
+
+    fn finish(&self, clips: &Clips, _: &[Note], folder: &Path) -> Result<u64, Error> {
+        let mut statistics = Statistics::<WIDTH>::default();
+        let mut listed: BTreeMap<Split, Vec<(&str, usize)>> = BTreeMap::new();
+        let mut lines = Lines::new(["name", "id", "split", "license"]);
+        for shard in clips.shards(None) {
+            let ids = shard.column::<String>("id")?;
+            let splits = shard.column::<Split>("split")?;
+            let licenses = shard.column::<Option<String>>("license")?;
+            for ((id, split), license) in ids.iter().zip(splits).zip(licenses) {
+                let name = self.name(id);
+                let license = license.as_deref().unwrap_or_default();
+                lines.take([name, id, split.as_str(), license]);
+                let features = read_features::<WIDTH>(&folder.join(self.motion(name)))?;
+                statistics.take(&features);
+                let listed = listed.entry(split).or_default();
+                listed.push((name, features.len()));
+            }
+        }
+        for (list, lengths) in self.form.lists {
+            let names = |splits: &[Split]| -> String {
+                let listed = splits.iter().filter_map(|split| listed.get(split));
+                let fitting = listed.flatten().filter(|(_, len)| lengths.contains(len));
+                let mut names: Vec<&str> = fitting.map(|(name, _)| *name).collect();
+                names.sort_unstable();
+                names.iter().flat_map(|name| [*name, "\n"]).collect()
+            };
+            for split in Split::ALL {
+                let path = format!("{list}/{split}.txt");
+                file(folder, &path, names(&[split]).as_bytes())?;
+            }
+            if self.form.is_plain {
+                let path = format!("{list}/all.txt");
+                file(folder, &path, names(&Split::ALL).as_bytes())?;
+            }
+        }
+        let mean = npy::encode(&[WIDTH], &statistics.mean());
+        file(folder, self.form.mean, &mean)?;
+        let std = npy::encode(&[WIDTH], &statistics.std_by(self.recipe.groups));
+        file(folder, self.form.std, &std)?;
+        file(folder, "ids.csv", &lines.into_bytes())?;
+        Ok(clips.len())
+    }
 }
 
 /// The path each motion gets, by its id.
@@ -146,82 +209,4 @@ fn paths(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
             (id, path)
         })
         .collect())
-}
-
-/// A folder that is being written.
-struct Writer<'a, const WIDTH: usize> {
-    root: PathBuf,
-    form: &'a Form,
-    names: BTreeMap<String, String>,
-    statistics: Statistics<WIDTH>,
-    /// Names and lengths of the clips of each split.
-    listed: BTreeMap<Split, Vec<(String, usize)>>,
-    ids: csv::Writer<Vec<u8>>,
-}
-
-impl<const WIDTH: usize> Writer<'_, WIDTH> {
-    fn take(&mut self, row: &MotionRow, features: &[[f32; WIDTH]]) -> Result<(), Error> {
-        let id = row.id.as_str();
-        let name = self.names.get(id).cloned().unwrap_or_default();
-        let license = row.license.as_deref().unwrap_or_default();
-        self.note([&name, id, row.split.as_str(), license])?;
-        let motion = format!("{}/{name}.npy", self.form.motions);
-        let vector = npy::encode(&[features.len(), WIDTH], features.as_flattened());
-        self.file(&motion, &vector)?;
-        let lines: String = match self.form.is_plain {
-            false => row.stated_captions().map(caption_line).collect(),
-            true => row
-                .stated_captions()
-                .filter(|caption| caption.from_s == 0.0 && caption.to_s == 0.0)
-                .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
-                .collect(),
-        };
-        // Loaders open the file of every clip; a clip whose file is empty is passed over.
-        self.file(&format!("texts/{name}.txt"), lines.as_bytes())?;
-        self.statistics.take(features);
-        let listed = self.listed.entry(row.split).or_default();
-        listed.push((name, features.len()));
-        Ok(())
-    }
-
-    fn finish(self, groups: &[(&str, Range<usize>)]) -> Result<(), Error> {
-        for (folder, lengths) in self.form.lists {
-            let names = |splits: &[Split]| -> String {
-                let listed = splits.iter().filter_map(|split| self.listed.get(split));
-                let fitting = listed.flatten().filter(|(_, len)| lengths.contains(len));
-                let mut names: Vec<&str> = fitting.map(|(name, _)| name.as_str()).collect();
-                names.sort_unstable();
-                names.iter().flat_map(|name| [*name, "\n"]).collect()
-            };
-            for split in Split::ALL {
-                self.file(&format!("{folder}/{split}.txt"), names(&[split]).as_bytes())?;
-            }
-            if self.form.is_plain {
-                self.file(&format!("{folder}/all.txt"), names(&Split::ALL).as_bytes())?;
-            }
-        }
-        let mean = npy::encode(&[WIDTH], &self.statistics.mean());
-        self.file(self.form.mean, &mean)?;
-        let std = npy::encode(&[WIDTH], &self.statistics.std_by(groups));
-        self.file(self.form.std, &std)?;
-        let lines = self.ids.into_inner().unwrap_or_default();
-        file(&self.root, "ids.csv", &lines)
-    }
-
-    fn note(&mut self, fields: [&str; 4]) -> Result<(), Error> {
-        let written = self.ids.write_record(fields).map_err(std::io::Error::from);
-        written.map_err(Error::io("write", self.root.join("ids.csv")))
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
-        file(&self.root, name, bytes)
-    }
-}
-
-fn file(root: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
-    let path = root.join(name);
-    if let Some(parent) = path.parent() {
-        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
-    }
-    fs::write(&path, bytes).map_err(Error::io("write", &path))
 }

@@ -1,9 +1,8 @@
 //! HumanML3D folders: features, joints, captions, split lists and statistics.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::Path;
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader};
@@ -11,6 +10,8 @@ use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 
+use super::by_clip::{ByClip, Note};
+use super::feature_files::{Lines, file, read_features};
 use crate::Error;
 use crate::feature::humanml3d::{
     Features, RECIPE, features_of_joints, joints_of_motion, recover_joints,
@@ -20,7 +21,7 @@ use crate::filter::Clips;
 use crate::source::humanml3d::is_id;
 use pickle::npy;
 
-/// Writes a HumanML3D folder, and returns how many clips are in it.
+/// A HumanML3D folder.
 ///
 /// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has
 /// `L - 1` frames of features and joints, as published. Clips whose id is not of
@@ -31,34 +32,122 @@ use pickle::npy;
 ///
 /// Joints are those of a SMPL body, as in the published set: with SMPL's bone directions at rest, and the
 /// bone lengths of the dataset's body until the recipe sets its own.
-///
-/// # Errors
-/// The dataset cannot be read or a file cannot be written.
-pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
-    let skeleton = smpl_body(&clips.dataset().skeleton()?);
-    let stored = Stored::of(clips.dataset())?;
-    let mut writer = Writer::new(folder, names(clips)?)?;
-    progress.begin("export humanml3d", Some(clips.len()));
-    for shard in clips.shards(None) {
-        let rows = shard.read()?;
-        let features: Vec<Result<Vec<Features>, String>> = rows
-            .par_iter()
-            .map(|row| {
-                let features = match stored.get(row.id.as_str())? {
-                    Some(features) => Ok(features),
-                    None => features_of(row, &skeleton),
-                };
-                progress.advance(1);
-                Ok(features)
-            })
-            .collect::<Result<_, Error>>()?;
-        for (row, features) in rows.iter().zip(features) {
-            writer.take(row, features)?;
-        }
+pub(super) struct HumanMl3dFolder {
+    skeleton: Skeleton,
+    stored: Stored,
+    names: BTreeMap<String, String>,
+}
+
+const VECTORS: &str = "new_joint_vecs";
+
+impl HumanMl3dFolder {
+    /// The folder of some clips.
+    pub(super) fn new(clips: &Clips) -> Result<Self, Error> {
+        Ok(Self {
+            skeleton: smpl_body(&clips.dataset().skeleton()?),
+            stored: Stored::of(clips.dataset())?,
+            names: names(clips)?,
+        })
     }
-    let written = writer.finish()?;
-    progress.finish(&format!("{written} clips"));
-    Ok(written)
+
+    fn name(&self, id: &str) -> &str {
+        self.names.get(id).map_or("", String::as_str)
+    }
+
+    fn write_clip(&self, row: &MotionRow, folder: &Path) -> Result<Note, Error> {
+        let (id, name) = (row.id.as_str(), self.name(row.id.as_str()));
+        let features = match self.stored.get(id)? {
+            Some(features) => features,
+            None => match features_of(row, &self.skeleton) {
+                Ok(features) => features,
+                Err(reason) => return Ok(Some(reason)),
+            },
+        };
+        let joints: Vec<f32> = recover_joints(&features)
+            .iter()
+            .flatten()
+            .flat_map(|joint| joint.as_vec3().to_array())
+            .collect();
+        let (vectors, width) = (features.as_flattened(), HUMANML3D_WIDTH);
+        let vector = npy::encode(&[features.len(), width], vectors);
+        file(folder, &format!("{VECTORS}/{name}.npy"), &vector)?;
+        let shape = [features.len(), NUM_BODY_JOINTS, 3];
+        let joints = npy::encode(&shape, &joints);
+        file(folder, &format!("new_joints/{name}.npy"), &joints)?;
+        let lines: String = row.stated_captions().map(caption_line).collect();
+        if !lines.is_empty() {
+            file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
+        }
+        Ok(None)
+    }
+}
+
+impl ByClip for HumanMl3dFolder {
+    fn write(
+        &self,
+        rows: Vec<MotionRow>,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Note>, Error> {
+        let written = rows.par_iter().map(|row| {
+            let note = self.write_clip(row, folder)?;
+            progress.advance(1);
+            Ok(note)
+        });
+        written.collect()
+    }
+
+    fn finish(&self, clips: &Clips, notes: &[Note], folder: &Path) -> Result<u64, Error> {
+        for name in [VECTORS, "new_joints", "texts"] {
+            let path = folder.join(name);
+            fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+        }
+        let mut notes = notes.iter();
+        let mut by_split: BTreeMap<Split, Vec<&str>> = BTreeMap::new();
+        let mut statistics = Statistics::<HUMANML3D_WIDTH>::default();
+        let mut lines = Lines::new(["name", "id", "left_out", "license"]);
+        let mut written = 0;
+        for shard in clips.shards(None) {
+            let ids = shard.column::<String>("id")?;
+            let splits = shard.column::<Split>("split")?;
+            let licenses = shard.column::<Option<String>>("license")?;
+            for ((id, split), license) in ids.iter().zip(splits).zip(licenses) {
+                let name = self.name(id);
+                let left_out = notes.next().cloned().flatten();
+                let reason = left_out.as_deref().unwrap_or_default();
+                lines.take([name, id, reason, license.as_deref().unwrap_or_default()]);
+                if left_out.is_some() {
+                    continue;
+                }
+                let path = folder.join(format!("{VECTORS}/{name}.npy"));
+                statistics.take(&read_features::<HUMANML3D_WIDTH>(&path)?);
+                by_split.entry(split).or_default().push(name);
+                written += 1;
+            }
+        }
+        file(folder, "ids.csv", &lines.into_bytes())?;
+        for (list, splits) in [
+            ("train.txt", &[Split::Train][..]),
+            ("val.txt", &[Split::Val]),
+            ("test.txt", &[Split::Test]),
+            ("train_val.txt", &[Split::Train, Split::Val]),
+            ("all.txt", &Split::ALL),
+        ] {
+            let listed = splits.iter().filter_map(|split| by_split.get(split));
+            let mut names: Vec<&str> = listed.flatten().copied().collect();
+            names.sort_unstable();
+            let lines: String = names.iter().flat_map(|name| [*name, "\n"]).collect();
+            file(folder, list, lines.as_bytes())?;
+        }
+        let width = [HUMANML3D_WIDTH];
+        file(folder, "Mean.npy", &npy::encode(&width, &statistics.mean()))?;
+        file(
+            folder,
+            "Std.npy",
+            &npy::encode(&width, &statistics.group_std()),
+        )?;
+        Ok(written)
+    }
 }
 
 /// The features of a clip, or why it has none.
@@ -159,115 +248,6 @@ pub(super) fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error>
     Ok(ids)
 }
 
-/// A folder that is being written.
-struct Writer {
-    root: PathBuf,
-    names: BTreeMap<String, String>,
-    by_split: BTreeMap<Split, Vec<String>>,
-    statistics: Statistics<HUMANML3D_WIDTH>,
-    ids: BufWriter<File>,
-    clips: u64,
-}
-
-impl Writer {
-    fn new(root: &Path, names: BTreeMap<String, String>) -> Result<Self, Error> {
-        for folder in ["new_joint_vecs", "new_joints", "texts"] {
-            let path = root.join(folder);
-            fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
-        }
-        let path = root.join("ids.csv");
-        let mut ids = BufWriter::new(File::create(&path).map_err(Error::io("create", &path))?);
-        writeln!(ids, "name,id,left_out,license").map_err(Error::io("write", &path))?;
-        Ok(Self {
-            root: root.to_owned(),
-            names,
-            by_split: BTreeMap::new(),
-            statistics: Statistics::default(),
-            ids,
-            clips: 0,
-        })
-    }
-
-    /// Writes a clip, or notes why there is none.
-    fn take(&mut self, row: &MotionRow, clip: Result<Vec<Features>, String>) -> Result<(), Error> {
-        let id = row.id.as_str();
-        let name = self.names.get(id).cloned().unwrap_or_default();
-        let reason = clip.as_ref().err().map_or("", String::as_str);
-        self.note([
-            &name,
-            id,
-            reason,
-            row.license.as_deref().unwrap_or_default(),
-        ])?;
-        let Ok(features) = clip else {
-            return Ok(());
-        };
-        let joints: Vec<f32> = recover_joints(&features)
-            .iter()
-            .flatten()
-            .flat_map(|joint| joint.as_vec3().to_array())
-            .collect();
-        let frames = features.len();
-        let (vectors, width) = (features.as_flattened(), HUMANML3D_WIDTH);
-        let shape = [frames, NUM_BODY_JOINTS, 3];
-        self.array(
-            &format!("new_joint_vecs/{name}.npy"),
-            &[frames, width],
-            vectors,
-        )?;
-        self.array(&format!("new_joints/{name}.npy"), &shape, &joints)?;
-        let lines: String = row.stated_captions().map(caption_line).collect();
-        if !lines.is_empty() {
-            self.file(&format!("texts/{name}.txt"), lines.as_bytes())?;
-        }
-        self.statistics.take(&features);
-        self.by_split.entry(row.split).or_default().push(name);
-        self.clips += 1;
-        Ok(())
-    }
-
-    /// Writes the lists and the statistics.
-    fn finish(mut self) -> Result<u64, Error> {
-        self.ids
-            .flush()
-            .map_err(Error::io("write", self.root.join("ids.csv")))?;
-        for (file, splits) in [
-            ("train.txt", &[Split::Train][..]),
-            ("val.txt", &[Split::Val]),
-            ("test.txt", &[Split::Test]),
-            ("train_val.txt", &[Split::Train, Split::Val]),
-            ("all.txt", &Split::ALL),
-        ] {
-            let listed = splits.iter().filter_map(|split| self.by_split.get(split));
-            let mut names: Vec<&str> = listed.flatten().map(String::as_str).collect();
-            names.sort_unstable();
-            let lines: String = names.iter().flat_map(|name| [*name, "\n"]).collect();
-            self.file(file, lines.as_bytes())?;
-        }
-        let width = [HUMANML3D_WIDTH];
-        self.array("Mean.npy", &width, &self.statistics.mean())?;
-        self.array("Std.npy", &width, &self.statistics.group_std())?;
-        Ok(self.clips)
-    }
-
-    fn note(&mut self, fields: [&str; 4]) -> Result<(), Error> {
-        let mut line = csv::Writer::from_writer(&mut self.ids);
-        line.write_record(fields)
-            .map_err(std::io::Error::from)
-            .and_then(|()| line.flush())
-            .map_err(Error::io("write", self.root.join("ids.csv")))
-    }
-
-    fn array(&self, name: &str, shape: &[usize], values: &[f32]) -> Result<(), Error> {
-        self.file(name, &npy::encode(shape, values))
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
-        let path = self.root.join(name);
-        fs::write(&path, bytes).map_err(Error::io("write", &path))
-    }
-}
-
 /// A caption as `text#tokens#from#to`.
 pub(super) fn caption_line(caption: &Caption) -> String {
     // A line break would end the caption; a hash sign in the tokens would end them.
@@ -291,9 +271,12 @@ fn words(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use glam::DVec3;
 
     use super::*;
+    use crate::export::{Layout, export};
     use crate::feature::humanml3d::{UNIFORM_BONES, process_joints};
     use crate::ingest::{IngestOptions, ingest};
     use crate::retarget::tests::walk;
@@ -342,11 +325,9 @@ mod tests {
         )
         .expect("written");
         let first = ingested(&at("in"), &at("first"));
-        fs::create_dir_all(at("out")).expect("made");
-        assert_eq!(
-            write(&Clips::all(&first), &at("out"), &NoProgress).expect("written"),
-            1
-        );
+        let clips = Clips::all(&first);
+        let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");
+        assert_eq!(done.clips, 1);
 
         let rows = |dataset: &Dataset| dataset.read::<MotionRow>(None).expect("read");
         let before = rows(&first)[0].clone();
@@ -409,11 +390,9 @@ mod tests {
             names["walk"], "000002",
             "000000 is taken, M000001 is another's mirror"
         );
-        fs::create_dir_all(at("out")).expect("made");
-        assert_eq!(
-            write(&Clips::all(&dataset), &at("out"), &NoProgress).expect("written"),
-            4
-        );
+        let clips = Clips::all(&dataset);
+        let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");
+        assert_eq!(done.clips, 4);
         let array = |name: &str| {
             let bytes = fs::read(at("out").join(name)).expect("written");
             read_numbers(name, &bytes).expect("an array")

@@ -4,11 +4,15 @@
 //! renamed when it is complete.
 
 mod amass;
+mod by_clip;
 mod clips;
 mod edits;
+mod feature_files;
 mod features;
+mod form;
 mod humanml3d;
 mod items;
+mod job;
 mod lerobot;
 mod motionfix;
 mod paths;
@@ -26,10 +30,15 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::filter::Clips;
+use crate::write::{self, is_occupied};
 
+use self::by_clip::PART_CLIPS;
+use self::form::Form;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;
+pub use job::plan_export;
+pub(crate) use job::{JOB, open_job};
 pub use motionfix::export_triplets;
 
 /// A layout to export to.
@@ -59,6 +68,12 @@ pub enum Layout {
     HyMotion,
     /// Dumps of MotionFix: the pairs of the dataset.
     MotionFix,
+}
+
+impl std::fmt::Display for Layout {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
 }
 
 impl Layout {
@@ -124,27 +139,28 @@ pub fn export(
         });
     }
     let folder = Staging::beside(out)?;
-    let dim_272 = |form: &features::Form| {
-        features::write(clips, &folder.path, form, &features::DIM_272, progress)
-    };
-    let num_clips = match layout {
-        Layout::Amass => amass::write(clips, &folder.path, progress)?,
-        Layout::HumanMl3d => humanml3d::write(clips, &folder.path, progress)?,
-        Layout::Bvh => clips::bvh(clips, &folder.path, progress)?,
-        Layout::Gltf => clips::gltf(clips, &folder.path, progress)?,
-        Layout::WebDataset => webdataset::write(clips, &folder.path, progress)?,
-        Layout::LeRobot => lerobot::write(clips, &folder.path, progress)?,
-        Layout::Stance => stance::write(clips, &folder.path, progress)?,
-        Layout::HumanMl3d272 => dim_272(&features::HUMANML3D_272)?,
-        Layout::Babel272 => dim_272(&features::BABEL_272)?,
-        Layout::MotionMillion => dim_272(&features::MOTIONMILLION)?,
-        Layout::HyMotion => {
-            let (form, recipe) = (&features::HY_MOTION, &features::DIM_201);
-            features::write(clips, &folder.path, form, recipe, progress)?
+    let num_clips = match Form::of(layout, clips)? {
+        Form::Whole(write) => write(clips, &folder.path, progress)?,
+        Form::ByClip(form) => {
+            progress.begin("export", Some(clips.len()));
+            let mut notes = Vec::new();
+            for part in clips.parts(PART_CLIPS) {
+                notes.extend(form.write(clips.read(&part)?, &folder.path, progress)?);
+            }
+            let written = form.finish(clips, &notes, &folder.path)?;
+            progress.finish(&format!("{written} clips"));
+            written
         }
-        Layout::MotionFix => motionfix::write(clips, &folder.path, progress)?,
     };
     folder.publish(out)?;
+    Ok(Exported {
+        clips: num_clips,
+        made_captions_left_out: made_captions_left_out(layout, clips)?,
+    })
+}
+
+/// Captions made from file names that a layout leaves out.
+fn made_captions_left_out(layout: Layout, clips: &Clips) -> Result<u64, Error> {
     let marks_captions = match layout {
         Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
         // Its texts are instructions.
@@ -156,14 +172,10 @@ pub fn export(
         | Layout::MotionMillion
         | Layout::HyMotion => false,
     };
-    let made_captions_left_out = match marks_captions {
-        true => 0,
-        false => made_captions(clips)?,
-    };
-    Ok(Exported {
-        clips: num_clips,
-        made_captions_left_out,
-    })
+    match marks_captions {
+        true => Ok(0),
+        false => made_captions(clips),
+    }
 }
 
 /// Captions made from file names. Only the column of their origins is read.
@@ -186,11 +198,7 @@ struct Staging {
 
 impl Staging {
     fn beside(out: &Path) -> Result<Self, Error> {
-        let occupied = match fs::read_dir(out) {
-            Ok(mut entries) => entries.next().is_some(),
-            Err(_) => out.exists(),
-        };
-        if occupied {
+        if is_occupied(out) {
             return Err(Error::Occupied {
                 path: out.to_owned(),
             });
@@ -220,10 +228,7 @@ impl Staging {
     }
 
     fn publish(mut self, out: &Path) -> Result<(), Error> {
-        if out.exists() {
-            fs::remove_dir(out).map_err(Error::io("replace", out))?;
-        }
-        fs::rename(&self.path, out).map_err(Error::io("rename to", out))?;
+        write::publish(&self.path, out)?;
         self.published = true;
         Ok(())
     }

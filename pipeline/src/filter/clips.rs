@@ -1,10 +1,12 @@
 //! The clips of a dataset, all or those that a filter chooses, read shard by shard.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Cell, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Split};
+use serde::{Deserialize, Serialize};
 
 use super::Filter;
 use crate::Error;
@@ -16,8 +18,18 @@ pub struct Clips<'a> {
     shards: Vec<Shard>,
 }
 
+/// Some clips of one file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Part {
+    /// Number of the file.
+    pub(crate) shard: usize,
+    /// Places among its chosen clips.
+    pub(crate) clips: Range<usize>,
+}
+
 /// Clips of one file.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Shard {
     path: PathBuf,
     split: Option<Split>,
@@ -61,6 +73,69 @@ impl<'a> Clips<'a> {
         Ok(clips)
     }
 
+    /// The clips of [`Clips::into_shards`] again.
+    pub(crate) fn of(dataset: &'a Dataset, shards: &[Shard]) -> Self {
+        let shards = shards.to_vec();
+        Self { dataset, shards }
+    }
+
+    pub(crate) fn into_shards(self) -> Vec<Shard> {
+        self.shards
+    }
+
+    /// At most the first `count` of them.
+    pub(crate) fn first(mut self, count: usize) -> Self {
+        let mut left = count;
+        for shard in &mut self.shards {
+            let len = usize::try_from(shard.num_clips).unwrap_or(usize::MAX);
+            let taken = len.min(left);
+            left -= taken;
+            if taken < len {
+                let mut rows = shard.rows.take().unwrap_or_else(|| (0..taken).collect());
+                rows.truncate(taken);
+                shard.num_clips = taken as u64;
+                shard.rows = Some(rows);
+            }
+        }
+        self.shards.retain(|shard| shard.num_clips > 0);
+        self
+    }
+
+    /// Runs of at most `most` clips, none of which lies in two files.
+    pub(crate) fn parts(&self, most: usize) -> Vec<Part> {
+        let mut parts = Vec::new();
+        for (shard, clips) in self.shards.iter().enumerate() {
+            let len = usize::try_from(clips.num_clips).unwrap_or(usize::MAX);
+            let starts = (0..len).step_by(most);
+            parts.extend(starts.map(|start| Part {
+                shard,
+                clips: start..len.min(start + most),
+            }));
+        }
+        parts
+    }
+
+    /// The rows of a part; see [`Shard::read`].
+    ///
+    /// # Errors
+    /// The file cannot be read, has no such rows, or a motion is damaged.
+    pub(crate) fn read(&self, part: &Part) -> Result<Vec<MotionRow>, Error> {
+        let Some(shard) = self.shards.get(part.shard) else {
+            return Ok(Vec::new());
+        };
+        let places: Vec<usize> = match &shard.rows {
+            None => part.clips.clone().collect(),
+            Some(rows) => rows.get(part.clips.clone()).unwrap_or_default().to_vec(),
+        };
+        let rows: Vec<MotionRow> = ShardReader::open(&shard.path)?.rows_at(&places)?;
+        if shard.rows.is_some() {
+            for row in &rows {
+                check_content(row, &shard.path)?;
+            }
+        }
+        Ok(rows)
+    }
+
     /// The dataset.
     pub fn dataset(&self) -> &'a Dataset {
         self.dataset
@@ -85,6 +160,11 @@ impl<'a> Clips<'a> {
 }
 
 impl Shard {
+    /// The file.
+    pub(crate) fn path(&self) -> &std::path::Path {
+        &self.path
+    }
+
     /// The rows of the clips. Where a filter chose them, only their pages are read, and each motion is
     /// checked against its hash.
     ///

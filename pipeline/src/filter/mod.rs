@@ -17,8 +17,8 @@ use std::str::FromStr;
 
 use datasets_spec::table::ShardReader;
 
-pub(crate) use self::clips::check_content;
 pub use self::clips::{Clips, Shard};
+pub(crate) use self::clips::{Part, check_content};
 use self::columns::{Column, Kind, Values};
 use self::grammar::{Comparison, Expression, Test, Value};
 use crate::Error;
@@ -26,6 +26,7 @@ use crate::Error;
 /// A condition on clips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Filter {
+    text: String,
     expression: Expression,
     columns: BTreeMap<String, Column>,
 }
@@ -43,9 +44,17 @@ impl FromStr for Filter {
         let mut columns = BTreeMap::new();
         bind(&mut expression, &mut columns).map_err(refused)?;
         Ok(Self {
+            text: text.to_owned(),
             expression,
             columns,
         })
+    }
+}
+
+impl Filter {
+    /// The condition as it was written.
+    pub fn text(&self) -> &str {
+        &self.text
     }
 }
 

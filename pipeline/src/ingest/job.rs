@@ -253,6 +253,6 @@ impl Job for Ingestion {
         });
         let taken = taken.collect::<Result<Vec<_>, Error>>()?;
         let report = prepared.conclude(transaction, &self.plan, Pieces::Taken(taken), progress)?;
-        Ok(Committed::of(plan, report.dataset.manifest()))
+        Ok(plan.committed(report.dataset.manifest()))
     }
 }

@@ -1,71 +1,22 @@
 //! Committing a plan.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use datasets_spec::manifest::{Accounting, FileEntry, Manifest};
+use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Progress, Transaction};
 use rayon::prelude::*;
 use serde::Serialize;
-use serde_json::Value;
 
-use super::job::{Finished, Jobs, Made};
-use super::plan::{Piece, Plan, State};
-use super::record::{Failed, Record, staged};
-use super::worker::failed_name;
+use super::job::Jobs;
+use super::piece::Piece;
+use super::plan::{Plan, State};
+use super::record::{
+    CommitOptions, Committed, Failed, Finished, Made, Record, failed_name, staged,
+};
 use crate::Error;
-
-/// How a plan is committed.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct CommitOptions {
-    /// Put what failed pieces should have made into quarantine; without it, they stop the commit.
-    pub quarantine_failed: bool,
-    /// Names this run to another one that finds the destination locked.
-    pub holder: String,
-}
-
-/// What a commit did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Committed {
-    /// The destination.
-    pub destination: PathBuf,
-    /// Whether the plan was committed before, and nothing was done.
-    pub already_committed: bool,
-    /// Pieces of the plan.
-    pub pieces: u64,
-    /// Pieces that failed and were put into quarantine.
-    pub failed: u64,
-    /// Rows of each table.
-    pub tables: BTreeMap<String, u64>,
-    /// Counts of the sources, for a job that has some.
-    pub accounting: Option<Accounting>,
-    /// Hash over all files.
-    pub root_hash: String,
-    /// What the job says of the result.
-    #[serde(skip_serializing_if = "Value::is_null")]
-    pub notes: Value,
-}
-
-impl Committed {
-    /// What a manifest says.
-    pub fn of(plan: &Plan, manifest: &Manifest) -> Self {
-        let tables = manifest.tables.keys();
-        Self {
-            destination: plan.destination().to_owned(),
-            already_committed: false,
-            pieces: plan.pieces().len() as u64,
-            failed: 0,
-            tables: tables
-                .map(|table| (table.clone(), manifest.rows(table, None)))
-                .collect(),
-            accounting: (manifest.accounting.sources > 0).then(|| manifest.accounting.clone()),
-            root_hash: manifest.root_hash.clone(),
-            notes: Value::Null,
-        }
-    }
-}
 
 /// How far the work on a plan is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -214,7 +165,9 @@ pub fn commit(
     })?;
     let committed = match job.commit(plan, pieces, options, progress) {
         // Another process was first.
-        Err(Error::StalePlan { .. }) if plan.state()? == State::Committed => {
+        Err(Error::StalePlan { .. } | Error::Occupied { .. })
+            if plan.state()? == State::Committed =>
+        {
             return already_committed(plan);
         }
         committed => committed?,
@@ -226,10 +179,20 @@ pub fn commit(
 }
 
 fn already_committed(plan: &Plan) -> Result<Committed, Error> {
+    if !plan.is_dataset()
+        && let Some(committed) = plan.published()?
+    {
+        // A worker or a commit that came late may have made the folder of the pieces again.
+        plan.settle(&committed)?;
+        return Ok(Committed {
+            already_committed: true,
+            ..committed
+        });
+    }
     let dataset = datasets_spec::Dataset::open_unverified(plan.destination())?;
     Ok(Committed {
         already_committed: true,
-        ..Committed::of(plan, dataset.manifest())
+        ..plan.committed(dataset.manifest())
     })
 }
 

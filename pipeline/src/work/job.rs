@@ -4,15 +4,13 @@ use std::collections::BTreeMap;
 
 use datasets_spec::Progress;
 use datasets_spec::dataset::Staging;
-use datasets_spec::manifest::FileEntry;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::commit::{CommitOptions, Committed};
-use super::plan::{Piece, Plan};
-use super::record::Failed;
-use crate::{Error, ingest, recording};
+use super::piece::Piece;
+use super::plan::Plan;
+use super::record::{CommitOptions, Committed, Failed, Finished, Made};
+use crate::Error;
 
 /// A job whose plan was made: what all its pieces share.
 pub trait Job: Send + Sync {
@@ -42,37 +40,6 @@ pub trait Job: Send + Sync {
     ) -> Result<Committed, Error>;
 }
 
-/// What [`Job::make`] made.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Made {
-    /// The files.
-    pub files: Vec<FileEntry>,
-    /// What the job needs to know of the piece when it commits.
-    pub notes: Value,
-}
-
-impl Made {
-    /// Files and notes.
-    ///
-    /// # Panics
-    /// If the notes cannot be written as JSON, which is a bug in the job.
-    pub fn new(files: Vec<FileEntry>, notes: &impl Serialize) -> Self {
-        Self {
-            files,
-            notes: serde_json::to_value(notes).expect("notes are numbers and texts"),
-        }
-    }
-}
-
-/// A piece at the time of the commit.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Finished {
-    /// The piece.
-    pub piece: Piece,
-    /// What was made, or why it failed.
-    pub made: Result<Made, Failed>,
-}
-
 /// What a piece notes for the commit.
 ///
 /// # Errors
@@ -90,16 +57,12 @@ pub type Open = Box<dyn Fn(&Plan) -> Result<Box<dyn Job>, Failed> + Send + Sync>
 /// The jobs that a program knows.
 pub struct Jobs(BTreeMap<&'static str, Open>);
 
-impl Default for Jobs {
-    /// The jobs of this crate.
-    fn default() -> Self {
-        Self(BTreeMap::new())
-            .with(ingest::JOB, Box::new(ingest::open_job))
-            .with(recording::JOB, Box::new(recording::open_job))
-    }
-}
-
 impl Jobs {
+    /// No job.
+    pub fn none() -> Self {
+        Self(BTreeMap::new())
+    }
+
     /// Adds a job.
     #[must_use]
     pub fn with(mut self, name: &'static str, open: Open) -> Self {

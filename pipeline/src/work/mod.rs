@@ -31,15 +31,16 @@
 
 mod commit;
 mod job;
+mod piece;
 mod plan;
 mod record;
 mod worker;
 
-pub use self::commit::{CommitOptions, Committed, Quarantine, Status, commit, status};
-pub use self::job::{Finished, Job, Jobs, Made, Open, notes};
-pub use self::plan::{Draft, Piece, Plan, State};
-pub use self::plan::{absolute, base_of};
+pub use self::commit::{Quarantine, Status, commit, status};
+pub use self::job::{Job, Jobs, Open, notes};
+pub use self::piece::Piece;
+pub use self::plan::{Draft, Plan, State, absolute, base_of};
 pub(crate) use self::plan::{hash_file, read_json, write_json, write_table};
-pub use self::record::{Failed, Outcome, Record};
+pub use self::record::{CommitOptions, Committed, Failed, Finished, Made, Outcome, Record};
 pub(crate) use self::record::{keep, staged};
 pub use self::worker::{Sample, Worker};

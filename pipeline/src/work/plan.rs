@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::Staging;
@@ -12,7 +13,10 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::piece::Piece;
+use super::record::Committed;
 use crate::Error;
+use crate::write::{is_occupied, publish, replace_file};
 
 /// Value of `format` in every plan.
 const FORMAT: &str = "stance-plan";
@@ -22,81 +26,12 @@ const VERSION: u32 = 1;
 const TOOL_VERSION: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 const HEADER: &str = "plan.json";
 const PIECES: &str = "pieces.parquet";
-/// Digits of an id.
-const ID_DIGITS: usize = 32;
-
-datasets_spec::table! {
-    /// A piece of work: what one call of a worker makes.
-    pub struct Piece = "pieces" {
-        /// Hash of the plan and of what the piece reads, 32 hexadecimal digits
-        pub id: String [""],
-        /// Number from 0
-        pub number: u64 [""],
-        /// What it makes, such as motions/train-00000-of-00004
-        pub name: String [""],
-        /// Items in it: motions, windows, edits
-        pub items: u64 [""],
-        /// Bytes that it reads; 0 where all pieces read the same
-        pub bytes: u64 ["B"],
-        /// What its job needs to make it, as JSON
-        pub detail: String [""],
-    }
-}
-
-impl Piece {
-    /// A piece of a plan. `reads` identifies what it reads beyond what the plan's hash covers.
-    pub fn new<'a>(
-        plan_hash: &str,
-        number: usize,
-        name: String,
-        items: u64,
-        reads: impl Iterator<Item = &'a str>,
-    ) -> Self {
-        let mut hasher = blake3::Hasher::new();
-        let number = number as u64;
-        let mut take = |part: &str| {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        };
-        take(plan_hash);
-        take(&number.to_string());
-        take(&name);
-        reads.for_each(take);
-        Self {
-            id: hasher.finalize().to_hex()[..ID_DIGITS].to_owned(),
-            number,
-            name,
-            items,
-            bytes: 0,
-            detail: "null".to_owned(),
-        }
-    }
-
-    /// The piece with what its job needs to make it.
-    ///
-    /// # Panics
-    /// If the detail cannot be written as JSON, which is a bug in the job.
-    #[must_use]
-    pub fn with(self, bytes: u64, detail: &impl Serialize) -> Self {
-        let detail = serde_json::to_string(detail).expect("details are numbers and texts");
-        Self {
-            bytes,
-            detail,
-            ..self
-        }
-    }
-
-    /// What its job needs to make it.
-    ///
-    /// # Errors
-    /// The detail is of another job.
-    pub fn detail<T: DeserializeOwned>(&self) -> Result<T, Error> {
-        serde_json::from_str(&self.detail).map_err(|error| Error::BadPlan {
-            path: PathBuf::from(PIECES),
-            reason: format!("piece {} has an unknown detail: {error}", self.name),
-        })
-    }
-}
+/// Note of a commit to a folder of files.
+const COMMITTED: &str = "committed.json";
+/// Folder of files before it is published.
+const RESULT: &str = "result";
+/// Digits of a plan's hash in the name of a folder of pieces.
+const HOME_DIGITS: usize = 16;
 
 /// `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -346,12 +281,68 @@ impl Plan {
     /// Where the pieces are staged.
     pub fn staging(&self) -> Staging {
         let base = (self.header.base, self.header.base_tables.clone());
-        Staging::of_plan(ByPath::store(), self.home(), base, self.hash())
+        Staging::of_plan(ByPath::store(), &self.home(), base, self.hash())
     }
 
     /// The folder that pieces are staged in: the dataset, or one beside the folder of files.
-    pub(crate) fn home(&self) -> &Path {
-        &self.header.destination
+    pub(crate) fn home(&self) -> PathBuf {
+        let destination = &self.header.destination;
+        if self.header.is_dataset {
+            return destination.clone();
+        }
+        let name = destination
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy();
+        let digits = &self.header.plan_hash[..HOME_DIGITS.min(self.header.plan_hash.len())];
+        destination.with_file_name(format!(".{name}.{digits}.pieces"))
+    }
+
+    /// Where a folder of files is made before it is published.
+    pub(crate) fn result(&self) -> PathBuf {
+        self.home().join(RESULT)
+    }
+
+    /// Publishes the folder at [`Plan::result`]. Notes of it are kept before and after, so that a commit that is
+    /// killed can tell that it was done.
+    pub(crate) fn publish(&self, committed: &Committed) -> Result<(), Error> {
+        write_json(&self.home().join(COMMITTED), committed)?;
+        publish(&self.result(), self.destination())?;
+        self.settle(committed)
+    }
+
+    /// Keeps the note of a published folder with the plan, and removes its pieces.
+    pub(crate) fn settle(&self, committed: &Committed) -> Result<(), Error> {
+        let kept = self.path.join(COMMITTED);
+        let text = serde_json::to_vec_pretty(committed).expect("notes are numbers and texts");
+        replace_file(&kept, &text).map_err(Error::io("write", &kept))?;
+        let home = self.home();
+        match ByPath.remove_dir_all(&home) {
+            // A late worker may still write to it; what it leaves goes with the next commit of the plan.
+            Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => Ok(()),
+            removed => removed.map_err(Error::io("remove", &home)),
+        }
+    }
+
+    /// What the commit of a folder of files noted.
+    pub(crate) fn published(&self) -> Result<Option<Committed>, Error> {
+        let kept = self.path.join(COMMITTED);
+        if kept.is_file() {
+            return read_json(&kept).map(Some);
+        }
+        let before = self.home().join(COMMITTED);
+        // A result that is still there was not published; the destination is then another one's.
+        if !before.is_file() || self.result().exists() {
+            return Ok(None);
+        }
+        let committed = read_json(&before)?;
+        self.settle(&committed)?;
+        Ok(Some(committed))
+    }
+
+    /// Whether the destination is a dataset; else it is a folder of files.
+    pub(crate) fn is_dataset(&self) -> bool {
+        self.header.is_dataset
     }
 
     /// Where the destination stands.
@@ -359,6 +350,13 @@ impl Plan {
     /// # Errors
     /// The destination is there and cannot be read.
     pub fn state(&self) -> Result<State, Error> {
+        if !self.header.is_dataset {
+            return Ok(match is_occupied(self.destination()) {
+                false => State::Open,
+                true if self.published()?.is_some() => State::Committed,
+                true => State::Changed(0),
+            });
+        }
         let store = ByPath::store();
         let root = self.destination();
         let version = Staging::newest_version(store.as_ref(), root)?;
@@ -373,6 +371,23 @@ impl Plan {
         })
     }
 
+    /// What a commit of this plan did, by the manifest that it wrote.
+    pub fn committed(&self, manifest: &Manifest) -> Committed {
+        let tables = manifest.tables.keys();
+        Committed {
+            destination: self.destination().to_owned(),
+            already_committed: false,
+            pieces: self.pieces.len() as u64,
+            failed: 0,
+            tables: tables
+                .map(|table| (table.clone(), manifest.rows(table, None)))
+                .collect(),
+            accounting: (manifest.accounting.sources > 0).then(|| manifest.accounting.clone()),
+            root_hash: manifest.root_hash.clone(),
+            notes: Value::Null,
+        }
+    }
+
     /// Checks that the destination is as it was when the plan was made.
     ///
     /// # Errors
@@ -380,6 +395,7 @@ impl Plan {
     pub fn check_open(&self) -> Result<(), Error> {
         match self.state()? {
             State::Open => Ok(()),
+            State::Committed | State::Changed(_) if !self.header.is_dataset => Err(self.changed(0)),
             State::Committed | State::Changed(_) => {
                 let store = ByPath::store();
                 let now = Staging::newest_version(store.as_ref(), self.destination())?;
@@ -389,6 +405,11 @@ impl Plan {
     }
 
     pub(crate) fn changed(&self, now: u64) -> Error {
+        if !self.header.is_dataset {
+            return Error::Occupied {
+                path: self.header.destination.clone(),
+            };
+        }
         Error::StalePlan {
             path: self.path.clone(),
             destination: self.header.destination.clone(),

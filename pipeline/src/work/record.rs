@@ -1,14 +1,15 @@
-//! Answers of workers.
+//! Answers of workers, and what becomes of them.
 
+use std::collections::BTreeMap;
 use std::error::Error as StdError;
+use std::path::PathBuf;
 
 use datasets_spec::dataset::Staging;
-use datasets_spec::manifest::FileEntry;
+use datasets_spec::manifest::{Accounting, FileEntry};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::job::Made;
-use super::plan::Piece;
+use super::piece::Piece;
 use crate::Error;
 
 /// What became of a piece.
@@ -143,4 +144,71 @@ pub(crate) fn staged(staging: &Staging, piece: &str) -> Result<Option<Stored>, E
     };
     let is_whole = stored.record.piece == piece && staging.holds(stored.record.files.iter())?;
     Ok(is_whole.then_some(stored))
+}
+
+/// What a job made for a piece.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Made {
+    /// The files.
+    pub files: Vec<FileEntry>,
+    /// What the job needs to know of the piece when it commits.
+    pub notes: Value,
+}
+
+impl Made {
+    /// Files and notes.
+    ///
+    /// # Panics
+    /// If the notes cannot be written as JSON, which is a bug in the job.
+    pub fn new(files: Vec<FileEntry>, notes: &impl Serialize) -> Self {
+        Self {
+            files,
+            notes: serde_json::to_value(notes).expect("notes are numbers and texts"),
+        }
+    }
+}
+
+/// A piece at the time of the commit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finished {
+    /// The piece.
+    pub piece: Piece,
+    /// What was made, or why it failed.
+    pub made: Result<Made, Failed>,
+}
+
+/// How a plan is committed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CommitOptions {
+    /// Put what failed pieces should have made into quarantine; without it, they stop the commit.
+    pub quarantine_failed: bool,
+    /// Names this run to another one that finds the destination locked.
+    pub holder: String,
+}
+
+/// What a commit did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Committed {
+    /// The destination.
+    pub destination: PathBuf,
+    /// Whether the plan was committed before, and nothing was done.
+    pub already_committed: bool,
+    /// Pieces of the plan.
+    pub pieces: u64,
+    /// Pieces that failed and were put into quarantine.
+    pub failed: u64,
+    /// Rows of each table.
+    pub tables: BTreeMap<String, u64>,
+    /// Counts of the sources, for a job that has some.
+    pub accounting: Option<Accounting>,
+    /// Hash over all files.
+    pub root_hash: String,
+    /// What the job says of the result.
+    #[serde(default, skip_serializing_if = "Value::is_null")]
+    pub notes: Value,
+}
+
+/// Name of the record of a failure.
+pub(super) fn failed_name(piece: &str) -> String {
+    format!("{piece}.failed")
 }

@@ -8,8 +8,9 @@ use std::time::Instant;
 use datasets_spec::dataset::Staging;
 
 use super::job::{Job, Jobs};
-use super::plan::{Piece, Plan, State};
-use super::record::{Failed, Outcome, Record, Stored, staged};
+use super::piece::Piece;
+use super::plan::{Plan, State};
+use super::record::{Failed, Outcome, Record, Stored, failed_name, staged};
 use crate::Error;
 
 /// Makes pieces of a plan. One worker serves all pieces that a process makes, from any of its threads.
@@ -142,9 +143,4 @@ impl Worker {
             secs: begun.elapsed().as_secs_f64(),
         }))
     }
-}
-
-/// Name of the record of a failure.
-pub(super) fn failed_name(piece: &str) -> String {
-    format!("{piece}.failed")
 }

@@ -11,6 +11,8 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::Error;
+
 /// Writes a file whole or not at all: to a temporary name of its own beside it, synced, then renamed. Of two
 /// writers the later one wins.
 ///
@@ -32,6 +34,22 @@ pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
         // The temporary file may not exist; the first error is returned.
         let _removed = std::fs::remove_file(&staged);
     })
+}
+
+/// Whether something is where an export would be written.
+pub(crate) fn is_occupied(out: &Path) -> bool {
+    match std::fs::read_dir(out) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(_) => out.exists(),
+    }
+}
+
+/// Gives a complete folder its name, which an empty one may have.
+pub(crate) fn publish(folder: &Path, out: &Path) -> Result<(), Error> {
+    if out.exists() {
+        std::fs::remove_dir(out).map_err(Error::io("replace", out))?;
+    }
+    std::fs::rename(folder, out).map_err(Error::io("rename to", out))
 }
 
 #[cfg(test)]

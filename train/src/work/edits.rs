@@ -282,7 +282,7 @@ impl Job for Editing {
         remarks.write(plan.destination()).map_err(of_commit)?;
         Ok(Committed {
             notes: json!({ "times": times, "remarks": remarks }),
-            ..Committed::of(plan, dataset.manifest())
+            ..plan.committed(dataset.manifest())
         })
     }
 }

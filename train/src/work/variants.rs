@@ -192,7 +192,7 @@ impl Job for Variants {
             .map_err(of_commit)?;
         Ok(Committed {
             notes: json!({ "counts": all.counts }),
-            ..Committed::of(plan, dataset.manifest())
+            ..plan.committed(dataset.manifest())
         })
     }
 }

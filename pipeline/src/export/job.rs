@@ -1,0 +1,413 @@
+//! Exports as jobs in pieces.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use datasets_spec::dataset::Staging;
+use datasets_spec::manifest::{FileEntry, plan_hash};
+use datasets_spec::record::{HumanMl3dRow, MotionRow};
+use datasets_spec::store::{Disk, Locking, Store, temporary_beside};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, NoProgress, Progress};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::by_clip::{Note, PART_CLIPS};
+use super::form::Form;
+use super::{Layout, made_captions_left_out};
+use crate::Error;
+use crate::filter::{Clips, Filter, Part, Shard};
+use crate::work::{
+    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, absolute,
+    hash_file,
+};
+use crate::write::is_occupied;
+
+/// Name of the job.
+pub(crate) const JOB: &str = "export";
+
+/// Folder of the pieces among what is staged.
+const PIECES: &str = "pieces";
+
+/// The settings of a plan.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    dataset: PathBuf,
+    /// Root hash of the dataset.
+    root_hash: String,
+    layout: String,
+    /// The condition on the clips.
+    filter: Option<String>,
+}
+
+impl Stored {
+    fn plan_hash(&self) -> String {
+        plan_hash(JOB, &(&self.root_hash, &self.layout, &self.filter))
+    }
+}
+
+/// An export that is ready to be made.
+struct Export {
+    dataset: Dataset,
+    layout: Layout,
+    shards: Vec<Shard>,
+    form: Form,
+    /// Files of the dataset that were checked against their hashes.
+    checked: Mutex<BTreeSet<PathBuf>>,
+}
+
+/// Plans the export of motions for any number of processes. Layouts with files for each clip are made in pieces of
+/// 256 clips, the others in one piece. `out` is the folder of the plan.
+///
+/// # Errors
+/// The dataset holds no motions, no clip is chosen, the destination exists and is not empty, or the folder of the
+/// plan is occupied.
+pub fn plan_export(
+    root: &Path,
+    layout: Layout,
+    filter: Option<&Filter>,
+    destination: &Path,
+    out: &Path,
+) -> Result<Plan, Error> {
+    let dataset = Dataset::open_unverified(root)?;
+    if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
+        return Err(Error::NoMotions {
+            path: root.to_owned(),
+        });
+    }
+    if is_occupied(destination) {
+        return Err(Error::Occupied {
+            path: destination.to_owned(),
+        });
+    }
+    let stored = Stored {
+        dataset: absolute(root)?,
+        root_hash: dataset.manifest().root_hash.clone(),
+        layout: layout.as_str().to_owned(),
+        filter: filter.map(|filter| filter.text().to_owned()),
+    };
+    let plan_hash = stored.plan_hash();
+    let export = Export::open(dataset, layout, filter)?;
+    let pieces = export
+        .parts()
+        .into_iter()
+        .enumerate()
+        .map(|(number, part)| {
+            let (name, items) = match &part {
+                Some(Part { shard, clips }) => (
+                    format!(
+                        "{layout}/file-{shard}-clips-{}-to-{}",
+                        clips.start, clips.end
+                    ),
+                    clips.len() as u64,
+                ),
+                None => (format!("{layout}/all"), export.clips().len()),
+            };
+            let bytes = export.bytes(part.as_ref());
+            Piece::new(&plan_hash, number, name, items, std::iter::empty()).with(bytes, &part)
+        });
+    let draft = Draft {
+        job: JOB,
+        settings: serde_json::to_value(&stored).expect("settings are texts"),
+        destination: destination.to_owned(),
+        is_dataset: false,
+        pieces: pieces.collect(),
+        plan_hash,
+        base: (0, BTreeSet::new()),
+    };
+    draft.write(out, |_| Ok(()))
+}
+
+/// Opens the job of a plan.
+pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
+    let stored: Stored = plan.settings()?;
+    let dataset = Dataset::open_unverified(&stored.dataset)?;
+    if dataset.manifest().root_hash != stored.root_hash {
+        let path = stored.dataset;
+        return Err(Error::SourceChanged { path }.into());
+    }
+    let mut layouts = Layout::ALL.into_iter();
+    let layout = layouts.find(|layout| layout.as_str() == stored.layout);
+    let layout =
+        layout.ok_or_else(|| Failed::new("E-PLAN", "the layout is unknown; plan again"))?;
+    let filter = stored
+        .filter
+        .as_deref()
+        .map(str::parse::<Filter>)
+        .transpose()?;
+    Ok(Box::new(Export::open(dataset, layout, filter.as_ref())?))
+}
+
+impl Export {
+    fn open(dataset: Dataset, layout: Layout, filter: Option<&Filter>) -> Result<Self, Error> {
+        let clips = match filter {
+            Some(filter) => Clips::chosen(&dataset, filter)?,
+            None => Clips::all(&dataset),
+        };
+        let form = Form::of(layout, &clips)?;
+        let shards = clips.into_shards();
+        Ok(Self {
+            dataset,
+            layout,
+            shards,
+            form,
+            checked: Mutex::default(),
+        })
+    }
+
+    fn clips(&self) -> Clips<'_> {
+        Clips::of(&self.dataset, &self.shards)
+    }
+
+    /// What each piece writes; none for all.
+    fn parts(&self) -> Vec<Option<Part>> {
+        match self.form {
+            Form::ByClip(_) => self
+                .clips()
+                .parts(PART_CLIPS)
+                .into_iter()
+                .map(Some)
+                .collect(),
+            Form::Whole(_) => vec![None],
+        }
+    }
+
+    /// Files of motions that a piece reads, with their places.
+    fn motions(&self, part: Option<&Part>) -> Vec<(PathBuf, &FileEntry)> {
+        let mut files = self.dataset.files(MotionRow::TABLE, None);
+        if let Some(part) = part {
+            let shard = self.shards.get(part.shard).map(Shard::path);
+            files.retain(|(path, _)| Some(path.as_path()) == shard);
+        }
+        files
+    }
+
+    /// Bytes of the motions of a piece.
+    fn bytes(&self, part: Option<&Part>) -> u64 {
+        let files = self.motions(part).into_iter();
+        let bytes = files.map(|(_, file)| match part {
+            Some(Part { clips, .. }) => file.bytes * clips.len() as u64 / file.rows.max(1),
+            None => file.bytes,
+        });
+        bytes.sum()
+    }
+
+    /// Checks the files that a piece reads against their hashes, each once in this process.
+    fn check(&self, part: Option<&Part>) -> Result<(), Error> {
+        let tables = self.dataset.manifest().tables.keys();
+        let of_table = |table: &str| self.dataset.files(table, None);
+        let files = match (part, self.layout) {
+            (None, _) => tables.flat_map(|table| of_table(table)).collect(),
+            (Some(_), Layout::HumanMl3d) => {
+                let mut files = self.motions(part);
+                files.extend(of_table(HumanMl3dRow::TABLE));
+                files
+            }
+            (Some(_), _) => self.motions(part),
+        };
+        // Other threads wait for the files that they would read as well.
+        let mut checked = self.checked.lock().unwrap_or_else(PoisonError::into_inner);
+        for (path, file) in files {
+            if checked.contains(&path) {
+                continue;
+            }
+            if hash_file(&path)? != file.blake3 {
+                return Err(Error::SourceChanged { path });
+            }
+            checked.insert(path);
+        }
+        Ok(())
+    }
+
+    fn write(&self, clips: &Clips, part: Option<&Part>, folder: &Path) -> Result<Written, Error> {
+        match (&self.form, part) {
+            (Form::ByClip(form), Some(part)) => Ok(Written {
+                clips: part.clips.len() as u64,
+                notes: form.write(clips.read(part)?, folder, &NoProgress)?,
+            }),
+            (Form::Whole(write), None) => Ok(Written {
+                clips: write(clips, folder, &NoProgress)?,
+                notes: Vec::new(),
+            }),
+            _ => Err(Error::BadPlan {
+                path: PathBuf::from(JOB),
+                reason: "its pieces are those of another layout; plan again".to_owned(),
+            }),
+        }
+    }
+}
+
+/// What a piece notes.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    clips: u64,
+    notes: Vec<Note>,
+}
+
+/// The files below a folder with their sizes and hashes, sorted by path. Paths begin with `prefix`.
+fn files_in(folder: &Path, prefix: &str) -> Result<Vec<FileEntry>, Error> {
+    let files = Disk
+        .files_below(folder)
+        .map_err(Error::io("list", folder))?;
+    let entries = files.iter().map(|path| {
+        let relative = path.strip_prefix(folder).unwrap_or(path);
+        let parts: Vec<_> = relative.iter().map(|part| part.to_string_lossy()).collect();
+        Ok(FileEntry {
+            path: format!("{prefix}{}", parts.join("/")),
+            split: None,
+            rows: 0,
+            bytes: Disk.size(path).map_err(Error::io("read", path))?,
+            blake3: hash_file(path)?,
+            sha256: String::new(),
+        })
+    });
+    entries.collect()
+}
+
+impl Job for Export {
+    fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
+        let part: Option<Part> = piece.detail()?;
+        self.check(part.as_ref())?;
+        let folder = staging.folder().join(PIECES).join(&piece.id);
+        let made = temporary_beside(&folder);
+        fs::create_dir_all(&made).map_err(Error::io("create folder", &made))?;
+        let write = || {
+            let written = self.write(&self.clips(), part.as_ref(), &made)?;
+            let files = files_in(&made, &format!("{PIECES}/{}/", piece.id))?;
+            // Another worker may have been faster with the same files. Where a file was lost of what was made
+            // before, it makes way.
+            if fs::rename(&made, &folder).is_err() && !staging.holds(files.iter())? {
+                Disk.remove_dir_all(&folder)
+                    .map_err(Error::io("remove", &folder))?;
+                fs::rename(&made, &folder).map_err(Error::io("rename to", &folder))?;
+            }
+            Ok(Made::new(files, &written))
+        };
+        let ended = write();
+        // It is there only if it did not get its name; what matters is reported.
+        let _removed = fs::remove_dir_all(&made);
+        ended.map_err(|error: Error| error.into())
+    }
+
+    fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
+        let part: Option<Part> = piece.detail()?;
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let part = part.map(|Part { shard, clips }| Part {
+            shard,
+            clips: clips.start..clips.end.min(clips.start.saturating_add(count)),
+        });
+        let clips = match part {
+            Some(_) => self.clips(),
+            None => self.clips().first(count),
+        };
+        let made = temporary_beside(&std::env::temp_dir().join("stance-sample"));
+        fs::create_dir_all(&made).map_err(Error::io("create folder", &made))?;
+        let written = self.write(&clips, part.as_ref(), &made);
+        // The system removes it otherwise.
+        let _removed = fs::remove_dir_all(&made);
+        written?;
+        Ok(part.map_or(clips.len(), |part| part.clips.len() as u64))
+    }
+
+    fn commit(
+        &self,
+        plan: &Plan,
+        pieces: Vec<Finished>,
+        options: &CommitOptions,
+        _progress: &dyn Progress,
+    ) -> Result<Committed, Error> {
+        let (home, out) = (&plan.home(), plan.destination());
+        let meta = home.join("meta");
+        fs::create_dir_all(&meta).map_err(Error::io("create folder", &meta))?;
+        let locking = Disk.lock(home, &options.holder);
+        let _lock = match locking.map_err(Error::io("lock", home))? {
+            Locking::Held(lock) => lock,
+            Locking::Taken { holder } => {
+                let path = out.to_owned();
+                return Err(datasets_spec::Error::Locked { path, holder }.into());
+            }
+            Locking::NoLocks => {
+                return Err(Error::Occupied {
+                    path: home.to_owned(),
+                });
+            }
+        };
+        plan.check_open()?;
+        let result = plan.result();
+        Disk.remove_dir_all(&result)
+            .map_err(Error::io("remove", &result))?;
+        fs::create_dir_all(&result).map_err(Error::io("create folder", &result))?;
+        let staging = plan.staging();
+        let mut all = Written {
+            clips: 0,
+            notes: Vec::new(),
+        };
+        for Finished { piece, made } in pieces {
+            // A layout has no table of what is missing.
+            let made = made.map_err(|Failed { code, reason }| Error::Job {
+                code,
+                reason: format!(
+                    "an export is whole or not at all, and piece {} {} failed: {reason}",
+                    piece.id, piece.name
+                ),
+            })?;
+            let prefix = format!("{PIECES}/{}/", piece.id);
+            for file in &made.files {
+                let name = file.path.strip_prefix(&prefix).unwrap_or(&file.path);
+                // The piece stays, so that a commit that is killed can be repeated.
+                link(&staging.path(file), &result.join(name))?;
+            }
+            let written: Written = work::notes(plan, &piece, made.notes)?;
+            all.clips += written.clips;
+            all.notes.extend(written.notes);
+        }
+        let clips = self.clips();
+        let written = match &self.form {
+            Form::ByClip(form) => form.finish(&clips, &all.notes, &result)?,
+            Form::Whole(_) => all.clips,
+        };
+        let committed = Committed {
+            destination: out.to_owned(),
+            already_committed: false,
+            pieces: plan.pieces().len() as u64,
+            failed: 0,
+            tables: [("clips".to_owned(), written)].into(),
+            accounting: None,
+            root_hash: hash_of(&files_in(&result, "")?),
+            notes: match made_captions_left_out(self.layout, &clips)? {
+                0 => Value::Null,
+                count => json!({ "made_captions_left_out": count }),
+            },
+        };
+        plan.publish(&committed)?;
+        Ok(committed)
+    }
+}
+
+/// BLAKE3 over the paths and hashes of files.
+fn hash_of(files: &[FileEntry]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for file in files {
+        for part in [&file.path, &file.blake3] {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        }
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// Gives a file a second name, or copies it where the file system knows none.
+fn link(from: &Path, to: &Path) -> Result<(), Error> {
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+    }
+    if fs::hard_link(from, to).is_ok() {
+        return Ok(());
+    }
+    fs::copy(from, to).map_err(Error::io("copy to", to))?;
+    Ok(())
+}

@@ -1,0 +1,84 @@
+//! Pieces of work.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::Error;
+
+/// Digits of an id.
+const ID_DIGITS: usize = 32;
+
+datasets_spec::table! {
+    /// A piece of work: what one call of a worker makes.
+    pub struct Piece = "pieces" {
+        /// Hash of the plan and of what the piece reads, 32 hexadecimal digits
+        pub id: String [""],
+        /// Number from 0
+        pub number: u64 [""],
+        /// What it makes, such as motions/train-00000-of-00004
+        pub name: String [""],
+        /// Items in it: motions, windows, edits
+        pub items: u64 [""],
+        /// Bytes that it reads; 0 where all pieces read the same
+        pub bytes: u64 ["B"],
+        /// What its job needs to make it, as JSON
+        pub detail: String [""],
+    }
+}
+
+impl Piece {
+    /// A piece of a plan. `reads` identifies what it reads beyond what the plan's hash covers.
+    pub fn new<'a>(
+        plan_hash: &str,
+        number: usize,
+        name: String,
+        items: u64,
+        reads: impl Iterator<Item = &'a str>,
+    ) -> Self {
+        let mut hasher = blake3::Hasher::new();
+        let number = number as u64;
+        let mut take = |part: &str| {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        };
+        take(plan_hash);
+        take(&number.to_string());
+        take(&name);
+        reads.for_each(take);
+        Self {
+            id: hasher.finalize().to_hex()[..ID_DIGITS].to_owned(),
+            number,
+            name,
+            items,
+            bytes: 0,
+            detail: "null".to_owned(),
+        }
+    }
+
+    /// The piece with what its job needs to make it.
+    ///
+    /// # Panics
+    /// If the detail cannot be written as JSON, which is a bug in the job.
+    #[must_use]
+    pub fn with(self, bytes: u64, detail: &impl Serialize) -> Self {
+        let detail = serde_json::to_string(detail).expect("details are numbers and texts");
+        Self {
+            bytes,
+            detail,
+            ..self
+        }
+    }
+
+    /// What its job needs to make it.
+    ///
+    /// # Errors
+    /// The detail is of another job.
+    pub fn detail<T: DeserializeOwned>(&self) -> Result<T, Error> {
+        serde_json::from_str(&self.detail).map_err(|error| Error::BadPlan {
+            path: PathBuf::from("pieces.parquet"),
+            reason: format!("piece {} has an unknown detail: {error}", self.name),
+        })
+    }
+}
