@@ -19,8 +19,7 @@ use crate::Error;
 use crate::compose::{ComposeConfig, Stream};
 use crate::stage::{COMPOSED, Context, train_stream};
 use crate::work::{
-    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Quarantine,
-    absolute, base_of,
+    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Quarantine, absolute,
 };
 
 /// Name of the job.
@@ -196,7 +195,7 @@ pub fn plan_recording(
         is_dataset: true,
         pieces: recording.pieces(),
         plan_hash: recording.plan_hash.clone(),
-        base: base_of(newest.as_ref()),
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
     };
     draft.write(out, |_| Ok(()))
 }

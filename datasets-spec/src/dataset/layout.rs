@@ -1,5 +1,6 @@
 //! Names of a dataset's folders, and its manifests.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::manifest::{FORMAT, Manifest};
@@ -44,6 +45,24 @@ pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u6
     }
     versions.sort_unstable();
     Ok(versions)
+}
+
+/// Tables of a version and of those before it that are there.
+pub(super) fn tables_until(
+    store: &dyn Store,
+    root: &Path,
+    newest: Option<&Manifest>,
+) -> Result<BTreeSet<String>, Error> {
+    let Some(newest) = newest else {
+        return Ok(BTreeSet::new());
+    };
+    let mut tables: BTreeSet<String> = newest.tables.keys().cloned().collect();
+    for version in manifest_versions(store, root)? {
+        if version < newest.version {
+            tables.extend(read_manifest(store, root, version)?.tables.into_keys());
+        }
+    }
+    Ok(tables)
 }
 
 pub(super) fn read_manifest(

@@ -23,8 +23,8 @@ pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, Stri
     ]
 }
 
-/// Path of a shard relative to the dataset. A table that replaces an earlier one gets new names, so that readers of
-/// the earlier version keep their files; `replacing` is then the number of the new version.
+/// Path of a shard relative to the dataset. A table that an earlier version has gets new names, so that this version
+/// keeps its files; `replacing` is then the number of the new version.
 pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
     let suffix = replacing.map_or(String::new(), |version| format!(".v{version}"));
     format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
@@ -103,8 +103,7 @@ impl Transaction {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<FileEntry, Error> {
-        let base = self.base.as_ref();
-        let replaces = base.is_some_and(|base| base.tables.contains_key(name.table));
+        let replaces = self.taken.contains(name.table);
         let relative = shard_path(name, replaces.then(|| self.version()));
         let path = self.root.join(&relative);
         if self.is_alone() {

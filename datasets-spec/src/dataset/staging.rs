@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::layout::{META, STAGED, ShardName, manifest_versions, newest_manifest};
+use super::layout::{META, STAGED, ShardName, manifest_versions, newest_manifest, tables_until};
 use super::shards::{holds, shard_path, write_shard_at};
 use super::transaction::{Transaction, write_json};
 use crate::Error;
@@ -27,8 +27,8 @@ pub struct Staging {
     store: Arc<dyn Store>,
     /// Number of the version that the commit makes.
     version: u64,
-    /// Tables of the version before: shards that replace theirs get new names.
-    replaced: BTreeSet<String>,
+    /// Tables of the versions before: shards of them get new names.
+    taken: BTreeSet<String>,
     folder: PathBuf,
 }
 
@@ -39,23 +39,8 @@ pub(super) fn folder_of(root: &Path, base: u64, plan_hash: &str) -> PathBuf {
 }
 
 impl Staging {
-    /// The staged shards of a plan that starts from the version `base` of the dataset at `root`, or from none.
+    /// The staged shards of a plan for the dataset at `root` that starts from a version of [`Staging::base`].
     pub fn new(
-        store: Arc<dyn Store>,
-        root: &Path,
-        base: Option<&Manifest>,
-        plan_hash: &str,
-    ) -> Self {
-        let tables = base.into_iter().flat_map(|base| base.tables.keys());
-        let base = (
-            base.map_or(0, |base| base.version),
-            tables.cloned().collect(),
-        );
-        Self::of_plan(store, root, base, plan_hash)
-    }
-
-    /// [`Staging::new`] from the number and the tables of the version; 0 for none.
-    pub fn of_plan(
         store: Arc<dyn Store>,
         root: &Path,
         (base, tables): (u64, BTreeSet<String>),
@@ -65,7 +50,7 @@ impl Staging {
             root: root.to_owned(),
             store,
             version: base + 1,
-            replaced: tables,
+            taken: tables,
             folder: folder_of(root, base, plan_hash),
         }
     }
@@ -84,6 +69,20 @@ impl Staging {
     /// A manifest is there and cannot be read.
     pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
         newest_manifest(store, root)
+    }
+
+    /// What a plan must know of the version that it starts from: its number, 0 for none, and the tables of it and of
+    /// those before.
+    ///
+    /// # Errors
+    /// The manifest of a version before cannot be read.
+    pub fn base(
+        store: &dyn Store,
+        root: &Path,
+        newest: Option<&Manifest>,
+    ) -> Result<(u64, BTreeSet<String>), Error> {
+        let tables = tables_until(store, root, newest)?;
+        Ok((newest.map_or(0, |newest| newest.version), tables))
     }
 
     /// The folder of the plan.
@@ -110,7 +109,7 @@ impl Staging {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<FileEntry, Error> {
-        let replaces = self.replaced.contains(name.table);
+        let replaces = self.taken.contains(name.table);
         let relative = shard_path(name, replaces.then_some(self.version));
         let path = self.staged_path(&relative);
         write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts)
@@ -158,7 +157,8 @@ impl Staging {
 impl Transaction {
     /// The staged shards of a plan of this run.
     pub fn staging(&self, plan_hash: &str) -> Staging {
-        Staging::new(self.store(), self.root(), self.base(), plan_hash)
+        let base = (self.version() - 1, self.taken.clone());
+        Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
     /// Moves staged files to their places in the dataset. Files that are there already stay. Where other runs may

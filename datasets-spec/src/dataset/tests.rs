@@ -181,7 +181,7 @@ fn the_lock_names_its_holder_and_ends_with_the_run() {
 #[test]
 fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     let dir = tempfile::tempdir().expect("dir");
-    let staging = Staging::new(Disk::store(), dir.path(), None, "plan");
+    let staging = Staging::new(Disk::store(), dir.path(), Default::default(), "plan");
     // Another run holds the lock, ends, and removes half-written files: not those of a worker.
     let other = Transaction::begin(dir.path(), "t").expect("lock");
     let entry = staging
@@ -214,6 +214,7 @@ fn a_commit_removes_what_is_staged_for_earlier_versions_alone() {
     let dir = tempfile::tempdir().expect("dir");
     let first = commit_motions(dir.path(), &[row(0)]);
     let staging = |base| {
+        let base = Staging::base(&Disk, dir.path(), base).expect("reads");
         let staging = Staging::new(Disk::store(), dir.path(), base, "plan");
         staging.put("0", &0).expect("writes");
         staging
@@ -247,6 +248,50 @@ fn a_replaced_table_keeps_the_old_version_readable() {
         .map(|entry| entry.expect("entry").file_name())
         .collect();
     assert_eq!(names.len(), 2);
+}
+
+#[test]
+fn a_table_that_comes_back_leaves_the_files_of_older_versions_as_they_are() {
+    let dir = tempfile::tempdir().expect("dir");
+    let drop_table = || {
+        let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+        let commit = Commit {
+            fresh: true,
+            ..Commit::default()
+        };
+        let without = transaction.commit(commit).expect("commits");
+        assert!(without.manifest().tables.is_empty());
+    };
+    let first = commit_motions(dir.path(), &[row(0)]);
+    drop_table();
+    let second = commit_motions(dir.path(), &[row(1)]);
+    drop_table();
+    // What workers stage without a lock, and what a run writes, have the same name.
+    let newest = Staging::newest(&Disk, dir.path()).expect("reads");
+    let base = Staging::base(&Disk, dir.path(), newest.as_ref()).expect("reads");
+    assert_eq!(base.0, 4);
+    let staging = Staging::new(Disk::store(), dir.path(), base, "p");
+    let staged = staging.write_shard(&shard(0, 1), &[row(2)], &[("units", "m".to_owned())]);
+    let mut staged = staged.expect("writes");
+    let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+    transaction
+        .adopt(&staging, std::iter::once(&mut staged))
+        .expect("moves");
+    drop(transaction);
+    let third = commit_motions(dir.path(), &[row(2)]);
+    let (_, file) = third.files(MotionRow::TABLE, None).remove(0);
+    assert_eq!(*file, staged);
+
+    for (index, version) in [first, second, third].iter().enumerate() {
+        for (path, file) in version.files(MotionRow::TABLE, None) {
+            let found = blake3::hash(&fs::read(&path).expect("reads"));
+            assert_eq!(found.to_hex().as_str(), file.blake3, "{}", file.path);
+        }
+        assert_eq!(
+            version.read::<MotionRow>(None).expect("reads"),
+            [row(index)]
+        );
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::layout::{
     DATA, META, SKELETON_FACT, STAGED, manifest_path, manifest_versions, newest_manifest,
-    read_manifest,
+    read_manifest, tables_until,
 };
 use super::open::Dataset;
 use super::staging::folder_of;
@@ -25,6 +25,8 @@ pub struct Transaction {
     pub(super) root: PathBuf,
     pub(super) store: Arc<dyn Store>,
     pub(super) base: Option<Manifest>,
+    /// Tables of all versions: shards of them get new names.
+    pub(super) taken: BTreeSet<String>,
     /// None where the storage has no locks.
     lock: Option<Box<dyn Lock>>,
 }
@@ -89,8 +91,10 @@ impl Transaction {
             Locking::Taken { holder } => return Err(Error::Locked { path, holder }),
             Locking::NoLocks => None,
         };
+        let base = newest_manifest(store.as_ref(), root)?;
         let transaction = Self {
-            base: newest_manifest(store.as_ref(), root)?,
+            taken: tables_until(store.as_ref(), root, base.as_ref())?,
+            base,
             root: path,
             store,
             lock,

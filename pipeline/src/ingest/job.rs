@@ -16,9 +16,7 @@ use super::run::{Pieces, labels, piece, shard_facts};
 use super::shard::ShardNotes;
 use super::{Prepared, effective};
 use crate::Error;
-use crate::work::{
-    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, base_of,
-};
+use crate::work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
 /// Name of the job.
 pub(crate) const JOB: &str = "ingest";
@@ -69,7 +67,7 @@ pub fn plan_ingest(
         is_dataset: true,
         pieces: plan.pieces(&plan_hash, &plan.deal(&fates.rewritten())),
         plan_hash,
-        base: base_of(newest.as_ref()),
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
     };
     draft.write(out, |folder| plan.write(folder))
 }

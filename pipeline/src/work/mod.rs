@@ -39,7 +39,7 @@ mod worker;
 pub use self::commit::{Quarantine, Status, commit, status};
 pub use self::job::{Job, Jobs, Open, notes};
 pub use self::piece::Piece;
-pub use self::plan::{Draft, Plan, State, absolute, base_of};
+pub use self::plan::{Draft, Plan, State, absolute};
 pub(crate) use self::plan::{hash_file, read_json, write_json, write_table};
 pub use self::record::{CommitOptions, Committed, Failed, Finished, Made, Outcome, Record};
 pub(crate) use self::record::{keep, staged};

@@ -48,7 +48,7 @@ struct Header {
     plan_hash: String,
     /// Version of the dataset that the plan starts from; 0 for none.
     base: u64,
-    /// Tables of that version.
+    /// Tables of that version and of those before.
     base_tables: BTreeSet<String>,
     pieces: u64,
     /// BLAKE3 of `pieces.parquet`.
@@ -68,17 +68,10 @@ pub struct Draft {
     pub is_dataset: bool,
     /// Hash of everything that decides about the result.
     pub plan_hash: String,
-    /// Number and tables of the version of the dataset that it starts from; 0 for none.
+    /// The version of the dataset that it starts from, by [`Staging::base`].
     pub base: (u64, BTreeSet<String>),
     /// The pieces, by number.
     pub pieces: Vec<Piece>,
-}
-
-/// Number and tables of the version that a plan starts from.
-pub fn base_of(manifest: Option<&Manifest>) -> (u64, BTreeSet<String>) {
-    let tables = manifest.into_iter().flat_map(|base| base.tables.keys());
-    let version = manifest.map_or(0, |base| base.version);
-    (version, tables.cloned().collect())
 }
 
 impl Draft {
@@ -281,7 +274,7 @@ impl Plan {
     /// Where the pieces are staged.
     pub fn staging(&self) -> Staging {
         let base = (self.header.base, self.header.base_tables.clone());
-        Staging::of_plan(ByPath::store(), &self.home(), base, self.hash())
+        Staging::new(ByPath::store(), &self.home(), base, self.hash())
     }
 
     /// The folder that pieces are staged in: the dataset, or one beside the folder of files.

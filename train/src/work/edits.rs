@@ -11,7 +11,7 @@ use datasets_spec::{Dataset, Progress, Seed, Skeleton};
 use pipeline::stage::commit_edits_in;
 use pipeline::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
-    absolute, base_of,
+    absolute,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -110,7 +110,7 @@ pub fn plan_edits(
         is_dataset: true,
         pieces: editing.pieces(),
         plan_hash: editing.plan_hash,
-        base: base_of(newest.as_ref()),
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
     };
     Ok(draft.write(out, |_| Ok(()))?)
 }

@@ -11,7 +11,7 @@ use datasets_spec::{Progress, Seed};
 use pipeline::annotation::variants::{Candidates, VariantCounts};
 use pipeline::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
-    absolute, base_of,
+    absolute,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -94,7 +94,7 @@ pub fn plan_variants(
         is_dataset: true,
         pieces: pieces.collect(),
         plan_hash: making.plan_hash().to_owned(),
-        base: base_of(newest.as_ref()),
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
     };
     Ok(draft.write(out, |_| Ok(()))?)
 }
