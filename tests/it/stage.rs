@@ -440,6 +440,68 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
 }
 
 #[test]
+fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of() {
+    let place = Place::new(CLIPS);
+    let source = place.at("corpus");
+    let walk = &files_with_extension(&source, "bvh")[0];
+    let sidecar = walk.with_extension("stance.json");
+    let said = fs::read(&sidecar).expect("a sidecar");
+    fs::remove_file(&sidecar).expect("removed");
+    let clean = root_hash(&["ingest", arg(&source)], &place.at("clean"));
+    let [_, plan] = place.planned();
+    let all = pieces(&plan).len();
+    let folder = walk.parent().expect("a folder");
+    // A file of the motion, of its folder, and of a folder above.
+    for (added, bytes, num_failed) in [
+        (sidecar.clone(), said, 1..=1),
+        (walk.with_extension("txt"), b"a walk\n".to_vec(), 1..=1),
+        (
+            folder.join("captions.csv"),
+            b"name,text\n".to_vec(),
+            1..=all,
+        ),
+        (
+            source.join("stance.toml"),
+            b"style = \"calm\"\n".to_vec(),
+            all..=all,
+        ),
+    ] {
+        fs::write(&added, bytes).expect("written");
+        let made = work(&plan, &[], 3);
+        let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
+        assert!(num_failed.contains(&failed.len()), "{made:?}");
+        for record in failed {
+            assert_eq!(record.code.as_deref(), Some("E-SOURCE-CHANGED"));
+            let reason = record.reason.as_deref().expect("a reason");
+            assert!(
+                reason.contains("plan again") && reason.contains(arg(&added)),
+                "{reason}"
+            );
+        }
+        fs::remove_file(&added).expect("removed");
+        let staged = place.at("dataset").join("meta/staged");
+        fs::remove_dir_all(staged).expect("removed");
+    }
+    // What says nothing of a motion stops nothing.
+    fs::write(source.join("job-17.out"), "made\n").expect("written");
+    by_four(&plan);
+    assert_eq!(commit(&plan, &[], 0).root_hash, clean);
+}
+
+#[test]
+fn a_dry_run_counts_a_file_of_many_pieces_once() {
+    let place = Place::new(CLIPS);
+    let [source, into, plan] = ["corpus", "dataset", "plan"].map(|name| place.at(name));
+    fs::write(source.join("stance.toml"), "license = \"CC0-1.0\"\n").expect("written");
+    let made = planned(&["ingest", arg(&source)], &into, &plan);
+    assert!(made.pieces > 1);
+    let sizes = contents(&source)
+        .into_values()
+        .map(|bytes| bytes.len() as u64);
+    assert_eq!(made.bytes, sizes.sum::<u64>());
+}
+
+#[test]
 fn a_dry_run_counts_and_writes_nothing() {
     let place = Place::new(12);
     let [source, into] = ["corpus", "dataset"].map(|name| place.at(name));

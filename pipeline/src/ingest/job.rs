@@ -85,6 +85,7 @@ impl Plan {
             .map(|(_, release)| inputs::files_of_release(release.contents()))
             .collect();
         let mut pieces = Vec::with_capacity(shards.len());
+        let mut counted: BTreeSet<&str> = BTreeSet::new();
         for (number, shard) in shards.iter().enumerate() {
             let mut read: BTreeSet<&str> = BTreeSet::new();
             for (place, _) in &shard.items {
@@ -97,7 +98,9 @@ impl Plan {
                 read.extend(own.into_iter().chain(common).flatten());
             }
             let items = self.items_of(shard);
-            let bytes = read.iter().filter_map(|path| self.sources.get(*path));
+            let first_read = read.iter().filter(|path| counted.insert(path));
+            let bytes = first_read.filter_map(|path| Some(self.sources.get(*path)?.bytes));
+            let bytes = bytes.sum();
             let detail = Detail {
                 split: shard.name.split.unwrap_or(Split::Train),
                 index: shard.name.index,
@@ -108,7 +111,7 @@ impl Plan {
                     .collect(),
             };
             let piece = piece(plan_hash, number, &shard.name, &items);
-            pieces.push(piece.with(bytes.map(|source| source.bytes).sum(), &detail));
+            pieces.push(piece.with(bytes, &detail));
         }
         pieces
     }
@@ -194,6 +197,9 @@ impl Job for Ingestion {
         let (shard, detail) = self.shard(piece)?;
         self.check(&detail)?;
         let items = self.plan.items_of(shard);
+        if let Some(path) = self.plan.added(&items) {
+            return Err(Error::SourceChanged { path }.into());
+        }
         let (entry, notes) = self.plan.make_shard(
             staging,
             &shard.name,

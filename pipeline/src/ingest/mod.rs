@@ -4,6 +4,7 @@
 //! shard fixed, so the result depends neither on the order in which threads finish nor on how often
 //! the run was interrupted. A bad file becomes a row of the `quarantine` table and the rest goes on.
 
+mod added;
 mod equal;
 mod growth;
 mod identity;

@@ -21,7 +21,7 @@ datasets_spec::table! {
         pub name: String [""],
         /// Items in it: motions, windows, edits
         pub items: u64 [""],
-        /// Bytes that it reads; 0 where all pieces read the same
+        /// Bytes of the files that it is the first to read; 0 where all pieces read the same
         pub bytes: u64 ["B"],
         /// What its job needs to make it, as JSON
         pub detail: String [""],

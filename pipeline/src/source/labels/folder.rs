@@ -31,6 +31,11 @@ pub(crate) fn is_label_file(name: &str) -> bool {
     name == TOML || name == CSV
 }
 
+/// Names of the files that are looked for in a folder for labels and licences of its motions.
+pub(crate) fn names_in_folder() -> impl Iterator<Item = &'static str> {
+    [TOML, CSV].into_iter().chain(LICENSES)
+}
+
 /// What the folders of a clip say of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ClipLabels {
@@ -124,7 +129,7 @@ impl FolderLabels {
             }
         }
         for folder in lone {
-            for name in [TOML, CSV].iter().chain(&LICENSES) {
+            for name in names_in_folder() {
                 let path = folder.join(name);
                 if !seen.contains(&path) {
                     labels.take(files, &path, name);

@@ -15,7 +15,7 @@ use datasets_spec::BodyPart;
 
 use self::bandai_namco::BandaiNamcoLabel;
 pub use self::captions::parse_captions;
-pub(crate) use self::folder::{ClipLabels, FolderLabels, is_label_file};
+pub(crate) use self::folder::{ClipLabels, FolderLabels, is_label_file, names_in_folder};
 pub(crate) use self::pattern::{is_pattern, matches};
 use crate::clip::{LabelProblem, SourceClip};
 use crate::sidecar::{LabelCaption, Sidecar};
@@ -185,6 +185,12 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
         }
     };
     (sidecar, problems)
+}
+
+/// Names of the files that are looked for beside a motion file for its labels.
+pub(crate) fn names_beside(path: &Path) -> [String; 3] {
+    let stem = stem_of(path);
+    [Sidecar::SUFFIX, ".txt", ".json"].map(|end| format!("{stem}{end}"))
 }
 
 fn stem_of(path: &Path) -> String {

@@ -1,0 +1,72 @@
+//! Label files that were added to the sources after these were planned.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use super::list::labelled;
+use super::plan::{Item, Plan};
+use super::sources::below;
+use crate::source::labels::{names_beside, names_in_folder};
+use crate::source::name_of_text;
+
+impl Plan {
+    /// A file that was not planned and may say something about some motions: one beside a motion, or one of its
+    /// folders. Beside a file that is a source of its own nothing is listed when it is planned, and so nothing is
+    /// looked for; a release reads the files that were listed.
+    pub(super) fn added(&self, items: &[Item<'_>]) -> Option<PathBuf> {
+        let mut looked = BTreeSet::new();
+        for item in items {
+            let file = item.entry.file.as_str();
+            let mut folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let (Some(top), Some(place)) = (self.top(file), self.files.path(file)) else {
+                continue;
+            };
+            let mut place = place.parent()?;
+            let added = |folder: &str, place: &Path, name: &str| {
+                let path = place.join(name_of_text(name));
+                let is_there = self.files.size_beside(&path).is_some();
+                (is_there && !self.is_known(&labelled(folder, name))).then_some(path)
+            };
+            if item.release.is_none() {
+                let mut names = names_beside(Path::new(file)).into_iter();
+                let found = names.find_map(|name| added(folder, place, &name));
+                if found.is_some() {
+                    return found;
+                }
+            }
+            while looked.insert(folder) {
+                let found = names_in_folder().find_map(|name| added(folder, place, name));
+                if found.is_some() {
+                    return found;
+                }
+                if folder == top {
+                    break;
+                }
+                folder = folder.rsplit_once('/').map_or("", |(above, _)| above);
+                place = place.parent()?;
+            }
+        }
+        None
+    }
+
+    /// Label of the folder that is the source of a file; none if the file is a source of its own.
+    fn top(&self, file: &str) -> Option<&str> {
+        let is_it = |label: &str, name: &str| below(label, file) == Some(name);
+        let mut files = self.labels.iter().filter(|(_, is_file)| *is_file);
+        if files.any(|(source, _)| is_it(&source.label, &source.name)) {
+            return None;
+        }
+        let folders = self.labels.iter().filter(|(_, is_file)| !is_file);
+        let labels = folders.map(|(source, _)| source.label.as_str());
+        let labels = labels.filter(|label| below(label, file).is_some());
+        labels.max_by_key(|label| label.len())
+    }
+
+    /// Whether something of this name was listed. File systems that do not tell upper from lower case find a file
+    /// by other names than the one it was listed by.
+    fn is_known(&self, file: &str) -> bool {
+        let special = || self.skipped.iter().map(|row| row.path.as_str());
+        let mut listed = self.files.all().chain(special());
+        self.files.contains(file) || listed.any(|known| known.eq_ignore_ascii_case(file))
+    }
+}
