@@ -5,8 +5,8 @@
 #
 #   train/benches/gpu.sh [FOLDER] [DEVICE] [FEATURE]
 #
-# DEVICE is that of `stance --device list` (wgpu unless named), FEATURE the one the program is built with (wgpu, or cuda
-# where its build can fetch the compiler of its kernels). PEAK_TFLOPS is the card's peak of f32 products, as its data
+# DEVICE is that of `stance --device list` (wgpu unless named), FEATURE the one the program is built with (vulkan unless
+# named; wgpu, or cuda where its build can fetch the compiler of its kernels). PEAK_TFLOPS is the card's peak of f32 products, as its data
 # sheet states it. A card without a toolchain is measured with a target folder that was built elsewhere: with NO_BUILD=1
 # the programs in it are run as they are.
 set -euo pipefail
@@ -14,7 +14,7 @@ cd "$(dirname "$0")/../.."
 
 out=${1:-gpu-results}
 device=${2:-wgpu}
-feature=${3:-wgpu}
+feature=${3:-vulkan}
 peak=${PEAK_TFLOPS:+--peak $PEAK_TFLOPS}
 mkdir -p "$out"
 

@@ -40,7 +40,7 @@ pub enum Adapter {
     Integrated,
     /// A part of a card, in a virtual machine.
     Virtual,
-    /// A driver that computes on the processor, through OpenGL. It is slow, and there to test the program.
+    /// A driver that computes on the processor. It is slow, and there to test the program.
     Software,
 }
 
@@ -348,12 +348,17 @@ mod backend {
         if let Some((_, device)) = opened.iter().find(|(known, _)| *known == key) {
             return Ok(device.clone());
         }
-        let (kind, api) = match adapter {
-            Adapter::Discrete => (DeviceKind::DiscreteGpu(index), WgpuBackend::Vulkan),
-            Adapter::Integrated => (DeviceKind::IntegratedGpu(index), WgpuBackend::Vulkan),
-            Adapter::Virtual => (DeviceKind::VirtualGpu(index), WgpuBackend::Vulkan),
-            // Mesa's Vulkan on the processor crashes at the first sum: cubecl-spirv 0.11.3.
-            Adapter::Software => (DeviceKind::Cpu, WgpuBackend::Gl),
+        let api = match adapter {
+            // Mesa's Vulkan on the processor crashes at the first sum in SPIR-V: cubecl-spirv 0.11.3.
+            Adapter::Software if cfg!(feature = "vulkan") => WgpuBackend::Gl,
+            _ if cfg!(target_os = "macos") => WgpuBackend::Metal,
+            _ => WgpuBackend::Vulkan,
+        };
+        let kind = match adapter {
+            Adapter::Discrete => DeviceKind::DiscreteGpu(index),
+            Adapter::Integrated => DeviceKind::IntegratedGpu(index),
+            Adapter::Virtual => DeviceKind::VirtualGpu(index),
+            Adapter::Software => DeviceKind::Cpu,
         };
         if adapter == Adapter::Software && index > 0 {
             return Err("is one device".to_owned());
