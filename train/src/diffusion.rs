@@ -1,10 +1,11 @@
 //! What MotionReFit's denoiser predicts, its guidance and its loss.
 
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
-use kinematics::skeleton::Joint;
+use kinematics::skeleton::{Joint, parent_of};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{DiffusionConfig, FixedFrames, Loss, Prediction};
@@ -171,6 +172,40 @@ impl Basis {
     }
 }
 
+/// Gates of a keypoint: of the original's bone, of the extrapolated change, and of what the network makes.
+pub const NUM_GATES: usize = 3;
+
+/// The linear maps from the keypoints of a frame to the pelvis and the bones, as vectors from parent to
+/// child, and back.
+///
+/// # Shapes
+/// Both `[1, 3 keypoints, 3 keypoints]`, for rows of frames.
+fn bones(keypoints: usize, device: &Device) -> [Tensor<3>; 2] {
+    let width = 3 * keypoints;
+    let mut to_bones = vec![0.0f32; width * width];
+    let mut to_points = vec![0.0f32; width * width];
+    for slot in 0..keypoints {
+        let mut ancestor = slot;
+        loop {
+            for axis in 0..3 {
+                to_points[(3 * ancestor + axis) * width + 3 * slot + axis] = 1.0;
+            }
+            if ancestor == 0 {
+                break;
+            }
+            ancestor = parent_of(ancestor);
+        }
+        for axis in 0..3 {
+            to_bones[(3 * slot + axis) * width + 3 * slot + axis] = 1.0;
+            if slot > 0 {
+                to_bones[(3 * parent_of(slot) + axis) * width + 3 * slot + axis] = -1.0;
+            }
+        }
+    }
+    [to_bones, to_points]
+        .map(|values| Tensor::from_data(TensorData::new(values, [1, width, width]), device))
+}
+
 impl Schedule {
     /// What a prediction says the clean window is, not yet clipped.
     ///
@@ -197,6 +232,28 @@ impl Schedule {
             Prediction::Residual => {
                 let (guess, spread) = basis.guess(x_t);
                 original.clone() + guess + predicted * spread
+            }
+            Prediction::Gated => {
+                let (guess, spread) = basis.guess(x_t);
+                // In bones, the guess and the spread of a frame are as in points: both are the same for all
+                // of its numbers.
+                let [batch, window, numbers] = original.dims();
+                let keypoints = numbers / 3;
+                let made = predicted.clone().narrow(2, 0, numbers) * spread;
+                let gate = |number: usize| {
+                    let logits =
+                        predicted
+                            .clone()
+                            .narrow(2, numbers + number * keypoints, keypoints);
+                    sigmoid(logits)
+                        .reshape([batch, window, keypoints, 1])
+                        .expand([batch, window, keypoints, 3])
+                        .reshape([batch, window, numbers])
+                };
+                let [to_bones, to_points] = bones(keypoints, &original.device());
+                let kept = original.clone().matmul(to_bones.clone()) * gate(0);
+                let carried = guess.matmul(to_bones) * gate(1);
+                (kept + carried + made * gate(2)).matmul(to_points)
             }
         }
     }
@@ -311,16 +368,6 @@ impl Objective<'_> {
         let original = windows(&batch.original);
         let basis = Basis::new(original.clone(), &batch.is_start, self.extrapolation);
         let change = || x0.clone() - original.clone();
-        let target = match config.prediction {
-            Prediction::Noise => noise,
-            Prediction::Clean => x0.clone(),
-            Prediction::Change => change(),
-            Prediction::Velocity => schedule.velocity(change(), &batch.timesteps, noise),
-            Prediction::Residual => {
-                let (guess, spread) = basis.guess(&x_t);
-                (change() - guess) / spread
-            }
-        };
         let predicted = denoiser.forward(
             x_t.clone(),
             &batch.timesteps,
@@ -328,6 +375,30 @@ impl Objective<'_> {
             &batch.progress,
             original.clone(),
         );
+        let needs_clean = config.prediction == Prediction::Gated || config.contact_weight > 0.0;
+        let clean = needs_clean.then(|| {
+            let predicted = predicted.clone();
+            schedule.clean_of(config.prediction, predicted, &x_t, &basis, &batch.timesteps)
+        });
+        let (predicted, target) = match (config.prediction, &clean) {
+            (Prediction::Noise, _) => (predicted, noise),
+            (Prediction::Clean, _) => (predicted, x0.clone()),
+            (Prediction::Change, _) => (predicted, change()),
+            (Prediction::Velocity, _) => {
+                let velocity = schedule.velocity(change(), &batch.timesteps, noise);
+                (predicted, velocity)
+            }
+            (Prediction::Residual, _) => {
+                let (guess, spread) = basis.guess(&x_t);
+                (predicted, (change() - guess) / spread)
+            }
+            (Prediction::Gated, clean) => {
+                let clean = clean.clone().expect("gates need it");
+                let (_, spread) = basis.guess(&x_t);
+                let found = (clean - original.clone()) / spread.clone();
+                (found, change() / spread)
+            }
+        };
         let begun = starts.map(|starts| {
             let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
             config.loss.mean(first(&predicted), first(&target))
@@ -345,8 +416,7 @@ impl Objective<'_> {
             loss = loss + motion.mul_scalar(config.motion_weight);
         }
         if config.contact_weight > 0.0 {
-            let clean =
-                schedule.clean_of(config.prediction, predicted, &x_t, &basis, &batch.timesteps);
+            let clean = clean.expect("contacts need it");
             // The editor puts the fixed frames back; a foot that rests on them must not leave them.
             let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
             let contact = self.sliding(clean, x0);
@@ -423,6 +493,8 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+
+    use kinematics::skeleton::NUM_KEYPOINTS;
 
     use super::*;
     use crate::config::ScheduleName;
@@ -516,6 +588,83 @@ mod tests {
         for (a, b) in edited.iter().zip(values(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn gates_choose_between_the_original_the_guess_and_the_network() {
+        const WINDOW: usize = 3;
+        let device = Device::flex();
+        let mut rng = datasets_spec::Seed(5).rng(&["gates"]);
+        let mut normal = |rows: usize| -> Vec<f32> {
+            (0..rows * FRAME_WIDTH)
+                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
+                .collect()
+        };
+        let frames = |values: &[f32]| -> Tensor<3> {
+            let shape = [1, values.len() / FRAME_WIDTH, FRAME_WIDTH];
+            Tensor::from_data(TensorData::new(values.to_vec(), shape), &device)
+        };
+        let original = normal(WINDOW);
+        let shown = normal(WINDOW);
+        let made = normal(WINDOW);
+        let guess = Extrapolation {
+            gains: vec![[1.0, 0.0], [0.0, 1.0], [-0.5, 1.5]],
+            spreads: vec![0.5, 0.5, 0.25],
+            start_spreads: vec![1.0; WINDOW],
+        };
+        let basis = Basis::new(frames(&original), &[false], Some(&guess));
+        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+        // Of the last frame; `open` are the gates that are open, for the left wrist and for all other bones.
+        let clean = |wrist: [bool; NUM_GATES], others: [bool; NUM_GATES]| {
+            let logits = (0..NUM_GATES).flat_map(|gate| {
+                (0..NUM_KEYPOINTS).map(move |slot| {
+                    let is_wrist = slot == Joint::LeftWrist.index();
+                    let open = if is_wrist { wrist } else { others }[gate];
+                    if open { 60.0f32 } else { -60.0 }
+                })
+            });
+            let logits: Vec<f32> = logits.collect();
+            let logits = [logits.as_slice(); WINDOW].concat();
+            let shape = [1, WINDOW, NUM_GATES * NUM_KEYPOINTS];
+            let logits = Tensor::from_data(TensorData::new(logits, shape), &device);
+            let predicted = Tensor::cat(vec![frames(&made), logits], 2);
+            let clean =
+                schedule.clean_of(Prediction::Gated, predicted, &frames(&shown), &basis, &[0]);
+            let values = values(clean);
+            values[(WINDOW - 1) * FRAME_WIDTH..].to_vec()
+        };
+        let [kept, carried, own] = [0, 1, 2].map(|gate| {
+            let mut open = [false; NUM_GATES];
+            open[gate] = true;
+            open
+        });
+        let of = |values: &[f32], frame: usize, at: usize| values[frame * FRAME_WIDTH + at];
+        let change = |frame, at| of(&shown, frame, at) - of(&original, frame, at);
+        let near = |found: f32, expected: f32| {
+            // Sums of a dozen numbers of size one.
+            assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+        };
+        let copied = clean(kept, kept);
+        let guessed = clean(carried, carried);
+        let replaced = clean(own, kept);
+        for at in 0..FRAME_WIDTH {
+            near(copied[at], of(&original, 2, at));
+            near(guessed[at], 1.5 * change(1, at) - 0.5 * change(0, at));
+            // The wrist hangs from the elbow by a bone of the network's own; fingers follow it, and nothing
+            // else moves.
+            let (slot, axis) = (at / 3, at % 3);
+            let [wrist, elbow] =
+                [Joint::LeftWrist, Joint::LeftElbow].map(|joint| 3 * joint.index() + axis);
+            let placed = of(&original, 2, elbow) + 0.25 * of(&made, 2, wrist);
+            let expected = match slot {
+                slot if 3 * slot + axis == wrist => placed,
+                slot if slot > 0 && parent_of(slot) == Joint::LeftWrist.index() => {
+                    placed + of(&original, 2, at) - of(&original, 2, wrist)
+                }
+                _ => of(&original, 2, at),
+            };
+            near(replaced[at], expected);
         }
     }
 

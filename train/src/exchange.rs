@@ -339,6 +339,9 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             let EditorRecord {
                 train, normalizer, ..
             } = record.config;
+            if train.diffusion.tell_frames {
+                return Err(foreign("tell_frames is set", "tell_frames = false"));
+            }
             (files, fit::DENOISER, train.model.width, normalizer)
         };
     let mut files = files;
@@ -352,19 +355,25 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     Ok(vec![weights, range])
 }
 
+/// A model that the released program could load only in part.
+fn foreign(found: &str, instead: &str) -> Error {
+    Error::Misfit {
+        what: "the model",
+        problem: format!("{found}, which the released network lacks; train one with {instead}"),
+    }
+}
+
 /// Adds the position tables to a safetensors file.
 fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error> {
     let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
     let file = SafeTensors::deserialize(bytes).map_err(weights)?;
-    for foreign in ["embed_previous", "project_text"] {
-        if file.names().iter().any(|name| name.starts_with(foreign)) {
-            return Err(Error::Misfit {
-                what: "the model",
-                problem: format!(
-                    "its layers {foreign} are not in the released network; train one with \
-                     previous = \"inpainted\" and the text encoder's own width"
-                ),
-            });
+    for (layers, instead) in [
+        ("embed_previous", "previous = \"inpainted\""),
+        ("project_text", "the text encoder's own width"),
+        ("gate", "another prediction than \"gated\""),
+    ] {
+        if file.names().iter().any(|name| name.starts_with(layers)) {
+            return Err(foreign(&format!("it has layers {layers}"), instead));
         }
     }
     let rows: Vec<usize> = (0..TABLE_ROWS).collect();

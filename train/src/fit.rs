@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::config::{Prediction, TextConfig, TextEncoder, TrainConfig};
+use crate::config::{TextConfig, TextEncoder, TrainConfig};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::{Extrapolation, Objective};
 use crate::model::motionrefit::{MotionRefit, TextSource};
@@ -78,7 +78,7 @@ impl EditorRecord {
         self.train.check()?;
         self.compose.check(self.train.window)?;
         let wanted =
-            (self.train.diffusion.prediction == Prediction::Residual).then_some(self.train.window);
+            (self.train.diffusion.prediction.is_extrapolated()).then_some(self.train.window);
         if self.extrapolation.as_ref().map(Extrapolation::window) != wanted {
             return Err(Error::Config {
                 field: "extrapolation",
@@ -246,9 +246,10 @@ pub fn train_motionrefit<'a>(
         text_dropout: 0.0,
         ..sampler
     };
-    let extrapolation = match (config.diffusion.prediction, known_extrapolation) {
-        (Prediction::Residual, Some(known)) => Some(known),
-        (Prediction::Residual, None) => {
+    let is_extrapolated = config.diffusion.prediction.is_extrapolated();
+    let extrapolation = match (is_extrapolated, known_extrapolation) {
+        (true, Some(known)) => Some(known),
+        (true, None) => {
             let windows = sampler.windows(0, EXTRAPOLATED_WINDOWS)?;
             Some(Extrapolation::fit(
                 &windows.original,
@@ -257,7 +258,7 @@ pub fn train_motionrefit<'a>(
                 config.diffusion.fixed_noise,
             ))
         }
-        _ => None,
+        (false, _) => None,
     };
     let record = EditorRecord {
         train: config.clone(),

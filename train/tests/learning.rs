@@ -33,6 +33,7 @@ use train::coordinator::{
 };
 use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
 use train::diffusion::Objective;
+use train::exchange::export;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
@@ -419,6 +420,39 @@ fn the_loss_falls_and_the_best_checkpoint_is_kept() {
 }
 
 #[test]
+fn gates_are_learned_and_loaded_and_never_exported_in_part() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = small_config(100);
+    config.run.batch_size = 16;
+    config.run.optimizer.learning_rate = 3e-3;
+    config.diffusion.prediction = Prediction::Gated;
+    let first = train(dir.path(), &config, &Waves { items: 16 });
+    let (begun, ended) = (first.first_loss, first.best_val_loss);
+    let fell = ended.expect("validated") / begun.expect("a line");
+    assert!(fell < 0.2, "{fell}");
+    Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    let refused = |run: &Path| {
+        let out = tempfile::tempdir().expect("a folder");
+        let error = export(run, Slot::Best, out.path()).expect_err("the released network has none");
+        assert!(
+            std::fs::read_dir(out.path())
+                .expect("a folder")
+                .next()
+                .is_none()
+        );
+        error.to_string()
+    };
+    let found = refused(dir.path());
+    assert!(found.contains("gate"), "{found}");
+    let told = tempfile::tempdir().expect("a folder");
+    let mut config = small_config(1);
+    config.diffusion.tell_frames = true;
+    train(told.path(), &config, &Waves { items: 16 });
+    let found = refused(told.path());
+    assert!(found.contains("tell_frames"), "{found}");
+}
+
+#[test]
 fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     let source = Waves { items: 20 };
     let config = small_config(25);
@@ -463,6 +497,8 @@ fn rich_config(num_steps: u64) -> TrainConfig {
     config.run.optimizer.max_gradient_norm = Some(0.5);
     config.run.optimizer.ema_decay = Some(0.9);
     config.diffusion.previous = PreviousFrames::Encoded;
+    config.diffusion.prediction = Prediction::Gated;
+    config.diffusion.tell_frames = true;
     config
 }
 

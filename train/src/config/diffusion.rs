@@ -91,6 +91,19 @@ pub enum Prediction {
     /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
     /// 2022, Sec. 5, by frame in place of by noise level).
     Residual,
+    /// Bones, as vectors from joint to joint, each the sum of three parts with a gate between 0 and 1: the
+    /// original's bone, the extrapolated change from the fixed frames, and a bone of the network's own. A
+    /// bone that the instruction does not touch is copied, and one that it replaces need not be cancelled
+    /// first: a narrow network can say which it is, while the numbers of both do not fit through it (our
+    /// addition).
+    Gated,
+}
+
+impl Prediction {
+    /// Whether it is relative to an [extrapolation](crate::diffusion::Extrapolation) of the change.
+    pub fn is_extrapolated(self) -> bool {
+        matches!(self, Self::Residual | Self::Gated)
+    }
 }
 
 /// Noise schedule, loss and guidance.
@@ -143,6 +156,10 @@ pub struct DiffusionConfig {
     /// each window begins where the one before ends, as published.
     #[serde(default, skip_serializing_if = "is_no_frame")]
     pub overlap: usize,
+    /// Whether instruction, diffusion step and progress are added to every frame that the network sees,
+    /// beside their own token.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub tell_frames: bool,
 }
 
 fn is_zero(value: &f64) -> bool {
@@ -196,7 +213,7 @@ impl DiffusionConfig {
                     .to_owned(),
             });
         }
-        let needs_clean = self.prediction == Prediction::Residual || self.fixed_noise > 0.0;
+        let needs_clean = self.prediction.is_extrapolated() || self.fixed_noise > 0.0;
         if needs_clean && self.fixed_frames != FixedFrames::Clean {
             return Err(Error::Config {
                 field: "diffusion.fixed_frames",

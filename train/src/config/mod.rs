@@ -263,6 +263,7 @@ impl TrainConfig {
                     generated_starts: 0.0,
                     fixed_noise: 0.0,
                     overlap: 0,
+                    tell_frames: false,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Clip,
@@ -351,6 +352,7 @@ impl TrainConfig {
                     generated_starts: 0.2,
                     fixed_noise: 0.02,
                     overlap: 4,
+                    tell_frames: false,
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Learned,

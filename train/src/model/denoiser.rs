@@ -86,6 +86,11 @@ pub struct Denoiser {
     embed_prog_ind: IndexEmbedding,
     transformer: Encoder,
     out: Linear,
+    /// Gates of each keypoint, for predictions that have them.
+    gate: Option<Linear>,
+    /// Whether the condition is added to every frame, beside its own token.
+    #[module(skip)]
+    tells_frames: bool,
     dropout: Dropout,
 }
 
@@ -127,7 +132,45 @@ impl Denoiser {
             embed_prog_ind: IndexEmbedding::new(config.width, device),
             transformer: Encoder::new(config, device),
             out: LinearConfig::new(config.width, frame_width).init(device),
+            gate: None,
+            tells_frames: false,
             dropout: DropoutConfig::new(config.dropout).init(),
+        }
+    }
+
+    /// Adds the condition to every frame, beside its own token.
+    #[must_use]
+    pub fn telling_frames(mut self) -> Self {
+        self.tells_frames = true;
+        self
+    }
+
+    /// Adds a layer that gives `gates` numbers for each keypoint of a frame after the numbers of the frame.
+    #[must_use]
+    pub fn gated(mut self, gates: usize) -> Self {
+        let [width, frame_width] = self.out.weight.val().dims();
+        let device = self.out.weight.val().device();
+        self.gate = Some(LinearConfig::new(width, gates * frame_width / 3).init(&device));
+        self
+    }
+
+    /// Tokens of frames with the condition, where they are told it.
+    fn told(&self, frames: Tensor<3>, condition: &Tensor<3>) -> Tensor<3> {
+        if self.tells_frames {
+            frames + condition.clone()
+        } else {
+            frames
+        }
+    }
+
+    /// What tokens of frames say.
+    fn read(&self, frames: Tensor<3>) -> Tensor<3> {
+        match &self.gate {
+            None => self.out.forward(frames),
+            Some(gate) => Tensor::cat(
+                vec![self.out.forward(frames.clone()), gate.forward(frames)],
+                2,
+            ),
         }
     }
 
@@ -162,13 +205,14 @@ impl Denoiser {
             + text.div_scalar(TEXT_DIVISOR)
             + self.embed_prog_ind.forward(&progress_indices(progress));
         let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
+        let frames = self.told(frames, &condition);
 
         let tokens = Tensor::cat(vec![condition, frames], 1);
         let tokens = tokens + positions(1 + window, width, &device);
         let tokens = self
             .transformer
             .forward(drop_out(&self.dropout, tokens), None);
-        self.out.forward(tokens.narrow(1, 1, window))
+        self.read(tokens.narrow(1, 1, window))
     }
 }
 
@@ -263,12 +307,13 @@ impl PreparedDenoiser<'_> {
             (self.denoiser.embed_frames(x) + self.original.clone()).mul_scalar(scale / 2.0);
         let condition = self.steps.clone().narrow(0, timestep, 1) + self.condition.clone();
         let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
+        let frames = self.denoiser.told(frames, &condition);
         let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
         let encoded = self
             .encoder
             .and_then(|encoder| encoder.forward(tokens.clone()))
             .unwrap_or_else(|| self.denoiser.transformer.forward(tokens, None));
-        self.denoiser.out.forward(encoded.narrow(1, 1, window))
+        self.denoiser.read(encoded.narrow(1, 1, window))
     }
 }
 
@@ -299,15 +344,18 @@ mod tests {
             feed_forward: 48,
             dropout: 0.1,
         };
-        for (previous, text_width) in [
-            (PreviousFrames::Inpainted, 32),
-            (PreviousFrames::Encoded, 12),
+        for (previous, text_width, is_ours) in [
+            (PreviousFrames::Inpainted, 32, false),
+            (PreviousFrames::Inpainted, 32, true),
+            (PreviousFrames::Encoded, 12, false),
         ] {
-            let denoiser = draw(
-                Denoiser::new(&config, previous, text_width, &device),
-                Seed(4),
-            )
-            .expect("known layers");
+            let denoiser = Denoiser::new(&config, previous, text_width, &device);
+            let denoiser = if is_ours {
+                denoiser.gated(2).telling_frames()
+            } else {
+                denoiser
+            };
+            let denoiser = draw(denoiser, Seed(4)).expect("known layers");
             let normal = |shape: [usize; 3]| {
                 Tensor::<3>::random(shape, Distribution::Normal(0.0, 1.0), &device)
             };

@@ -6,9 +6,9 @@ use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
 use super::text::{LearnedText, text_vectors};
-use crate::config::{DiffusionConfig, NetworkConfig};
+use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
 use crate::data::{NoisyBatch, TextBatch};
-use crate::diffusion::Objective;
+use crate::diffusion::{NUM_GATES, Objective};
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -51,14 +51,19 @@ impl MotionRefit {
             TextSource::Learned(_) => config.width,
             TextSource::Frozen(width) => width,
         };
+        let denoiser =
+            Denoiser::of_frames(config, diffusion.previous, text_width, frame_width, device);
+        let denoiser = match diffusion.prediction {
+            Prediction::Gated => denoiser.gated(NUM_GATES),
+            _ => denoiser,
+        };
+        let denoiser = if diffusion.tell_frames {
+            denoiser.telling_frames()
+        } else {
+            denoiser
+        };
         Self {
-            denoiser: Denoiser::of_frames(
-                config,
-                diffusion.previous,
-                text_width,
-                frame_width,
-                device,
-            ),
+            denoiser,
             text: match text {
                 TextSource::Learned(num_tokens) => {
                     Some(LearnedText::new(num_tokens, config.width, device))
