@@ -315,6 +315,9 @@ const FEET: [Joint; 4] = [
 /// Speed in m/s below which a foot is at rest, and the unit of the loss on feet that slide.
 const REST_SPEED: f64 = 0.1;
 
+/// Length in metres that is the unit of the loss on bones: half of a hand's way in a gesture.
+const BONE_UNIT: f64 = 0.1;
+
 /// The training objective of the denoiser.
 #[derive(Clone, Copy, Debug)]
 pub struct Objective<'a> {
@@ -375,7 +378,9 @@ impl Objective<'_> {
             &batch.progress,
             original.clone(),
         );
-        let needs_clean = config.prediction == Prediction::Gated || config.contact_weight > 0.0;
+        let needs_clean = config.prediction == Prediction::Gated
+            || config.contact_weight > 0.0
+            || config.bone_weight > 0.0;
         let clean = needs_clean.then(|| {
             let predicted = predicted.clone();
             schedule.clean_of(config.prediction, predicted, &x_t, &basis, &batch.timesteps)
@@ -415,6 +420,11 @@ impl Objective<'_> {
                 .mean(steps(free(&predicted)), steps(free(&target)));
             loss = loss + motion.mul_scalar(config.motion_weight);
         }
+        if config.bone_weight > 0.0 {
+            let clean = clean.clone().expect("bones need it");
+            let bones = self.bones(free(&clean), free(&x0));
+            loss = loss + bones.mul_scalar(config.bone_weight);
+        }
         if config.contact_weight > 0.0 {
             let clean = clean.expect("contacts need it");
             // The editor puts the fixed frames back; a foot that rests on them must not leave them.
@@ -448,6 +458,23 @@ impl Objective<'_> {
             Some(starts) => clean.clone() + (first(&x_t) - clean) * starts.clone(),
         };
         put_fixed(x_t, shown)
+    }
+
+    /// The loss on the pelvis and the bones in units of [`BONE_UNIT`].
+    ///
+    /// # Shapes
+    /// Both `[B, W, D]`, clean windows; the result is one number.
+    fn bones(&self, clean: Tensor<3>, wanted: Tensor<3>) -> Tensor<1> {
+        let [_, _, width] = clean.dims();
+        let Normalizer { min, max } = self.normalizer;
+        let unit = |at: usize| (max[at % 3] - min[at % 3]) / 2.0 / BONE_UNIT;
+        let units: Vec<f32> = (0..width).map(|at| unit(at) as f32).collect();
+        let device = clean.device();
+        let units = Tensor::<3>::from_data(TensorData::new(units, [1, 1, width]), &device);
+        let [to_bones, _] = bones(width / 3, &device);
+        let differences = ((clean - wanted) * units).matmul(to_bones);
+        let nothing = differences.zeros_like();
+        self.config.loss.mean(differences, nothing)
     }
 
     /// The contact loss: the speed in `clean`, in units of [`REST_SPEED`], of ankles and feet whose speed in
@@ -710,6 +737,45 @@ mod tests {
         assert!((loss(&jump) - expected).abs() < 1e-4, "{}", loss(&jump));
         // A foot that moves may move as it likes.
         assert!(loss(&wanted) == 0.0 && loss(&window(&|_| [0.3, 0.0])) == 0.0);
+    }
+
+    #[test]
+    fn a_body_that_is_shifted_costs_its_pelvis_and_a_bone_that_is_turned_costs_itself() {
+        let config = DiffusionConfig {
+            loss: Loss::Mse,
+            ..crate::config::TrainConfig::preset(crate::config::Preset::Tiny).diffusion
+        };
+        let objective = Objective {
+            schedule: &Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps"),
+            extrapolation: None,
+            config: &config,
+            // A model unit is 2 m on the vertical and 1 m on the ground.
+            normalizer: &Normalizer {
+                min: [-1.0, -2.0, -1.0],
+                max: [1.0, 2.0, 1.0],
+            },
+            fps: Fps::new(10.0).expect("positive"),
+        };
+        let rest = tensor(&[0.0; FRAME_WIDTH]);
+        let loss = |moved: &dyn Fn(usize) -> bool| -> f32 {
+            // 20 cm upwards: two units.
+            let values: Vec<f32> = (0..FRAME_WIDTH)
+                .map(|at| {
+                    if at % 3 == 1 && moved(at / 3) {
+                        0.1
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
+            objective.bones(tensor(&values), rest.clone()).into_scalar()
+        };
+        let one = 4.0 / FRAME_WIDTH as f32;
+        let body = loss(&|_| true);
+        assert!((body - one).abs() < 1e-6, "{body} {one}");
+        // The forearm is turned, and the hand hangs from it.
+        let arm = loss(&|slot| slot >= NUM_KEYPOINTS - 2 || slot == Joint::RightWrist.index());
+        assert!((arm - one).abs() < 1e-6, "{arm} {one}");
     }
 
     proptest! {

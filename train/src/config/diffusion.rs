@@ -136,6 +136,11 @@ pub struct DiffusionConfig {
     /// 2023, Eq. 4; neither publication has it).
     #[serde(default, skip_serializing_if = "is_zero")]
     pub contact_weight: f64,
+    /// Weight of the loss on bones, as vectors from joint to joint in units of 10 cm, beside the loss on the
+    /// prediction. In points, the way of the root counts as often as there are keypoints, and what an arm
+    /// does hardly at all (our addition).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub bone_weight: f64,
     /// Guidance weight the editor uses unless told otherwise.
     pub guidance: f64,
     /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
@@ -194,6 +199,7 @@ impl DiffusionConfig {
         for (field, value) in [
             ("diffusion.motion_weight", self.motion_weight),
             ("diffusion.contact_weight", self.contact_weight),
+            ("diffusion.bone_weight", self.bone_weight),
             ("diffusion.temperature", self.temperature),
             ("diffusion.fixed_noise", self.fixed_noise),
         ] {
