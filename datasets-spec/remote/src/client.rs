@@ -3,7 +3,7 @@
 use std::io;
 use std::ops::Range;
 use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -17,7 +17,7 @@ use object_store::{
     Attribute, Attributes, ClientConfigKey, ClientOptions, Error, GetOptions, ObjectMeta,
     ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, RetryConfig,
 };
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::{Builder, Handle};
 
 use crate::place::{Place, Scheme};
 
@@ -31,8 +31,8 @@ const CONNECT_TIMEOUT: &str = "10 seconds";
 const NUM_PARALLEL: usize = 4;
 /// Bytes that are asked for at once.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;
-/// Attempts to read a body that ends too early, and attempts to create a file that must not exist yet.
-const ATTEMPTS: u32 = 4;
+/// Attempts at what the client itself does not repeat, such as to create a file that must not exist yet.
+const ATTEMPTS: usize = 4;
 /// Metadata of an object that names the write that made it.
 const WRITER: &str = "stancewriter";
 
@@ -40,17 +40,7 @@ const WRITER: &str = "stancewriter";
 fn wait<T: Send + 'static>(
     future: impl Future<Output = io::Result<T>> + Send + 'static,
 ) -> io::Result<T> {
-    static RUNTIME: OnceLock<io::Result<Runtime>> = OnceLock::new();
-    let runtime = RUNTIME.get_or_init(|| {
-        Builder::new_multi_thread()
-            .worker_threads(NUM_THREADS)
-            .thread_name("remote-store")
-            .enable_all()
-            .build()
-    });
-    let runtime = runtime
-        .as_ref()
-        .map_err(|error| io::Error::new(error.kind(), error.to_string()))?;
+    let runtime = runtime()?;
     let (send, receive) = sync_channel(1);
     runtime.spawn(async move {
         // The receiver waits below.
@@ -60,10 +50,36 @@ fn wait<T: Send + 'static>(
     receive.recv().map_err(|_| ended())?
 }
 
+/// The runtime of this process. One that was forked, as a worker of a loader in Python is, has none of the threads of
+/// its parent and starts its own.
+fn runtime() -> io::Result<Handle> {
+    static RUNTIME: Mutex<Option<(u32, Handle)>> = Mutex::new(None);
+
+    let mut held = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let here = std::process::id();
+    if let Some((process, handle)) = &*held
+        && *process == here
+    {
+        return Ok(handle.clone());
+    }
+    let runtime = Builder::new_multi_thread()
+        .worker_threads(NUM_THREADS)
+        .thread_name("remote-store")
+        .enable_all()
+        .build()?;
+    let handle = runtime.handle().clone();
+    // It lasts as long as the process. A parent's is forgotten too: its threads are not here to be joined.
+    std::mem::forget(runtime);
+    std::mem::forget(held.replace((here, handle.clone())));
+    Ok(handle)
+}
+
 /// A bucket, container or host.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     store: Arc<dyn ObjectStore>,
+    /// Attempts to read a body.
+    attempts: usize,
 }
 
 /// An object's content, and the name of its version if the storage names versions.
@@ -87,8 +103,10 @@ fn tag_of(meta: ObjectMeta) -> Option<String> {
 }
 
 impl Client {
-    pub(crate) fn new(store: Arc<dyn ObjectStore>) -> Self {
-        Self { store }
+    /// A client that repeats the reading of a body that ends too early.
+    pub(crate) fn new(store: Arc<dyn ObjectStore>, retries: usize) -> Self {
+        let attempts = retries.saturating_add(1);
+        Self { store, attempts }
     }
 
     /// The client of the bucket that a place is in.
@@ -154,22 +172,23 @@ impl Client {
                 return Err(io::Error::other("the hub's cache is no object store"));
             }
         };
-        store.map(Self::new).map_err(io_error)
+        store
+            .map(|store| Self::new(store, retries))
+            .map_err(io_error)
     }
 
     /// An object, if it is no larger than one request; else its first bytes are none, and its size is told.
     pub(crate) fn get(&self, key: &Key) -> io::Result<Got> {
-        let (store, key) = (Arc::clone(&self.store), key.clone());
+        let (store, key, attempts) = (Arc::clone(&self.store), key.clone(), self.attempts);
         wait(async move {
-            repeated(|| async {
+            repeated(attempts, || async {
                 let result = store.get_opts(&key, GetOptions::default()).await;
                 let result = result.map_err(io_error)?;
                 let (size, tag) = (result.meta.size, tag_of(result.meta.clone()));
                 let bytes = if size > MAX_REQUEST {
                     Bytes::new()
                 } else {
-                    let bytes = result.bytes().await.map_err(io_error)?;
-                    whole(bytes, size)?
+                    whole(result.bytes().await, size)?
                 };
                 Ok(Got { bytes, size, tag })
             })
@@ -194,13 +213,13 @@ impl Client {
         ranges: &[Range<u64>],
     ) -> io::Result<Vec<Bytes>> {
         let (store, key, ranges) = (Arc::clone(&self.store), key.clone(), ranges.to_vec());
-        let tag = tag.map(str::to_owned);
+        let (tag, attempts) = (tag.map(str::to_owned), self.attempts);
         wait(async move {
             let mut bytes = Vec::new();
             for ranges in ranges.chunks(NUM_PARALLEL) {
                 let start = |range: &Range<u64>| {
                     let (store, key, tag) = (Arc::clone(&store), key.clone(), tag.clone());
-                    tokio::spawn(one_range(store, key, tag, range.clone()))
+                    tokio::spawn(one_range(store, key, tag, range.clone(), attempts))
                 };
                 let started: Vec<_> = ranges.iter().map(start).collect();
                 for task in started {
@@ -279,7 +298,7 @@ impl Client {
         let store = Arc::clone(&self.store);
         wait(async move {
             for key in keys {
-                repeated(|| async {
+                repeated(ATTEMPTS, || async {
                     match store.delete(&key).await {
                         Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
                         Err(error) => Err(io_error(error)),
@@ -295,7 +314,7 @@ impl Client {
     pub(crate) fn list_all(&self, key: &Key) -> io::Result<Vec<Listed>> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {
-            repeated(|| async {
+            repeated(ATTEMPTS, || async {
                 let prefix = (!key.as_ref().is_empty()).then_some(&key);
                 let listed = store.list(prefix).map_ok(|meta| Listed {
                     key: meta.location.clone(),
@@ -312,7 +331,7 @@ impl Client {
     pub(crate) fn list(&self, key: &Key) -> io::Result<(Vec<Key>, Vec<Key>)> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {
-            repeated(|| async {
+            repeated(ATTEMPTS, || async {
                 let prefix = (!key.as_ref().is_empty()).then_some(&key);
                 let listed = store.list_with_delimiter(prefix).await;
                 let listed = listed.map_err(io_error)?;
@@ -329,41 +348,51 @@ async fn one_range(
     key: Key,
     tag: Option<String>,
     range: Range<u64>,
+    attempts: usize,
 ) -> io::Result<Bytes> {
-    repeated(|| async {
+    repeated(attempts, || async {
         let options = GetOptions::new()
             .with_range(Some(range.clone()))
             .with_if_match(tag.clone());
         let result = store.get_opts(&key, options).await.map_err(io_error)?;
-        let bytes = result.bytes().await.map_err(io_error)?;
-        whole(bytes, range.end - range.start)
+        whole(result.bytes().await, range.end - range.start)
     })
     .await
 }
 
-/// Refuses a body of another length than stated.
-fn whole(bytes: Bytes, expected: u64) -> io::Result<Bytes> {
-    if bytes.len() as u64 == expected {
-        return Ok(bytes);
-    }
-    let text = format!("got {} bytes, expected {expected}", bytes.len());
+/// Refuses a body that did not arrive or has another length than stated.
+fn whole(body: Result<Bytes, Error>, expected: u64) -> io::Result<Bytes> {
+    let text = match body {
+        Ok(bytes) if bytes.len() as u64 == expected => return Ok(bytes),
+        Ok(bytes) => format!("got {} bytes, expected {expected}", bytes.len()),
+        Err(error) => io_error(error).to_string(),
+    };
     Err(io::Error::new(io::ErrorKind::UnexpectedEof, text))
 }
 
-/// Repeats what may be repeated, such as a read that fails while its body arrives. Requests that are refused are
-/// repeated by the client itself.
-async fn repeated<T, F: Future<Output = io::Result<T>>>(read: impl Fn() -> F) -> io::Result<T> {
-    use io::ErrorKind::{AlreadyExists, NotFound, PermissionDenied, Unsupported};
+/// Repeats what may be repeated: the reading of a body so often, all else at most [`ATTEMPTS`] times, because the
+/// client itself repeats requests that are refused for a time.
+async fn repeated<T, F: Future<Output = io::Result<T>>>(
+    attempts: usize,
+    read: impl Fn() -> F,
+) -> io::Result<T> {
+    use io::ErrorKind::{AlreadyExists, NotFound, PermissionDenied, UnexpectedEof, Unsupported};
 
     let mut attempt = 1;
     loop {
-        match read().await {
-            Err(error) if attempt < ATTEMPTS => match error.kind() {
-                AlreadyExists | NotFound | PermissionDenied | Unsupported => return Err(error),
-                _ => attempt += 1,
-            },
+        let error = match read().await {
+            Err(error) => error,
             done => return done,
+        };
+        let attempts = match error.kind() {
+            AlreadyExists | NotFound | PermissionDenied | Unsupported => 1,
+            UnexpectedEof => attempts,
+            _ => attempts.min(ATTEMPTS),
+        };
+        if attempt >= attempts {
+            return Err(error);
         }
+        attempt += 1;
     }
 }
 

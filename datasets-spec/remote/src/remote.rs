@@ -53,7 +53,7 @@ impl Remote {
     /// Serves a bucket, such as `s3://clips`, by the given client.
     #[must_use]
     pub fn with_bucket(self, root: &str, store: Arc<dyn ObjectStore>) -> Self {
-        lock(&self.clients).insert(root.to_owned(), Client::new(store));
+        lock(&self.clients).insert(root.to_owned(), Client::new(store, self.retries));
         self
     }
 
