@@ -111,12 +111,18 @@ pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     document.made = before.pieces - before.done - document.failed.len() as u64;
     let is_whole = document.failed.is_empty() || args.quarantine_failed;
-    if is_whole && !args.no_commit {
+    let jobs = Jobs::default();
+    if is_whole && !args.no_commit && !jobs.know(&plan) {
+        note(&format!(
+            "jobs of {} are committed by the command: stance stage commit {}",
+            plan.job(),
+            path.display()
+        ));
+    } else if is_whole && !args.no_commit {
         let options = CommitOptions {
             quarantine_failed: args.quarantine_failed,
             holder: format!("stance-cluster run, process {}", std::process::id()),
         };
-        let jobs = Jobs::default();
         let done = tokio::task::spawn_blocking(move || commit(&path, &jobs, &options, &NoProgress))
             .await?;
         document.committed = Some(done?);

@@ -70,6 +70,11 @@ impl Jobs {
         self
     }
 
+    /// Whether the job of a plan is known here.
+    pub fn know(&self, plan: &Plan) -> bool {
+        self.0.contains_key(plan.job())
+    }
+
     /// Opens the job of a plan.
     ///
     /// # Errors
