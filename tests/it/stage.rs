@@ -397,6 +397,18 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         .rposition(u8::is_ascii_digit)
         .expect("a digit");
     changed[digit] = if changed[digit] == b'1' { b'2' } else { b'1' };
+    // What cannot be read may not have changed.
+    fs::remove_file(bvh).expect("removed");
+    std::os::unix::fs::symlink(bvh, bvh).expect("a link to itself");
+    let reasons = work(&plan, &[], 3)
+        .into_iter()
+        .filter_map(|made| made.reason);
+    let reasons: Vec<String> = reasons.collect();
+    assert!(
+        reasons.len() == 1 && reasons[0].contains("make the piece again"),
+        "{reasons:?}"
+    );
+    fs::remove_file(bvh).expect("removed");
     fs::write(bvh, &changed).expect("written");
     let made = work(&plan, &[], 3);
     let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();

@@ -189,6 +189,29 @@ def of_two_committers_at_once_one_wins_and_the_other_says_so(bench: Bench) -> No
 
 
 @test
+def real_files_give_the_root_hash_of_a_disk(bench: Bench) -> None:
+    """The folder is on this machine and the dataset in the bucket: the verb, and four processes that make the pieces."""
+    files = os.environ.get("STANCE_TEST_DATA")
+    if not files:
+        print("SKIPPED: STANCE_TEST_DATA names no folder")
+        return
+    local = bench.json("ingest", files, "--out", WORK / "real", code=QUARANTINED)
+    bench.clean_cache()
+    bench.proxy.reset(FAULTS)
+    report = bench.json("ingest", files, "--out", f"s3://{BUCKET}/real", code=QUARANTINED)
+    balanced(report)
+    assert report["root_hash"] == local["root_hash"]
+    out, plan = f"s3://{BUCKET}/real-pieces", WORK / "plan-real"
+    bench.run("stage", "plan", "ingest", files, "--into", out, "--out", plan)
+    workers = [bench.start("stage", "work", plan, "--shard", f"{number}/4") for number in range(4)]
+    ended = [(worker.communicate(), worker.returncode) for worker in workers]
+    assert all(code == OK for _, code in ended), ended
+    committed = bench.json("stage", "commit", plan, code=QUARANTINED)
+    assert committed["root_hash"] == local["root_hash"]
+    print(f"   {local['root_hash']} three times")
+
+
+@test
 def a_killed_run_goes_on_to_the_same_dataset(bench: Bench) -> None:
     for number in range(3):
         out, seen = f"s3://{BUCKET}/killed{number}", threading.Event()

@@ -181,14 +181,22 @@ impl Ingestion {
 
         let sources = detail.sources.par_iter();
         let paths = sources.filter_map(|number| self.paths.get(*number as usize));
-        match paths.find_first(|path| !self.plan.is_as_planned(path)) {
-            None => Ok(()),
-            Some(path) => {
-                let place = self.plan.files.path(path);
-                let path = place.map_or(PathBuf::from(path), Path::to_owned);
-                Err(Error::SourceChanged { path }.into())
-            }
-        }
+        let found = paths.map(|path| (path, self.plan.is_as_planned(path)));
+        let Some((path, found)) = found.find_first(|(_, found)| !matches!(found, Ok(true))) else {
+            return Ok(());
+        };
+        let place = self.plan.files.path(path);
+        let place = place.map_or(PathBuf::from(path), Path::to_owned);
+        Err(match found {
+            Ok(_) => Error::SourceChanged { path: place }.into(),
+            Err(error) => Failed::new(
+                "E-IO",
+                format!(
+                    "cannot read {}: {error}; make the piece again",
+                    place.display()
+                ),
+            ),
+        })
     }
 }
 

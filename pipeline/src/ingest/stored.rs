@@ -1,6 +1,7 @@
 //! Plans of ingestion on the disk.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -190,20 +191,18 @@ impl Plan {
         })
     }
 
-    /// Whether a file is as it was planned. The size is looked at first.
-    pub(super) fn is_as_planned(&self, path: &str) -> bool {
+    /// Whether a file is as it was planned.
+    ///
+    /// # Errors
+    /// It is there and cannot be read.
+    pub(super) fn is_as_planned(&self, path: &str) -> io::Result<bool> {
         let (Some(source), Some(place)) = (self.sources.get(path), self.files.path(path)) else {
-            return false;
+            return Ok(false);
         };
         match &source.hash {
-            Ok(hash) => {
-                self.files
-                    .size(path)
-                    .is_ok_and(|found| found == source.bytes)
-                    && self.files.hash(place).as_ref() == Ok(hash)
-            }
+            Ok(hash) => self.files.is_equal(place, source.bytes, hash),
             // What could not be read then is rejected for that, whatever it is now.
-            Err(_) => true,
+            Err(_) => Ok(true),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The files that are ingested.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -38,6 +38,16 @@ impl Files {
     /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
     pub(crate) fn hash(&self, path: &Path) -> Result<String, String> {
         self.store.hash(path).map_err(|error| error.to_string())
+    }
+
+    /// Whether a file has this size, which is looked at first, and this BLAKE3. One that is gone has not.
+    pub(crate) fn is_equal(&self, path: &Path, bytes: u64, blake3: &str) -> io::Result<bool> {
+        let size = self.store.size(path);
+        let found = size.and_then(|size| Ok(size == bytes && self.store.hash(path)? == blake3));
+        match found {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+            found => found,
+        }
     }
 
     /// Size of a file in bytes.
