@@ -302,9 +302,11 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
     shutil.copytree(WORK / "local", WORK / "chain", dirs_exist_ok=True)
     url, local = bench.upload(WORK / "chain", "chain"), WORK / "chain"
     hashes: dict[str, list[str]] = {}
+    tables = []
     for place in (str(local), url):
         base = place.rsplit("/", 1)[0]
         bench.run("masks", place)
+        bench.run("pairs", place)
         bench.run("triplets", place, "--count", 12, "--out", f"{base}/triplets")
         bench.run("items", place, "--count", 6, "--split", "train", "--out", f"{base}/items")
         run = WORK / ("run-local" if place == str(local) else "run-remote")
@@ -317,6 +319,11 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
         for table in ("chain", "triplets", "items"):
             hashes.setdefault(table, []).append(bench.json("inspect", f"{base}/{table}")["root_hash"])
         bench.run("verify", f"{base}/edits")
+        encoder = WORK / f"encoder-{run.name}"
+        words = WORK / "encoder.toml"
+        words.write_text("word_width = 16\n" + config.read_text())
+        bench.run("train", "tmr", place, "--out", encoder, "--config", words, "--steps", 2)
+        tables.append(bench.json("eval", f"{base}/edits", "--encoder", encoder))
         bench.run("export", place, "--to", "bvh", "--out", WORK / f"bvh-{run.name}")
     for table, (one, other) in hashes.items():
         assert one == other, table
@@ -324,6 +331,7 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
         {path.name: path.read_bytes() for path in (WORK / f"bvh-{name}").rglob("*.bvh")} for name in ("run-local", "run-remote")
     )
     assert ours and ours == theirs
+    assert tables[0] and tables[0] == tables[1]
 
 
 @test
