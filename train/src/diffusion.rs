@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{DiffusionConfig, FixedFrames, Loss, Prediction};
 use crate::data::NoisyBatch;
 use crate::model::denoiser::Denoiser;
+use crate::model::position::Tables;
 use crate::schedule::Schedule;
 
 /// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
@@ -181,29 +182,53 @@ pub const NUM_GATES: usize = 3;
 /// # Shapes
 /// Both `[1, 3 keypoints, 3 keypoints]`, for rows of frames.
 fn bones(keypoints: usize, device: &Device) -> [Tensor<3>; 2] {
+    /// Computed once for each width and device.
+    static TO_BONES: Tables = Tables::new(to_bones);
+    /// Computed once for each width and device.
+    static TO_POINTS: Tables = Tables::new(to_points);
     let width = 3 * keypoints;
-    let mut to_bones = vec![0.0f32; width * width];
-    let mut to_points = vec![0.0f32; width * width];
-    for slot in 0..keypoints {
-        let mut ancestor = slot;
-        loop {
-            for axis in 0..3 {
-                to_points[(3 * ancestor + axis) * width + 3 * slot + axis] = 1.0;
-            }
-            if ancestor == 0 {
-                break;
-            }
+    let numbers: Vec<usize> = (0..width).collect();
+    [&TO_BONES, &TO_POINTS].map(|map| map.rows(&numbers, width, device).unsqueeze_dim(0))
+}
+
+/// What numbers of keypoints add to each number of a frame in bones, row by row.
+fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
+    map_rows(numbers, width, |from, to| {
+        if from == to {
+            1.0
+        } else if to > 0 && from == parent_of(to) {
+            -1.0
+        } else {
+            0.0
+        }
+    })
+}
+
+/// What numbers of bones add to each number of a frame in keypoints, row by row.
+fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
+    map_rows(numbers, width, |from, to| {
+        let mut ancestor = to;
+        while ancestor != from && ancestor > 0 {
             ancestor = parent_of(ancestor);
         }
-        for axis in 0..3 {
-            to_bones[(3 * slot + axis) * width + 3 * slot + axis] = 1.0;
-            if slot > 0 {
-                to_bones[(3 * parent_of(slot) + axis) * width + 3 * slot + axis] = -1.0;
-            }
+        if ancestor == from { 1.0 } else { 0.0 }
+    })
+}
+
+/// Rows of a map that does the same on every axis: `weight` of a slot in another. The rows of numbers that
+/// a frame of the width does not have are zero.
+fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
+    let cell = |from: usize, to: usize| {
+        if from < width && from % 3 == to % 3 {
+            weight(from / 3, to / 3)
+        } else {
+            0.0
         }
-    }
-    [to_bones, to_points]
-        .map(|values| Tensor::from_data(TensorData::new(values, [1, width, width]), device))
+    };
+    numbers
+        .iter()
+        .flat_map(|&from| (0..width).map(move |to| cell(from, to)))
+        .collect()
 }
 
 impl Schedule {
@@ -521,7 +546,7 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 mod tests {
     use proptest::prelude::*;
 
-    use kinematics::skeleton::NUM_KEYPOINTS;
+    use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
     use super::*;
     use crate::config::ScheduleName;
@@ -615,6 +640,33 @@ mod tests {
         for (a, b) in edited.iter().zip(values(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_frame_that_is_taken_to_bones_and_back_is_as_it_was() {
+        let mut rng = datasets_spec::Seed(6).rng(&["bones"]);
+        for device in [Device::flex(), Device::flex().autodiff()] {
+            for keypoints in [NUM_BODY_JOINTS, NUM_KEYPOINTS] {
+                let width = 3 * keypoints;
+                let frame: Vec<f32> = (0..width)
+                    .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
+                    .collect();
+                let points = TensorData::new(frame.clone(), [1, 1, width]);
+                let points = Tensor::<3>::from_data(points, &device);
+                let [to_bones, to_points] = bones(keypoints, &device);
+                let bones = points.matmul(to_bones);
+                let wrist = 3 * Joint::LeftWrist.index();
+                let elbow = 3 * Joint::LeftElbow.index();
+                assert_eq!(
+                    values(bones.clone())[wrist + 1],
+                    frame[wrist + 1] - frame[elbow + 1]
+                );
+                for (back, was) in values(bones.matmul(to_points)).iter().zip(&frame) {
+                    // Sums of a dozen numbers of size one.
+                    assert!((back - was).abs() < 1e-5, "{back} {was}");
+                }
+            }
         }
     }
 
