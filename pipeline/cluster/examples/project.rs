@@ -1,9 +1,10 @@
 //! Projects a measured job to more executors.
 //!
-//! `project RECORDS COST`: RECORDS is the JSON of `stance stage work --json` lines or of any lines with a field `secs`
-//! (seconds of a piece); COST is the scheduler's seconds per piece. The model: one scheduler that serves a request at a
-//! time, each COST long, executors that ask for a piece, make it, and ask again, and that look every 50 ms where there
-//! is nothing to do (Ballista's interval). Pieces are drawn in turn from the measured ones, 20 for each executor.
+//! `project RECORDS COST WAIT`: RECORDS are the lines of `stance stage work --json`, or any lines with a field `secs`
+//! (seconds of a piece); COST is the scheduler's seconds per piece; WAIT is how long an executor is idle from the end of
+//! a piece to the begin of its next. `benches/overhead` measures all three. The model: one scheduler that serves a
+//! request at a time, each COST long; executors that make a piece, wait, and ask again. Pieces are drawn in turn from
+//! the measured ones, 20 for each executor.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -12,7 +13,7 @@ use std::io::{BufRead, BufReader};
 use anyhow::Context;
 
 /// Seconds until the last piece is done.
-fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64) -> f64 {
+fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64, wait: f64) -> f64 {
     let micros = |secs: f64| (secs * 1e6) as u64;
     // Executors by the time when they ask next.
     let mut asking: BinaryHeap<Reverse<u64>> = (0..executors).map(|_| Reverse(0)).collect();
@@ -23,7 +24,7 @@ fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64) -> f64 {
         free = free.max(asked) + micros(cost);
         let done = free + micros(pieces[number % pieces.len()]);
         end = end.max(done);
-        asking.push(Reverse(done));
+        asking.push(Reverse(done + micros(wait)));
     }
     end as f64 / 1e6
 }
@@ -31,11 +32,9 @@ fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64) -> f64 {
 #[expect(clippy::print_stdout, reason = "the table is the result")]
 fn main() -> anyhow::Result<()> {
     let mut args = std::env::args().skip(1);
-    let (file, cost) = (
-        args.next().context("RECORDS COST")?,
-        args.next().context("RECORDS COST")?,
-    );
-    let cost: f64 = cost.parse()?;
+    let mut next = || args.next().context("RECORDS COST WAIT");
+    let (file, cost, wait) = (next()?, next()?, next()?);
+    let (cost, wait): (f64, f64) = (cost.parse()?, wait.parse()?);
     let lines = BufReader::new(std::fs::File::open(&file).with_context(|| file.clone())?).lines();
     let mut pieces = Vec::new();
     for line in lines {
@@ -44,18 +43,17 @@ fn main() -> anyhow::Result<()> {
     }
     let mean = pieces.iter().sum::<f64>() / pieces.len() as f64;
     println!(
-        "{} pieces measured, {mean:.3} s on average; scheduler {:.4} s a piece",
-        pieces.len(),
-        cost
+        "{} pieces measured, {mean:.3} s on average; scheduler {cost:.4} s and executor {wait:.4} s a piece",
+        pieces.len()
     );
     println!(
         "the scheduler serves at most {:.0} executors of such pieces",
-        mean / cost
+        (mean + wait) / cost
     );
     println!("| executors | pieces | hours of work | wall s | efficiency |\n|---|---|---|---|---|");
     for executors in [1, 2, 10, 100, 1000] {
         let count = 20 * executors;
-        let wall = simulated(&pieces, count, executors, cost);
+        let wall = simulated(&pieces, count, executors, cost, wait);
         let work: f64 = (0..count).map(|number| pieces[number % pieces.len()]).sum();
         println!(
             "| {executors} | {count} | {:.2} | {wall:.1} | {:.0} % |",

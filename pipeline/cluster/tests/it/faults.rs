@@ -46,6 +46,7 @@ fn run_and_watch(
 
 /// Makes datasets while one executor after another is killed in the middle of a piece, until enough were killed. Every
 /// dataset must be that of `stance ingest`.
+#[expect(clippy::print_stderr, reason = "how many were killed")]
 fn survives(job: &Job, wanted: usize, seed: u64) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let (mut killed, mut runs, mut pieces, mut begun) = (0, 0, 0, 0);

@@ -18,6 +18,7 @@ pub(crate) fn stance() -> PathBuf {
 }
 
 /// The real files, if the environment says where they are.
+#[expect(clippy::print_stderr, reason = "a test says aloud that it is skipped")]
 pub(crate) fn real_data() -> Option<PathBuf> {
     let set = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
     let found = set.filter(|path| path.is_dir());
