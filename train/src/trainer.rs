@@ -267,7 +267,7 @@ pub fn train<T: Task>(
                 .map(|max_norm| clip_grad_norm(&mut gradients, &model, max_norm));
             model = optimizer.step(rate, model, gradients);
             if let (Some(ema), Some(decay)) = (&mut ema, settings.optimizer.ema_decay) {
-                ema.update(&model.valid(), decay);
+                ema.update(&model.valid(), warmed_up(decay, state.step));
             }
 
             state.step += 1;
@@ -676,6 +676,13 @@ fn clip_grad_norm<M: Module>(
     norm
 }
 
+/// The decay of the EMA in a step: less at first, so that an average over a short run is not that of
+/// the weights it began with.
+fn warmed_up(decay: f64, step: u64) -> f64 {
+    let step = step as f64;
+    decay.min((1.0 + step) / (10.0 + step))
+}
+
 /// The exponential moving average (EMA) of the weights; every parameter is flattened.
 #[derive(Clone, Debug)]
 struct Ema(BTreeMap<ParamId, Tensor<1>>);
@@ -807,6 +814,13 @@ mod tests {
 
     fn layer(seed: u64, device: &Device) -> Linear {
         draw(LinearConfig::new(3, 2).init(device), Seed(seed)).expect("a known layer")
+    }
+
+    #[test]
+    fn an_average_over_a_short_run_forgets_the_weights_it_began_with() {
+        let left: f64 = (0..40).map(|step| warmed_up(0.998, step)).product();
+        assert!(left < 1e-6, "{left}");
+        assert!(warmed_up(0.998, 10_000) == 0.998);
     }
 
     #[test]

@@ -127,7 +127,8 @@ pub struct OptimizerConfig {
     /// Norm that all gradients together are clipped to; `None` does not clip.
     pub max_gradient_norm: Option<f64>,
     /// Decay of the exponential moving average (EMA) of the weights: the share of itself that it keeps
-    /// in a step. The averaged weights are validated and used. `None` keeps no average.
+    /// in a step, in step `n` at most `(1 + n) / (10 + n)`. The averaged weights are validated and used.
+    /// `None` keeps no average.
     pub ema_decay: Option<f64>,
 }
 
