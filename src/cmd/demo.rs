@@ -28,6 +28,8 @@ pub(crate) struct Args {
     device: TrainDeviceArgs,
 }
 
+/// Items edited: so many that the intervals of an editor that helps and of one that does nothing lie apart.
+const ITEMS: usize = 256;
 /// Steps of the two models in the quick form.
 const QUICK_STEPS: u64 = 40;
 /// Items edited in the quick form.
@@ -48,9 +50,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     write_corpus(&folder, &corpus, &global.bars())?;
 
     let mut config = RunConfig::new(vec![folder], args.out.clone());
-    if args.quick {
-        config.items.count = ItemCount::Exactly(QUICK_ITEMS);
-    }
+    config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
     if args.quick {
         shorten(&mut plan);

@@ -422,19 +422,26 @@ impl Quality {
 fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
-    let change = bench.workshop.path("change.toml");
     let small = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
-    let former = "[diffusion]\nprediction = \"change\"\nfixed_noise = 0.0\ngenerated_starts = 0.0\noverlap = 0\ncontact_weight = 0.0\n";
-    fs::write(&change, small + former).expect("writes");
-    bench
-        .workshop
-        .train("motionrefit", "joined", "400")
-        .expect_code(0);
-    let more = ["--config", arg(&change), "--steps", "400"];
-    bench
-        .workshop
-        .train_with("motionrefit", "apart", &more)
-        .expect_code(0);
+    let plain = "[diffusion]\nbone_weight = 0.0\ntell_frames = false\n";
+    for (run, diffusion) in [
+        (
+            "joined",
+            "prediction = \"residual\"\ngenerated_starts = 0.2\ncontact_weight = 0.05\n",
+        ),
+        (
+            "apart",
+            "prediction = \"change\"\nfixed_noise = 0.0\ngenerated_starts = 0.0\noverlap = 0\ncontact_weight = 0.0\n",
+        ),
+    ] {
+        let settings = bench.workshop.path(&format!("{run}.toml"));
+        fs::write(&settings, format!("{small}{plain}{diffusion}")).expect("writes");
+        let more = ["--config", arg(&settings), "--steps", "400"];
+        bench
+            .workshop
+            .train_with("motionrefit", run, &more)
+            .expect_code(0);
+    }
     let edits = ["joined", "apart"].map(|run| {
         let out = format!("{run}-edits");
         bench.answers(run, "asked", &out, &["--name", run])

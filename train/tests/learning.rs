@@ -140,6 +140,7 @@ fn small_config(num_steps: u64) -> TrainConfig {
 fn change_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
     config.diffusion.prediction = Prediction::Change;
+    config.diffusion.bone_weight = 0.0;
     config.diffusion.fixed_noise = 0.0;
     config.diffusion.generated_starts = 0.0;
     config
@@ -271,6 +272,8 @@ fn the_first_loss_is_that_of_an_untrained_network() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
     config.diffusion.prediction = Prediction::Noise;
+    config.diffusion.contact_weight = 0.0;
+    config.diffusion.bone_weight = 0.0;
     config.run.optimizer.learning_rate = 0.0;
     config.run.batch_size = 64;
     let report = train(dir.path(), &config, &Waves { items: 64 });
@@ -316,6 +319,8 @@ fn one_batch_is_overfitted() {
     };
     let diffusion = DiffusionConfig {
         prediction: Prediction::Noise,
+        contact_weight: 0.0,
+        bone_weight: 0.0,
         ..config.diffusion
     };
     // Wider than the 84 numbers of a frame, or the noise would not fit through.
@@ -426,6 +431,7 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     config.run.batch_size = 16;
     config.run.optimizer.learning_rate = 3e-3;
     config.diffusion.prediction = Prediction::Gated;
+    config.diffusion.tell_frames = false;
     let first = train(dir.path(), &config, &Waves { items: 16 });
     let (begun, ended) = (first.first_loss, first.best_val_loss);
     let fell = ended.expect("validated") / begun.expect("a line");
@@ -446,6 +452,7 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     assert!(found.contains("gate"), "{found}");
     let told = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
+    config.diffusion.prediction = Prediction::Residual;
     config.diffusion.tell_frames = true;
     train(told.path(), &config, &Waves { items: 16 });
     let found = refused(told.path());
