@@ -7,7 +7,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
-use datasets_spec::table::{ClipReader, Quality, ShardReader, read_rows, write_rows};
+use datasets_spec::table::{ClipReader, ShardReader, read_rows, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Pose, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
@@ -66,35 +66,11 @@ fn motion_rows() -> Vec<MotionRow> {
                 })
                 .collect();
             let motion = Motion::from_poses(Fps::STORE, &poses).expect("finite");
+            let id = MotionId::parse(&format!("{clip:06}")).expect("valid");
             MotionRow {
-                id: MotionId::parse(&format!("{clip:06}")).expect("valid"),
-                split: Split::Train,
                 source: "bench".to_owned(),
                 source_path: format!("{clip:06}.npz"),
-                source_hash: String::new(),
-                license: None,
-                mirrored_of: None,
-                skeleton: "smplx-neutral".to_owned(),
-                fps: 20.0,
-                fps_source: 20.0,
-                start_frame: 0,
-                end_frame: NUM_FRAMES as i32,
-                n_frames: NUM_FRAMES as i32,
-                transl: motion.transl().to_vec(),
-                global_orient: motion.global_orient().to_vec(),
-                body_pose: motion.body_pose().to_vec(),
-                rotation_source: "native".to_owned(),
-                fit_error_m: None,
-                captions: Vec::new(),
-                caption_origins: Vec::new(),
-                inputs_hash: String::new(),
-                part_captions: Vec::new(),
-                subject: None,
-                action: None,
-                style: None,
-                notes: Vec::new(),
-                content_hash: motion.content_hash(),
-                quality: Quality::default(),
+                ..MotionRow::new(id, Split::Train, &motion)
             }
         })
         .collect()

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::table::{Caption, PartCaption, Quality, Row, table};
-use crate::{BodyPart, Error, Fps, JointSet, Motion, MotionId, Split};
+use crate::{BodyPart, Error, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 
@@ -506,6 +506,43 @@ pub const CAPTION_BY_SOURCE: &str = "source";
 pub const CAPTION_BY_RULE: &str = "rule";
 
 impl MotionRow {
+    /// The row of a motion of the shared skeleton, with rotations of its own. Source, captions, labels and notes are
+    /// empty, and its quality is not measured.
+    pub fn new(id: MotionId, split: Split, motion: &Motion) -> Self {
+        let frames = i32::try_from(motion.len()).unwrap_or(i32::MAX);
+        let fps = motion.fps().get() as f32;
+        Self {
+            id,
+            split,
+            source: String::new(),
+            source_path: String::new(),
+            source_hash: String::new(),
+            inputs_hash: String::new(),
+            license: None,
+            mirrored_of: None,
+            skeleton: Skeleton::smplx_neutral().name().to_owned(),
+            fps,
+            fps_source: fps,
+            start_frame: 0,
+            end_frame: frames,
+            n_frames: frames,
+            transl: motion.transl().to_vec(),
+            global_orient: motion.global_orient().to_vec(),
+            body_pose: motion.body_pose().to_vec(),
+            rotation_source: "native".to_owned(),
+            fit_error_m: None,
+            captions: Vec::new(),
+            caption_origins: Vec::new(),
+            part_captions: Vec::new(),
+            subject: None,
+            action: None,
+            style: None,
+            notes: Vec::new(),
+            content_hash: motion.content_hash(),
+            quality: Quality::default(),
+        }
+    }
+
     /// The motion of the row.
     ///
     /// # Errors

@@ -149,34 +149,15 @@ fn row(motion: &Motion) -> MotionRow {
         foot_skate: 0.0,
     });
     MotionRow {
-        id: MotionId::parse("bench").expect("valid"),
-        split: Split::Train,
         source: "bvh".to_owned(),
         source_path: "bench.bvh".to_owned(),
-        source_hash: String::new(),
-        license: None,
-        mirrored_of: None,
-        skeleton: skeleton.name().to_owned(),
-        fps: motion.fps().get() as f32,
-        fps_source: 30.0,
-        start_frame: 0,
-        end_frame: NUM_FRAMES as i32,
-        n_frames: motion.len() as i32,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
         rotation_source: "retargeted".to_owned(),
-        fit_error_m: None,
-        captions: Vec::new(),
-        caption_origins: Vec::new(),
-        inputs_hash: String::new(),
-        part_captions: Vec::new(),
-        subject: None,
-        action: None,
-        style: None,
-        notes: Vec::new(),
-        content_hash: motion.content_hash(),
         quality,
+        ..MotionRow::new(
+            MotionId::parse("bench").expect("valid"),
+            Split::Train,
+            motion,
+        )
     }
 }
 

@@ -49,9 +49,14 @@ fn main() -> Result<(), Failure> {
                     progress: &NoProgress,
                     holder: "bench",
                 };
-                let config = ComposeConfig::default();
+                let settings = recording::Settings {
+                    kind: recording::Kind::Windows,
+                    count,
+                    config: ComposeConfig::default(),
+                    seed: Seed(0),
+                };
                 let (dataset, out) = (Path::new(dataset), Path::new(out));
-                let made = recording::windows(dataset, out, count, &config, Seed(0), &context)?;
+                let made = recording::record(dataset, out, &settings, &context)?;
                 Ok(made.manifest().root_hash.clone())
             })
         }

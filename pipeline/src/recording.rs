@@ -36,7 +36,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    fn table(self) -> &'static str {
+    /// The table of the rows.
+    pub fn table(self) -> &'static str {
         match self {
             Self::Triplets => TripletRow::TABLE,
             Self::Windows => WindowRow::TABLE,
@@ -126,48 +127,6 @@ pub fn record(
         settings.kind.table()
     ));
     Ok(dataset)
-}
-
-/// Records whole-clip triplets of the training stream as a dataset of their own.
-///
-/// # Errors
-/// As [`record`].
-pub fn triplets(
-    root: &Path,
-    out: &Path,
-    count: u64,
-    config: &ComposeConfig,
-    seed: Seed,
-    context: &Context<'_>,
-) -> Result<Dataset, Error> {
-    let settings = Settings {
-        kind: Kind::Triplets,
-        count,
-        config: config.clone(),
-        seed,
-    };
-    record(root, out, &settings, context)
-}
-
-/// Records windows of the training stream as a dataset of their own, with their normaliser.
-///
-/// # Errors
-/// As [`record`].
-pub fn windows(
-    root: &Path,
-    out: &Path,
-    count: u64,
-    config: &ComposeConfig,
-    seed: Seed,
-    context: &Context<'_>,
-) -> Result<Dataset, Error> {
-    let settings = Settings {
-        kind: Kind::Windows,
-        count,
-        config: config.clone(),
-        seed,
-    };
-    record(root, out, &settings, context)
 }
 
 /// Plans a recording for any number of processes. `out` is the folder of the plan.
@@ -397,8 +356,7 @@ impl Job for Recording {
         options: &CommitOptions,
         _progress: &dyn Progress,
     ) -> Result<Committed, Error> {
-        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
-        plan.check_open()?;
+        let transaction = plan.begin(options)?;
         let (made, quarantine) = Quarantine::of(pieces);
         let files = made.into_iter().flat_map(|(_, made)| made.files).collect();
         let dataset = self.commit(transaction, &plan.staging(), files, quarantine)?;

@@ -10,7 +10,7 @@ use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::filter::Clips;
-use pipeline::recording;
+use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 
@@ -103,9 +103,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         None => Vec::new(),
     };
     let triplets = config.out.join("triplets");
-    let (count, compose) = (config.triplets, &config.compose);
+    let settings = Settings {
+        kind: Kind::Triplets,
+        count: config.triplets,
+        config: config.compose.clone(),
+        seed,
+    };
     let recorded = global
-        .stage(|context| recording::triplets(&root, &triplets, count, compose, seed, context))
+        .stage(|context| recording::record(&root, &triplets, &settings, context))
         .context("stage triplets")?;
     let dataset = datasets_spec::Dataset::open(&root)?;
     let mut exports = Vec::new();

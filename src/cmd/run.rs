@@ -17,7 +17,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::{ComposeConfig, ItemConfig};
 use pipeline::ingest::IngestReport;
-use pipeline::recording;
+use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -303,17 +303,14 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
             })
             .context("stage pairs")?;
     }
+    let recorded = Settings {
+        kind: Kind::Triplets,
+        count: config.triplets,
+        config: plan.compose.clone(),
+        seed: Seed(plan.train.run.seed),
+    };
     global
-        .stage(|context| {
-            recording::triplets(
-                &places.dataset,
-                &places.triplets,
-                config.triplets,
-                &plan.compose,
-                Seed(plan.train.run.seed),
-                context,
-            )
-        })
+        .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
         .context("stage triplets")?;
     let dataset = Dataset::open(&places.dataset)?;
     let encoder = with_session(&bars, |session| {

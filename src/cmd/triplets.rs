@@ -3,8 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::record::{TripletRow, WindowRow};
-use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
@@ -255,17 +253,21 @@ impl Args {
         let (Some(root), Some(out)) = (&self.dataset, &self.out) else {
             bail!("a recording is planned from a dataset: DATASET --into DIR");
         };
+        let settings = self.recorded(self.compose.config()?, global);
+        Ok(plan_recording(root, out, &settings, plan)?)
+    }
+
+    fn recorded(&self, config: ComposeConfig, global: &Global) -> Settings {
         let (kind, count) = match self.windows {
             Some(count) => (Kind::Windows, count),
             None => (Kind::Triplets, self.count),
         };
-        let settings = Settings {
+        Settings {
             kind,
             count,
-            config: self.compose.config()?,
+            config,
             seed: global.seed(),
-        };
-        Ok(plan_recording(root, out, &settings, plan)?)
+        }
     }
 }
 
@@ -302,28 +304,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let out = args.out.as_deref().context("--out is missing")?;
-    let seed = global.seed();
-    if let Some(count) = args.windows {
-        let recorded =
-            global.stage(|context| recording::windows(root, out, count, &config, seed, context))?;
-        let manifest = recorded.manifest();
-        let rows = manifest.rows(WindowRow::TABLE, None);
-        if global.json {
-            let root_hash = &manifest.root_hash;
-            report::json(&serde_json::json!({ "windows": rows, "root_hash": root_hash }))?;
-        } else {
-            report::text(&format!("{rows} windows in {}", out.display()));
-        }
-        return Ok(Exit::Done);
-    }
-    let recorded = global
-        .stage(|context| recording::triplets(root, out, args.count, &config, seed, context))?;
+    let settings = args.recorded(config, global);
+    let table = settings.kind.table();
+    let recorded = global.stage(|context| recording::record(root, out, &settings, context))?;
     let manifest = recorded.manifest();
-    let rows = manifest.rows(TripletRow::TABLE, None);
+    let rows = manifest.rows(table, None);
     if global.json {
-        report::json(&serde_json::json!({ "triplets": rows, "root_hash": manifest.root_hash }))?;
+        report::json(&serde_json::json!({ table: rows, "root_hash": manifest.root_hash }))?;
     } else {
-        report::text(&format!("{rows} triplets in {}", out.display()));
+        report::text(&format!("{rows} {table} in {}", out.display()));
     }
     Ok(Exit::Done)
 }

@@ -153,7 +153,9 @@ class Proxy:
         if not any(name.lower() == "content-length" for name, _ in headers):
             handler.send_header("Content-Length", str(len(content)))
         handler.end_headers()
-        handler.wfile.write(content[: len(content) // 2] if cut else content)
+        # The answer to a HEAD has no body: a client would take it for the answer to its next request.
+        if handler.command != "HEAD":
+            handler.wfile.write(content[: len(content) // 2] if cut else content)
         if cut:
             handler.wfile.flush()
             handler.close_connection = True

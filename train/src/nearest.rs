@@ -10,7 +10,7 @@ use glam::DQuat;
 use kinematics::canonical::{Anchor, canonicalise, world_from_segment};
 use kinematics::resample::grid;
 use pipeline::compose::ComposeConfig;
-use pipeline::recording;
+use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{COMPOSED, Context};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -81,14 +81,14 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         progress: session.progress,
         holder: "stance train nearest",
     };
-    let made = recording::triplets(
-        request.dataset,
-        &run.join(TRIPLETS),
-        config.triplets,
-        request.compose,
-        Seed(config.seed),
-        &context,
-    )?;
+    let settings = Settings {
+        kind: Kind::Triplets,
+        count: config.triplets,
+        config: request.compose.clone(),
+        seed: Seed(config.seed),
+    };
+    let triplets = run.join(TRIPLETS);
+    let made = recording::record(request.dataset, &triplets, &settings, &context)?;
     let rows: Vec<TripletRow> = made.read(None)?;
     let instructions: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     let (triplets, instructions) = (rows.len(), instructions.len());

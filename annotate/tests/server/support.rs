@@ -16,7 +16,7 @@ use annotate::wire::{
 };
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Caption, Quality};
+use datasets_spec::table::Caption;
 use datasets_spec::{BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Skeleton, Split};
 use glam::DVec3;
 use kinematics::rotation::from_axis_angle;
@@ -46,37 +46,14 @@ pub(crate) fn motion(variant: usize) -> Motion {
 
 pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
     MotionRow {
-        id: MotionId::parse(id).expect("valid"),
-        split,
         source: "test".to_owned(),
         source_path: format!("set/{id}.bvh"),
-        source_hash: String::new(),
-        license: None,
-        mirrored_of: None,
-        skeleton: Skeleton::smplx_neutral().name().to_owned(),
-        fps: motion.fps().get() as f32,
-        fps_source: 20.0,
-        start_frame: 0,
-        end_frame: motion.len() as i32,
-        n_frames: motion.len() as i32,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        rotation_source: "native".to_owned(),
-        fit_error_m: None,
         captions: vec![Caption {
             text: format!("a person waves, take {id}"),
             ..Caption::default()
         }],
-        caption_origins: Vec::new(),
-        inputs_hash: String::new(),
-        part_captions: Vec::new(),
-        subject: None,
         action: Some("wave".to_owned()),
-        style: None,
-        notes: Vec::new(),
-        content_hash: motion.content_hash(),
-        quality: Quality::default(),
+        ..MotionRow::new(MotionId::parse(id).expect("valid"), split, motion)
     }
 }
 

@@ -200,7 +200,8 @@ impl Client {
     pub(crate) fn head(&self, key: &Key) -> io::Result<(u64, Option<String>)> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {
-            let meta = store.head(&key).await.map_err(io_error)?;
+            let read = || async { store.head(&key).await.map_err(io_error) };
+            let meta = repeated(ATTEMPTS, read).await?;
             Ok((meta.size, tag_of(meta)))
         })
     }
@@ -234,8 +235,11 @@ impl Client {
     pub(crate) fn put(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {
-            let done = store.put(&key, PutPayload::from_bytes(bytes)).await;
-            done.map(|_| ()).map_err(io_error)
+            repeated(ATTEMPTS, || async {
+                let done = store.put(&key, PutPayload::from_bytes(bytes.clone())).await;
+                done.map(|_| ()).map_err(io_error)
+            })
+            .await
         })
     }
 
@@ -412,12 +416,21 @@ pub(crate) fn io_error(error: Error) -> io::Error {
         }
         _ => ErrorKind::Other,
     };
-    let text = error.to_string();
     let text = match kind {
         ErrorKind::NotFound => "there is no such object".to_owned(),
-        _ => shortened(&text),
+        _ => shortened(&with_cause(&error)),
     };
     io::Error::new(kind, text)
+}
+
+/// The text of an error, and that of its innermost cause: a failed request says no more than "error sending request".
+fn with_cause(error: &dyn std::error::Error) -> String {
+    let text = error.to_string();
+    let innermost = std::iter::successors(error.source(), |error| error.source()).last();
+    match innermost.map(ToString::to_string) {
+        Some(cause) if !text.contains(&cause) => format!("{text}: {cause}"),
+        _ => text,
+    }
 }
 
 /// The beginning of a text, in one line.

@@ -12,7 +12,7 @@ use datasets_spec::dataset::{Commit, ShardName, Transaction};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::store::{ByPath, Store, register};
-use datasets_spec::table::{ClipReader, Quality, Row, ShardReader, read_rows};
+use datasets_spec::table::{ClipReader, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Error, Motion, MotionId, Pose, Skeleton, Split};
 use futures_util::stream::BoxStream;
 use object_store::memory::InMemory;
@@ -158,36 +158,8 @@ fn row(index: usize, frames: usize) -> MotionRow {
         })
         .collect();
     let motion = Motion::from_poses(datasets_spec::Fps::STORE, &poses).expect("valid");
-    MotionRow {
-        id: MotionId::parse(&format!("clip{index}")).expect("valid"),
-        split: Split::Train,
-        source: "bvh".to_owned(),
-        source_path: format!("clip{index}.bvh"),
-        source_hash: "00".to_owned(),
-        license: None,
-        mirrored_of: None,
-        skeleton: "smplx-neutral".to_owned(),
-        fps: 20.0,
-        fps_source: 30.0,
-        start_frame: 0,
-        end_frame: 9,
-        n_frames: motion.len() as i32,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        rotation_source: "native".to_owned(),
-        fit_error_m: None,
-        captions: Vec::new(),
-        caption_origins: Vec::new(),
-        inputs_hash: String::new(),
-        part_captions: Vec::new(),
-        subject: None,
-        action: None,
-        style: None,
-        notes: Vec::new(),
-        content_hash: motion.content_hash(),
-        quality: Quality::default(),
-    }
+    let id = MotionId::parse(&format!("clip{index}")).expect("valid");
+    MotionRow::new(id, Split::Train, &motion)
 }
 
 const NAME: ShardName = ShardName {

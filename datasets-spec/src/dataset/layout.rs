@@ -47,7 +47,7 @@ pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u6
     Ok(versions)
 }
 
-/// Tables of a version and of those before it that are there.
+/// Names of the tables that a version or an older one has. Older versions that were pruned do not count.
 pub(super) fn tables_until(
     store: &dyn Store,
     root: &Path,

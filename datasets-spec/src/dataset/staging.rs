@@ -71,8 +71,8 @@ impl Staging {
         newest_manifest(store, root)
     }
 
-    /// What a plan must know of the version that it starts from: its number, 0 for none, and the tables of it and of
-    /// those before.
+    /// The version that a plan starts from: its number, 0 for none, and the names of the tables that it or an older
+    /// version has.
     ///
     /// # Errors
     /// The manifest of a version before cannot be read.

@@ -20,24 +20,14 @@ fn row(index: usize) -> MotionRow {
         })
         .collect();
     let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+    let id = MotionId::parse(&format!("clip{index}")).expect("valid");
     MotionRow {
-        id: MotionId::parse(&format!("clip{index}")).expect("valid"),
-        split: Split::Train,
         source: "bvh".to_owned(),
         source_path: format!("clip{index}.bvh"),
         source_hash: "00".to_owned(),
         license: index.is_multiple_of(2).then(|| "CC0-1.0".to_owned()),
-        mirrored_of: None,
-        skeleton: "smplx-neutral".to_owned(),
-        fps: 20.0,
         fps_source: 30.0,
-        start_frame: 0,
         end_frame: 9,
-        n_frames: motion.len() as i32,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        rotation_source: "native".to_owned(),
         fit_error_m: index.is_multiple_of(3).then_some(0.01),
         captions: vec![
             Caption {
@@ -46,19 +36,16 @@ fn row(index: usize) -> MotionRow {
             };
             index % 3
         ],
-        caption_origins: Vec::new(),
-        inputs_hash: String::new(),
         part_captions: vec![PartCaption::default(); index % 2],
         subject: (index % 2 == 1).then(|| "anna".to_owned()),
-        action: None,
         style: Some("proud".to_owned()),
         notes: vec!["frame 0 was dropped".to_owned()],
-        content_hash: motion.content_hash(),
         quality: Quality {
             flags: 3,
             max_speed: 1.5,
             foot_skate: 0.25,
         },
+        ..MotionRow::new(id, Split::Train, &motion)
     }
 }
 

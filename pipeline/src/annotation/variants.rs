@@ -113,24 +113,11 @@ pub fn generated_row(
     skeleton: &Skeleton,
 ) -> Result<MotionRow, Rejected> {
     let quality = check(motion, skeleton)?;
-    let frames = i32::try_from(motion.len()).unwrap_or(i32::MAX);
     Ok(MotionRow {
-        split,
         source: source.to_owned(),
         source_path: id.as_str().to_owned(),
         source_hash: source_hash.to_owned(),
-        inputs_hash: String::new(),
-        license: None,
-        mirrored_of: None,
         skeleton: skeleton.name().to_owned(),
-        fps: motion.fps().get() as f32,
-        fps_source: motion.fps().get() as f32,
-        start_frame: 0,
-        end_frame: frames,
-        n_frames: frames,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
         rotation_source: RotationSource::Fitted.as_str().to_owned(),
         fit_error_m: Some(fit_error_m),
         captions: vec![Caption {
@@ -138,14 +125,8 @@ pub fn generated_row(
             ..Caption::default()
         }],
         caption_origins: vec![CAPTION_BY_SOURCE.to_owned()],
-        part_captions: Vec::new(),
-        subject: None,
-        action: None,
-        style: None,
-        notes: Vec::new(),
-        content_hash: motion.content_hash(),
         quality,
-        id,
+        ..MotionRow::new(id, split, motion)
     })
 }
 

@@ -1,7 +1,6 @@
 //! Synthetic motions and masks for the tests of the composer.
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::Quality;
 use datasets_spec::{
     BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Seed, Skeleton, Split,
 };
@@ -42,34 +41,9 @@ pub(crate) fn wandering(name: &str, num_frames: usize) -> Motion {
 /// The row of a motion.
 pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
     MotionRow {
-        id: MotionId::parse(id).expect("valid id"),
-        split,
         source: "synthetic".to_owned(),
         source_path: format!("{id}.npz"),
-        source_hash: String::new(),
-        license: None,
-        mirrored_of: None,
-        skeleton: Skeleton::smplx_neutral().name().to_owned(),
-        fps: motion.fps().get() as f32,
-        fps_source: motion.fps().get() as f32,
-        start_frame: 0,
-        end_frame: motion.len() as i32,
-        n_frames: motion.len() as i32,
-        transl: motion.transl().to_vec(),
-        global_orient: motion.global_orient().to_vec(),
-        body_pose: motion.body_pose().to_vec(),
-        rotation_source: "native".to_owned(),
-        fit_error_m: None,
-        captions: Vec::new(),
-        caption_origins: Vec::new(),
-        inputs_hash: String::new(),
-        part_captions: Vec::new(),
-        subject: None,
-        action: None,
-        style: None,
-        notes: Vec::new(),
-        content_hash: motion.content_hash(),
-        quality: Quality::default(),
+        ..MotionRow::new(MotionId::parse(id).expect("valid id"), split, motion)
     }
 }
 

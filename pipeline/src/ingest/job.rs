@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::dataset::{ShardName, Staging, Transaction};
+use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::store::ByPath;
 use datasets_spec::{NoProgress, Progress, Split};
 use serde::{Deserialize, Serialize};
@@ -237,8 +237,7 @@ impl Job for Ingestion {
         options: &CommitOptions,
         progress: &dyn Progress,
     ) -> Result<Committed, Error> {
-        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
-        plan.check_open()?;
+        let transaction = plan.begin(options)?;
         let prepared = Prepared::of(plan.destination(), transaction.base(), &self.given)?;
         let version = transaction.base().map_or(0, |base| base.version);
         if self

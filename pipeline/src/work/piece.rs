@@ -17,7 +17,7 @@ datasets_spec::table! {
         pub id: String [""],
         /// Number from 0
         pub number: u64 [""],
-        /// What it makes, such as motions/train-00000-of-00004
+        /// The shard or the part that it makes, such as motions/train-00000-of-00004
         pub name: String [""],
         /// Items in it: motions, windows, edits
         pub items: u64 [""],

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::dataset::Staging;
+use datasets_spec::dataset::{Staging, Transaction};
 use datasets_spec::manifest::Manifest;
 use datasets_spec::store::{ByPath, Store, is_url, temporary_beside};
 use datasets_spec::table::{Row, read_rows, write_rows};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::piece::Piece;
-use super::record::Committed;
+use super::record::{CommitOptions, Committed};
 use crate::Error;
 use crate::write::{is_occupied, publish, replace_file};
 
@@ -296,8 +296,8 @@ impl Plan {
         self.home().join(RESULT)
     }
 
-    /// Publishes the folder at [`Plan::result`]. Notes of it are kept before and after, so that a commit that is
-    /// killed can tell that it was done.
+    /// Renames the folder at [`Plan::result`] to the destination. A note is written before and after, so that the next
+    /// commit sees whether a killed one had renamed it.
     pub(crate) fn publish(&self, committed: &Committed) -> Result<(), Error> {
         write_json(&self.home().join(COMMITTED), committed)?;
         publish(&self.result(), self.destination())?;
@@ -381,11 +381,21 @@ impl Plan {
         }
     }
 
+    /// Begins the commit of a dataset: locks the destination, then checks that it is as it was when the plan was made.
+    ///
+    /// # Errors
+    /// Another run holds the destination, or it has another version now.
+    pub fn begin(&self, options: &CommitOptions) -> Result<Transaction, Error> {
+        let transaction = Transaction::begin(self.destination(), &options.holder)?;
+        self.check_open()?;
+        Ok(transaction)
+    }
+
     /// Checks that the destination is as it was when the plan was made.
     ///
     /// # Errors
     /// It has another version now.
-    pub fn check_open(&self) -> Result<(), Error> {
+    pub(crate) fn check_open(&self) -> Result<(), Error> {
         match self.state()? {
             State::Open => Ok(()),
             State::Committed | State::Changed(_) if !self.header.is_dataset => Err(self.changed(0)),

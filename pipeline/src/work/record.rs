@@ -191,7 +191,7 @@ pub struct CommitOptions {
 pub struct Committed {
     /// The destination.
     pub destination: PathBuf,
-    /// Whether the plan was committed before, and nothing was done.
+    /// The plan was committed before, so this commit changed nothing.
     pub already_committed: bool,
     /// Pieces of the plan.
     pub pieces: u64,

@@ -44,7 +44,7 @@ pub(crate) fn is_occupied(out: &Path) -> bool {
     }
 }
 
-/// Gives a complete folder its name, which an empty one may have.
+/// Renames a complete folder to `out`. An empty folder of that name is replaced.
 pub(crate) fn publish(folder: &Path, out: &Path) -> Result<(), Error> {
     if out.exists() {
         std::fs::remove_dir(out).map_err(Error::io("replace", out))?;

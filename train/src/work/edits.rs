@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use datasets_spec::dataset::{ShardName, Staging, Transaction, table_facts};
+use datasets_spec::dataset::{ShardName, Staging, table_facts};
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::store::ByPath;
 use datasets_spec::table::{Row, read_rows};
@@ -256,8 +256,7 @@ impl Job for Editing {
         options: &CommitOptions,
         _progress: &dyn Progress,
     ) -> Result<Committed, pipeline::Error> {
-        let transaction = Transaction::begin(plan.destination(), &options.holder)?;
-        plan.check_open()?;
+        let transaction = plan.begin(options)?;
         let staging = plan.staging();
         let (made, quarantine) = Quarantine::of(pieces);
         let (mut edits, mut times) = (Vec::new(), EditTimes::default());
