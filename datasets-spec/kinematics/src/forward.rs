@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec3};
 
-use crate::motion::{Keypoints, Motion};
+use crate::motion::{Keypoints, Motion, StoredFrame};
 use crate::pose::Pose;
 use crate::simd::blocks::{Frames, Quaternions, Vectors, frame_of, lane, set};
 use crate::simd::lanes::{self, Kernel, LANES};
@@ -71,6 +71,48 @@ impl Skeleton {
     pub fn points_of_poses<const K: usize>(&self, poses: &[Pose]) -> Vec<[DVec3; K]> {
         keypoints_of(self, poses)
     }
+
+    /// Writes local rotations and keypoints of all frames of a motion.
+    ///
+    /// # Panics
+    /// If there are not as many frames as sinks.
+    pub fn place_motion<S: FrameSink>(&self, motion: &Motion, out: &mut [S]) {
+        placed(self, motion.columns(0..motion.len()), FrameParts::ALL, out);
+    }
+
+    /// Writes parts of frames in the numbers of the store.
+    ///
+    /// # Panics
+    /// If there are not as many frames as sinks.
+    pub fn place_rows<S: FrameSink>(&self, rows: &[StoredFrame], parts: FrameParts, out: &mut [S]) {
+        placed(self, rows, parts, out);
+    }
+}
+
+/// Takes the local rotations and keypoints of a frame, rounded to single precision. Implementations must be
+/// `#[inline(always)]`, as [`Kernel::run`] says.
+pub trait FrameSink {
+    /// The local rotation of one of the 22 body joints, as x, y, z, w.
+    fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]);
+    /// The position of one of the 28 keypoints in metres.
+    fn set_point(&mut self, slot: usize, point: [f32; 3]);
+}
+
+/// What is written of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameParts {
+    /// Joints whose local rotations are written.
+    pub rotations: [bool; NUM_BODY_JOINTS],
+    /// Whether the keypoints are written.
+    pub points: bool,
+}
+
+impl FrameParts {
+    /// Everything.
+    pub const ALL: Self = Self {
+        rotations: [true; NUM_BODY_JOINTS],
+        points: true,
+    };
 }
 
 /// Rest offsets of the keypoints from their parents, and the rest position of the pelvis.
@@ -188,6 +230,73 @@ fn keypoints_of<const K: usize>(skeleton: &Skeleton, frames: impl Frames) -> Vec
     out
 }
 
+/// Writes parts of frames.
+fn placed<S: FrameSink>(
+    skeleton: &Skeleton,
+    frames: impl Frames,
+    parts: FrameParts,
+    out: &mut [S],
+) {
+    struct Write<'a, F, S> {
+        rest: Rest,
+        frames: F,
+        parts: FrameParts,
+        out: &'a mut [S],
+    }
+
+    impl<F: Frames, S: FrameSink> Kernel for Write<'_, F, S> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let Self {
+                rest,
+                frames,
+                parts,
+                out,
+            } = self;
+            let mut points = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
+            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
+            for first in (0..frames.len()).step_by(LANES) {
+                let block = &mut out[first..frames.len().min(first + LANES)];
+                for (joint, turns) in turns.iter_mut().enumerate() {
+                    if parts.points || parts.rotations[joint] {
+                        *turns = frames.turns(first, joint);
+                    }
+                    if parts.rotations[joint] {
+                        let turns = turns.map(|plane| plane.map(|number| number as f32));
+                        for (at, frame) in block.iter_mut().enumerate() {
+                            frame.set_rotation(joint, lane(&turns, at));
+                        }
+                    }
+                }
+                if parts.points {
+                    let mut transl = [[0.0; LANES]; 3];
+                    for at in 0..LANES {
+                        let frame = frame_of(first, at, frames.len());
+                        set(&mut transl, at, frames.transl(frame));
+                    }
+                    rest.place(&transl, &mut turns, &mut points);
+                    for (slot, point) in points.iter().enumerate() {
+                        let point = point.map(|plane| plane.map(|number| number as f32));
+                        for (at, frame) in block.iter_mut().enumerate() {
+                            frame.set_point(slot, lane(&point, at));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    assert_eq!(frames.len(), out.len(), "a sink for each frame");
+    lanes::dispatch(Write {
+        rest: Rest::of(skeleton),
+        frames,
+        parts,
+        out,
+    });
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::FRAC_PI_2;
@@ -196,6 +305,85 @@ mod tests {
 
     use super::*;
     use crate::rotation::from_axis_angle;
+    use crate::units::Fps;
+
+    /// A frame as it was written.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Written {
+        rotations: [Option<[f32; 4]>; NUM_BODY_JOINTS],
+        points: [Option<[f32; 3]>; NUM_KEYPOINTS],
+    }
+
+    impl FrameSink for Written {
+        #[inline(always)]
+        fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]) {
+            self.rotations[joint] = Some(quaternion);
+        }
+
+        #[inline(always)]
+        fn set_point(&mut self, slot: usize, point: [f32; 3]) {
+            self.points[slot] = Some(point);
+        }
+    }
+
+    #[test]
+    fn parts_of_frames_are_those_of_their_poses_rounded() {
+        const NOTHING: Written = Written {
+            rotations: [None; NUM_BODY_JOINTS],
+            points: [None; NUM_KEYPOINTS],
+        };
+        let skeleton = Skeleton::smplx_neutral();
+        // More than a block of lanes, the second of them not full.
+        let poses: Vec<Pose> = (0..21)
+            .map(|frame| {
+                let turn = |joint: usize| 0.3 * (frame + 2 * joint) as f64;
+                let mut pose = Pose::REST;
+                pose.transl = DVec3::new(turn(1), turn(2).sin(), -turn(3));
+                pose.rotations = std::array::from_fn(|joint| {
+                    from_axis_angle(DVec3::new(turn(joint).sin(), 0.2, turn(joint).cos()))
+                });
+                pose
+            })
+            .collect();
+        let motion = Motion::from_poses(Fps::STORE, &poses).expect("finite");
+        let rows: Vec<StoredFrame> = (0..motion.len())
+            .map(|frame| {
+                let mut row = [0.0; 6 + crate::motion::BODY_POSE_WIDTH];
+                row[..3].copy_from_slice(&motion.transl()[frame]);
+                row[3..6].copy_from_slice(&motion.global_orient()[frame]);
+                row[6..].copy_from_slice(&motion.body_pose()[frame]);
+                row
+            })
+            .collect();
+        let stored = motion.poses();
+        let expected: Vec<Written> = stored
+            .iter()
+            .zip(skeleton.points_of_poses::<NUM_KEYPOINTS>(&stored))
+            .map(|(pose, points)| Written {
+                rotations: pose.rotations.map(|turn| Some(turn.as_quat().to_array())),
+                points: points.map(|point| Some(point.as_vec3().to_array())),
+            })
+            .collect();
+        let mut written = vec![NOTHING; motion.len()];
+        skeleton.place_motion(&motion, &mut written);
+        assert_eq!(written, expected);
+        for (points, one) in [(true, false), (false, true), (true, true)] {
+            let parts = FrameParts {
+                rotations: std::array::from_fn(|joint| one && joint % 3 == 1),
+                points,
+            };
+            let mut written = vec![NOTHING; rows.len()];
+            skeleton.place_rows(&rows, parts, &mut written);
+            let mut expected = expected.clone();
+            for frame in &mut expected {
+                for (joint, turn) in frame.rotations.iter_mut().enumerate() {
+                    *turn = turn.filter(|_| parts.rotations[joint]);
+                }
+                frame.points = frame.points.map(|point| point.filter(|_| points));
+            }
+            assert_eq!(written, expected, "{parts:?}");
+        }
+    }
 
     #[test]
     fn the_rest_pose_is_the_rest_table() {

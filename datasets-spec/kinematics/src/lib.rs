@@ -30,6 +30,7 @@ pub mod skeleton;
 mod units;
 
 pub use error::Error;
+pub use forward::{FrameParts, FrameSink};
 pub use motion::{Keypoints, Motion, MotionBuilder};
 pub use pose::{KeypointFrame, Pose};
 pub use resample::Resample;

@@ -27,6 +27,10 @@ pub struct Motion {
     body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
 }
 
+/// The numbers of a frame of a [`Motion`]: translation in metres, root orientation and body rotations as axis-angle in
+/// radians.
+pub type StoredFrame = [f32; 6 + BODY_POSE_WIDTH];
+
 /// A motion that grows by a few poses at a time. A pose takes 728 bytes, a stored frame 276.
 #[derive(Clone, Debug, Default)]
 pub struct MotionBuilder {

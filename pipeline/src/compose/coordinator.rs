@@ -5,7 +5,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 
 use super::stream::{Room, WindowPlace, item_rng};
-use super::window::BlendPlan;
+use super::window::{BlendPlan, PARTS_OF_ORIGINAL};
 use super::{Error, Stream};
 
 /// Windows and whether they were composed. The buffers are reused from call to call.
@@ -87,16 +87,17 @@ impl Stream {
                     }
                 };
                 let at = draw(None);
-                let segment = self.window_of(at, room)?;
                 *composed = (item % 2) as f32;
                 if item.is_multiple_of(2) {
+                    let segment = self.window_of(at, PARTS_OF_ORIGINAL, room)?;
                     self.composer.original(segment, out);
                     return Ok(());
                 }
                 let other = draw(Some(at.clip));
                 let plan = &plans[rng.random_range(0..plans.len())];
                 let alpha = self.config.alpha.draw(&mut rng) as f32;
-                let taken = self.window_of(other, other_room)?;
+                let segment = self.window_of(at, plan.parts_of_source(), room)?;
+                let taken = self.window_of(other, plan.parts_of_target(), other_room)?;
                 self.composer.blended(segment, taken, plan, alpha, out);
                 Ok(())
             })

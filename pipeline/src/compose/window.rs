@@ -7,14 +7,16 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use datasets_spec::{BlendMask, Motion, Pose};
-use glam::{DMat3, DVec3, Quat};
+use datasets_spec::{BlendMask, Motion};
+use glam::{DMat3, Quat};
 use kinematics::canonical::Anchor;
+use kinematics::motion::StoredFrame;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
 use kinematics::simd::blocks::{Quaternions, Vectors, lane as lane_of, set};
 use kinematics::simd::lanes::{self, Kernel, LANES};
 use kinematics::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
+use kinematics::{FrameParts, FrameSink};
 
 use super::SlerpRule;
 
@@ -37,24 +39,32 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    fn new(pose: &Pose, keypoints: &[DVec3; NUM_KEYPOINTS]) -> Self {
-        let mut points = [0.0; FRAME_WIDTH + 2 * MARGIN];
-        for (slot, point) in keypoints.iter().enumerate() {
-            points[place(slot)..place(slot) + 3].copy_from_slice(&point.as_vec3().to_array());
-        }
-        Self {
-            points,
-            rotations: pose.rotations.map(|rotation| rotation.as_quat().to_array()),
-        }
+    const EMPTY: Self = Self {
+        points: [0.0; FRAME_WIDTH + 2 * MARGIN],
+        rotations: [[0.0; QUAT]; NUM_BODY_JOINTS],
+    };
+
+    /// Prepares parts of stored frames, in place of those that `frames` holds. The other parts are undefined.
+    pub(super) fn prepare(
+        rows: &[StoredFrame],
+        parts: FrameParts,
+        skeleton: &Skeleton,
+        frames: &mut Vec<Self>,
+    ) {
+        frames.resize(rows.len(), Self::EMPTY);
+        skeleton.place_rows(rows, parts, frames);
+    }
+}
+
+impl FrameSink for Frame {
+    #[inline(always)]
+    fn set_rotation(&mut self, joint: usize, quaternion: [f32; QUAT]) {
+        self.rotations[joint] = quaternion;
     }
 
-    /// Prepares all frames of a motion, in place of those that `frames` holds.
-    pub(super) fn prepare(motion: &Motion, skeleton: &Skeleton, frames: &mut Vec<Self>) {
-        let poses = motion.poses();
-        let keypoints = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
-        frames.clear();
-        let both = poses.iter().zip(&keypoints);
-        frames.extend(both.map(|(pose, keypoints)| Self::new(pose, keypoints)));
+    #[inline(always)]
+    fn set_point(&mut self, slot: usize, point: [f32; 3]) {
+        self.points[place(slot)..place(slot) + 3].copy_from_slice(&point);
     }
 }
 
@@ -71,13 +81,12 @@ pub(super) struct Thinned {
 impl Thinned {
     /// Prepares a motion.
     pub(super) fn new(motion: &Motion, stride: usize, skeleton: &Skeleton) -> Self {
-        let poses = motion.poses();
-        let keypoints = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
+        let mut in_time = vec![Frame::EMPTY; motion.len()];
+        skeleton.place_motion(motion, &mut in_time);
         let mut frames = Vec::with_capacity(motion.len());
         let mut phase_bounds = vec![0];
         for phase in 0..stride {
-            let phase = (phase..motion.len()).step_by(stride);
-            frames.extend(phase.map(|frame| Frame::new(&poses[frame], &keypoints[frame])));
+            frames.extend(in_time.iter().skip(phase).step_by(stride).cloned());
             phase_bounds.push(frames.len());
         }
         Self {
@@ -201,6 +210,29 @@ impl BlendPlan {
         }
     }
 
+    /// What the blend uses of the source's frames.
+    pub(super) fn parts_of_source(&self) -> FrameParts {
+        self.parts_of(Origin::Source)
+    }
+
+    /// What the blend uses of the target's frames.
+    pub(super) fn parts_of_target(&self) -> FrameParts {
+        self.parts_of(Origin::Target)
+    }
+
+    fn parts_of(&self, motion: Origin) -> FrameParts {
+        let mut rotations = [false; NUM_BODY_JOINTS];
+        // The window is placed by the root of its first frame.
+        for &joint in self.joints.iter().chain(&[0]) {
+            rotations[joint] = [motion, Origin::Both].contains(&self.origins[joint]);
+        }
+        rotations[0] |= self.owner == motion;
+        FrameParts {
+            rotations,
+            points: self.owner == motion,
+        }
+    }
+
     /// The rotations of a soft joint.
     #[inline(always)]
     fn mixed(&self, from: &Quats, to: &Quats, alpha: f32) -> Quats {
@@ -208,6 +240,24 @@ impl BlendPlan {
             SlerpRule::Exact => slerp(from, to, alpha),
             SlerpRule::Official => official(from, to, alpha),
         }
+    }
+}
+
+/// What [`Composer::original`] uses of a window's frames.
+pub(super) const PARTS_OF_ORIGINAL: FrameParts = {
+    let mut rotations = [false; NUM_BODY_JOINTS];
+    rotations[0] = true;
+    FrameParts {
+        rotations,
+        points: true,
+    }
+};
+
+/// What two uses take together.
+pub(super) fn both_parts(a: FrameParts, b: FrameParts) -> FrameParts {
+    FrameParts {
+        rotations: std::array::from_fn(|joint| a.rotations[joint] || b.rotations[joint]),
+        points: a.points || b.points,
     }
 }
 
@@ -537,8 +587,8 @@ fn sinc_of_square(square: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::BodyPart;
-    use glam::DQuat;
+    use datasets_spec::{BodyPart, Pose};
+    use glam::{DQuat, DVec3};
     use kinematics::canonical::{WINDOW_FRAMES, canonicalise};
     use proptest::prelude::*;
 
@@ -612,6 +662,56 @@ mod tests {
                 );
                 check_close(&out, &reference(blended, anchor, &skeleton));
             }
+        }
+    }
+
+    /// A window of a motion of which these parts are known, and all others are NaN.
+    fn known(motion: &Motion, parts: FrameParts) -> Vec<Frame> {
+        const UNKNOWN: Frame = Frame {
+            points: [f32::NAN; FRAME_WIDTH + 2 * MARGIN],
+            rotations: [[f32::NAN; QUAT]; NUM_BODY_JOINTS],
+        };
+        let mut whole = vec![Frame::EMPTY; motion.len()];
+        Skeleton::smplx_neutral().place_motion(motion, &mut whole);
+        let only = |frame: Frame| Frame {
+            points: if parts.points {
+                frame.points
+            } else {
+                UNKNOWN.points
+            },
+            rotations: std::array::from_fn(|joint| match parts.rotations[joint] {
+                true => frame.rotations[joint],
+                false => UNKNOWN.rotations[joint],
+            }),
+        };
+        whole.into_iter().take(WINDOW_FRAMES).map(only).collect()
+    }
+
+    #[test]
+    fn a_window_needs_no_more_than_the_parts_it_names() {
+        let masks = BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
+            BlendMask::EMPTY,
+            BlendMask::FULL,
+            BlendMask::of_parts(&[BodyPart::LowerBody, BodyPart::LeftArm]),
+        ]);
+        let composer = Composer::new(&Skeleton::smplx_neutral(), Anchor::Pelvis, &RANGE);
+        let [source, target] = ["source", "target"].map(|name| fixture::wandering(name, 40));
+        let mut window = [vec![0.0; WINDOW_FRAMES * FRAME_WIDTH], Vec::new()];
+        window[1] = window[0].clone();
+        let [whole, parts] = &mut window;
+        composer.original(&known(&source, FrameParts::ALL), whole);
+        composer.original(&known(&source, PARTS_OF_ORIGINAL), parts);
+        assert_eq!(whole, parts);
+        for mask in masks {
+            let plan = BlendPlan::new(mask, SlerpRule::Exact);
+            for (out, [from, to]) in [
+                (&mut *whole, [FrameParts::ALL; 2]),
+                (parts, [plan.parts_of_source(), plan.parts_of_target()]),
+            ] {
+                let (from, to) = (known(&source, from), known(&target, to));
+                composer.blended(&from, &to, &plan, 0.3, out);
+            }
+            assert_eq!(whole, parts, "{mask:?}");
         }
     }
 

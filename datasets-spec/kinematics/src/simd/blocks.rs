@@ -4,6 +4,7 @@
 use glam::{DQuat, DVec3};
 
 use super::lanes::{self, Kernel, LANES};
+use crate::motion::StoredFrame;
 use crate::pose::{BODY_POSE_WIDTH, Pose};
 use crate::rotation::{MAX_TURN, from_axis_angle};
 use crate::skeleton::NUM_BODY_JOINTS;
@@ -126,6 +127,30 @@ impl Frames for Columns<'_> {
                     [body[0], body[1], body[2]]
                 }
             };
+            set(&mut vectors, at, vector.map(f64::from));
+        }
+        quaternions_of_any(&vectors)
+    }
+}
+
+impl Frames for &[StoredFrame] {
+    #[inline(always)]
+    fn len(self) -> usize {
+        <[StoredFrame]>::len(self)
+    }
+
+    #[inline(always)]
+    fn transl(self, frame: usize) -> [f64; 3] {
+        let numbers = &self[frame];
+        [numbers[0], numbers[1], numbers[2]].map(f64::from)
+    }
+
+    #[inline(always)]
+    fn turns(self, first: usize, joint: usize) -> Quaternions {
+        let mut vectors = [[0.0; LANES]; 3];
+        for at in 0..LANES {
+            let numbers = &self[frame_of(first, at, self.len())][3 + 3 * joint..][..3];
+            let vector = [numbers[0], numbers[1], numbers[2]];
             set(&mut vectors, at, vector.map(f64::from));
         }
         quaternions_of_any(&vectors)

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use datasets_spec::store::{Disk, ReadAt, Store};
 use datasets_spec::{Fps, Motion};
-use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::motion::{BODY_POSE_WIDTH, StoredFrame};
 use rayon::prelude::*;
 
 use crate::compose::{Error, Paging};
@@ -22,7 +22,7 @@ use crate::compose::{Error, Paging};
 /// First bytes of a file; its frames follow their number.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
 const HEADER_BYTES: usize = MAGIC.len() + 8;
-/// Numbers of a frame: translation, root orientation and body rotations.
+/// Numbers of a [`StoredFrame`].
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
 /// Bytes of a frame: its numbers and their CRC-32, little endian.
 const FRAME_BYTES: usize = 4 * NUMBERS + 4;
@@ -123,29 +123,29 @@ impl FrameFile {
         }))
     }
 
-    /// Reads `count` frames, each `stride` after the one before, from frame `first` of the file on. `room` is
-    /// reused from call to call.
+    /// Reads `count` frames, each `stride` after the one before, from frame `first` of the file on.
     ///
     /// # Errors
     /// The file cannot be read, or was damaged since it was written.
-    pub(super) fn motion(
+    pub(super) fn read(
         &self,
         first: u64,
         count: usize,
         stride: usize,
-        room: &mut Vec<u8>,
-    ) -> Result<Motion, Error> {
+        room: &mut FrameRoom,
+    ) -> Result<(), Error> {
         let span = (count.saturating_sub(1) * stride + 1) * FRAME_BYTES;
-        room.resize(span, 0);
+        room.bytes.resize(span, 0);
         self.file
-            .read_exact_at(room, HEADER_BYTES as u64 + first * FRAME_BYTES as u64)
+            .read_exact_at(
+                &mut room.bytes,
+                HEADER_BYTES as u64 + first * FRAME_BYTES as u64,
+            )
             .map_err(datasets_spec::Error::io("read", &self.path))?;
-        let mut transl = Vec::with_capacity(count);
-        let mut orient = Vec::with_capacity(count);
-        let mut body = Vec::with_capacity(count);
-        for frame in room.as_chunks::<FRAME_BYTES>().0.iter().step_by(stride) {
+        room.frames.clear();
+        let frames = room.bytes.as_chunks::<FRAME_BYTES>().0;
+        for frame in frames.iter().step_by(stride) {
             let (words, _) = frame.as_chunks::<4>();
-            let number = |at: usize| f32::from_le_bytes(words[at]);
             let sum = crc32fast::hash(&frame[..4 * NUMBERS]);
             if sum != u32::from_le_bytes(words[NUMBERS]) {
                 return Err(damaged(
@@ -153,13 +153,33 @@ impl FrameFile {
                     "its numbers differ from their checksum",
                 ));
             }
-            transl.push(std::array::from_fn(number));
-            orient.push(std::array::from_fn(|at| number(3 + at)));
-            body.push(std::array::from_fn(|at| number(6 + at)));
+            let numbers: [f32; NUMBERS] = std::array::from_fn(|at| f32::from_le_bytes(words[at]));
+            room.frames.push(numbers);
         }
-        Motion::new(self.fps, transl, orient, body)
+        Ok(())
+    }
+
+    /// The motion of `count` frames from frame `first` of the file on.
+    ///
+    /// # Errors
+    /// The file cannot be read, or was damaged since it was written.
+    pub(super) fn motion(&self, first: u64, count: usize) -> Result<Motion, Error> {
+        let mut room = FrameRoom::default();
+        self.read(first, count, 1, &mut room)?;
+        let frames = room.frames.iter();
+        let transl = frames.clone().map(|frame| [frame[0], frame[1], frame[2]]);
+        let orient = frames.clone().map(|frame| [frame[3], frame[4], frame[5]]);
+        let body = frames.map(|frame| std::array::from_fn(|at| frame[6 + at]));
+        Motion::new(self.fps, transl.collect(), orient.collect(), body.collect())
             .map_err(|_| damaged(&self.path, "its numbers are none of a motion"))
     }
+}
+
+/// Frames that were read, and room for their bytes, reused from one reading to the next.
+#[derive(Debug, Default)]
+pub(in crate::compose) struct FrameRoom {
+    bytes: Vec<u8>,
+    pub(in crate::compose) frames: Vec<StoredFrame>,
 }
 
 fn damaged(path: &Path, problem: &'static str) -> Error {

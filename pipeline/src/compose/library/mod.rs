@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use super::config::{Alignment, COMPOSE_VERSION, EditKind};
 use super::{Error, Paging, align};
 use frames::FrameFile;
+pub(super) use frames::FrameRoom;
 
 pub(super) use pairing::{Pairing, Subject};
 pub(crate) use rows::{check_mask, check_pair, motion_on};
@@ -66,9 +67,7 @@ impl Clip {
     pub(super) fn motion(&self) -> Result<Cow<'_, Motion>, Error> {
         match &self.frames {
             Frames::Memory(motion) => Ok(Cow::Borrowed(motion)),
-            Frames::File { file, first, len } => {
-                Ok(Cow::Owned(file.motion(*first, *len, 1, &mut Vec::new())?))
-            }
+            Frames::File { file, first, len } => Ok(Cow::Owned(file.motion(*first, *len)?)),
         }
     }
 
@@ -82,12 +81,17 @@ impl Clip {
     pub(super) fn crop(&self, frames: Range<usize>) -> Result<Motion, Error> {
         match &self.frames {
             Frames::Memory(motion) => Ok(motion.crop(frames).expect("a range inside the clip")),
-            Frames::File { .. } => self.thinned(frames.start, frames.len(), 1, &mut Vec::new()),
+            Frames::File { file, first, len } => {
+                assert!(
+                    !frames.is_empty() && frames.end <= *len,
+                    "a range inside the clip"
+                );
+                file.motion(first + frames.start as u64, frames.len())
+            }
         }
     }
 
-    /// `count` frames, each `stride` after the one before, from frame `start` on. `room` is reused from call
-    /// to call.
+    /// Reads `count` frames, each `stride` after the one before, from frame `start` on.
     ///
     /// # Errors
     /// They cannot be read.
@@ -99,8 +103,8 @@ impl Clip {
         start: usize,
         count: usize,
         stride: usize,
-        room: &mut Vec<u8>,
-    ) -> Result<Motion, Error> {
+        room: &mut FrameRoom,
+    ) -> Result<(), Error> {
         let Frames::File { file, first, len } = &self.frames else {
             unreachable!("frames in memory need not be read")
         };
@@ -108,7 +112,7 @@ impl Clip {
             count > 0 && start + (count - 1) * stride < *len,
             "the window leaves the motion"
         );
-        file.motion(first + start as u64, count, stride, room)
+        file.read(first + start as u64, count, stride, room)
     }
 }
 

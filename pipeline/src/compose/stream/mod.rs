@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use datasets_spec::record::WindowRow;
 use datasets_spec::{Rng, Seed};
+use kinematics::FrameParts;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -15,8 +16,8 @@ use rayon::prelude::*;
 use target::{SharedSides, Target};
 
 use super::draw::Shuffle;
-use super::library::{Pairing, Subject};
-use super::window::{BlendPlan, Composer, Frame, Thinned};
+use super::library::{FrameRoom, Pairing, Subject};
+use super::window::{BlendPlan, Composer, Frame, PARTS_OF_ORIGINAL, Thinned, both_parts};
 use super::{ComposeConfig, EditKind, Error, Library};
 
 /// Training windows, item after item. The buffers are reused from call to call.
@@ -65,7 +66,7 @@ pub(super) struct WindowPlace {
 /// Room for a window that is read, reused from one to the next.
 #[derive(Debug, Default)]
 pub(super) struct Room {
-    bytes: Vec<u8>,
+    stored: FrameRoom,
     frames: Vec<Frame>,
 }
 
@@ -352,11 +353,20 @@ impl Stream {
     ) -> Result<(), Error> {
         let [first, second, third] = rooms;
         let [before, after] = drawn.windows;
-        let read =
-            |at: Option<WindowPlace>, room| at.map(|at| self.window_of(at, room)).transpose();
-        let before = read(before, first)?;
-        let after = read(after, second)?;
-        let under = read(drawn.under, third)?;
+        let (edited_parts, under_parts) = match drawn.plan {
+            None => (PARTS_OF_ORIGINAL, PARTS_OF_ORIGINAL),
+            Some(plan) if before.is_some() => (plan.parts_of_target(), plan.parts_of_source()),
+            Some(plan) => {
+                let under = both_parts(plan.parts_of_source(), PARTS_OF_ORIGINAL);
+                (plan.parts_of_target(), under)
+            }
+        };
+        let read = |at: Option<WindowPlace>, parts, room| {
+            at.map(|at| self.window_of(at, parts, room)).transpose()
+        };
+        let before = read(before, edited_parts, first)?;
+        let after = read(after, edited_parts, second)?;
+        let under = read(drawn.under, under_parts, third)?;
         match (under, drawn.plan) {
             (Some(under), Some(plan)) => {
                 let alpha = drawn.alpha as f32;
@@ -407,10 +417,11 @@ impl Stream {
         self.seed.derive(&["compose", &epoch.to_string()])
     }
 
-    /// The frames of a window, read into the room if they are not in memory.
+    /// The frames of a window. If they are not in memory, these parts of them are read into the room.
     pub(super) fn window_of<'a>(
         &'a self,
         at: WindowPlace,
+        parts: FrameParts,
         room: &'a mut Room,
     ) -> Result<&'a [Frame], Error> {
         let (clip, window) = (at.clip, self.config.window);
@@ -422,8 +433,9 @@ impl Stream {
             }
             Prepared::WhenDrawn => {
                 let clip = self.library.clip(clip);
-                let motion = clip.thinned(at.start, window, self.stride, &mut room.bytes)?;
-                Frame::prepare(&motion, self.library.skeleton(), &mut room.frames);
+                clip.thinned(at.start, window, self.stride, &mut room.stored)?;
+                let rows = &room.stored.frames;
+                Frame::prepare(rows, parts, self.library.skeleton(), &mut room.frames);
                 Ok(&room.frames)
             }
         }
