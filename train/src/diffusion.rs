@@ -180,7 +180,7 @@ pub const NUM_GATES: usize = 3;
 /// child, and back.
 ///
 /// # Shapes
-/// Both `[1, 3 keypoints, 3 keypoints]`, for rows of frames.
+/// Both `[1, 3 keypoints, 3 keypoints]`. A frame is a row vector, left of the map.
 fn bones(keypoints: usize, device: &Device) -> [Tensor<3>; 2] {
     /// Computed once for each width and device.
     static TO_BONES: Tables = Tables::new(to_bones);
@@ -215,8 +215,8 @@ fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
     })
 }
 
-/// Rows of a map that does the same on every axis: `weight` of a slot in another. The rows of numbers that
-/// a frame of the width does not have are zero.
+/// Rows of a linear map of frames that treats x, y and z alike. `weight(from, to)` is what keypoint `from` adds to
+/// keypoint `to`. Rows of numbers beyond the width of a frame are zero.
 fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
     let cell = |from: usize, to: usize| {
         if from < width && from % 3 == to % 3 {
@@ -747,24 +747,36 @@ mod tests {
         }
     }
 
-    #[test]
-    fn feet_that_should_rest_cost_their_speed() {
-        const WINDOW: usize = 8;
+    /// A schedule, and the settings of losses that square differences.
+    fn squares() -> (Schedule, DiffusionConfig) {
         let config = DiffusionConfig {
             loss: Loss::Mse,
             ..crate::config::TrainConfig::preset(crate::config::Preset::Tiny).diffusion
         };
-        let objective = Objective {
-            schedule: &Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps"),
+        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+        (schedule, config)
+    }
+
+    /// The objective of windows at 10 frames a second, in which a model unit is 2 m on the vertical and 1 m on the
+    /// ground.
+    fn objective<'a>(schedule: &'a Schedule, config: &'a DiffusionConfig) -> Objective<'a> {
+        Objective {
+            schedule,
             extrapolation: None,
-            config: &config,
-            // A model unit is 2 m on the vertical and 1 m on the ground.
+            config,
             normalizer: &Normalizer {
                 min: [-1.0, -2.0, -1.0],
                 max: [1.0, 2.0, 1.0],
             },
             fps: Fps::new(10.0).expect("positive"),
-        };
+        }
+    }
+
+    #[test]
+    fn feet_that_should_rest_cost_their_speed() {
+        const WINDOW: usize = 8;
+        let (schedule, config) = squares();
+        let objective = objective(&schedule, &config);
         let window = |numbers: &dyn Fn(usize) -> [f32; 2]| {
             let mut values = vec![0.0f32; WINDOW * FRAME_WIDTH];
             for (frame, row) in values.chunks_exact_mut(FRAME_WIDTH).enumerate() {
@@ -793,21 +805,8 @@ mod tests {
 
     #[test]
     fn a_body_that_is_shifted_costs_its_pelvis_and_a_bone_that_is_turned_costs_itself() {
-        let config = DiffusionConfig {
-            loss: Loss::Mse,
-            ..crate::config::TrainConfig::preset(crate::config::Preset::Tiny).diffusion
-        };
-        let objective = Objective {
-            schedule: &Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps"),
-            extrapolation: None,
-            config: &config,
-            // A model unit is 2 m on the vertical and 1 m on the ground.
-            normalizer: &Normalizer {
-                min: [-1.0, -2.0, -1.0],
-                max: [1.0, 2.0, 1.0],
-            },
-            fps: Fps::new(10.0).expect("positive"),
-        };
+        let (schedule, config) = squares();
+        let objective = objective(&schedule, &config);
         let rest = tensor(&[0.0; FRAME_WIDTH]);
         let loss = |moved: &dyn Fn(usize) -> bool| -> f32 {
             // 20 cm upwards: two units.
