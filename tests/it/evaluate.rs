@@ -97,7 +97,7 @@ impl Bench {
 fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "1"]);
+    let second = bench.edits("second", &["--guidance", "2"]);
 
     let scores: Value = bench.eval(&[&first], &["--json"]).expect_code(0).json();
     let names = ["Real Data", "Identity", "MotionReFit"];

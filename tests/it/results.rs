@@ -328,7 +328,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
 fn a_comparison_names_its_fid_and_draws_targets() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "1", "--name", "weak"]);
+    let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let compare = |more: &[&str]| {
         let mut args = vec!["eval", "compare", arg(&first), arg(&second)];
         args.extend(["--encoder", arg(&bench.encoder), "--repeats", "2"]);
@@ -546,7 +546,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
 fn a_page_shows_settings_as_a_table() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "1", "--name", "weak"]);
+    let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&first), arg(&second), "--out", arg(&page)]).expect_code(0);
     let html = fs::read_to_string(&page).expect("written");
@@ -562,7 +562,7 @@ fn a_page_shows_settings_as_a_table() {
     assert!(guidance.contains("<td>1.0</td>"), "{guidance}");
     assert_eq!(guidance.matches("<td>").count(), 2);
     assert!(
-        settings.contains(">weak<") && !html.contains("{&quot;"),
+        settings.contains(">strong<") && !html.contains("{&quot;"),
         "{settings}"
     );
 }
