@@ -506,8 +506,8 @@ pub const CAPTION_BY_SOURCE: &str = "source";
 pub const CAPTION_BY_RULE: &str = "rule";
 
 impl MotionRow {
-    /// The row of a motion of the shared skeleton, with rotations of its own. Source, captions, labels and notes are
-    /// empty, and its quality is not measured.
+    /// Makes the row of a motion on the SMPL-X skeleton that was not retargeted. Columns that the motion does not
+    /// determine are empty, and nothing is measured for its quality.
     pub fn new(id: MotionId, split: Split, motion: &Motion) -> Self {
         let frames = i32::try_from(motion.len()).unwrap_or(i32::MAX);
         let fps = motion.fps().get() as f32;

@@ -28,7 +28,7 @@ pub(crate) struct Args {
     device: TrainDeviceArgs,
 }
 
-/// Items edited: so many that the intervals of an editor that helps and of one that does nothing lie apart.
+/// Items edited. With so many, the intervals of AvgR and of the position error lie apart from the identity editor's.
 const ITEMS: usize = 256;
 /// Steps of the two models in the quick form.
 const QUICK_STEPS: u64 = 40;

@@ -748,7 +748,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The hidden folder beside an export in which its pieces are made, if it exists.
+/// Finds the hidden folder that holds the pieces of an export. It lies beside the export.
 fn pieces_beside(into: &Path) -> Option<PathBuf> {
     let name = into.file_name().expect("a name").to_string_lossy();
     let beside = fs::read_dir(into.parent().expect("a folder")).expect("a folder");

@@ -215,8 +215,8 @@ fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
     })
 }
 
-/// Rows of a linear map of frames that treats x, y and z alike. `weight(from, to)` is what keypoint `from` adds to
-/// keypoint `to`. Rows of numbers beyond the width of a frame are zero.
+/// Rows of a linear map of frames, the same for x, y and z: each keypoint `to` becomes the sum over all keypoints
+/// `from` of `weight(from, to)` times their position. A row number of at least `width` gives a row of zeros.
 fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
     let cell = |from: usize, to: usize| {
         if from < width && from % 3 == to % 3 {

@@ -72,7 +72,7 @@ impl Skeleton {
         keypoints_of(self, poses)
     }
 
-    /// Writes local rotations and keypoints of all frames of a motion.
+    /// Computes the local rotations and keypoints of all frames of a motion, and writes them to one sink a frame.
     ///
     /// # Panics
     /// If there are not as many frames as sinks.
@@ -80,7 +80,7 @@ impl Skeleton {
         placed(self, motion.columns(0..motion.len()), FrameParts::ALL, out);
     }
 
-    /// Writes parts of frames in the numbers of the store.
+    /// Computes the requested parts of stored frames, and writes them to one sink a frame.
     ///
     /// # Panics
     /// If there are not as many frames as sinks.
@@ -92,9 +92,9 @@ impl Skeleton {
 /// Takes the local rotations and keypoints of a frame, rounded to single precision. Implementations must be
 /// `#[inline(always)]`, as [`Kernel::run`] says.
 pub trait FrameSink {
-    /// The local rotation of one of the 22 body joints, as x, y, z, w.
+    /// Takes the local rotation of one of the 22 body joints, a quaternion x, y, z, w.
     fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]);
-    /// The position of one of the 28 keypoints in metres.
+    /// Takes the position of one of the 28 keypoints, in metres.
     fn set_point(&mut self, slot: usize, point: [f32; 3]);
 }
 
@@ -230,7 +230,7 @@ fn keypoints_of<const K: usize>(skeleton: &Skeleton, frames: impl Frames) -> Vec
     out
 }
 
-/// Writes parts of frames.
+/// Computes the requested parts of frames, and writes them to one sink a frame.
 fn placed<S: FrameSink>(
     skeleton: &Skeleton,
     frames: impl Frames,

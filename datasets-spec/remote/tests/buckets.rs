@@ -33,6 +33,41 @@ struct Bucket {
     loses_answers: AtomicBool,
     /// Bodies end too early.
     cuts_bodies: AtomicBool,
+    /// Requests that still fail.
+    failures: AtomicUsize,
+}
+
+impl Bucket {
+    /// Fails as long as failures are left.
+    fn fail(&self) -> object_store::Result<()> {
+        let left = |failures: usize| failures.checked_sub(1);
+        let failed = self
+            .failures
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, left);
+        match failed {
+            Ok(_) => Err(object_store::Error::Generic {
+                store: "test",
+                source: Box::new(Failed(io::Error::other("the line is dead"))),
+            }),
+            Err(_) => Ok(()),
+        }
+    }
+}
+
+/// A failure that does not say its cause.
+#[derive(Debug)]
+struct Failed(io::Error);
+
+impl std::fmt::Display for Failed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("sending failed")
+    }
+}
+
+impl std::error::Error for Failed {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.0)
+    }
 }
 
 impl std::fmt::Display for Bucket {
@@ -49,6 +84,7 @@ impl ObjectStore for Bucket {
         payload: PutPayload,
         options: PutOptions,
     ) -> object_store::Result<PutResult> {
+        self.fail()?;
         let done = self.objects.put_opts(location, payload, options).await?;
         if self.loses_answers.load(Ordering::SeqCst) {
             return Err(object_store::Error::Generic {
@@ -72,6 +108,7 @@ impl ObjectStore for Bucket {
         location: &Key,
         options: GetOptions,
     ) -> object_store::Result<GetResult> {
+        self.fail()?;
         let is_head = options.head;
         let mut got = self.objects.get_opts(location, options).await?;
         if is_head {
@@ -121,7 +158,7 @@ impl ObjectStore for Bucket {
 
 /// The bucket `s3://NAME`, which all tests of this process can reach.
 fn bucket(name: &str) -> (&'static Bucket, PathBuf) {
-    const NAMES: [&str; 8] = ["a", "b", "c", "d", "e", "f", "g", "h"];
+    const NAMES: [&str; 9] = ["a", "b", "c", "d", "e", "f", "g", "h", "i"];
     static BUCKETS: OnceLock<BTreeMap<&str, Arc<Bucket>>> = OnceLock::new();
     let buckets = BUCKETS.get_or_init(|| {
         let buckets: BTreeMap<&str, Arc<Bucket>> =
@@ -356,6 +393,30 @@ fn a_body_that_ends_too_early_is_an_error() {
     assert!(ByPath.read(&root.join("README.md")).is_err());
     bucket.cuts_bodies.store(false, Ordering::SeqCst);
     assert_eq!(read_rows::<MotionRow>(&path).expect("reads"), rows);
+}
+
+#[test]
+fn requests_that_fail_twice_are_made_again_and_those_that_go_on_failing_name_the_cause() {
+    let (bucket, root) = bucket("i");
+    let path = root.join("README.md");
+    let write = || {
+        let mut file = ByPath.create(&path)?;
+        file.write_all(b"text")?;
+        file.publish()
+    };
+    let fail = |times| bucket.failures.store(times, Ordering::SeqCst);
+    fail(2);
+    write().expect("written");
+    fail(2);
+    assert_eq!(ByPath.open_at(&path).expect("opens").size(), 4);
+    fail(usize::MAX);
+    for error in [
+        write().expect_err("fails"),
+        ByPath.open_at(&path).map(|_| ()).expect_err("fails"),
+    ] {
+        assert!(error.to_string().contains("the line is dead"), "{error}");
+    }
+    fail(0);
 }
 
 #[test]

@@ -47,7 +47,7 @@ pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u6
     Ok(versions)
 }
 
-/// Names of the tables that a version or an older one has. Older versions that were pruned do not count.
+/// Returns the names of all tables in a version and in those older versions that were not pruned.
 pub(super) fn tables_until(
     store: &dyn Store,
     root: &Path,

@@ -71,8 +71,8 @@ impl Staging {
         newest_manifest(store, root)
     }
 
-    /// The version that a plan starts from: its number, 0 for none, and the names of the tables that it or an older
-    /// version has.
+    /// Returns the number of the version that a plan starts from (0 if there is none), and the names of all tables in
+    /// that version and in older ones.
     ///
     /// # Errors
     /// The manifest of a version before cannot be read.

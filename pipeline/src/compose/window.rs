@@ -44,7 +44,7 @@ impl Frame {
         rotations: [[0.0; QUAT]; NUM_BODY_JOINTS],
     };
 
-    /// Prepares parts of stored frames, in place of those that `frames` holds. The other parts are undefined.
+    /// Fills `frames` with the requested parts of stored frames. The other parts keep what they had.
     pub(super) fn prepare(
         rows: &[StoredFrame],
         parts: FrameParts,
@@ -210,12 +210,12 @@ impl BlendPlan {
         }
     }
 
-    /// What the blend uses of the source's frames.
+    /// The parts of a source frame that the blend reads.
     pub(super) fn parts_of_source(&self) -> FrameParts {
         self.parts_of(Origin::Source)
     }
 
-    /// What the blend uses of the target's frames.
+    /// The parts of a target frame that the blend reads.
     pub(super) fn parts_of_target(&self) -> FrameParts {
         self.parts_of(Origin::Target)
     }
@@ -243,7 +243,7 @@ impl BlendPlan {
     }
 }
 
-/// What [`Composer::original`] uses of a window's frames.
+/// The parts of a frame that [`Composer::original`] reads.
 pub(super) const PARTS_OF_ORIGINAL: FrameParts = {
     let mut rotations = [false; NUM_BODY_JOINTS];
     rotations[0] = true;
@@ -253,7 +253,7 @@ pub(super) const PARTS_OF_ORIGINAL: FrameParts = {
     }
 };
 
-/// What two uses take together.
+/// Everything that is in either.
 pub(super) fn both_parts(a: FrameParts, b: FrameParts) -> FrameParts {
     FrameParts {
         rotations: std::array::from_fn(|joint| a.rotations[joint] || b.rotations[joint]),
@@ -665,7 +665,7 @@ mod tests {
         }
     }
 
-    /// A window of a motion of which these parts are known, and all others are NaN.
+    /// The first frames of a motion. Numbers of parts that are not asked for are NaN.
     fn known(motion: &Motion, parts: FrameParts) -> Vec<Frame> {
         const UNKNOWN: Frame = Frame {
             points: [f32::NAN; FRAME_WIDTH + 2 * MARGIN],

@@ -91,7 +91,7 @@ pub(super) const HY_MOTION: Form = Form {
 };
 
 /// A folder of features. `ids.csv` lists the name, the split and the licence of each id. Captions made from file names
-/// are left out. So are captions of a part of a clip, because the layout's captions have no times.
+/// are left out. Captions of a part of a clip are left out too: this layout cannot store their times.
 pub(super) struct FeatureFolder<const WIDTH: usize> {
     form: &'static Form,
     recipe: &'static Recipe<WIDTH>,

@@ -198,7 +198,7 @@ pub enum Preset {
     Paper,
     /// The released configuration.
     Official,
-    /// Small enough for two processor cores and some minutes.
+    /// A small model that trains in a few minutes on two processor cores.
     Tiny,
 }
 
@@ -233,11 +233,11 @@ impl TrainConfig {
     /// step is almost pure noise, so that sampling starts where training ended. It shows the network the
     /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
     /// own errors from window to window, and two fifths of the windows have no fixed frames, because the
-    /// instruction alone has to begin an edit. It hears the instruction in every frame and chooses for every
-    /// bone between the original's, a linear extrapolation and one of its own: neither noise nor all bones of
-    /// a frame fit through so narrow a network. Windows overlap by four frames. The loss on bones weighs what
-    /// arms do as much as the way of the root, and a loss on sliding feet holds those that should rest. It is
-    /// not guided: an amplified change overshoots.
+    /// first window of an edit has none. The instruction is added to every frame. For each bone, gates mix the
+    /// original's, a linear extrapolation and the network's own, so that so narrow a network need not reproduce
+    /// what stays. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
+    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance is off, because
+    /// an amplified change overshoots.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self {

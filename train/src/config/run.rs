@@ -126,9 +126,9 @@ pub struct OptimizerConfig {
     pub weight_decay: f64,
     /// Norm that all gradients together are clipped to; `None` does not clip.
     pub max_gradient_norm: Option<f64>,
-    /// Decay of the exponential moving average (EMA) of the weights: the share of itself that it keeps
-    /// in a step, in step `n` at most `(1 + n) / (10 + n)`. The averaged weights are validated and used.
-    /// `None` keeps no average.
+    /// Decay of the exponential moving average (EMA) of the weights. In step `n`, counted from 0, the decay is at
+    /// most `(1 + n) / (10 + n)`, so that the average soon forgets the initial weights. Validation and editing use
+    /// the averaged weights. `None` keeps no average.
     pub ema_decay: Option<f64>,
 }
 

@@ -159,7 +159,7 @@ impl FrameFile {
         Ok(())
     }
 
-    /// The motion of `count` frames from frame `first` of the file on.
+    /// Reads `count` frames as a motion, beginning with frame `first` of the file.
     ///
     /// # Errors
     /// The file cannot be read, or was damaged since it was written.

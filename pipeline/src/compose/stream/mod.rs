@@ -417,7 +417,8 @@ impl Stream {
         self.seed.derive(&["compose", &epoch.to_string()])
     }
 
-    /// The frames of a window. If they are not in memory, these parts of them are read into the room.
+    /// Returns the frames of a window. Frames that are not in memory are read into `room`, and of those only `parts`
+    /// hold values.
     pub(super) fn window_of<'a>(
         &'a self,
         at: WindowPlace,
