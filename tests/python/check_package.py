@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pathlib
 import pickle
+import signal
 import sys
 import threading
 import _thread
@@ -277,6 +278,8 @@ def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
 
 def an_interrupt_ends_long_work(work: pathlib.Path) -> None:
     """Interrupts an ingestion once it holds its folder; the second run goes on and gives the same dataset."""
+    # Without it, Python ignores interrupts where the shell that began this run in the background does.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     stance.corpus(work / "many", clips=1200)
     # On a busy machine the ingestion may be done before the other thread runs; then the next one is interrupted.
     out = next(out for number in range(10) if is_interrupted(work / "many", out := work / f"interrupted{number}"))
