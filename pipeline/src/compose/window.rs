@@ -253,7 +253,7 @@ pub(super) const PARTS_OF_ORIGINAL: FrameParts = {
     }
 };
 
-/// Everything that is in either.
+/// The parts that `a`, `b` or both name.
 pub(super) fn both_parts(a: FrameParts, b: FrameParts) -> FrameParts {
     FrameParts {
         rotations: std::array::from_fn(|joint| a.rotations[joint] || b.rotations[joint]),
