@@ -8,6 +8,8 @@ use serde_json::{Map, Value};
 
 use crate::Error;
 use crate::draw::plot::{Curve, HeatMap, Plot, Scale};
+use crate::format::ABSENT;
+use crate::format::grid::Grid;
 use crate::metric::Metric;
 use crate::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use crate::report::Chart;
@@ -127,6 +129,48 @@ impl Figure {
         Ok(points)
     }
 
+    /// The numbers of the drawings: a row for each point, with each metric of each task. `scored` holds the rows of each
+    /// point, none for one that failed.
+    pub fn grid(
+        &self,
+        metrics: &[&'static Metric],
+        tasks: &[&str],
+        points: &[Point],
+        scored: &[Vec<ScoreRow>],
+    ) -> Grid {
+        let columns: Vec<(&Metric, &str)> = tasks
+            .iter()
+            .flat_map(|&task| metrics.iter().map(move |&metric| (metric, task)))
+            .collect();
+        let head = columns.iter().map(|(metric, task)| match *task {
+            ALL_TASKS => metric.name.to_owned(),
+            task => format!("{}, {task}", metric.name),
+        });
+        let cell = |rows: &[ScoreRow], metric: &Metric, task: &str| {
+            let (mean, half) = value(rows, metric, task, &is_edited);
+            let digits = metric.decimals;
+            match (mean.is_nan(), half.is_nan()) {
+                (true, _) => ABSENT.to_owned(),
+                (false, true) => format!("{mean:.digits$}"),
+                (false, false) => format!("{mean:.digits$} ±{half:.digits$}"),
+            }
+        };
+        Grid {
+            title: self.name.clone(),
+            head: [self.key.clone()].into_iter().chain(head).collect(),
+            rows: std::iter::zip(points, scored)
+                .map(|(point, rows)| {
+                    let changed = point.changes.iter().map(|(_, value)| label(value));
+                    let name = changed.collect::<Vec<_>>().join(", ");
+                    let cells = columns
+                        .iter()
+                        .map(|(metric, task)| cell(rows, metric, task));
+                    [name].into_iter().chain(cells).collect()
+                })
+                .collect(),
+        }
+    }
+
     /// The curve of the setting, or the heat map of the pair, for one metric. `task` is one of the figure's,
     /// or [`ALL_TASKS`]. `scored` holds the rows of each point, none for one that failed.
     pub fn chart(
@@ -137,16 +181,8 @@ impl Figure {
         scored: &[Vec<ScoreRow>],
     ) -> Chart {
         let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| -> (f64, f64) {
-            let of_metric = |row: &&ScoreRow| row.metric == metric.name && wanted(&row.system);
-            let mut found = rows.iter().filter(of_metric);
-            let of_task = found.clone().find(|row| row.task == task);
-            // With one kind of edit there is no row over all tasks.
-            let any = || (task == ALL_TASKS).then(|| found.next()).flatten();
-            of_task.or_else(any).map_or((f64::NAN, f64::NAN), |row| {
-                (row.mean, row.ci95.unwrap_or(f64::NAN))
-            })
+            value(rows, metric, task, wanted)
         };
-        let is_edited = |system: &str| ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system);
         let values: Vec<(f64, f64)> = scored.iter().map(|rows| value(rows, &is_edited)).collect();
         let of_task = match task {
             ALL_TASKS => String::new(),
@@ -204,6 +240,28 @@ impl Figure {
             curves: vec![edited, given(REAL_DATA), given(IDENTITY)],
         })
     }
+}
+
+/// Whether a row is of the system whose setting changes.
+fn is_edited(system: &str) -> bool {
+    ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
+}
+
+/// A mean and its half width, NaN where there is none.
+fn value(
+    rows: &[ScoreRow],
+    metric: &Metric,
+    task: &str,
+    wanted: &dyn Fn(&str) -> bool,
+) -> (f64, f64) {
+    let of_metric = |row: &&ScoreRow| row.metric == metric.name && wanted(&row.system);
+    let mut found = rows.iter().filter(of_metric);
+    let of_task = found.clone().find(|row| row.task == task);
+    // With one kind of edit there is no row over all tasks.
+    let any = || (task == ALL_TASKS).then(|| found.next()).flatten();
+    of_task.or_else(any).map_or((f64::NAN, f64::NAN), |row| {
+        (row.mean, row.ci95.unwrap_or(f64::NAN))
+    })
 }
 
 /// Sets `section.name.name` to a value.

@@ -445,6 +445,64 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
 }
 
 #[test]
+fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean() {
+    let bench = Bench::open();
+    let plan = |seeds: &str| {
+        write_plan(
+            &bench,
+            &format!(
+                "train_seeds = {seeds}\n[[system]]\nname = \"ours\"\n\
+                 [[system]]\nname = \"once\"\ntrain_seeds = [6]\ntrain = {{ length = {{ steps = 2 }} }}\n\
+                 [[table]]\npaper = \"1\"\n\
+                 [[figure]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [false]\nmetrics = [\"FS\"]\n"
+            ),
+        )
+    };
+    let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
+    assert!(twice.stderr.contains("holds 6 twice"), "{}", twice.stderr);
+    let run = |seeds: &str| -> Value {
+        stance(&["--json", "reproduce", arg(&plan(seeds))])
+            .expect_code(0)
+            .json()
+    };
+    let alone = [run("[6]"), run("[7]")];
+    let runs = bench.workshop.path("made/runs");
+    let count = || fs::read_dir(&runs).expect("runs").count();
+    assert_eq!(count(), 3);
+    let both = run("[6, 7]");
+    assert_eq!(count(), 3);
+    let mean = |rows: &Value, system: &str| {
+        let rows = rows.as_array().expect("rows");
+        let of = |row: &&Value| row["system"] == system && row["metric"] == "FS";
+        rows.iter().find(of).expect("a row")["mean"]
+            .as_f64()
+            .expect("a number")
+    };
+    let of_table = |made: &Value, system: &str| mean(&made["tables"][0][1], system);
+    let seeds = [&alone[0], &alone[1]].map(|made| of_table(made, "ours"));
+    assert_ne!(seeds[0], seeds[1]);
+    let expected = f64::midpoint(seeds[0], seeds[1]);
+    assert!((of_table(&both, "ours") - expected).abs() < 1e-12);
+    assert_eq!(of_table(&both, "once"), of_table(&alone[0], "once"));
+    for (training, seed) in seeds.iter().enumerate() {
+        assert_eq!(mean(&both["trainings"][0][1][training], "ours"), *seed);
+    }
+    // The point of the figure has the settings of the system, and its scores.
+    let point = &both["figures"][0]["points"][0];
+    assert!((mean(&point["scores"], "ours") - expected).abs() < 1e-12);
+    assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);
+    let tables = bench.workshop.path("made/tables");
+    let table = fs::read_to_string(tables.join("table-1.md")).expect("a table");
+    assert!(
+        table.contains("Means over 2 trainings of each system, fewer for once"),
+        "{table}"
+    );
+    let figure = fs::read_to_string(tables.join("pairs.md")).expect("a table");
+    let cell = format!("| false | {expected:.3} ±");
+    assert!(figure.contains(&cell), "{cell} {figure}");
+}
+
+#[test]
 fn items_that_are_short_for_one_window_count_at_none() {
     let bench = Bench::open();
     let plan = write_plan(
@@ -497,7 +555,7 @@ fn plans_of_the_program_can_be_followed() {
     let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
         .expect_code(0)
         .json();
-    assert_eq!(listed.len(), 16);
+    assert_eq!(listed.len(), 17);
     for name in listed {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
         assert!(ran.stdout.lines().count() > 2, "{name}: {}", ran.stdout);

@@ -5,6 +5,14 @@ use serde::{Deserialize, Serialize};
 /// The quantile of the normal distribution that leaves 5 % outside.
 const NORMAL_95: f64 = 1.96;
 
+/// Quantiles of Student's t that leave 5 % outside, for one and more degrees of freedom.
+const STUDENT_95: [f64; 9] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262,
+];
+
+/// Most trainings of a system that [`Interval::over_trainings`] summarises.
+pub const MOST_TRAININGS: usize = STUDENT_95.len() + 1;
+
 /// A mean and the half width of its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
@@ -29,6 +37,33 @@ impl Interval {
         Self {
             mean,
             ci95: variance.map(|variance| NORMAL_95 * (variance / values.len() as f64).sqrt()),
+        }
+    }
+
+    /// Summarises the values of several trainings of a system on the same items. The variance is that of test sets,
+    /// which more trainings do not reduce, and that between trainings over their number; so few trainings take the
+    /// quantile of Student's t.
+    ///
+    /// # Panics
+    /// If there are no values, or more than [`MOST_TRAININGS`].
+    pub fn over_trainings(values: &[Self]) -> Self {
+        if let [only] = values {
+            return *only;
+        }
+        let count = values.len() as f64;
+        let means: Vec<f64> = values.iter().map(|value| value.mean).collect();
+        let (mean, between) = moments(&means);
+        let of_items = values.iter().filter_map(|value| value.ci95);
+        let of_items = of_items.map(|half| half * half).sum::<f64>() / count;
+        // The population variance over n - 1 is the sample variance over n.
+        let of_trainings = between.map_or(0.0, |variance| {
+            let quantile = STUDENT_95[values.len() - 2];
+            quantile * quantile * variance / (count - 1.0)
+        });
+        let half = (of_items + of_trainings).sqrt();
+        Self {
+            mean,
+            ci95: (half > 0.0).then_some(half),
         }
     }
 

@@ -5,6 +5,7 @@ mod resample;
 mod test_set;
 #[cfg(test)]
 mod tests;
+mod trainings;
 mod values;
 
 use std::collections::BTreeMap;
@@ -23,6 +24,7 @@ use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 pub(crate) use measure::{Measured, System, Take, measured};
 pub(crate) use resample::{Resamples, drawn};
 pub(crate) use test_set::TestSet;
+pub use trainings::over_trainings;
 pub(crate) use values::{Ranks, of_items};
 
 /// Scores every system that answered a test set.

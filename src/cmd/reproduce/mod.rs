@@ -3,20 +3,25 @@
 mod plan;
 mod work;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use datasets_spec::record::ScoreRow;
+use eval::answers::Scores;
 use eval::draw::raster::png;
 use eval::format;
+use eval::format::grid::Grid;
 use eval::names::ALL_TASKS;
+use eval::protocol::Protocol;
 use eval::report::{Chart, Report};
+use eval::score::over_trainings;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 use serde::Serialize;
 use serde_json::Value;
 
-use self::plan::{FigureSpecs, PaperTable, Plan, Spec};
+use self::plan::{FigureSpecs, PaperTable, Plan, Trained};
 use self::work::{Work, write};
 use crate::cmd::eval::paper_tables;
 use crate::cmd::page;
@@ -80,6 +85,7 @@ const PLANS: &[(&str, &str)] = plans![
     "small/table-a4",
     "small/figure-6",
     "small/figure-a1",
+    "real-small",
 ];
 
 /// Items in the viewer of the page.
@@ -99,27 +105,27 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     args.device.choose()?;
     let plan = read(args, path)?;
-    let specs = plan.specs(global)?;
+    let systems = plan.trained(global)?;
     let figures = plan.figure_specs(global)?;
     if args.dry_run {
-        list(&specs, &figures, global)?;
+        list(&systems, &figures, global)?;
         return Ok(Exit::Done);
     }
     let Some(work) = Work::begin(&plan, global)? else {
         return Ok(stopped());
     };
     let mut done = Done::default();
-    for (place, spec) in specs.iter().enumerate() {
+    for (place, system) in systems.iter().enumerate() {
+        let name = &system.name;
         report::note(&format!(
-            "system {} of {}: {}",
+            "system {} of {}: {name}",
             place + 1,
-            specs.len(),
-            spec.name
+            systems.len()
         ));
-        match work.edits(spec) {
-            Ok(Some(edits)) => done.edits.push((spec.name.clone(), edits)),
+        match edits(system, &work) {
+            Ok(Some(edits)) => done.edits.push((name.clone(), edits)),
             Ok(None) => return Ok(stopped()),
-            Err(error) => done.fail(&spec.name, error)?,
+            Err(error) => done.fail(name, error)?,
         }
     }
     for table in &plan.tables {
@@ -156,15 +162,21 @@ fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
     }
 }
 
-fn list(specs: &[Spec], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow::Result<()> {
-    let mut lines: Vec<String> = specs.iter().map(|spec| spec.name.clone()).collect();
+fn list(systems: &[Trained], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow::Result<()> {
+    let trainings = |trained: &Trained| match trained.specs.len() {
+        1 => String::new(),
+        count => format!(" ({count} trainings)"),
+    };
+    let mut lines: Vec<String> = systems
+        .iter()
+        .map(|system| format!("{}{}", system.name, trainings(system)))
+        .collect();
     for figure in figures {
         let name = &figure.figure.name;
+        let points = std::iter::zip(&figure.points, &figure.trained);
         lines.extend(
-            figure
-                .points
-                .iter()
-                .map(|point| format!("{name}: {}", point.name())),
+            points
+                .map(|(point, trained)| format!("{name}: {}{}", point.name(), trainings(trained))),
         );
     }
     match global.json {
@@ -177,8 +189,8 @@ fn list(specs: &[Spec], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow:
 /// What has been made of a plan.
 #[derive(Default)]
 struct Done {
-    /// Edits by the name of their system.
-    edits: Vec<(String, PathBuf)>,
+    /// Edits of each training of a system, by its name.
+    edits: Vec<(String, Vec<PathBuf>)>,
     tables: Vec<TableMade>,
     figures: Vec<FigureMade>,
     failed: Vec<String>,
@@ -197,11 +209,59 @@ impl Done {
     }
 }
 
+/// Edits of all trainings of a system. None if an interrupt ended it.
+fn edits(system: &Trained, work: &Work<'_>) -> anyhow::Result<Option<Vec<PathBuf>>> {
+    system.specs.iter().map(|spec| work.edits(spec)).collect()
+}
+
+/// Scores of systems, some of which were trained several times.
+struct Scored {
+    /// Means over the trainings.
+    scores: Scores,
+    /// Rows of each training.
+    trainings: Vec<Vec<ScoreRow>>,
+    /// Items that are too short to be scored.
+    left_out: usize,
+}
+
+/// Scores the edits of each training of some systems, and summarises them. Items whose source has fewer frames
+/// than `min_frames` at the model's rate are left out.
+fn scored(
+    systems: &[&[PathBuf]],
+    min_frames: Option<usize>,
+    protocol: &Protocol,
+    work: &Work<'_>,
+) -> anyhow::Result<Scored> {
+    let count = systems.iter().map(|edits| edits.len()).max().unwrap_or(0);
+    let mut all = Scored {
+        scores: Scores {
+            rows: Vec::new(),
+            recipes: BTreeMap::new(),
+        },
+        trainings: Vec::with_capacity(count),
+        left_out: 0,
+    };
+    for training in 0..count {
+        let edits = systems.iter().filter_map(|edits| edits.get(training));
+        let edits: Vec<PathBuf> = edits.cloned().collect();
+        let whole = work.answered(&edits, None)?.items.len();
+        let answered = work.answered(&edits, min_frames)?;
+        all.left_out = whole - answered.items.len();
+        let scores = work.scores(&answered, &edits, protocol)?;
+        all.scores.recipes = scores.recipes;
+        all.trainings.push(scores.rows);
+    }
+    all.scores.rows = over_trainings(&all.trainings);
+    Ok(all)
+}
+
 /// A table of the paper.
 struct TableMade {
     name: String,
     tables: Vec<Table>,
     scores: Vec<ScoreRow>,
+    /// Scores of each training, where there are several.
+    trainings: Vec<Vec<ScoreRow>>,
     /// Table A4 in place of scores.
     grids: Vec<format::grid::Grid>,
 }
@@ -210,6 +270,8 @@ struct TableMade {
 struct FigureMade {
     name: String,
     charts: Vec<(String, Chart)>,
+    /// Its numbers.
+    grid: Grid,
     points: Vec<PointMade>,
     /// Items that are too short for some point.
     left_out: usize,
@@ -220,6 +282,9 @@ struct PointMade {
     point: String,
     values: Vec<Value>,
     scores: Vec<Value>,
+    /// Scores of each training, where there are several.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    trainings: Vec<Vec<Value>>,
 }
 
 fn tables(
@@ -232,7 +297,7 @@ fn tables(
 ) -> anyhow::Result<Option<TableMade>> {
     let wanted = plan.systems_of(table);
     let rows = |name: &&str| done.edits.iter().find(|(system, _)| system == name);
-    let found: Vec<&(String, PathBuf)> = wanted.iter().filter_map(rows).collect();
+    let found: Vec<&(String, Vec<PathBuf>)> = wanted.iter().filter_map(rows).collect();
     if found.is_empty() {
         return Ok(None);
     }
@@ -241,7 +306,7 @@ fn tables(
     let Some(paper) = table.paper.scored() else {
         let mut rows: Vec<(String, WindowTimes)> = found
             .into_iter()
-            .map(|(system, edits)| Ok((system.clone(), WindowTimes::read(edits)?)))
+            .map(|(system, edits)| Ok((system.clone(), WindowTimes::read(&edits[0])?)))
             .collect::<anyhow::Result<_>>()?;
         if published {
             rows.extend(times::published());
@@ -250,16 +315,19 @@ fn tables(
             name,
             tables: Vec::new(),
             scores: Vec::new(),
+            trainings: Vec::new(),
             grids: times::tables(&rows),
         }));
     };
-    let edits: Vec<PathBuf> = found.into_iter().map(|(_, edits)| edits.clone()).collect();
-    let answered = work.answered(&edits, None)?;
+    let edits: Vec<&[PathBuf]> = found.iter().map(|(_, edits)| edits.as_slice()).collect();
     let protocol = plan.protocol(Some(table.paper), global);
-    let scores = work.scores(&answered, &edits, &protocol)?;
+    let Scored {
+        scores, trainings, ..
+    } = scored(&edits, None, &protocol, work)?;
     let mut tables = paper_tables(&scores, paper);
     for laid_out in &mut tables {
         laid_out.sort_systems(&wanted);
+        laid_out.notes.extend(note_of_trainings(&found));
         if published {
             laid_out.append_published(paper);
         }
@@ -268,8 +336,35 @@ fn tables(
         name,
         tables,
         scores: scores.rows,
+        trainings: several(trainings),
         grids: Vec::new(),
     }))
+}
+
+/// Scores by training, where there are several.
+fn several(trainings: Vec<Vec<ScoreRow>>) -> Vec<Vec<ScoreRow>> {
+    if trainings.len() > 1 {
+        trainings
+    } else {
+        Vec::new()
+    }
+}
+
+/// A sentence on the rows that are means over trainings.
+fn note_of_trainings(systems: &[&(String, Vec<PathBuf>)]) -> Option<String> {
+    let most = systems.iter().map(|(_, edits)| edits.len()).max()?;
+    let once: Vec<&str> = systems
+        .iter()
+        .filter(|(_, edits)| edits.len() < most)
+        .map(|(name, _)| name.as_str())
+        .collect();
+    let fewer = match once.is_empty() {
+        true => String::new(),
+        false => format!(", fewer for {}", once.join(", ")),
+    };
+    (most > 1).then(|| {
+        format!("Means over {most} trainings of each system{fewer}; intervals are over items and trainings.")
+    })
 }
 
 /// Makes the points of a figure, and draws it. None if an interrupt ended it.
@@ -282,37 +377,36 @@ fn drawn(
 ) -> anyhow::Result<Option<FigureMade>> {
     let protocol = plan.protocol(None, global);
     let figure = specs.figure;
-    let mut scored = Vec::with_capacity(specs.points.len());
+    let mut rows_at = Vec::with_capacity(specs.points.len());
+    let mut trainings_at = Vec::with_capacity(specs.points.len());
     let mut left_out = 0;
-    for (place, (point, spec)) in std::iter::zip(&specs.points, &specs.specs).enumerate() {
+    for (place, trained) in specs.trained.iter().enumerate() {
         if is_stopped() {
             return Ok(None);
         }
-        let name = format!("{}, {}", figure.name, point.name());
+        let name = &trained.name;
         report::note(&format!(
             "point {} of {}: {name}",
             place + 1,
             specs.points.len()
         ));
-        let at_point = || -> anyhow::Result<Option<(Vec<ScoreRow>, usize)>> {
-            let Some(edits) = work.edits(spec)? else {
+        let at_point = || -> anyhow::Result<Option<Scored>> {
+            let Some(edits) = edits(trained, work)? else {
                 return Ok(None);
             };
-            let edits = [edits];
-            let all = work.answered(&edits, None)?.items.len();
-            let answered = work.answered(&edits, specs.min_frames)?;
-            let scores = work.scores(&answered, &edits, &protocol)?;
-            Ok(Some((scores.rows, all - answered.items.len())))
+            scored(&[&edits], specs.min_frames, &protocol, work).map(Some)
         };
         match at_point() {
-            Ok(Some((rows, short))) => {
-                scored.push(rows);
-                left_out = short;
+            Ok(Some(scored)) => {
+                left_out = scored.left_out;
+                rows_at.push(scored.scores.rows);
+                trainings_at.push(several(scored.trainings));
             }
             Ok(None) => return Ok(None),
             Err(error) => {
-                done.fail(&name, error)?;
-                scored.push(Vec::new());
+                done.fail(name, error)?;
+                rows_at.push(Vec::new());
+                trainings_at.push(Vec::new());
             }
         }
     }
@@ -324,7 +418,7 @@ fn drawn(
     }
     let mut charts = Vec::new();
     for &task in &specs.tasks {
-        if left_out > 0 && !scored.iter().flatten().any(|row| row.task == task) {
+        if left_out > 0 && !rows_at.iter().flatten().any(|row| row.task == task) {
             report::note(&format!(
                 "{}: no {task} item is as long as the longest window, so that its drawing is empty; give this task a \
                  figure with shorter windows",
@@ -337,11 +431,13 @@ fn drawn(
                 task => format!("-{task}"),
             };
             let name = file_name(&format!("{}{of_task}-{}", figure.name, metric.name));
-            charts.push((name, figure.chart(metric, task, &specs.points, &scored)));
+            charts.push((name, figure.chart(metric, task, &specs.points, &rows_at)));
         }
     }
-    let points = std::iter::zip(&specs.points, scored)
-        .map(|(point, rows)| {
+    let grid = figure.grid(&specs.metrics, &specs.tasks, &specs.points, &rows_at);
+    let points = std::iter::zip(&specs.points, std::iter::zip(rows_at, trainings_at))
+        .map(|(point, (rows, trainings))| {
+            let trainings = trainings.iter().map(|rows| in_json(rows));
             Ok(PointMade {
                 point: point.name(),
                 values: point
@@ -350,12 +446,14 @@ fn drawn(
                     .map(|(_, value)| value.clone())
                     .collect(),
                 scores: in_json(&rows)?,
+                trainings: trainings.collect::<anyhow::Result<_>>()?,
             })
         })
         .collect::<anyhow::Result<_>>()?;
     Ok(Some(FigureMade {
         name: figure.name.clone(),
         charts,
+        grid,
         points,
         left_out,
     }))
@@ -379,6 +477,9 @@ fn file_name(text: &str) -> String {
 struct Document {
     page: PathBuf,
     tables: Vec<(String, Value)>,
+    /// Scores of each training, for tables whose systems were trained several times.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    trainings: Vec<(String, Vec<Vec<Value>>)>,
     figures: Vec<FigureDocument>,
     failed: Vec<String>,
 }
@@ -405,6 +506,7 @@ fn finish(
     let mut document = Document {
         page: out.join("index.html"),
         tables: Vec::new(),
+        trainings: Vec::new(),
         figures: Vec::new(),
         failed: done.failed.clone(),
     };
@@ -419,8 +521,15 @@ fn finish(
         }
         texts.push(forms[0].1.clone());
         document.tables.push((made.name.clone(), made.document()?));
+        if !made.trainings.is_empty() {
+            let trainings = made.trainings.iter().map(|rows| in_json(rows));
+            let trainings = trainings.collect::<anyhow::Result<_>>()?;
+            document.trainings.push((made.name.clone(), trainings));
+        }
     }
-    let folders: Vec<PathBuf> = done.edits.iter().map(|(_, edits)| edits.clone()).collect();
+    // The page plays the edits of one training of each system.
+    let first = |(_, edits): &(String, Vec<PathBuf>)| edits[0].clone();
+    let folders: Vec<PathBuf> = done.edits.iter().map(first).collect();
     let all: Vec<Table> = done
         .tables
         .iter()
@@ -442,6 +551,10 @@ fn finish(
             page.figures.push(chart);
         }
         texts.extend(drawings.iter().map(|drawing| drawing.display().to_string()));
+        for (extension, text) in [("md", figure.grid.markdown()), ("csv", figure.grid.csv())] {
+            let table = format!("{}.{extension}", file_name(&figure.name));
+            write(&out.join("tables").join(table), text.as_bytes())?;
+        }
         document.figures.push(FigureDocument {
             name: figure.name,
             drawings,

@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
 use eval::figure::{Figure, Point, Sections};
+use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
 use eval::names::ALL_TASKS;
 use eval::protocol::Protocol;
@@ -63,6 +64,10 @@ pub(super) struct Plan {
     /// Seeds of items, training and sampling.
     #[serde(default)]
     pub(super) seeds: Seeds,
+    /// Seeds of training, each of which trains every system once; tables and figures then show means over the
+    /// trainings. Without any, systems are trained once, with the seed in `seeds`.
+    #[serde(default)]
+    train_seeds: Vec<u64>,
     #[serde(default)]
     pub(super) eval: Protocol,
     /// Settings of each model, by its name.
@@ -106,6 +111,8 @@ struct System {
     /// Whether a pose network finds its rotations.
     #[serde(default)]
     poses: bool,
+    /// Seeds of training in place of those of the plan.
+    train_seeds: Option<Vec<u64>>,
 }
 
 /// A table of the paper.
@@ -164,7 +171,14 @@ fn name_of<S: serde::Serializer>(model: &&'static ModelKind, to: S) -> Result<S:
     to.serialize_str(model.name)
 }
 
-/// A system with everything that its edits depend on.
+/// A system, or a point of a figure, with a specification for each of its trainings.
+pub(super) struct Trained {
+    /// Its name in tables.
+    pub(super) name: String,
+    pub(super) specs: Vec<Spec>,
+}
+
+/// A training of a system with everything that its edits depend on.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Spec {
     pub(super) name: String,
@@ -186,7 +200,7 @@ impl Spec {
 pub(super) struct FigureSpecs<'a> {
     pub(super) figure: &'a Figure,
     pub(super) points: Vec<Point>,
-    pub(super) specs: Vec<Spec>,
+    pub(super) trained: Vec<Trained>,
     pub(super) metrics: Vec<&'static Metric>,
     pub(super) tasks: Vec<&'a str>,
     /// Frames at the model's rate that a source must have to be scored: the longest window, if the figure is
@@ -224,6 +238,24 @@ impl Plan {
                 bail!(
                     "there is no model {name:?}; there are: {}",
                     models.join(", ")
+                );
+            }
+        }
+        let own = self.systems.iter().flat_map(|system| &system.train_seeds);
+        for seeds in own.chain([&self.train_seeds]) {
+            if seeds.len() > MOST_TRAININGS {
+                bail!(
+                    "train_seeds holds {} seeds; at most {MOST_TRAININGS} trainings of a system can be summarised",
+                    seeds.len()
+                );
+            }
+            if let Some(seed) = seeds
+                .iter()
+                .enumerate()
+                .find_map(|(place, seed)| seeds[..place].contains(seed).then_some(seed))
+            {
+                bail!(
+                    "train_seeds holds {seed} twice; equal trainings say nothing of their spread"
                 );
             }
         }
@@ -269,15 +301,21 @@ impl Plan {
     pub(super) fn encoder(&self, global: &Global) -> anyhow::Result<Result<PathBuf, Training>> {
         Ok(match &self.encoder {
             Some(run) => Ok(run.clone()),
-            None => Err(self.training(ENCODER, Value::Null, global)?),
+            None => Err(self.training(ENCODER, Value::Null, None, global)?),
         })
     }
 
     /// All systems of the tables.
-    pub(super) fn specs(&self, global: &Global) -> anyhow::Result<Vec<Spec>> {
+    pub(super) fn trained(&self, global: &Global) -> anyhow::Result<Vec<Trained>> {
         let systems = self.systems.iter();
         systems
-            .map(|system| self.spec(system, &self.sections(system)?, None, global))
+            .map(|system| {
+                let specs = self.specs(system, &self.sections(system)?, None, global)?;
+                Ok(Trained {
+                    name: system.name.clone(),
+                    specs,
+                })
+            })
             .collect()
     }
 
@@ -288,15 +326,18 @@ impl Plan {
             .map(|figure| {
                 let system = self.system(figure.system.as_ref())?;
                 let points = figure.points(&self.sections(system)?)?;
-                let specs = points.iter().map(|point| {
-                    self.spec(system, &point.sections, point.epoch, global)
-                        .with_context(|| format!("figure {:?}, {}", figure.name, point.name()))
+                let trained = points.iter().map(|point| {
+                    let name = format!("{}, {}", figure.name, point.name());
+                    let specs = self
+                        .specs(system, &point.sections, point.epoch, global)
+                        .with_context(|| format!("figure {name}"))?;
+                    Ok(Trained { name, specs })
                 });
                 let window = |point: &Point| point.value("train.window")?.as_u64();
                 let tasks: Vec<&str> = figure.tasks.iter().map(String::as_str).collect();
                 Ok(FigureSpecs {
                     figure,
-                    specs: specs.collect::<anyhow::Result<_>>()?,
+                    trained: trained.collect::<anyhow::Result<_>>()?,
                     metrics: metrics(&figure.metrics)?,
                     tasks: if tasks.is_empty() {
                         vec![ALL_TASKS]
@@ -330,10 +371,31 @@ impl Plan {
         ]))
     }
 
+    /// A specification for each training of a system. A seed in the settings of its model, and `--seed`, replace
+    /// the seeds of the plan.
+    fn specs(
+        &self,
+        system: &System,
+        sections: &Sections,
+        epoch: Option<u64>,
+        global: &Global,
+    ) -> anyhow::Result<Vec<Spec>> {
+        let seeds = system.train_seeds.as_ref().unwrap_or(&self.train_seeds);
+        let is_given = global.given_seed().is_some() || sections["train"].get("seed").is_some();
+        if is_given || seeds.is_empty() {
+            return Ok(vec![self.spec(system, sections, None, epoch, global)?]);
+        }
+        let seeds = seeds.iter();
+        seeds
+            .map(|&seed| self.spec(system, sections, Some(seed), epoch, global))
+            .collect()
+    }
+
     fn spec(
         &self,
         system: &System,
         sections: &Sections,
+        seed: Option<u64>,
         epoch: Option<u64>,
         global: &Global,
     ) -> anyhow::Result<Spec> {
@@ -345,7 +407,7 @@ impl Plan {
         let compose = settings::over(compose, "compose", &own("compose"))?;
         let training = Training {
             compose,
-            ..self.training(&system.model, sections["train"].clone(), global)?
+            ..self.training(&system.model, sections["train"].clone(), seed, global)?
         };
         let coordinator = match system.coordinator {
             true => {
@@ -353,13 +415,13 @@ impl Plan {
                 let train: TrainConfig =
                     overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
                 let shared = json!({ "window": train.window, "keypoints": train.keypoints });
-                Some(self.training(COORDINATOR, shared, global)?)
+                Some(self.training(COORDINATOR, shared, seed, global)?)
             }
             false => None,
         };
         let poses = system
             .poses
-            .then(|| self.training(POSES, Value::Null, global));
+            .then(|| self.training(POSES, Value::Null, None, global));
         Ok(Spec {
             name: system.name.clone(),
             training,
@@ -373,8 +435,15 @@ impl Plan {
         })
     }
 
-    /// The training of a model, with `own` over the settings of the plan for it.
-    fn training(&self, name: &str, own: Value, global: &Global) -> anyhow::Result<Training> {
+    /// The training of a model, with `own` over the settings of the plan for it, and with the seed of `train_seeds` if
+    /// there is one.
+    fn training(
+        &self,
+        name: &str,
+        own: Value,
+        seed: Option<u64>,
+        global: &Global,
+    ) -> anyhow::Result<Training> {
         let model = registry::model(name).with_context(|| format!("no model {name:?}"))?;
         let of_plan = Value::Object(self.models.get(name).cloned().unwrap_or_default());
         let own = match own {
@@ -391,9 +460,10 @@ impl Plan {
         };
         checked.with_context(|| format!("settings of {name}"))?;
         let compose = &TrainConfig::compose_preset(self.preset);
-        let seed = match own.get("seed") {
-            Some(_) => global.given_seed(),
-            None => Some(self.seeds.train(global).0),
+        let seed = match (seed, own.get("seed")) {
+            (Some(seed), _) => Some(seed),
+            (None, Some(_)) => global.given_seed(),
+            (None, None) => Some(self.seeds.train(global).0),
         };
         Ok(Training {
             model,

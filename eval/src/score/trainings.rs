@@ -1,0 +1,90 @@
+//! Scores of systems that were trained several times.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::record::ScoreRow;
+
+use crate::metric::interval::Interval;
+
+/// Means over trainings, of the rows of each training on the same items. The rows are those of the first training, in their
+/// order, and those of systems that it lacks. Rows that do not depend on the training, such as the identity editor's,
+/// keep value and interval.
+///
+/// # Panics
+/// If there are more than [`MOST_TRAININGS`](crate::metric::interval::MOST_TRAININGS) of a system.
+pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
+    let mut order: Vec<&ScoreRow> = Vec::new();
+    let mut values: BTreeMap<[&str; 3], Vec<Interval>> = BTreeMap::new();
+    for row in trainings.iter().flatten() {
+        let of_row = values
+            .entry([&row.task, &row.system, &row.metric])
+            .or_insert_with(|| {
+                order.push(row);
+                Vec::new()
+            });
+        of_row.push(Interval {
+            mean: row.mean,
+            ci95: row.ci95,
+        });
+    }
+    order
+        .into_iter()
+        .map(|row| {
+            let Interval { mean, ci95 } =
+                Interval::over_trainings(&values[&[&*row.task, &*row.system, &*row.metric]]);
+            ScoreRow {
+                mean,
+                ci95,
+                ..row.clone()
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::names::IDENTITY;
+
+    fn row(system: &str, mean: f64, ci95: Option<f64>) -> ScoreRow {
+        ScoreRow {
+            system: system.to_owned(),
+            task: "style".to_owned(),
+            metric: "FS".to_owned(),
+            mean,
+            ci95,
+            ..crate::table::tests::sample_scores("style")[0].clone()
+        }
+    }
+
+    #[test]
+    fn the_mean_of_trainings_has_the_variance_of_items_and_that_between_trainings() {
+        let identity = row(IDENTITY, 0.9, Some(0.3));
+        let trainings = [1.0, 2.0, 3.0].map(|mean| {
+            vec![
+                identity.clone(),
+                row("ours", mean, Some(mean)),
+                row("constant", 4.0, None),
+            ]
+        });
+        let all = over_trainings(&trainings);
+        assert_eq!(all.len(), 3);
+        assert!(
+            (all[0].mean - 0.9).abs() < 1e-12 && (all[0].ci95.expect("items") - 0.3).abs() < 1e-12
+        );
+        // Items: the mean of 1, 4 and 9. Trainings: a sample variance of 1, over three.
+        let expected = (14.0f64 / 3.0 + 4.303 * 4.303 / 3.0).sqrt();
+        assert!((all[1].mean - 2.0).abs() < 1e-12);
+        assert!((all[1].ci95.expect("varies") - expected).abs() < 1e-9);
+        assert_eq!((all[2].mean, all[2].ci95), (4.0, None));
+    }
+
+    #[test]
+    fn one_training_stays_as_it_is_and_a_system_may_have_fewer_than_others() {
+        let first = vec![row("ours", 0.1, Some(0.7)), row("once", 0.3, Some(0.2))];
+        assert_eq!(over_trainings(std::slice::from_ref(&first)), first);
+        let all = over_trainings(&[first.clone(), vec![row("ours", 0.1, Some(0.7))]]);
+        assert!((all[0].ci95.expect("items") - 0.7).abs() < 1e-12);
+        assert_eq!(all[1], first[1]);
+    }
+}
