@@ -8,6 +8,7 @@ mod baselines;
 mod chain;
 mod compose;
 mod evaluate;
+mod evidence;
 mod export;
 mod exports;
 mod formats;

@@ -1,0 +1,183 @@
+//! The numbers of `eval/RESULTS.md` are those that `stance reproduce` recorded.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+fn read(path: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// A table of the document with what names it.
+struct Shown {
+    /// File of the program that it was copied from, such as `table-1`.
+    file: String,
+    /// The heading above it.
+    heading: String,
+    head: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+/// Cells of a line of a table, without Markdown's escapes and marks.
+fn cells(line: &str) -> Vec<String> {
+    let line = line.trim_matches('|').replace("\\|", "\u{0}");
+    line.split('|')
+        .map(|cell| {
+            let cell = cell.trim().trim_matches('*').replace('\u{0}', "|");
+            cell.replace('\\', "")
+        })
+        .collect()
+}
+
+/// Tables between `<!-- tables/FILE.md -->` and `<!-- end -->`.
+fn shown(document: &str) -> Vec<Shown> {
+    let mut tables: Vec<Shown> = Vec::new();
+    let mut file: Option<String> = None;
+    let mut heading = String::new();
+    let mut is_open = false;
+    for line in document.lines() {
+        let copied = line.strip_prefix("<!-- tables/");
+        if let Some(name) = copied.and_then(|rest| rest.strip_suffix(".md -->")) {
+            file = Some(name.to_owned());
+        } else if line == "<!-- end -->" {
+            file = None;
+        } else if let Some(text) = line.strip_prefix("### ") {
+            heading = text.to_owned();
+        }
+        let Some(file) = file.as_ref().filter(|_| line.starts_with('|')) else {
+            is_open = false;
+            continue;
+        };
+        if !is_open {
+            tables.push(Shown {
+                file: file.clone(),
+                heading: heading.clone(),
+                head: cells(line),
+                rows: Vec::new(),
+            });
+        } else if !line.starts_with("| :--") {
+            let rows = tables.last_mut().map(|table| &mut table.rows);
+            rows.expect("a table is open").push(cells(line));
+        }
+        is_open = true;
+    }
+    tables
+}
+
+/// A mean and its half width as a cell shows them, from a recorded row.
+fn printed(row: &Value, like: &str) -> String {
+    let number = |text: &str, value: &Value| {
+        let decimals = text.split_once('.').map_or(0, |(_, digits)| digits.len());
+        let value = value.as_f64().expect("a number");
+        format!("{value:.decimals$}")
+    };
+    match like.split_once(" ±") {
+        Some((mean, half)) => format!(
+            "{} ±{}",
+            number(mean, &row["mean"]),
+            number(half, &row["ci95"])
+        ),
+        None => {
+            assert!(row["ci95"].is_null(), "{row} is shown without its interval");
+            number(like, &row["mean"])
+        }
+    }
+}
+
+fn row_of<'a>(rows: &'a Value, wanted: &[(&str, &str)]) -> Option<&'a Value> {
+    let rows = rows.as_array().expect("rows");
+    rows.iter()
+        .find(|row| wanted.iter().all(|(key, value)| row[*key] == *value))
+}
+
+#[test]
+fn every_number_of_the_results_is_a_recorded_score() {
+    let document = read("eval/RESULTS.md");
+    let record: Value = serde_json::from_str(&read("eval/plans/real-small.json")).expect("JSON");
+    let tables = shown(&document);
+    let mut checked = 0;
+    for table in &tables {
+        let of_table = record["tables"].as_array().expect("tables");
+        let of_table = of_table.iter().find(|made| made[0] == *table.file);
+        for row in &table.rows {
+            for (head, cell) in std::iter::zip(&table.head, row).skip(1) {
+                let found = match of_table {
+                    Some(made) => {
+                        let metric = head.trim_end_matches([' ', '↑', '↓', '→']);
+                        let wanted = [
+                            ("task", table.heading.as_str()),
+                            ("system", row[0].as_str()),
+                            ("metric", metric),
+                        ];
+                        row_of(&made[1], &wanted)
+                    }
+                    None => {
+                        let figures = record["figures"].as_array().expect("figures");
+                        let figure = figures.iter().find(|made| made["name"] == *table.heading);
+                        let points = figure.expect("a recorded figure")["points"]
+                            .as_array()
+                            .expect("points");
+                        let point = points.iter().find(|point| {
+                            let names = point["values"].as_array().expect("values").iter();
+                            names.map(Value::to_string).collect::<Vec<_>>().join(", ") == row[0]
+                        });
+                        let (metric, task) = head.rsplit_once(", ").expect("a metric of a task");
+                        let given = ["Real Data", "Identity", "Noise Floor"];
+                        let rows = point.expect("a recorded point")["scores"].as_array();
+                        rows.expect("rows").iter().find(|row| {
+                            let is = |key: &str, value: &str| row[key] == *value;
+                            is("task", task)
+                                && is("metric", metric)
+                                && !given.iter().any(|name| is("system", name))
+                        })
+                    }
+                };
+                let place = format!("{} {}: {}, {head}", table.file, table.heading, row[0]);
+                match found {
+                    Some(row) => assert_eq!(*cell, printed(row, cell), "{place}"),
+                    None => assert_eq!(cell, "–", "{place} was not recorded"),
+                }
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked > 100, "{checked} cells were found");
+}
+
+#[test]
+fn verdicts_of_the_results_quote_their_tables() {
+    let document = read("eval/RESULTS.md");
+    let (_, verdicts) = document
+        .split_once("## The claims")
+        .expect("a section of verdicts");
+    let verdicts = verdicts.split("\n## ").next().expect("a section");
+    // The paragraph of the front page that points here.
+    let front = read("README.md");
+    let headline = front
+        .split("\n\n")
+        .find(|text| text.contains("(eval/RESULTS.md)"));
+    let headline = headline.expect("the front page names the results");
+    let texts = [verdicts, headline].concat();
+    let known: Vec<String> = shown(&document)
+        .into_iter()
+        .flat_map(|table| table.rows)
+        .flatten()
+        .collect();
+    let is_number = |c: char| c.is_ascii_digit() || c == '.';
+    let mut quoted = 0;
+    for word in texts.split(|c: char| !is_number(c)) {
+        let word = word.trim_matches('.');
+        if !word.contains('.') {
+            continue;
+        }
+        let is_known = known.iter().any(|cell| {
+            let mut numbers = cell.split(|c: char| !is_number(c));
+            numbers.any(|number| number == word)
+        });
+        assert!(is_known, "{word} stands in no table");
+        quoted += 1;
+    }
+    assert!(quoted > 10, "{quoted} numbers are quoted");
+}
