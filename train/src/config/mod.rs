@@ -236,8 +236,9 @@ impl TrainConfig {
     /// first window of an edit has none. The instruction is added to every frame. For each bone, gates mix the
     /// original's, a linear extrapolation and the network's own, so that so narrow a network need not reproduce
     /// what stays. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
-    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance is off, because
-    /// an amplified change overshoots.
+    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance by the text is off,
+    /// because an amplified change overshoots. That by the coordinator is weak: a strong one moves edits away from
+    /// targets, which are composed themselves.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self {
@@ -366,7 +367,7 @@ impl TrainConfig {
                 },
                 coordinator: GuidanceConfig {
                     target: GuidanceTarget::CleanPrediction,
-                    strength: 1.0,
+                    strength: 0.3,
                     num_steps: 10,
                 },
                 window: WINDOW_FRAMES,
