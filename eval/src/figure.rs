@@ -242,7 +242,7 @@ impl Figure {
     }
 }
 
-/// Whether a row is of the system whose setting changes.
+/// Whether this is the system whose setting changes, and no row that every table has.
 fn is_edited(system: &str) -> bool {
     ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
 }

@@ -487,7 +487,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     for (training, seed) in seeds.iter().enumerate() {
         assert_eq!(mean(&both["trainings"][0][1][training], "ours"), *seed);
     }
-    // The point of the figure has the settings of the system, and its scores.
+    // The only point of the figure has the settings of the system, so it must have its scores.
     let point = &both["figures"][0]["points"][0];
     assert!((mean(&point["scores"], "ours") - expected).abs() < 1e-12);
     assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);

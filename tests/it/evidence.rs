@@ -1,4 +1,4 @@
-//! The numbers of `eval/RESULTS.md` are those that `stance reproduce` recorded.
+//! `eval/RESULTS.md` shows the scores that `stance reproduce` recorded, and its verdicts quote them.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// A table of the document with what names it.
+/// A table of the document.
 struct Shown {
     /// File of the program that it was copied from, such as `table-1`.
     file: String,
@@ -66,7 +66,7 @@ fn shown(document: &str) -> Vec<Shown> {
     tables
 }
 
-/// A mean and its half width as a cell shows them, from a recorded row.
+/// The mean and half width of a recorded row, with as many decimals as the cell `like` has.
 fn printed(row: &Value, like: &str) -> String {
     let number = |text: &str, value: &Value| {
         let decimals = text.split_once('.').map_or(0, |(_, digits)| digits.len());

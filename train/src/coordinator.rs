@@ -65,7 +65,7 @@ impl CoordinatorConfig {
     /// # Source
     /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
     /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
-    /// the editor's. `Tiny` has a lower rate: with the editor's it is still at chance after 500 steps.
+    /// the editor's. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps.
     pub fn preset(preset: Preset) -> Self {
         let editor = TrainConfig::preset(preset);
         let DiffusionConfig {

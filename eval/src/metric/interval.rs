@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// The quantile of the normal distribution that leaves 5 % outside.
 const NORMAL_95: f64 = 1.96;
 
-/// Quantiles of Student's t that leave 5 % outside, for one and more degrees of freedom.
+/// Quantiles of Student's t that leave 5 % outside, for 1 to 9 degrees of freedom.
 const STUDENT_95: [f64; 9] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262,
 ];
@@ -40,9 +40,9 @@ impl Interval {
         }
     }
 
-    /// Summarises the values of several trainings of a system on the same items. The variance is that of test sets,
-    /// which more trainings do not reduce, and that between trainings over their number; so few trainings take the
-    /// quantile of Student's t.
+    /// The mean over several trainings of a system, scored on the same items. The squared half width is a sum of two:
+    /// the mean of the squared half widths over test sets, and `t² s² / n`, where `s²` is the sample variance between the
+    /// n trainings and t the quantile of Student's distribution.
     ///
     /// # Panics
     /// If there are no values, or more than [`MOST_TRAININGS`].

@@ -6,12 +6,12 @@ use datasets_spec::record::ScoreRow;
 
 use crate::metric::interval::Interval;
 
-/// Means over trainings, of the rows of each training on the same items. The rows are those of the first training, in their
-/// order, and those of systems that it lacks. Rows that do not depend on the training, such as the identity editor's,
-/// keep value and interval.
+/// Averages scores over trainings. Each element holds the rows of one training, all of the same items. The result has
+/// one row for each task, system and metric, in the order in which they first appear. A system may be missing from
+/// some trainings. Rows that are equal in all trainings, such as those of the identity editor, stay as they are.
 ///
 /// # Panics
-/// If there are more than [`MOST_TRAININGS`](crate::metric::interval::MOST_TRAININGS) of a system.
+/// If a system has more than [`MOST_TRAININGS`](crate::metric::interval::MOST_TRAININGS) trainings.
 pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
     let mut order: Vec<&ScoreRow> = Vec::new();
     let mut values: BTreeMap<[&str; 3], Vec<Interval>> = BTreeMap::new();

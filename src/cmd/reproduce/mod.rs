@@ -189,7 +189,7 @@ fn list(systems: &[Trained], figures: &[FigureSpecs<'_>], global: &Global) -> an
 /// What has been made of a plan.
 #[derive(Default)]
 struct Done {
-    /// Edits of each training of a system, by its name.
+    /// For each system its name, and a folder of edits for each of its trainings.
     edits: Vec<(String, Vec<PathBuf>)>,
     tables: Vec<TableMade>,
     figures: Vec<FigureMade>,
@@ -224,8 +224,8 @@ struct Scored {
     left_out: usize,
 }
 
-/// Scores the edits of each training of some systems, and summarises them. Items whose source has fewer frames
-/// than `min_frames` at the model's rate are left out.
+/// Scores systems, each given by a folder of edits for each of its trainings, and averages over the trainings. Items
+/// are left out if their source has fewer than `min_frames` frames at the model's rate.
 fn scored(
     systems: &[&[PathBuf]],
     min_frames: Option<usize>,
@@ -244,9 +244,8 @@ fn scored(
     for training in 0..count {
         let edits = systems.iter().filter_map(|edits| edits.get(training));
         let edits: Vec<PathBuf> = edits.cloned().collect();
-        let whole = work.answered(&edits, None)?.items.len();
-        let answered = work.answered(&edits, min_frames)?;
-        all.left_out = whole - answered.items.len();
+        let (answered, left_out) = work.answered(&edits, min_frames)?;
+        all.left_out = left_out;
         let scores = work.scores(&answered, &edits, protocol)?;
         all.scores.recipes = scores.recipes;
         all.trainings.push(scores.rows);
@@ -535,7 +534,7 @@ fn finish(
         .iter()
         .flat_map(|made| made.tables.clone())
         .collect();
-    let answered = work.answered(&folders, None)?;
+    let (answered, _) = work.answered(&folders, None)?;
     let mut page: Report = match folders.is_empty() {
         true => Report::default(),
         false => page::of_edits(&answered, &folders, all, SHOWN_ITEMS, global)?,

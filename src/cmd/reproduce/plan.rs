@@ -64,8 +64,8 @@ pub(super) struct Plan {
     /// Seeds of items, training and sampling.
     #[serde(default)]
     pub(super) seeds: Seeds,
-    /// Seeds of training, each of which trains every system once; tables and figures then show means over the
-    /// trainings. Without any, systems are trained once, with the seed in `seeds`.
+    /// Seeds of training. Every system is trained once with each, and tables and figures show means over the
+    /// trainings. If there are none, every system is trained once, with the seed in `seeds`.
     #[serde(default)]
     train_seeds: Vec<u64>,
     #[serde(default)]
@@ -178,7 +178,7 @@ pub(super) struct Trained {
     pub(super) specs: Vec<Spec>,
 }
 
-/// A training of a system with everything that its edits depend on.
+/// One training of a system, with everything that its edits depend on.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Spec {
     pub(super) name: String,
@@ -371,8 +371,8 @@ impl Plan {
         ]))
     }
 
-    /// A specification for each training of a system. A seed in the settings of its model, and `--seed`, replace
-    /// the seeds of the plan.
+    /// One specification for each seed of training; a single one if the settings of the model hold a seed, or
+    /// `--seed` is given.
     fn specs(
         &self,
         system: &System,

@@ -132,15 +132,16 @@ impl<'a> Work<'a> {
         Ok(Some(edits))
     }
 
-    /// Items and edits of some systems. Items whose source has fewer frames than `min_frames` at the model's rate are
-    /// left out.
+    /// Items and edits of some systems, and how many items were left out: those whose source has fewer than
+    /// `min_frames` frames at the model's rate.
     pub(super) fn answered(
         &self,
         edits: &[PathBuf],
         min_frames: Option<usize>,
-    ) -> anyhow::Result<Answered> {
+    ) -> anyhow::Result<(Answered, usize)> {
         let folders: Vec<PathBuf> = [&self.items].into_iter().chain(edits).cloned().collect();
         let mut answered = Answered::read_for_table(&folders)?;
+        let whole = answered.items.len();
         if let Some(frames) = min_frames {
             let rate = self.plan.items.compose.fps.get();
             let is_long = |item: &ItemRow| {
@@ -153,7 +154,8 @@ impl<'a> Work<'a> {
                 .edits
                 .retain(|row: &EditRow| kept.contains(&row.id.as_str()));
         }
-        Ok(answered)
+        let left_out = whole - answered.items.len();
+        Ok((answered, left_out))
     }
 
     /// Scores some systems.

@@ -237,8 +237,8 @@ impl TrainConfig {
     /// original's, a linear extrapolation and the network's own, so that so narrow a network need not reproduce
     /// what stays. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
     /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance by the text is off,
-    /// because an amplified change overshoots. That by the coordinator is weak: a strong one moves edits away from
-    /// targets, which are composed themselves.
+    /// because an amplified change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away
+    /// from their targets, which are composed motions too.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self {
