@@ -30,6 +30,8 @@ pub(crate) struct Args {
 
 /// Items edited. With so many, the intervals of AvgR and of the position error lie apart from the identity editor's.
 const ITEMS: usize = 256;
+/// Steps of the editor, more than the preset's: the demo has some minutes.
+const STEPS: u64 = 4_000;
 /// Steps of the two models in the quick form.
 const QUICK_STEPS: u64 = 40;
 /// Items edited in the quick form.
@@ -52,6 +54,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut config = RunConfig::new(vec![folder], args.out.clone());
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
+    plan.train.run.length = RunLength::of_steps(STEPS);
     if args.quick {
         shorten(&mut plan);
     }

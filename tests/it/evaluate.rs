@@ -410,7 +410,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let plan = write_plan(
         &bench,
         "[seeds]\ntrain = 4\nitems = 3\n[[system]]\nname = \"ours\"\n\
-         [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 400]\nmetrics = [\"FS\"]\n\
+         [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 16, 400]\nmetrics = [\"FS\"]\n\
          [[figure]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\nmetrics = [\"FS\"]\n\
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
@@ -420,7 +420,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let made: Value = ran.json();
     assert_eq!(
         made["failed"].as_array().expect("a list").len(),
-        2,
+        3,
         "{made}"
     );
     let scored = |figure: usize, point: usize| {
@@ -439,6 +439,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
         })
         .collect();
     seeds.sort_unstable();
+    // The system, its window of 12 and its fixed pairs; the window of 16 is the preset's.
     assert_eq!(seeds, [1, 2, 4, 4, 4]);
     let svg = fs::read_to_string(out.join("figures/pairs-fs.svg")).expect("drawn");
     assert!(svg.contains(">true<") && svg.contains(">false<"), "{svg}");

@@ -86,6 +86,13 @@ fn printed(row: &Value, like: &str) -> String {
     }
 }
 
+/// A value of a setting as tables show it.
+fn label(value: &Value) -> String {
+    value
+        .as_str()
+        .map_or_else(|| value.to_string(), str::to_owned)
+}
+
 fn row_of<'a>(rows: &'a Value, wanted: &[(&str, &str)]) -> Option<&'a Value> {
     let rows = rows.as_array().expect("rows");
     rows.iter()
@@ -120,8 +127,8 @@ fn every_number_of_the_results_is_a_recorded_score() {
                             .as_array()
                             .expect("points");
                         let point = points.iter().find(|point| {
-                            let names = point["values"].as_array().expect("values").iter();
-                            names.map(Value::to_string).collect::<Vec<_>>().join(", ") == row[0]
+                            let values = point["values"].as_array().expect("values").iter();
+                            values.map(label).collect::<Vec<_>>().join(", ") == row[0]
                         });
                         let (metric, task) = head.rsplit_once(", ").expect("a metric of a task");
                         let given = ["Real Data", "Identity", "Noise Floor"];

@@ -450,20 +450,13 @@ impl Plan {
             Value::Null => of_plan,
             own => overlay(&of_plan, &own)?,
         };
-        // What other models refuse is found when they are trained.
-        let checked = match name {
-            EDITOR => overlay(&TrainConfig::preset(self.preset), &own).map(drop),
-            COORDINATOR => overlay(&CoordinatorConfig::preset(self.preset), &own).map(drop),
-            POSES => overlay(&J2sConfig::of(self.preset), &own).map(drop),
-            ENCODER => overlay(&TmrConfig::preset(self.preset), &own).map(drop),
-            _ => Ok(()),
-        };
-        checked.with_context(|| format!("settings of {name}"))?;
+        let has_seed = own.get("seed").is_some();
+        let own = own_of(name, self.preset, own).with_context(|| format!("settings of {name}"))?;
         let compose = &TrainConfig::compose_preset(self.preset);
-        let seed = match (seed, own.get("seed")) {
+        let seed = match (seed, has_seed) {
             (Some(seed), _) => Some(seed),
-            (None, Some(_)) => global.given_seed(),
-            (None, None) => Some(self.seeds.train(global).0),
+            (None, true) => global.given_seed(),
+            (None, false) => Some(self.seeds.train(global).0),
         };
         Ok(Training {
             model,
@@ -487,6 +480,24 @@ impl Plan {
     pub(super) fn sampling_seed(&self, global: &Global) -> Seed {
         self.seeds.sample(global)
     }
+}
+
+/// Checks the settings of a model. Those of an editor that its preset has too are left out, so that the point of a figure
+/// with the preset's own value needs no training of its own. What other models refuse is found when they are trained.
+fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
+    let checked = match name {
+        EDITOR => {
+            let preset = TrainConfig::preset(preset);
+            overlay(&preset, &own)?;
+            return Ok(settings::changes(&serde_json::to_value(preset)?, own));
+        }
+        COORDINATOR => overlay(&CoordinatorConfig::preset(preset), &own).map(drop),
+        POSES => overlay(&J2sConfig::of(preset), &own).map(drop),
+        ENCODER => overlay(&TmrConfig::preset(preset), &own).map(drop),
+        _ => Ok(()),
+    };
+    checked?;
+    Ok(own)
 }
 
 fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {
