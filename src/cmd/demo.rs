@@ -28,10 +28,13 @@ pub(crate) struct Args {
     device: TrainDeviceArgs,
 }
 
-/// Items edited. With so many, the intervals of AvgR and of the position error lie apart from the identity editor's.
+/// Items edited. With so many, and such an editor, the intervals of R@1, AvgR and of the position error lie apart from the
+/// identity editor's.
 const ITEMS: usize = 256;
-/// Steps of the editor, more than the preset's: the demo has some minutes.
+/// Steps of the editor, more than the preset's.
 const STEPS: u64 = 4_000;
+/// Layers of the editor, one more than the preset's.
+const LAYERS: usize = 4;
 /// Steps of the two models in the quick form.
 const QUICK_STEPS: u64 = 40;
 /// Items edited in the quick form.
@@ -54,9 +57,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut config = RunConfig::new(vec![folder], args.out.clone());
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
-    plan.train.run.length = RunLength::of_steps(STEPS);
     if args.quick {
         shorten(&mut plan);
+    } else {
+        plan.train.run.length = RunLength::of_steps(STEPS);
+        plan.train.model.num_layers = LAYERS;
     }
     let mut command = "stance demo".to_owned();
     if args.quick {
