@@ -4,7 +4,8 @@
 //! [`evaluators::MotionEncoder`] for latents, and returns rows of the `scores` table, which it lays out
 //! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
 //! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
-//! commits scores; [`figure`] holds the points and drawings of ablations.
+//! commits scores; [`best_edit`] chooses what a report opens with; [`figure`] holds the points and
+//! drawings of ablations.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 //!
@@ -73,6 +74,7 @@
 //! ```
 
 pub mod answers;
+pub mod best_edit;
 pub mod compare;
 pub mod draw;
 mod error;

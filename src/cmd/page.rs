@@ -7,10 +7,11 @@ use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{BodyPart, JointSet, Skeleton};
 use eval::answers::Answered;
+use eval::best_edit::best_edit;
 use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
 use eval::protocol::Protocol;
-use eval::report::{Card, Chart, Details, Report, Strip};
+use eval::report::{Card, Chart, Details, Opening, Report, Strip};
 use eval::table::Table;
 
 use crate::cmd::eval::{further_tables, tables};
@@ -166,6 +167,7 @@ pub(crate) fn of_edits(
     Ok(Report {
         title: String::new(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
+        opening: opening(answered, &unknown)?,
         cards: vec![
             card(
                 "items",
@@ -196,6 +198,23 @@ pub(crate) fn of_edits(
     })
 }
 
+/// The edit that a page opens with: that of [`best_edit`], between its source and its target. `None` without
+/// edits.
+pub(crate) fn opening(
+    answered: &Answered,
+    unknown: &BTreeSet<String>,
+) -> anyhow::Result<Option<Opening>> {
+    let Some(best) = best_edit(answered)? else {
+        return Ok(None);
+    };
+    let made = [(format!("edited by {}", best.edit.system), best.edit)];
+    let rows = rows_of(best.item, made, &answered.skeleton)?;
+    Ok(Some(Opening {
+        strip: marked_strip(best.item, rows, unknown)?,
+        choice: best.in_words(),
+    }))
+}
+
 /// The strip of an item: the source first, then the edits, then the targets. The note names the words of
 /// the instruction that are among the `unknown` ones.
 pub(crate) fn strip_of(
@@ -204,17 +223,37 @@ pub(crate) fn strip_of(
     skeleton: &Skeleton,
     unknown: &BTreeSet<String>,
 ) -> anyhow::Result<Strip> {
-    let edited = edited_joints(item)?;
+    let made = made.iter().map(|row| (row.system.clone(), *row));
+    let mut rows = rows_of(item, made, skeleton)?;
+    if let Some(other) = item.other_take()? {
+        rows.push(Row::new("other take", &other, skeleton));
+    }
+    marked_strip(item, rows, unknown)
+}
+
+/// The source of an item, the edits under their labels, and the target if there is one.
+fn rows_of<'a>(
+    item: &ItemRow,
+    made: impl IntoIterator<Item = (String, &'a EditRow)>,
+    skeleton: &Skeleton,
+) -> anyhow::Result<Vec<Row>> {
     let mut rows = vec![Row::new("source", &item.source()?, skeleton)];
-    for row in made {
-        rows.push(Row::new(&row.system, &row.motion()?, skeleton));
+    for (label, row) in made {
+        rows.push(Row::new(label, &row.motion()?, skeleton));
     }
     if item.target_frames > 0 {
         rows.push(Row::new("target", &item.target()?, skeleton));
     }
-    if let Some(other) = item.other_take()? {
-        rows.push(Row::new("other take", &other, skeleton));
-    }
+    Ok(rows)
+}
+
+/// Rows of an item under its instruction, with the joints marked that it asks to change.
+fn marked_strip(
+    item: &ItemRow,
+    mut rows: Vec<Row>,
+    unknown: &BTreeSet<String>,
+) -> anyhow::Result<Strip> {
+    let edited = edited_joints(item)?;
     for row in &mut rows {
         row.highlighted = edited;
     }

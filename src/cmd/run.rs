@@ -33,7 +33,7 @@ use train::system::{EditConfig, SystemSource};
 use train::tmr::TmrConfig;
 
 use crate::cmd::eval::tables;
-use crate::cmd::page::strip_of;
+use crate::cmd::page::{opening, strip_of};
 use crate::device::TrainDeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
@@ -595,6 +595,7 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             "{motions} clips, {} items, from source files to the table below",
             rows_of_items
         ),
+        opening: opening(done.edits, done.unknown)?,
         cards,
         tables: tables(done.scores),
         figures: Vec::new(),

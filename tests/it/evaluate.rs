@@ -691,15 +691,33 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     .json();
     let html = fs::read_to_string(&page).expect("written");
     assert_eq!(made["bytes"], html.len());
-    let data = html
-        .split_once("id=\"viewer-data\">")
-        .and_then(|(_, rest)| rest.split_once("</script>"))
-        .expect("data of the viewer")
-        .0;
-    let data: Value = serde_json::from_str(data).expect("JSON");
-    let items = data["items"].as_array().expect("items");
+    let items_of = |viewer: &str| -> Vec<Value> {
+        let data = html
+            .split_once(&format!("id=\"{viewer}-data\">"))
+            .and_then(|(_, rest)| rest.split_once("</script>"))
+            .expect("data of the viewer")
+            .0;
+        let data: Value = serde_json::from_str(data).expect("JSON");
+        data["items"].as_array().expect("items").clone()
+    };
+    let opening = items_of("opening-viewer");
+    assert_eq!(opening.len(), 1);
+    let labels: Vec<&Value> = opening[0]["motions"]
+        .as_array()
+        .expect("motions")
+        .iter()
+        .map(|motion| &motion["label"])
+        .collect();
+    let edited = labels[1].as_str().expect("a label");
+    assert_eq!(
+        (labels.len(), labels[0], labels[2]),
+        (3, &"source".into(), &"target".into())
+    );
+    assert!(edited.starts_with("edited by "), "{edited}");
+    assert!(html.contains("The best case, not the typical one"));
+    let items = items_of("viewer");
     assert_eq!(items.len(), 3);
-    for item in items {
+    for item in &items {
         let labels: Vec<&str> = item["motions"]
             .as_array()
             .expect("motions")

@@ -82,7 +82,7 @@ const MIDDLE: Rgb = Rgb([181.0, 84.0, 140.0]);
 /// Colour of the last figure.
 const END: Rgb = Rgb([47.0, 111.0, 208.0]);
 /// Halo of highlighted joints: far from both in hue, readable on light and dark.
-const HALO: &str = "#1BAA78";
+pub(crate) const HALO: &str = "#1BAA78";
 /// Opacity of the halo, of the left limbs and of the trunk's area.
 const HALO_OPACITY: f64 = 0.4;
 const LEFT_OPACITY: f64 = 0.5;

@@ -1,6 +1,7 @@
 //! A run as one self-contained HTML file.
 
 mod details;
+mod opening;
 mod result_tables;
 mod viewer;
 
@@ -12,6 +13,7 @@ use crate::draw::strip::{Style, strip};
 use crate::table::Table;
 
 pub use details::Details;
+pub use opening::Opening;
 pub use viewer::Strip;
 
 /// What a report shows, from top to bottom. Sections without content are left out.
@@ -21,6 +23,8 @@ pub struct Report {
     pub title: String,
     /// One sentence under the title: what was run.
     pub subtitle: String,
+    /// The edit that shows at a glance what was done.
+    pub opening: Option<Opening>,
     /// The few numbers to read first.
     pub cards: Vec<Card>,
     /// Result tables.
@@ -108,7 +112,7 @@ impl Report {
             );
         }
         html.push_str("</main>\n");
-        if !self.strips.is_empty() {
+        if self.opening.is_some() || !self.strips.is_empty() {
             let _ = writeln!(html, "<script>{}</script>", viewer::SCRIPT);
         }
         html.push_str("</body>\n</html>\n");
@@ -117,13 +121,14 @@ impl Report {
 
     fn sections(&self) -> Vec<Section> {
         [
+            Section::new("one-edit", "One edit", opening::body(self.opening.as_ref())),
             Section::new("summary", "Summary", cards(&self.cards)),
             Section::new("results", "Results", result_tables::html(&self.tables)),
             Section::new("figures", "Figures", charts(&self.figures)),
             Section::new(
                 "viewer-section",
                 "Motions in 3D",
-                viewer::body(&self.strips),
+                viewer::section(&self.strips),
             ),
             Section::new("edits", "Edited motions", strips(&self.strips)),
             Section::new("training", "Training and data", charts(&self.charts)),
@@ -254,7 +259,7 @@ mod tests {
 
     use super::*;
     use crate::draw::plot::{Curve, Scale};
-    use crate::draw::strip::Row;
+    use crate::draw::strip::{HALO, Row};
     use crate::draw::tests::check_nesting;
     use crate::table::tests::sample_table;
 
@@ -274,9 +279,18 @@ mod tests {
         }
         table.rows[1].published = true;
         table.rows[1].cells[3] = None;
+        let strip = Strip {
+            caption: text(),
+            note: text(),
+            rows: vec![Row::new(text(), &motion, &Skeleton::smplx_neutral())],
+        };
         Report {
             title: text(),
             subtitle: text(),
+            opening: Some(Opening {
+                strip: strip.clone(),
+                choice: text(),
+            }),
             cards: vec![Card {
                 label: text(),
                 value: text(),
@@ -315,11 +329,7 @@ mod tests {
                     bars: vec![(text(), 1.0)],
                 }),
             ],
-            strips: vec![Strip {
-                caption: text(),
-                note: text(),
-                rows: vec![Row::new(text(), &motion, &Skeleton::smplx_neutral())],
-            }],
+            strips: vec![strip],
             facts: vec![(text(), text())],
             settings: vec![(text(), text())],
             details: vec![Details {
@@ -347,9 +357,9 @@ mod tests {
     fn no_text_of_a_report_becomes_markup() {
         let html = hostile().to_html();
         check_nesting(&without_scripts(&html));
-        // The data of the viewer and its program are the only scripts.
-        assert_eq!(html.matches("<script").count(), 2);
-        assert_eq!(html.matches("</script>").count(), 2);
+        // The data of the two viewers and their program are the only scripts.
+        assert_eq!(html.matches("<script").count(), 3);
+        assert_eq!(html.matches("</script>").count(), 3);
         assert!(!html.contains("<img"));
         assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
         // An attribute would be left by a bare quotation mark.
@@ -384,7 +394,7 @@ mod tests {
         check_nesting(&empty);
         assert!(!empty.contains("<section") && !empty.contains("<nav"));
         let full = hostile().to_html();
-        assert_eq!(full.matches("<section").count(), 9);
+        assert_eq!(full.matches("<section").count(), 10);
         for section in full.split("<a href=\"#").skip(1) {
             let anchor = section.split('"').next().expect("an anchor");
             assert!(
@@ -392,6 +402,32 @@ mod tests {
                 "{anchor}"
             );
         }
+    }
+
+    #[test]
+    fn the_page_opens_with_one_edit_before_any_numbers() {
+        let html = hostile().to_html();
+        let place = |text: &str| html.find(text).expect("on the page");
+        let first = place("<section");
+        assert_eq!(first, place("<section id=\"one-edit\""));
+        assert!(place("id=\"opening-viewer\"") < place("<section id=\"summary\""));
+        assert!(place("<section id=\"results\"") < place("id=\"viewer\""));
+        // An edit alone needs the program as well.
+        let alone = Report {
+            opening: hostile().opening,
+            ..Report::default()
+        }
+        .to_html();
+        assert_eq!(alone.matches("<section").count(), 1);
+        assert_eq!(alone.matches("<script").count(), 2);
+        assert!(alone.contains(viewer::SCRIPT));
+    }
+
+    #[test]
+    fn strips_and_viewers_mark_joints_in_the_same_green() {
+        let defined = format!("--marked: {};", HALO.to_lowercase());
+        assert!(STYLE.contains(&defined));
+        assert!(viewer::SCRIPT.contains("\"--marked\""));
     }
 
     #[test]

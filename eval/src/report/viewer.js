@@ -1,4 +1,4 @@
-// The viewer of a report: the motions of an item side by side on one clock.
+// The viewers of a report: the motions of an item side by side on one clock.
 //
 // It draws with WebGL 2, and with lines on a plain canvas where there is none. The motions lie in
 // the page itself, as millimetres in base64, so that the file works without a server.
@@ -10,10 +10,11 @@
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
   const GHOST_SECS = 0.75;
   const FIELD = 0.6;
-
-  const root = document.getElementById("viewer");
-  const data = JSON.parse(document.getElementById("viewer-data").textContent);
-  const parents = data.parents;
+  // A pane narrower than this share of its height sees the same width from farther away.
+  const LEAST_ASPECT = 0.7;
+  // How far the mark of a joint's bone stands out around it, in metres.
+  const MARK = 0.032;
+  const LEFT_HIP = 1, RIGHT_HIP = 2;
 
   // ---- Data -----------------------------------------------------------------------------------
 
@@ -32,16 +33,18 @@
   }
 
   /** A motion ready to be drawn: where its floor is, and the way of its pelvis over the ground. */
-  function prepared(motion) {
+  function prepared(motion, parents) {
     const points = decoded(motion.points);
     const stride = 3 * parents.length;
     let floor = Infinity;
     for (let at = 1; at < points.length; at += 3) floor = Math.min(floor, points[at]);
-    return { label: motion.label, points, stride, frames: points.length / stride, floor };
+    const marked = new Set(motion.marked);
+    return { label: motion.label, parents, marked, points, stride, frames: points.length / stride, floor };
   }
 
-  /** Bones of a frame: both ends, radius and whether the limb is on the left. */
+  /** Bones of a frame: both ends, radius, and whether the limb is on the left and its joint is marked. */
   function bones(motion, frame) {
+    const { parents, marked } = motion;
     const first = frame * motion.stride;
     const point = (joint) => {
       const at = first + 3 * joint;
@@ -52,29 +55,35 @@
       // The eyes lie on the head's ball and the fingers are thin.
       if (joint === NECK_AND_EYES || joint === NECK_AND_EYES + 1) continue;
       const radius = joint >= NECK_AND_EYES ? 0.5 * RADIUS : RADIUS;
-      found.push({ a: point(parents[joint]), b: point(joint), radius, left: LEFT.has(joint) });
+      // A joint rotates the bones below it.
+      const mark = marked.has(parents[joint]);
+      found.push({ a: point(parents[joint]), b: point(joint), radius, left: LEFT.has(joint), mark });
     }
     const [left, right, head] = [point(22), point(23), point(HEAD)];
     const middle = [0, 1, 2].map((i) => (left[i] + right[i]) / 2);
     const ball = [0, 1, 2].map((i) => 0.4 * middle[i] + 0.6 * head[i]);
     ball[1] += 0.03;
-    found.push({ a: ball, b: ball, radius: HEAD_RADIUS, left: false });
+    found.push({ a: ball, b: ball, radius: HEAD_RADIUS, left: false, mark: marked.has(HEAD) });
     // The nose tells where the figure looks.
     const nose = [0, 1, 2].map((i) => ball[i] + 1.5 * (middle[i] - ball[i]));
-    found.push({ a: ball, b: nose, radius: 0.03, left: false });
+    found.push({ a: ball, b: nose, radius: 0.03, left: false, mark: false });
     return found;
+  }
+
+  /** The direction that a motion's first frame faces, as an angle about the vertical from +z to +x. */
+  function heading(motion) {
+    const along = (axis) => motion.points[3 * LEFT_HIP + axis] - motion.points[3 * RIGHT_HIP + axis];
+    return Math.atan2(-along(2), along(0));
   }
 
   // ---- Camera ---------------------------------------------------------------------------------
 
-  const camera = { yaw: 0.7, pitch: 0.2, distance: 4.2, follow: true };
-
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-  /** The axes of the camera and where it stands. */
-  function lens(target) {
-    const { yaw, pitch, distance } = camera;
+  /** The axes of a camera and where it stands. Its yaw is counted from where the figure faces. */
+  function lens(camera, target) {
+    const { pitch, distance } = camera, yaw = camera.heading + camera.yaw;
     const back = [Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch)];
     const right = [Math.cos(yaw), 0, -Math.sin(yaw)];
     const up = cross(back, right);
@@ -82,10 +91,13 @@
     return { right, up, back, eye };
   }
 
+  /** Half heights of a pane at a distance of one: the focal length. */
+  const focal = (aspect) => Math.min(aspect / LEAST_ASPECT, 1) / Math.tan(FIELD / 2);
+
   /** Column-major projection times view. */
-  function matrix(target, aspect) {
-    const { right, up, back, eye } = lens(target);
-    const f = 1 / Math.tan(FIELD / 2), near = 0.05, far = 100;
+  function matrix(camera, target, aspect) {
+    const { right, up, back, eye } = lens(camera, target);
+    const f = focal(aspect), near = 0.05, far = 100;
     const view = [
       right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0,
       -dot(right, eye), -dot(up, eye), -dot(back, eye), 1,
@@ -215,6 +227,13 @@
     gl.enable(gl.BLEND);
     gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
 
+    const capsules = (drawn) => {
+      const values = new Float32Array(FLOATS * drawn.length);
+      drawn.forEach(({ a, b, radius, paint }, at) => values.set([...a, ...b, radius, ...paint], FLOATS * at));
+      gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
+      gl.drawElementsInstanced(gl.TRIANGLES, mesh.order.length, gl.UNSIGNED_SHORT, 0, drawn.length);
+    };
+
     return {
       name: "webgl2",
       clear() {
@@ -227,7 +246,7 @@
         const bottom = canvas.height - pane.y - pane.height;
         gl.viewport(pane.x, bottom, pane.width, pane.height);
         gl.scissor(pane.x, bottom, pane.width, pane.height);
-        const projection = matrix(scene.target, pane.width / pane.height);
+        const projection = matrix(scene.camera, scene.target, pane.width / pane.height);
         gl.useProgram(ground);
         gl.bindVertexArray(plane);
         gl.uniformMatrix4fv(gl.getUniformLocation(ground, "camera"), false, projection);
@@ -239,12 +258,14 @@
         gl.useProgram(body);
         gl.bindVertexArray(bodies);
         gl.uniformMatrix4fv(gl.getUniformLocation(body, "camera"), false, projection);
-        gl.uniform3fv(gl.getUniformLocation(body, "eye"), lens(scene.target).eye);
+        gl.uniform3fv(gl.getUniformLocation(body, "eye"), lens(scene.camera, scene.target).eye);
         gl.bindBuffer(gl.ARRAY_BUFFER, instances);
-        const values = new Float32Array(FLOATS * scene.bones.length);
-        scene.bones.forEach(({ a, b, radius, paint }, at) => values.set([...a, ...b, radius, ...paint], FLOATS * at));
-        gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
-        gl.drawElementsInstanced(gl.TRIANGLES, mesh.order.length, gl.UNSIGNED_SHORT, 0, scene.bones.length);
+        // Of a mark only the far side is drawn, so that it stands out around its bone.
+        gl.enable(gl.CULL_FACE);
+        gl.cullFace(gl.FRONT);
+        capsules(scene.marks);
+        gl.disable(gl.CULL_FACE);
+        capsules(scene.bones);
       },
     };
   }
@@ -257,8 +278,8 @@
       name: "canvas2d",
       clear() { pen.clearRect(0, 0, canvas.width, canvas.height); },
       draw(pane, scene) {
-        const { right, up, back, eye } = lens(scene.target);
-        const scale = pane.height / (2 * Math.tan(FIELD / 2));
+        const { right, up, back, eye } = lens(scene.camera, scene.target);
+        const scale = pane.height / 2 * focal(pane.width / pane.height);
         const seen = (point) => {
           const from = point.map((value, i) => value - eye[i]);
           const depth = Math.max(-dot(back, from), 0.05);
@@ -289,7 +310,8 @@
           line([cx - 2, 0, cz + at], [cx + 2, 0, cz + at], 0.004, ink);
         }
         const depth = ({ a, b }) => dot(back, a) + dot(back, b);
-        for (const bone of [...scene.bones].sort((one, other) => depth(one) - depth(other))) {
+        const sorted = [...scene.bones].sort((one, other) => depth(one) - depth(other));
+        for (const bone of [...scene.marks, ...sorted]) {
           const [r, g, b, alpha] = bone.paint;
           line(bone.a, bone.b, 2 * bone.radius, `rgba(${[r, g, b].map((v) => Math.round(255 * v)).join(",")},${alpha})`);
         }
@@ -307,154 +329,180 @@
     return made;
   }
 
-  const choice = element("select", { "aria-label": "Item" });
-  data.items.forEach((item, at) => choice.append(element("option", { value: String(at) }, item.caption)));
-  let canvas = element("canvas", { tabindex: "0", role: "img", "aria-label": "Motions side by side; drag to orbit, Space to play" });
-  const labels = element("div", { class: "labels" });
-  const stage = element("div", { class: "stage" }, canvas, labels);
-  const play = element("button", { type: "button", title: "Space" }, "Play");
-  const scrub = element("input", { type: "range", min: "0", value: "0", step: "1", "aria-label": "Frame" });
-  const clock = element("output");
-  const speed = element("select", { "aria-label": "Speed" });
-  for (const value of SPEEDS) speed.append(element("option", { value: String(value) }, `${value}×`));
-  speed.value = "1";
-  const toggle = (label, checked) => {
-    const box = element("input", { type: "checkbox" });
-    box.checked = checked;
-    return [box, element("label", {}, box, ` ${label}`)];
-  };
-  const [ghosts, ghostLabel] = toggle("trail", true);
-  const [follow, followLabel] = toggle("follow", true);
-  const note = element("p", { class: "head" });
-  root.append(
-    choice, note, stage,
-    element("div", { class: "transport" }, play, scrub, clock, speed, ghostLabel, followLabel),
-  );
-
-  let backend;
-  try {
-    backend = webgl(canvas);
-  } catch (problem) {
-    // A canvas keeps the kind of its first context.
-    console.warn(problem);
-    const fresh = canvas.cloneNode();
-    canvas.replaceWith(fresh);
-    canvas = fresh;
-  }
-  backend ??= flat(canvas);
-  root.dataset.renderer = backend.name;
-
-  let item, motions, last, playing = false, time = 0, before = null, asked = false;
-
-  function open(at) {
-    item = data.items[at];
-    motions = item.motions.map(prepared);
-    last = Math.max(...motions.map((motion) => motion.frames)) - 1;
-    // The list cuts what does not fit into its line.
-    note.textContent = `“${item.caption}” · ${item.note}`;
-    scrub.max = String(last);
-    labels.replaceChildren(...motions.map((motion) => element("span", {}, motion.label)));
-    labels.style.gridTemplateColumns = `repeat(${motions.length}, 1fr)`;
-    seek(0);
-  }
-
-  function seek(frame) {
-    time = Math.min(Math.max(frame, 0), last) / item.fps;
-    redraw();
-  }
-
-  const frameNow = () => Math.min(Math.floor(time * item.fps + 1e-6), last);
-
-  function setPlaying(value) {
-    playing = value;
-    before = null;
-    play.textContent = playing ? "Pause" : "Play";
-    if (playing && frameNow() >= last) time = 0;
-    redraw();
-  }
-
-  function redraw() {
-    if (asked) return;
-    asked = true;
-    requestAnimationFrame((now) => {
-      asked = false;
-      if (playing) {
-        if (before !== null) time += (now - before) / 1000 * Number(speed.value);
-        before = now;
-        if (time * item.fps > last + 0.5 * item.fps) time = 0;
-      }
-      paint();
-      if (playing) redraw();
-    });
-  }
-
-  function paint() {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
-    const ink = getComputedStyle(root).color.match(/[\d.]+/g).slice(0, 3).map((value) => Number(value) / 255);
-    const frame = frameNow();
-    backend.clear();
-    motions.forEach((motion, at) => {
-      // A shorter motion stays at its last frame.
-      const own = Math.min(frame, motion.frames - 1);
-      const drawn = [];
-      const add = (from, alpha) => {
-        const tint = colour(motion.frames > 1 ? from / (motion.frames - 1) : 0);
-        for (const bone of bones(motion, from)) {
-          const shade = bone.left ? tint.map((value) => 0.55 * value + 0.4) : tint;
-          drawn.push({ ...bone, paint: [...shade, alpha] });
-        }
-      };
-      add(own, 1);
-      if (ghosts.checked) {
-        const step = Math.round(GHOST_SECS * item.fps);
-        for (let from = 0; from < motion.frames; from += step) if (Math.abs(from - own) > step / 3) add(from, 0.16);
-      }
-      const at0 = motion.stride * (follow.checked ? own : 0);
-      const target = [motion.points[at0], 0.9, motion.points[at0 + 2]];
-      const left = Math.round(width * at / motions.length);
-      const pane = { x: left, y: 0, width: Math.round(width * (at + 1) / motions.length) - left, height };
-      backend.draw(pane, { target, bones: drawn, ink });
-    });
-    scrub.value = String(frame);
-    clock.textContent = `${(frame / item.fps).toFixed(2)} s · frame ${frame}/${last}`;
-    canvas.dataset.frame = String(frame);
-  }
-
-  choice.addEventListener("change", () => open(Number(choice.value)));
-  play.addEventListener("click", () => setPlaying(!playing));
-  scrub.addEventListener("input", () => { setPlaying(false); seek(Number(scrub.value)); });
-  for (const box of [ghosts, follow]) box.addEventListener("change", redraw);
-  stage.addEventListener("pointerdown", (event) => {
-    if (event.target.tagName !== "CANVAS") return;
-    event.target.setPointerCapture(event.pointerId);
-    let [x, y] = [event.clientX, event.clientY];
-    const move = (moved) => {
-      camera.yaw -= (moved.clientX - x) / 150;
-      camera.pitch = Math.min(Math.max(camera.pitch + (moved.clientY - y) / 200, -0.1), 1.5);
-      [x, y] = [moved.clientX, moved.clientY];
-      redraw();
+  /** Fills an element with a viewer of the items; of a single one there is nothing to choose. */
+  function viewer(root, { parents, items }) {
+    const camera = { heading: 0, yaw: 0.7, pitch: 0.2, distance: 4.2 };
+    const choice = element("select", { "aria-label": "Item" });
+    items.forEach((item, at) => choice.append(element("option", { value: String(at) }, item.caption)));
+    let canvas = element("canvas", { tabindex: "0", role: "img", "aria-label": "Motions side by side; drag to turn, Space to play" });
+    const labels = element("div", { class: "labels" });
+    const stage = element("div", { class: "stage" }, canvas, labels);
+    const play = element("button", { type: "button" }, "Play");
+    const scrub = element("input", { type: "range", min: "0", value: "0", step: "1", "aria-label": "Frame" });
+    const clock = element("output");
+    const speed = element("select", { "aria-label": "Speed" });
+    for (const value of SPEEDS) speed.append(element("option", { value: String(value) }, `${value}×`));
+    speed.value = "1";
+    const toggle = (label, checked) => {
+      const box = element("input", { type: "checkbox" });
+      box.checked = checked;
+      return [box, element("label", {}, box, ` ${label}`)];
     };
-    event.target.addEventListener("pointermove", move);
-    event.target.addEventListener("pointerup", () => event.target.removeEventListener("pointermove", move), { once: true });
-  });
-  stage.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    camera.distance = Math.min(Math.max(camera.distance * Math.exp(event.deltaY / 800), 1.2), 12);
-    redraw();
-  }, { passive: false });
-  stage.addEventListener("keydown", (event) => {
-    const steps = { ArrowLeft: -1, ArrowRight: 1 };
-    if (event.key === " ") setPlaying(!playing);
-    else if (event.key in steps) { setPlaying(false); seek(frameNow() + steps[event.key] * (event.shiftKey ? 10 : 1)); }
-    else if (event.key === "Home") seek(0);
-    else if (event.key === "End") seek(last);
-    else return;
-    event.preventDefault();
-  });
-  new ResizeObserver(redraw).observe(stage);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  open(0);
-  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);
+    const [ghosts, ghostLabel] = toggle("trail", true);
+    const [follow, followLabel] = toggle("follow", true);
+    const note = element("p", { class: "head" });
+    if (items.length > 1) root.append(choice, note);
+    root.append(
+      stage,
+      element("div", { class: "transport" }, play, scrub, clock, speed, ghostLabel, followLabel),
+    );
+
+    let backend;
+    try {
+      backend = webgl(canvas);
+    } catch (problem) {
+      // A canvas keeps the kind of its first context.
+      console.warn(problem);
+      const fresh = canvas.cloneNode();
+      canvas.replaceWith(fresh);
+      canvas = fresh;
+    }
+    backend ??= flat(canvas);
+    root.dataset.renderer = backend.name;
+
+    let item, motions, last, playing = false, visible = true, time = 0, before = null, asked = false;
+
+    function open(at) {
+      item = items[at];
+      motions = item.motions.map((motion) => prepared(motion, parents));
+      // Every item is first seen from the same side of its source.
+      camera.heading = heading(motions[0]);
+      last = Math.max(...motions.map((motion) => motion.frames)) - 1;
+      // The list cuts what does not fit into its line.
+      note.textContent = `“${item.caption}” · ${item.note}`;
+      scrub.max = String(last);
+      labels.replaceChildren(...motions.map((motion) => element("span", {}, motion.label)));
+      labels.style.gridTemplateColumns = `repeat(${motions.length}, 1fr)`;
+      seek(0);
+    }
+
+    function seek(frame) {
+      time = Math.min(Math.max(frame, 0), last) / item.fps;
+      redraw();
+    }
+
+    const frameNow = () => Math.min(Math.floor(time * item.fps + 1e-6), last);
+
+    function setPlaying(value) {
+      playing = value;
+      before = null;
+      play.textContent = playing ? "Pause" : "Play";
+      if (playing && frameNow() >= last) time = 0;
+      redraw();
+    }
+
+    function redraw() {
+      if (asked) return;
+      asked = true;
+      requestAnimationFrame((now) => {
+        asked = false;
+        if (playing) {
+          if (before !== null) time += (now - before) / 1000 * Number(speed.value);
+          before = now;
+          if (time * item.fps > last + 0.5 * item.fps) time = 0;
+        }
+        paint();
+        if (playing && visible) redraw();
+      });
+    }
+
+    function paint() {
+      const ratio = Math.min(window.devicePixelRatio || 1, 2);
+      const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
+      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+      const style = getComputedStyle(root);
+      const ink = style.color.match(/[\d.]+/g).slice(0, 3).map((value) => Number(value) / 255);
+      const green = style.getPropertyValue("--marked").match(/[\da-f]{2}/gi).map((pair) => parseInt(pair, 16) / 255);
+      const frame = frameNow();
+      backend.clear();
+      motions.forEach((motion, at) => {
+        // A shorter motion stays at its last frame.
+        const own = Math.min(frame, motion.frames - 1);
+        const drawn = [];
+        const marks = bones(motion, own).filter((bone) => bone.mark)
+          .map((bone) => ({ ...bone, radius: bone.radius + MARK, paint: [...green, 1] }));
+        const add = (from, alpha) => {
+          const tint = colour(motion.frames > 1 ? from / (motion.frames - 1) : 0);
+          for (const bone of bones(motion, from)) {
+            const shade = bone.left ? tint.map((value) => 0.55 * value + 0.4) : tint;
+            drawn.push({ ...bone, paint: [...shade, alpha] });
+          }
+        };
+        add(own, 1);
+        if (ghosts.checked) {
+          const step = Math.round(GHOST_SECS * item.fps);
+          for (let from = 0; from < motion.frames; from += step) if (Math.abs(from - own) > step / 3) add(from, 0.16);
+        }
+        const at0 = motion.stride * (follow.checked ? own : 0);
+        const target = [motion.points[at0], 0.9, motion.points[at0 + 2]];
+        const left = Math.round(width * at / motions.length);
+        const pane = { x: left, y: 0, width: Math.round(width * (at + 1) / motions.length) - left, height };
+        backend.draw(pane, { camera, target, bones: drawn, marks, ink });
+      });
+      scrub.value = String(frame);
+      clock.textContent = `${(frame / item.fps).toFixed(2)} s · frame ${frame}/${last}`;
+      canvas.dataset.frame = String(frame);
+    }
+
+    choice.addEventListener("change", () => open(Number(choice.value)));
+    play.addEventListener("click", () => setPlaying(!playing));
+    scrub.addEventListener("input", () => { setPlaying(false); seek(Number(scrub.value)); });
+    for (const box of [ghosts, follow]) box.addEventListener("change", redraw);
+    stage.addEventListener("pointerdown", (event) => {
+      if (event.target.tagName !== "CANVAS") return;
+      event.target.setPointerCapture(event.pointerId);
+      let [x, y] = [event.clientX, event.clientY];
+      const move = (moved) => {
+        camera.yaw -= (moved.clientX - x) / 150;
+        camera.pitch = Math.min(Math.max(camera.pitch + (moved.clientY - y) / 200, -0.1), 1.5);
+        [x, y] = [moved.clientX, moved.clientY];
+        redraw();
+      };
+      event.target.addEventListener("pointermove", move);
+      // A touch is cancelled where it turns out to scroll the page.
+      for (const end of ["pointerup", "pointercancel"]) {
+        event.target.addEventListener(end, () => event.target.removeEventListener("pointermove", move), { once: true });
+      }
+    });
+    stage.addEventListener("wheel", (event) => {
+      // Whoever scrolls past a viewer wants to go on.
+      if (!stage.contains(document.activeElement)) return;
+      event.preventDefault();
+      camera.distance = Math.min(Math.max(camera.distance * Math.exp(event.deltaY / 800), 1.2), 12);
+      redraw();
+    }, { passive: false });
+    stage.addEventListener("keydown", (event) => {
+      const steps = { ArrowLeft: -1, ArrowRight: 1 };
+      if (event.key === " ") setPlaying(!playing);
+      else if (event.key in steps) { setPlaying(false); seek(frameNow() + steps[event.key] * (event.shiftKey ? 10 : 1)); }
+      else if (event.key === "Home") seek(0);
+      else if (event.key === "End") seek(last);
+      else return;
+      event.preventDefault();
+    });
+    new ResizeObserver(redraw).observe(stage);
+    // Out of sight it stands still, so that several viewers cost no more than one.
+    new IntersectionObserver(([seen]) => {
+      visible = seen.isIntersecting;
+      before = null;
+      redraw();
+    }).observe(stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+    open(0);
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);
+  }
+
+  for (const root of document.querySelectorAll(".viewer")) {
+    viewer(root, JSON.parse(document.getElementById(`${root.id}-data`).textContent));
+  }
 })();

@@ -1,4 +1,4 @@
-//! The motions of a report in three dimensions: data and script of its viewer.
+//! The motions of a report in three dimensions: data and script of its viewers.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -21,7 +21,7 @@ pub struct Strip {
     pub rows: Vec<Row>,
 }
 
-/// The script of the viewer. It builds its elements from the data and loads nothing.
+/// The script of all viewers of a page. It builds their elements from the data and loads nothing.
 pub(super) const SCRIPT: &str = include_str!("viewer.js");
 
 /// Millimetres in a metre: the unit of stored positions.
@@ -32,20 +32,33 @@ pub(super) fn script_source() -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
 }
 
-/// Element and data of the viewer; empty without motions.
-pub(super) fn body(strips: &[Strip]) -> String {
+/// What marks mean in a viewer, for the text above or below it.
+pub(super) const LEGEND: &str = "Colour runs with time from orange to blue; left limbs are pale; \
+    <span class=\"marked\">green</span> marks the joints the edit was asked to change.";
+
+/// The viewer of all strips, with its text; empty without strips.
+pub(super) fn section(strips: &[Strip]) -> String {
     if strips.is_empty() {
         return String::new();
     }
+    format!(
+        "<p class=\"head\">All motions of an item on one clock. Drag to turn the camera; once clicked, the \
+         wheel zooms, Space plays and the arrows step, with Shift by ten. {LEGEND}</p>\n{}",
+        element("viewer", strips)
+    )
+}
+
+/// Element and data of a viewer; the script fills every element of this class.
+///
+/// With one strip it offers no choice of items. The id must be the only one of its name on the page.
+pub(super) fn element(id: &str, strips: &[Strip]) -> String {
     let items: Vec<_> = strips.iter().map(item).collect();
     let data = json!({ "parents": KEYPOINT_PARENTS, "items": items });
     // Within a script element only its end tag is special.
     let data = data.to_string().replace('<', "\\u003c");
     format!(
-        "<p class=\"head\">All motions of an item on one clock. Drag to orbit, scroll to zoom; \
-         Space plays, the arrows step, with Shift by ten. Colour runs with time from orange to \
-         blue; left limbs are pale.</p>\n<div id=\"viewer\" class=\"viewer\"></div>\n\
-         <script type=\"application/json\" id=\"viewer-data\">{data}</script>\n"
+        "<div id=\"{id}\" class=\"viewer\"></div>\n\
+         <script type=\"application/json\" id=\"{id}-data\">{data}</script>\n"
     )
 }
 
@@ -59,7 +72,14 @@ fn item(strip: &Strip) -> serde_json::Value {
     let motions: Vec<_> = strip
         .rows
         .iter()
-        .map(|row| json!({ "label": row.label, "points": points(&row.keypoints, origin) }))
+        .map(|row| {
+            let marked: Vec<usize> = row.highlighted.iter().map(|joint| joint as usize).collect();
+            json!({
+                "label": row.label,
+                "marked": marked,
+                "points": points(&row.keypoints, origin),
+            })
+        })
         .collect();
     let fps = strip
         .rows
@@ -83,7 +103,7 @@ fn points(keypoints: &Keypoints, origin: DVec3) -> String {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, Motion, Pose, Skeleton};
+    use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
 
     use super::*;
 
@@ -95,12 +115,14 @@ mod tests {
         far.transl.x += 40.0;
         let motion = Motion::from_poses(Fps::STORE, &[pose, far]).expect("valid");
         let skeleton = Skeleton::smplx_neutral();
+        let mut row = Row::new("original", &motion, &skeleton);
+        row.highlighted = JointSet::of(&[16, 18]);
         let strip = Strip {
             caption: "</script><b>".to_owned(),
             note: String::new(),
-            rows: vec![Row::new("original", &motion, &skeleton)],
+            rows: vec![row],
         };
-        let html = body(std::slice::from_ref(&strip));
+        let html = section(std::slice::from_ref(&strip));
         assert_eq!(html.matches("</script>").count(), 1);
         let data = html
             .split_once("viewer-data\">")
@@ -110,6 +132,7 @@ mod tests {
         let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
         assert_eq!(data["items"][0]["caption"], "</script><b>");
         assert_eq!(data["items"][0]["fps"], 20.0);
+        assert_eq!(data["items"][0]["motions"][0]["marked"], json!([16, 18]));
         let text = data["items"][0]["motions"][0]["points"].as_str();
         let bytes = STANDARD.decode(text.expect("text")).expect("base64");
         let expected = &strip.rows[0].keypoints.points;
@@ -126,6 +149,6 @@ mod tests {
         // 40 m away: as far as the numbers reach.
         let first_of_second = found[expected[0].len() * 3];
         assert!((first_of_second - 32.767).abs() < 1e-12);
-        assert!(body(&[]).is_empty());
+        assert!(section(&[]).is_empty());
     }
 }

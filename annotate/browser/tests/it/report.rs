@@ -1,13 +1,18 @@
-//! The report page of a run, opened as a file: its viewer draws, uses one clock, and needs no network.
+//! The report page of a run, opened as a file: its viewers draw, use one clock each, and need no network.
 
 use annotate_browser::{Browser, Graphics, keys, report_page};
 use serde_json::json;
 
-const FRAME: &str = "Number(document.querySelector('#viewer canvas').dataset.frame)";
+/// The viewer of the edit that the page opens with, and that of all items.
+const VIEWERS: [&str; 2] = ["opening-viewer", "viewer"];
 
-/// Redraws the viewer and counts the colours of a small copy.
-const COLOURS: &str = "{ const canvas = document.querySelector('#viewer canvas'); \
-    canvas.focus(); \
+/// The frame that a viewer shows.
+fn frame(viewer: &str) -> String {
+    format!("Number(document.querySelector('#{viewer} canvas').dataset.frame)")
+}
+
+/// Redraws the viewer in focus and counts the colours of a small copy.
+const COLOURS: &str = "{ const canvas = document.activeElement; \
     canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'Home', bubbles: true })); \
     return await new Promise((done) => requestAnimationFrame(() => { \
         const copy = document.createElement('canvas'); \
@@ -24,54 +29,40 @@ async fn opened(graphics: Graphics, renderer: &str) -> Browser {
     browser
         .open(&format!("file://{}", report_page().await.display()))
         .await;
-    browser
-        .until(
-            "the viewer draws",
-            &format!("document.querySelector('#viewer')?.dataset.renderer === '{renderer}' && {FRAME} >= 0"),
-        )
-        .await;
+    for viewer in VIEWERS {
+        let renders =
+            format!("document.querySelector('#{viewer}')?.dataset.renderer === '{renderer}'");
+        browser
+            .until(
+                "the viewer draws",
+                &format!("{renders} && {} >= 0", frame(viewer)),
+            )
+            .await;
+    }
     browser
 }
 
 /// Checks that hold with and without WebGL.
 async fn check(browser: &Browser, name: &str) {
-    let motions = browser
-        .js("return document.querySelectorAll('#viewer .labels span').length;")
+    let [opening, items] = VIEWERS;
+    browser
+        .until("the opening plays", &format!("{} > 1", frame(opening)))
         .await;
+    let hidden = browser.js(&format!("return {};", frame(items))).await;
+    assert_eq!(hidden, json!(0), "a viewer out of sight stands still");
+    let labels = |viewer: &str| {
+        format!("return document.querySelectorAll('#{viewer} .labels span').length;")
+    };
+    assert_eq!(browser.js(&labels(opening)).await, json!(3));
+    let motions = browser.js(&labels(items)).await;
     assert!(
         motions.as_u64().is_some_and(|count| count >= 3),
         "original, edit and target: {motions}"
     );
-    // It plays by itself; a key stops it, and steps are exact.
-    browser.until("it plays", &format!("{FRAME} > 1")).await;
-    browser
-        .js("document.querySelector('#viewer canvas').focus();")
-        .await;
-    browser.press(&[" ", keys::HOME]).await;
-    browser
-        .until("the first frame", &format!("{FRAME} === 0"))
-        .await;
-    browser.press(&[keys::RIGHT, keys::RIGHT, keys::LEFT]).await;
-    browser
-        .until("the second frame", &format!("{FRAME} === 1"))
-        .await;
-    browser.shift(&[keys::RIGHT]).await;
-    browser
-        .until("ten further", &format!("{FRAME} === 11"))
-        .await;
-    browser.press(&[keys::END]).await;
-    browser
-        .until(
-            "the last frame",
-            &format!("{FRAME} === Number(document.querySelector('#viewer input[type=range]').max)"),
-        )
-        .await;
-    let colours = browser.js_async(COLOURS).await;
-    assert!(
-        colours.as_u64().is_some_and(|count| count > 30),
-        "the picture is flat: {colours} colours"
-    );
-    browser.picture(name).await;
+    for viewer in VIEWERS {
+        check_viewer(browser, viewer).await;
+        browser.picture(&format!("{name}-{viewer}")).await;
+    }
     assert_eq!(
         browser
             .js("return performance.getEntriesByType('resource').length;")
@@ -86,6 +77,49 @@ async fn check(browser: &Browser, name: &str) {
     assert!(page["tables"].as_u64() > Some(0), "{page}");
     assert!(page["pictures"].as_u64() > Some(0), "{page}");
     assert_eq!(page["wide"], false);
+}
+
+/// Plays a viewer, and steps it by keys.
+async fn check_viewer(browser: &Browser, viewer: &str) {
+    let shown = frame(viewer);
+    browser
+        .js(&format!(
+            "document.querySelector('#{viewer}').scrollIntoView();"
+        ))
+        .await;
+    // It plays by itself; a key stops it, and steps are exact.
+    browser.until("it plays", &format!("{shown} > 1")).await;
+    browser
+        .js(&format!(
+            "document.querySelector('#{viewer} canvas').focus();"
+        ))
+        .await;
+    browser.press(&[" ", keys::HOME]).await;
+    browser
+        .until("the first frame", &format!("{shown} === 0"))
+        .await;
+    browser.press(&[keys::RIGHT, keys::RIGHT, keys::LEFT]).await;
+    browser
+        .until("the second frame", &format!("{shown} === 1"))
+        .await;
+    browser.shift(&[keys::RIGHT]).await;
+    browser
+        .until("ten further", &format!("{shown} === 11"))
+        .await;
+    browser.press(&[keys::END]).await;
+    browser
+        .until(
+            "the last frame",
+            &format!(
+                "{shown} === Number(document.querySelector('#{viewer} input[type=range]').max)"
+            ),
+        )
+        .await;
+    let colours = browser.js_async(COLOURS).await;
+    assert!(
+        colours.as_u64().is_some_and(|count| count > 30),
+        "the picture is flat: {colours} colours"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
