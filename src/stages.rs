@@ -31,9 +31,10 @@ pub(crate) fn ingested(
     global: &Global,
     progress: &dyn Progress,
 ) -> anyhow::Result<IngestReport> {
-    let options = config.options(seed);
+    let options = config.options(seed)?;
     let done = ingest(sources, root, &options, &global.holder(), progress)?;
-    if done.accounting.quarantined > 0 && !global.json {
+    let is_partial = done.accounting.quarantined > 0 || !done.refused_pairs.is_empty();
+    if is_partial && !global.json {
         report::note(&summary(&done));
     } else {
         for remark in &done.remarks {

@@ -4,7 +4,7 @@
 //! same plan.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use datasets_spec::dataset::{Commit, Transaction, commit_rows, table_facts};
@@ -71,6 +71,9 @@ pub struct IngestConfig {
     pub license: Option<String>,
     /// Keep captions that are made by rule from file names.
     pub made_captions: bool,
+    /// A list of pairs ([`PairList`]) to add; both clips of a pair get one split.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pairs: Option<PathBuf>,
 }
 
 impl Default for IngestConfig {
@@ -80,21 +83,26 @@ impl Default for IngestConfig {
             resample: Resample::Exact,
             license: None,
             made_captions: true,
+            pairs: None,
         }
     }
 }
 
 impl IngestConfig {
     /// The options of [`crate::ingest::ingest`]; `seed` draws the split of new clips.
-    pub fn options(&self, seed: Seed) -> IngestOptions {
-        IngestOptions {
+    ///
+    /// # Errors
+    /// The list of pairs cannot be read.
+    pub fn options(&self, seed: Seed) -> Result<IngestOptions, Error> {
+        Ok(IngestOptions {
             fps: Some(self.fps),
             resample: self.resample,
             license: self.license.clone(),
             made_captions: self.made_captions,
+            pairs: self.pairs.as_deref().map(PairList::read).transpose()?,
             seed,
             ..IngestOptions::default()
-        }
+        })
     }
 }
 
@@ -223,7 +231,7 @@ pub fn pairs(
     Ok((dataset, made.alone))
 }
 
-/// Adds the style pairs of a list to those of a dataset. They replace earlier pairs of a list with the
+/// Adds the pairs of a list to those of a dataset. They replace earlier pairs of a list with the
 /// same motions. Also returns the lines that gave no pair.
 ///
 /// # Errors

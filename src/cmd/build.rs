@@ -158,7 +158,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {
     let mut config: BuildConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
-    for path in config.sources.iter_mut().chain([&mut config.out]) {
+    let folders = config.sources.iter_mut().chain([&mut config.out]);
+    for path in folders.chain(&mut config.ingest.pairs) {
         *path = base.join(&*path);
     }
     if !args.sources.is_empty() {

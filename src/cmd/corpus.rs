@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use corpus::{CorpusOptions, write_corpus};
+use corpus::{CorpusOptions, PAIR_LIST, write_corpus};
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -11,31 +11,43 @@ use crate::report;
 /// Write the built-in procedural motion corpus as source files.
 ///
 /// Half of the clips are AMASS-layout npz, half are BVH, each with captions beside it. They are
-/// synthetic and free of any licence (CC0), and depend on the seed alone.
+/// synthetic and free of any licence (CC0), and depend on the seed alone. With
+/// `--adjusted`, neutral clips are there again with a small change each, and pairs.csv pairs them for
+/// `stance ingest --pairs`.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder to write to
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
-    /// Number of clips
+    /// Number of clips, without the adjusted ones
     #[arg(long, default_value_t = CorpusOptions::default().clips)]
     clips: usize,
+    /// Adjusted clips of each neutral one, which make fine-grained pairs
+    #[arg(long, value_name = "N", default_value_t = CorpusOptions::default().adjusted)]
+    adjusted: usize,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let options = CorpusOptions {
         clips: args.clips,
+        adjusted: args.adjusted,
         seed: global.seed(),
     };
     let summary = write_corpus(&args.out, &options, &global.bars())?;
     if global.json {
         report::json(&summary)?;
     } else {
+        let out = args.out.display();
+        let (adjusted, pairs) = match summary.adjusted {
+            0 => (String::new(), String::new()),
+            count => (
+                format!(" and {count} adjusted"),
+                format!(" --pairs {}", args.out.join(PAIR_LIST).display()),
+            ),
+        };
         report::text(&format!(
-            "{} clips in {}\nnext: stance ingest {} --out DATASET",
-            summary.clips,
-            args.out.display(),
-            args.out.display()
+            "{} clips{adjusted} in {out}\nnext: stance ingest {out}{pairs} --out DATASET",
+            summary.clips
         ));
     }
     Ok(Exit::Done)

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
+use corpus::{CLIPS_PER_TAKE, CorpusOptions, PAIR_LIST, write_corpus};
 use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
 use train::config::{Preset, RunLength, TrainConfig};
@@ -31,6 +31,8 @@ pub(crate) struct Args {
 /// Items edited. With so many, and such an editor, the intervals of R@1, AvgR and of the position error lie apart from the
 /// identity editor's.
 const ITEMS: usize = 256;
+/// Adjusted clips of each neutral one, which make the fine-grained pairs.
+const ADJUSTED: usize = 2;
 /// Steps of the editor, more than the preset's.
 const STEPS: u64 = 4_000;
 /// Layers of the editor, one more than the preset's.
@@ -50,11 +52,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         } else {
             CorpusOptions::default().clips
         },
+        adjusted: ADJUSTED,
     };
     let folder = args.out.join("corpus");
     write_corpus(&folder, &corpus, &global.bars())?;
 
+    let pairs = folder.join(PAIR_LIST);
     let mut config = RunConfig::new(vec![folder], args.out.clone());
+    config.ingest.pairs = Some(pairs);
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
     if args.quick {

@@ -83,8 +83,9 @@ pub(crate) struct Args {
     /// keeps them
     #[arg(long)]
     drop_labels: bool,
-    /// Style pairs to add: lines of styled clip, original clip, style and text. A styled clip gets the
-    /// split of its original, unless a published list says otherwise
+    /// Pairs to add: lines of styled clip, original clip, style and text, and as you like kind (style or
+    /// fine-grained) and body parts. A styled clip gets the split of its original, unless a published list
+    /// says otherwise
     #[arg(long, value_name = "CSV")]
     pairs: Option<PathBuf>,
     /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones

@@ -73,7 +73,7 @@ pub(crate) struct RunConfig {
     #[serde(default = "default_triplets")]
     triplets: u64,
     #[serde(default)]
-    ingest: IngestConfig,
+    pub(crate) ingest: IngestConfig,
     #[serde(default)]
     masks: MaskConfig,
     /// Optional stages.
@@ -221,7 +221,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut config: RunConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
     let folders = config.sources.iter_mut().chain([&mut config.out]);
-    for path in folders.chain(&mut config.text_encoder) {
+    let files = folders.chain(&mut config.ingest.pairs);
+    for path in files.chain(&mut config.text_encoder) {
         *path = base.join(&*path);
     }
     if config.sources.is_empty() {

@@ -247,6 +247,73 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
 }
 
 #[test]
+fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let [source, dataset, items] = ["corpus", "dataset", "items"].map(|name| dir.path().join(name));
+    let clips = CLIPS_PER_TAKE.to_string();
+    let said = stance(&[
+        "corpus",
+        "--clips",
+        &clips,
+        "--adjusted",
+        "2",
+        "--out",
+        arg(&source),
+    ])
+    .expect_code(0);
+    let list = source.join(corpus::PAIR_LIST);
+    assert!(
+        said.stdout.contains(&format!("--pairs {}", arg(&list))),
+        "{}",
+        said.stdout
+    );
+    let made = ingest(&source, &dataset, &["--pairs", arg(&list)], 0);
+    assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
+    assert_eq!(made["tables"]["pairs"], 52);
+    // Pairs from labels stand beside those of the list, and an adjusted clip is no style.
+    let both: Json = stance(&["--json", "pairs", arg(&dataset)])
+        .expect_code(0)
+        .json();
+    assert_eq!(
+        (&both["pairs"], &both["alone"]),
+        (&(52 + 130).into(), &0.into())
+    );
+    let rows = pairs(&dataset);
+    let kinds: BTreeSet<(&str, bool)> = rows
+        .iter()
+        .map(|row| {
+            (
+                row.kind.as_str(),
+                row.target_id.as_str().contains("_adjusted-"),
+            )
+        })
+        .collect();
+    assert_eq!(
+        kinds,
+        BTreeSet::from([("fine-grained", true), ("style", false)])
+    );
+    let found = splits(&dataset);
+    for row in &rows {
+        assert_eq!(
+            (found[&row.source_id], found[&row.target_id]),
+            (row.split, row.split)
+        );
+    }
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let draw = ["items", arg(&dataset), "--split", "test", "--count", "all"];
+    stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
+    let rows: Vec<datasets_spec::record::ItemRow> = Dataset::open(&items)
+        .expect("items")
+        .read(None)
+        .expect("rows");
+    for task in ["semantic", "style", "fine-grained"] {
+        let count = rows.iter().filter(|row| row.task == task).count();
+        assert!(count >= 5, "{count} items of {task}");
+    }
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+}
+
+#[test]
 fn recaptured_clips_follow_the_published_split_of_their_original() {
     // A HumanML3D folder with published lists, and captures of its clips in a style.
     let dir = corpus(48);

@@ -5,6 +5,9 @@
 //! derive from the seed and the clip's index, so a clip does not depend on other clips or on the number of
 //! threads.
 //!
+//! On demand, neutral clips are performed again with a small change, such as "Lean forward more."; a list of pairs
+//! beside the clips says which clip is which other one, adjusted.
+//!
 //! Read [`CorpusOptions`] and [`clip`] first.
 //!
 //! ```
@@ -17,6 +20,7 @@
 //! ```
 
 mod action;
+mod adjust;
 mod body;
 mod curve;
 mod gait;
@@ -28,10 +32,12 @@ mod text;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::{Fps, Motion, Progress, Seed, Skeleton};
+use datasets_spec::{BodyPart, Fps, Motion, Progress, Seed, Skeleton};
 use rayon::prelude::*;
 
-use action::Action;
+use action::{Action, Facts};
+use adjust::Adjustment;
+use pipeline::compose::EditKind;
 use pipeline::sidecar::Sidecar;
 use pipeline::write;
 
@@ -44,6 +50,9 @@ pub const CLIPS_PER_TAKE: usize = Action::ALL.len() * style::ALL.len();
 const DEFAULT_TAKES: usize = 2;
 /// The licence of the clips, which are generated.
 const LICENSE: &str = "CC0-1.0";
+/// Name of the list of pairs of neutral and adjusted clips, in the folder of the corpus. It is a list that
+/// `stance ingest --pairs` reads.
+pub const PAIR_LIST: &str = "pairs.csv";
 /// Folder of the AMASS half that stands for the sub-set of an AMASS release.
 const AMASS_SUBSET: &str = "Stance";
 
@@ -64,8 +73,11 @@ pub enum Error {
 /// How many clips, and which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CorpusOptions {
-    /// Number of clips; [`CLIPS_PER_TAKE`] of them hold every action in every style once.
+    /// Number of clips without the adjusted ones; [`CLIPS_PER_TAKE`] of them hold every action in every style
+    /// once.
     pub clips: usize,
+    /// Adjusted clips of each neutral one, as far as there are adjustments that suit its action: at least four.
+    pub adjusted: usize,
     /// Seed of all clips.
     pub seed: Seed,
 }
@@ -74,6 +86,7 @@ impl Default for CorpusOptions {
     fn default() -> Self {
         Self {
             clips: DEFAULT_TAKES * CLIPS_PER_TAKE,
+            adjusted: 0,
             seed: Seed(0),
         }
     }
@@ -96,6 +109,18 @@ pub struct CorpusClip {
     pub sidecar: Sidecar,
 }
 
+/// A neutral clip performed again with a small change: the same take with the same draws, and as many frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdjustedClip {
+    /// The adjusted clip. Its name is that of the neutral clip with `_adjusted-` and the adjustment, such as
+    /// `walk_neutral_001_adjusted-lean`. Its sidecar states no style.
+    pub clip: CorpusClip,
+    /// The instruction that leads from the neutral clip to this one.
+    pub instruction: &'static str,
+    /// The part of the body that moves differently.
+    pub part: BodyPart,
+}
+
 /// The format a clip is written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ClipFormat {
@@ -106,42 +131,49 @@ enum ClipFormat {
 /// What was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct CorpusSummary {
-    /// Clips in all.
+    /// Clips without the adjusted ones.
     pub clips: usize,
-    /// Clips written as AMASS archives.
+    /// Adjusted clips, each of which is in a pair with a neutral one.
+    pub adjusted: usize,
+    /// Clips of both kinds that are written as AMASS archives.
     pub amass: usize,
-    /// Clips written as BVH.
+    /// Clips of both kinds that are written as BVH.
     pub bvh: usize,
     /// Frames of all clips.
     pub frames: usize,
-    /// Bytes of all motion files and sidecars.
+    /// Bytes of all files.
     pub bytes: u64,
+}
+
+impl std::ops::Add for CorpusSummary {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            clips: self.clips + other.clips,
+            adjusted: self.adjusted + other.adjusted,
+            amass: self.amass + other.amass,
+            bvh: self.bvh + other.bvh,
+            frames: self.frames + other.frames,
+            bytes: self.bytes + other.bytes,
+        }
+    }
 }
 
 /// Generates a clip. It depends on the seed and its index alone, not on the number of clips.
 pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     let (action, style, take) = cast(index);
-    let skeleton = Skeleton::smplx_neutral();
-    let take_name = take.to_string();
-    // The draws of a take must not depend on the style: style pairs differ in style alone.
-    let mut take_rng = options
-        .seed
-        .rng(&["corpus", "take", action.name(), &take_name]);
-    let mut scatter =
-        options
-            .seed
-            .rng(&["corpus", "scatter", action.name(), style.name, &take_name]);
-    let (script, facts) = action::script(action, style, &mut take_rng, &mut scatter);
-    let fps = Fps::new(CORPUS_FPS).expect("the corpus rate is positive");
-    let poses = body::perform(&script, style, &skeleton, fps, &mut scatter);
-    let motion = Motion::from_poses(fps, &poses).expect("every pose of a performance is finite");
-
-    let mut words = options
-        .seed
-        .rng(&["corpus", "text", action.name(), style.name, &take_name]);
+    let (motion, facts) = perform(action, style, take, options.seed);
+    let mut words = options.seed.rng(&[
+        "corpus",
+        "text",
+        action.name(),
+        style.name,
+        &take.to_string(),
+    ]);
     let (captions, parts) = text::describe(action, style.name, facts, &mut words);
     CorpusClip {
-        name: format!("{}_{}_{:03}", action.name(), style.name, take + 1),
+        name: clip_name(action, style, take),
         action: action.name().to_owned(),
         style: style.name.to_owned(),
         motion,
@@ -154,6 +186,68 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
             ..Sidecar::default()
         },
     }
+}
+
+/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed
+/// and the index, and fewer of them are the first ones of more.
+pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip> {
+    let (action, style, take) = cast(index);
+    if style.name != style::NEUTRAL.name {
+        return Vec::new();
+    }
+    let take_name = take.to_string();
+    let of_take = ["corpus", "adjustment", action.name(), &take_name];
+    Adjustment::draw(action, options.adjusted, &mut options.seed.rng(&of_take))
+        .into_iter()
+        .map(|adjustment| {
+            // The name of the style, and with it every draw, is that of the neutral performance.
+            let (motion, facts) = perform(action, &adjustment.of(style), take, options.seed);
+            let mut words = options.seed.rng(&[
+                "corpus",
+                "adjusted text",
+                action.name(),
+                adjustment.name,
+                &take_name,
+            ]);
+            let captions = text::captions(action, &[adjustment.manner], facts, &mut words);
+            let neutral = clip_name(action, style, take);
+            AdjustedClip {
+                clip: CorpusClip {
+                    name: format!("{neutral}_adjusted-{}", adjustment.name),
+                    action: action.name().to_owned(),
+                    style: style.name.to_owned(),
+                    motion,
+                    sidecar: Sidecar {
+                        captions: captions.into_iter().map(Into::into).collect(),
+                        action: Some(action.name().to_owned()),
+                        license: Some(LICENSE.to_owned()),
+                        ..Sidecar::default()
+                    },
+                },
+                instruction: adjustment.instruction,
+                part: adjustment.part,
+            }
+        })
+        .collect()
+}
+
+/// Plays a take of an action.
+fn perform(action: Action, style: &style::Style, take: usize, seed: Seed) -> (Motion, Facts) {
+    let skeleton = Skeleton::smplx_neutral();
+    let take_name = take.to_string();
+    // The draws of a take must not depend on the style: style pairs differ in style alone.
+    let mut take_rng = seed.rng(&["corpus", "take", action.name(), &take_name]);
+    let mut scatter = seed.rng(&["corpus", "scatter", action.name(), style.name, &take_name]);
+    let (script, facts) = action::script(action, style, &mut take_rng, &mut scatter);
+    let fps = Fps::new(CORPUS_FPS).expect("the corpus rate is positive");
+    let poses = body::perform(&script, style, &skeleton, fps, &mut scatter);
+    let motion = Motion::from_poses(fps, &poses).expect("every pose of a performance is finite");
+    (motion, facts)
+}
+
+/// Name of a clip.
+fn clip_name(action: Action, style: &style::Style, take: usize) -> String {
+    format!("{}_{}_{:03}", action.name(), style.name, take + 1)
 }
 
 /// Action, style and take of an index: all styles of an action follow one another, so that even a
@@ -187,9 +281,17 @@ fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
     }
 }
 
+/// The id that ingestion gives a clip: its path without extension, with `/` between folders.
+fn clip_id(index: usize, clip: &CorpusClip) -> String {
+    let path = clip_path(index, clip).with_extension("");
+    let names: Vec<_> = path.iter().map(|name| name.to_string_lossy()).collect();
+    names.join("/")
+}
+
 /// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH
-/// under `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Files of the same names
-/// are replaced; each appears whole or not at all. The bytes depend on the options alone.
+/// under `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral
+/// ones, and [`PAIR_LIST`] pairs them. Files of the same names are replaced; each appears whole or not at all.
+/// The bytes depend on the options alone.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -199,33 +301,68 @@ pub fn write_corpus(
     progress: &dyn Progress,
 ) -> Result<CorpusSummary, Error> {
     progress.begin("corpus", Some(options.clips as u64));
-    let written: Vec<CorpusSummary> = (0..options.clips)
+    let written: Vec<(CorpusSummary, String)> = (0..options.clips)
         .into_par_iter()
         .map(|index| {
-            let summary = write_clip(out, index, options);
+            let written = write_clips(out, index, options);
             progress.advance(1);
-            summary
+            written
         })
         .collect::<Result<_, _>>()?;
-    let summary = written
-        .iter()
-        .fold(CorpusSummary::default(), |sum, clip| CorpusSummary {
-            clips: sum.clips + clip.clips,
-            amass: sum.amass + clip.amass,
-            bvh: sum.bvh + clip.bvh,
-            frames: sum.frames + clip.frames,
-            bytes: sum.bytes + clip.bytes,
-        });
+    let mut summary = CorpusSummary::default();
+    let mut lines = String::new();
+    for (clips, pairs) in written {
+        summary = summary + clips;
+        lines += &pairs;
+    }
+    if summary.adjusted > 0 {
+        let list = format!("styled,original,style,text,kind,parts\n{lines}");
+        let path = out.join(PAIR_LIST);
+        write::replace_file(&path, list.as_bytes())
+            .map_err(|source| Error::Write { path, source })?;
+        summary.bytes += list.len() as u64;
+    }
     progress.finish(&format!(
-        "{} clips, {} frames",
-        summary.clips, summary.frames
+        "{} clips, {} adjusted, {} frames",
+        summary.clips, summary.adjusted, summary.frames
     ));
     Ok(summary)
 }
 
-fn write_clip(out: &Path, index: usize, options: &CorpusOptions) -> Result<CorpusSummary, Error> {
-    let clip = clip(index, options);
-    let path = out.join(clip_path(index, &clip));
+/// Writes the clip of an index and its adjusted performances. Also returns their lines of the list of pairs.
+fn write_clips(
+    out: &Path,
+    index: usize,
+    options: &CorpusOptions,
+) -> Result<(CorpusSummary, String), Error> {
+    let neutral = clip(index, options);
+    let mut summary = CorpusSummary {
+        clips: 1,
+        ..write_clip(out, index, &neutral)?
+    };
+    let mut lines = String::new();
+    for adjusted in adjusted_clips(index, options) {
+        let one = CorpusSummary {
+            adjusted: 1,
+            ..write_clip(out, index, &adjusted.clip)?
+        };
+        summary = summary + one;
+        // No field has a comma or a quotation mark.
+        lines += &format!(
+            "{},{},,{},{},{}\n",
+            clip_id(index, &adjusted.clip),
+            clip_id(index, &neutral),
+            adjusted.instruction,
+            EditKind::FineGrained.as_str(),
+            adjusted.part.name(),
+        );
+    }
+    Ok((summary, lines))
+}
+
+/// Writes a clip in the format of an index.
+fn write_clip(out: &Path, index: usize, clip: &CorpusClip) -> Result<CorpusSummary, Error> {
+    let path = out.join(clip_path(index, clip));
     let failed = |source| Error::Write {
         path: path.clone(),
         source,
@@ -248,11 +385,11 @@ fn write_clip(out: &Path, index: usize, options: &CorpusOptions) -> Result<Corpu
     write::replace_file(&sidecar_path, &sidecar).map_err(failed)?;
     write::replace_file(&path, &motion).map_err(failed)?;
     Ok(CorpusSummary {
-        clips: 1,
         amass: usize::from(format == ClipFormat::Amass),
         bvh: usize::from(format == ClipFormat::Bvh),
         frames: clip.motion.len(),
         bytes: (motion.len() + sidecar.len()) as u64,
+        ..CorpusSummary::default()
     })
 }
 
@@ -260,7 +397,10 @@ fn write_clip(out: &Path, index: usize, options: &CorpusOptions) -> Result<Corpu
 mod tests {
     use std::collections::BTreeMap;
 
+    use datasets_spec::record::{MotionRow, PairRow};
     use datasets_spec::{Joint, NoProgress};
+    use pipeline::ingest::ingest;
+    use pipeline::stage::IngestConfig;
 
     use super::limb::Limb;
     use super::*;
@@ -297,6 +437,7 @@ mod tests {
     fn options(clips: usize) -> CorpusOptions {
         CorpusOptions {
             clips,
+            adjusted: 2,
             ..CorpusOptions::default()
         }
     }
@@ -319,8 +460,18 @@ mod tests {
         ];
         let clips: Vec<CorpusClip> = (0..CLIPS_PER_TAKE)
             .into_par_iter()
-            .map(|index| clip(index, &options(CLIPS_PER_TAKE)))
+            .flat_map_iter(|index| {
+                // Every adjustment that suits the action.
+                let options = CorpusOptions {
+                    adjusted: Adjustment::ALL.len(),
+                    ..options(CLIPS_PER_TAKE)
+                };
+                let adjusted = adjusted_clips(index, &options).into_iter();
+                std::iter::once(clip(index, &options)).chain(adjusted.map(|made| made.clip))
+            })
             .collect();
+        let num_adjusted = clips.len() - CLIPS_PER_TAKE;
+        assert!(num_adjusted >= 4 * Action::ALL.len(), "{num_adjusted}");
         let mut scores: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         for clip in &clips {
             let name = &clip.name;
@@ -380,6 +531,100 @@ mod tests {
 
     fn action_of(name: &str) -> &str {
         name.split('_').next().expect("a name has parts")
+    }
+
+    /// Mean over the frames of a clip.
+    fn mean(motion: &Motion, of: impl Fn(&[glam::DVec3; 28], usize) -> f64) -> f64 {
+        let points = Skeleton::smplx_neutral().motion_keypoints(motion).points;
+        let sum: f64 = points
+            .iter()
+            .enumerate()
+            .map(|(frame, p)| of(p, frame))
+            .sum();
+        sum / points.len() as f64
+    }
+
+    /// What an adjustment is about, in radians, metres or metres a second, greater the further it goes.
+    fn measured(adjustment: &str, motion: &Motion) -> f64 {
+        let poses = motion.poses();
+        let bend = |frame: usize, joint: usize| {
+            let (_, angle) = poses[frame].rotations[joint].to_axis_angle();
+            angle.min(std::f64::consts::TAU - angle)
+        };
+        let facing = |p: &[glam::DVec3; 28]| (p[1] - p[2]).cross(glam::DVec3::Y).normalize();
+        match adjustment {
+            "lean" => mean(motion, |p, _| facing(p).dot(p[12] - p[0])),
+            "look-down" => mean(motion, |p, _| facing(p).dot((p[15] - p[12]).normalize())),
+            "bend-knees" => mean(motion, |_, frame| bend(frame, 4) + bend(frame, 5)),
+            "raise-shoulders" => mean(motion, |p, _| p[16].y + p[17].y - 2.0 * p[12].y),
+            "arms-out" => mean(motion, |p, _| (p[18] - p[19]).length()),
+            "bend-elbows" => mean(motion, |_, frame| bend(frame, 18) + bend(frame, 19)),
+            "longer-steps" => mean(motion, |p, _| (p[7] - p[8]).length()),
+            "swing-arms" => mean(motion, |p, _| facing(p).dot(p[20] - p[21]).abs()),
+            other => panic!("no measure of {other}"),
+        }
+    }
+
+    #[test]
+    fn an_adjusted_clip_is_its_neutral_one_with_the_change_that_is_named() {
+        let options = CorpusOptions {
+            adjusted: Adjustment::ALL.len(),
+            ..options(CLIPS_PER_TAKE)
+        };
+        let mut found = std::collections::BTreeSet::new();
+        let mut small = Vec::new();
+        for index in 0..CLIPS_PER_TAKE {
+            let original = clip(index, &options);
+            let made = adjusted_clips(index, &options);
+            assert_eq!(made.is_empty(), original.style != "neutral");
+            for AdjustedClip { clip, .. } in made {
+                let name = &clip.name;
+                let (of, adjustment) = name.split_once("_adjusted-").expect("a name in parts");
+                assert_eq!(of, original.name);
+                assert_eq!(
+                    clip.motion.len(),
+                    original.motion.len(),
+                    "{name} is in step"
+                );
+                assert_eq!(
+                    clip.sidecar.style, None,
+                    "{name} is neither neutral nor a style"
+                );
+                assert_eq!(clip.sidecar.action, original.sidecar.action);
+                let [before, after] =
+                    [&original, &clip].map(|clip| measured(adjustment, &clip.motion));
+                let change = after - before;
+                let needed = match adjustment {
+                    "lean" => 0.05,
+                    "bend-knees" | "bend-elbows" => 0.2,
+                    "raise-shoulders" | "longer-steps" | "swing-arms" => 0.03,
+                    _ => 0.08,
+                };
+                if change <= needed {
+                    small.push(format!("{name}: {before:.3} to {after:.3}"));
+                }
+                found.insert(adjustment.to_owned());
+            }
+        }
+        assert!(small.is_empty(), "too small: {small:#?}");
+        assert_eq!(found.len(), Adjustment::ALL.len(), "{found:?}");
+    }
+
+    #[test]
+    fn adjusted_clips_depend_on_seed_and_index_alone() {
+        let of = |index: usize, adjusted: usize, clips: usize| {
+            let options = CorpusOptions {
+                adjusted,
+                ..options(clips)
+            };
+            adjusted_clips(index, &options)
+        };
+        let both = of(6, 2, 8);
+        assert_eq!(both.len(), 2);
+        assert_ne!(both[0].instruction, both[1].instruction);
+        assert_eq!(both, of(6, 2, 100));
+        assert_eq!(both[..1], of(6, 1, 8));
+        assert!(of(6, 0, 8).is_empty() && of(7, 2, 8).is_empty());
     }
 
     #[test]
@@ -483,8 +728,13 @@ mod tests {
         };
         let (files, summary) = write(1);
         assert_eq!((&files, summary), (&write(5).0, summary));
-        assert_eq!((summary.clips, summary.amass, summary.bvh), (14, 8, 6));
-        assert_eq!(files.len(), 28, "every clip has a sidecar");
+        assert_eq!((summary.clips, summary.adjusted), (14, 6));
+        assert_eq!((summary.amass, summary.bvh), (12, 8));
+        assert_eq!(
+            files.len(),
+            41,
+            "every clip has a sidecar, and all have one list"
+        );
         assert_eq!(
             summary.bytes,
             files
@@ -512,6 +762,43 @@ mod tests {
             let read: Sidecar = serde_json::from_slice(sidecar).expect("a sidecar");
             assert_eq!(read, clip.sidecar);
         }
+    }
+
+    #[test]
+    fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let (sources, dataset) = (dir.path().join("corpus"), dir.path().join("dataset"));
+        let summary = write_corpus(&sources, &options(18), &NoProgress).expect("written");
+        let config = IngestConfig {
+            pairs: Some(sources.join(PAIR_LIST)),
+            ..IngestConfig::default()
+        };
+        let config = config.options(Seed(0)).expect("a list");
+        let done = ingest(&[sources], &dataset, &config, "a test", &NoProgress).expect("ingested");
+        assert_eq!(done.refused_pairs, []);
+        assert_eq!(done.accounting.ingested, 18 + 6);
+        let motions: Vec<MotionRow> = done.dataset.read(None).expect("rows");
+        let pairs: Vec<PairRow> = done.dataset.read(None).expect("rows");
+        assert_eq!((pairs.len(), summary.adjusted), (6, 6));
+        let split_of: BTreeMap<_, _> = motions.iter().map(|row| (&row.id, row.split)).collect();
+        for pair in &pairs {
+            assert_eq!((pair.kind.as_str(), &pair.style), ("fine-grained", &None));
+            assert_eq!(split_of[&pair.source_id], split_of[&pair.target_id]);
+            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| id.as_str());
+            let stem = source.trim_end_matches("_poses");
+            assert!(target.starts_with(&format!("{stem}_adjusted-")), "{target}");
+        }
+        // An adjusted clip takes no style out of the group of its take.
+        let mut of_action: BTreeMap<_, Vec<_>> = BTreeMap::new();
+        for row in &motions {
+            of_action.entry(&row.action).or_default().push(row.split);
+        }
+        assert!(
+            of_action
+                .values()
+                .all(|splits| splits.windows(2).all(|two| two[0] == two[1])),
+            "{of_action:?}"
+        );
     }
 
     #[test]

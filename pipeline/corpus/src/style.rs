@@ -43,7 +43,7 @@ pub(super) struct Style {
 }
 
 /// The reference the others are described against.
-const NEUTRAL: Style = Style {
+pub(super) const NEUTRAL: Style = Style {
     name: "neutral",
     tempo: 1.0,
     stride: 1.0,

@@ -16,10 +16,29 @@ pub(super) fn describe(
     facts: Facts,
     rng: &mut Rng,
 ) -> (Vec<Caption>, Vec<PartCaption>) {
+    let captions = captions(action, manners(style), facts, rng);
+    let parts = parts(action, facts)
+        .into_iter()
+        .map(|(part, phrase)| PartCaption {
+            part: part.name().to_owned(),
+            text: fill(phrase, "", part_manner(style), facts),
+        })
+        .collect();
+    (captions, parts)
+}
+
+/// Captions of the whole body for an action in one of the manners, each empty or with a leading space; there must
+/// be one.
+pub(super) fn captions(
+    action: Action,
+    manners: &[&'static str],
+    facts: Facts,
+    rng: &mut Rng,
+) -> Vec<Caption> {
     let mut sentences = sentences(action).to_vec();
-    let mut manners = manners(style).to_vec();
+    let mut manners = manners.to_vec();
     let num_captions = rng.random_range(CAPTIONS);
-    let captions = (0..num_captions)
+    (0..num_captions)
         .map(|_| {
             let sentence = sentences.swap_remove(rng.random_range(0..sentences.len()));
             let who = SUBJECTS[rng.random_range(0..SUBJECTS.len())];
@@ -34,15 +53,7 @@ pub(super) fn describe(
                 ..Caption::default()
             }
         })
-        .collect();
-    let parts = parts(action, facts)
-        .into_iter()
-        .map(|(part, phrase)| PartCaption {
-            part: part.name().to_owned(),
-            text: fill(phrase, "", part_manner(style), facts),
-        })
-        .collect();
-    (captions, parts)
+        .collect()
 }
 
 const SUBJECTS: [&str; 4] = ["a person", "someone", "the person", "a figure"];

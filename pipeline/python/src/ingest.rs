@@ -114,7 +114,7 @@ pub(crate) fn ingest(
     })
 }
 
-/// Writes the built-in corpus of procedural motions, as AMASS archives with captions.
+/// Writes the built-in corpus of procedural motions with captions, without adjusted clips.
 #[pyfunction]
 #[pyo3(signature = (out, clips = None, seed = 0))]
 pub(crate) fn corpus(
@@ -127,6 +127,7 @@ pub(crate) fn corpus(
     let options = CorpusOptions {
         clips: clips.unwrap_or(default.clips),
         seed: Seed(seed),
+        ..default
     };
     work::long(py, false, |progress| {
         write_corpus(&out, &options, progress)?;

@@ -478,6 +478,24 @@ mod tests {
     }
 
     #[test]
+    fn the_target_of_a_fine_grained_pair_is_no_other_take_and_has_none() {
+        let (motions, masks) = fixture::rows(Split::Test, CLIPS);
+        let others = |kind: &str, number: usize| {
+            let pairs = [fixture::pair_row(kind, Split::Test, 0, 2)];
+            let skeleton = Skeleton::smplx_neutral();
+            let library = Library::new(Split::Test, &motions, &masks, &pairs, &skeleton);
+            let library = library.expect("valid rows");
+            let clip = library.captured(&motions[number].id);
+            let others = library.other_takes(clip).map(|clip| clip.id.to_string());
+            others.collect::<Vec<_>>()
+        };
+        assert_eq!(others("style", 0), ["clip2", "clip4", "clip6", "clip8"]);
+        assert_eq!(others("fine-grained", 0), ["clip4", "clip6", "clip8"]);
+        assert_eq!(others("style", 2), ["clip0", "clip4", "clip6", "clip8"]);
+        assert!(others("fine-grained", 2).is_empty());
+    }
+
+    #[test]
     fn counts_read_back() {
         for (text, count) in [("all", ItemCount::All), ("7", ItemCount::Exactly(7))] {
             assert_eq!(text.parse(), Ok(count));

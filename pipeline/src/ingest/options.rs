@@ -41,7 +41,7 @@ pub struct IngestOptions {
     /// Seed of the splits, where a dataset is made; one that is there keeps the seed it was made
     /// with.
     pub seed: Seed,
-    /// A list of style pairs, by whose lines a styled clip gets the split of its original.
+    /// A list of pairs, by whose lines a styled clip gets the split of its original.
     pub pairs: Option<PairList>,
     /// Splits of the user's own, which take precedence over published and drawn ones.
     pub splits: Option<SplitList>,

@@ -31,9 +31,10 @@ impl Data {
         let options = CorpusOptions {
             seed: Seed(0),
             clips: CLIPS_PER_TAKE,
+            adjusted: 0,
         };
         write_corpus(&sources, &options, &NoProgress).expect("a corpus");
-        let options = IngestConfig::default().options(Seed(0));
+        let options = IngestConfig::default().options(Seed(0)).expect("options");
         ingest(&[sources], &dataset, &options, "a test", &NoProgress).expect("ingested");
         let context = Context {
             progress: &NoProgress,

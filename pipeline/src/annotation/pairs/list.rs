@@ -1,12 +1,12 @@
-//! A list of pairs by the user: a CSV file with the columns styled clip, original clip, style and
-//! instruction.
+//! A list of pairs by the user: a CSV file with the columns styled clip, original clip, style,
+//! instruction, kind and body parts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use csv::StringRecord;
 use datasets_spec::record::PairRow;
-use datasets_spec::{MotionId, Split};
+use datasets_spec::{BodyPart, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
 use super::LISTED;
@@ -28,8 +28,27 @@ struct Line {
     number: u64,
     styled: String,
     original: String,
+    /// Empty if a fine-grained pair has none.
     style: String,
     instruction: String,
+    #[serde(default = "default_kind", skip_serializing_if = "is_default_kind")]
+    kind: EditKind,
+    /// Names of body parts.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    parts: Vec<String>,
+}
+
+/// The kind of a line that states none.
+fn default_kind() -> EditKind {
+    EditKind::Style
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn is_default_kind(kind: &EditKind) -> bool {
+    *kind == default_kind()
 }
 
 /// A line that gave no pair.
@@ -66,8 +85,10 @@ impl PairList {
         Ok(Self::parse(&bytes))
     }
 
-    /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text`). Fields
-    /// may be quoted; the instruction may be left out.
+    /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text,kind,parts`). Fields
+    /// may be quoted; those from the text on may be left out. The kind is `style` (the default) or
+    /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;`
+    /// between them.
     pub fn parse(bytes: &[u8]) -> Self {
         let mut list = Self {
             hash: blake3::hash(bytes).to_hex().to_string(),
@@ -147,22 +168,21 @@ impl Line {
                 "a field goes on over the end of the line; close its quotation mark".into(),
             );
         }
-        let (styled, original, style, instruction) = match *fields.as_slice() {
-            [styled, original, style] => (styled, original, style, ""),
-            [styled, original, style, text] => (styled, original, style, text),
-            _ => {
-                return Err(format!(
-                    "it has {} fields, expected styled clip, original clip, style and text (quote a \
-                     text with commas)",
-                    fields.len()
-                ));
-            }
+        if !(3..=6).contains(&fields.len()) {
+            return Err(format!(
+                "it has {} fields, expected styled clip, original clip, style, text, kind and parts, the \
+                 last three of which may be left out (quote a text with commas)",
+                fields.len()
+            ));
+        }
+        let field = |place: usize| fields.get(place).copied().unwrap_or_default();
+        let (styled, original, style, text) = (field(0), field(1), field(2), field(3));
+        let kind = parse_kind(field(4))?;
+        let needed = match kind {
+            EditKind::FineGrained => ("text", text),
+            _ => ("style", style),
         };
-        for (name, field) in [
-            ("styled clip", styled),
-            ("original clip", original),
-            ("style", style),
-        ] {
+        for (name, field) in [("styled clip", styled), ("original clip", original), needed] {
             if field.is_empty() {
                 return Err(format!("it names no {name}"));
             }
@@ -172,10 +192,12 @@ impl Line {
             styled: styled.to_owned(),
             original: original.to_owned(),
             style: style.to_owned(),
-            instruction: match instruction {
+            instruction: match text {
                 "" => style_instruction(style),
                 text => text.to_owned(),
             },
+            kind,
+            parts: parse_parts(field(5))?,
         })
     }
 
@@ -209,16 +231,43 @@ impl Line {
             id: format!("{LISTED}/{source}+{target}"),
             split: *split,
             source: LISTED.to_owned(),
-            kind: EditKind::Style.as_str().to_owned(),
+            kind: self.kind.as_str().to_owned(),
             source_id: source.clone(),
             target_id: target.clone(),
-            style: Some(self.style.clone()),
-            parts: Vec::new(),
+            style: (!self.style.is_empty()).then(|| self.style.clone()),
+            parts: self.parts.clone(),
             instruction: self.instruction.clone(),
             edit_type: None,
             accepted_by: None,
         })
     }
+}
+
+/// The kind that a line states; that of a style if it states none.
+fn parse_kind(word: &str) -> Result<EditKind, String> {
+    const ALLOWED: [EditKind; 2] = [EditKind::Style, EditKind::FineGrained];
+    if word.is_empty() {
+        return Ok(default_kind());
+    }
+    let known = ALLOWED.into_iter().find(|kind| kind.as_str() == word);
+    known.ok_or_else(|| {
+        format!(
+            "its kind is {word:?}, expected {} (quote a text with commas)",
+            ALLOWED.map(EditKind::as_str).join(" or ")
+        )
+    })
+}
+
+/// The names of body parts between semicolons; none of an empty text.
+fn parse_parts(text: &str) -> Result<Vec<String>, String> {
+    let names = text.split(';').map(str::trim);
+    names
+        .filter(|name| !name.is_empty())
+        .map(|name| match name.parse::<BodyPart>() {
+            Ok(part) => Ok(part.name().to_owned()),
+            Err(error) => Err(error.to_string()),
+        })
+        .collect()
 }
 
 /// Possible ids of a name: itself, and without a file extension.
@@ -321,6 +370,65 @@ mod tests {
             assert_eq!(line, number);
             assert!(reason.contains(part), "{line}: {reason}");
         }
+    }
+
+    #[test]
+    fn a_line_may_state_a_kind_and_parts() {
+        let text = "styled,original,style,text,kind,parts\n\
+            mine/000009_old,000009,,Lean forward more.,fine-grained,TORSO; HEAD\n\
+            \"mine/walk, slowly\",000011,slow,,style\n";
+        let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[]);
+        assert_eq!(made.refused, []);
+        let [adjusted, slow] = &made.rows[..] else {
+            panic!("{:?}", made.rows)
+        };
+        assert_eq!(adjusted.id, "csv/000009+mine/000009_old");
+        assert_eq!(
+            (adjusted.kind.as_str(), &adjusted.style),
+            ("fine-grained", &None)
+        );
+        assert_eq!(adjusted.parts, ["TORSO", "HEAD"]);
+        assert_eq!(adjusted.instruction, "Lean forward more.");
+        assert_eq!(
+            (slow.kind.as_str(), slow.style.as_deref()),
+            ("style", Some("slow"))
+        );
+        assert!(slow.parts.is_empty());
+        for row in &made.rows {
+            crate::compose::check_pair(row).expect("the composer takes it");
+        }
+    }
+
+    #[test]
+    fn unknown_kinds_and_parts_and_missing_texts_are_refused() {
+        for (line, part) in [
+            (
+                "a,b,,Lean.,semantic",
+                "its kind is \"semantic\", expected style or fine-grained",
+            ),
+            ("a,b,old,Walk, slowly", "quote a text with commas"),
+            ("a,b,,,fine-grained", "names no text"),
+            ("a,b,,Lean.", "names no style"),
+            ("a,b,,Lean.,fine-grained,TAIL", "\"TAIL\""),
+            ("a,b,,Lean.,fine-grained,HEAD,x", "it has 7 fields"),
+        ] {
+            let list = PairList::parse(line.as_bytes());
+            assert_eq!((list.lines.len(), list.refused.len()), (0, 1), "{line}");
+            let reason = &list.refused[0].reason;
+            assert!(reason.contains(part), "{line}: {reason}");
+        }
+    }
+
+    #[test]
+    fn a_list_of_style_pairs_is_stored_as_before_it_had_kinds() {
+        let list = PairList::parse(b"a,b,old,x");
+        let stored = serde_json::to_string(&list).expect("plain text");
+        assert!(
+            !stored.contains("kind") && !stored.contains("parts"),
+            "{stored}"
+        );
+        let read: PairList = serde_json::from_str(&stored).expect("its own form");
+        assert_eq!(read, list);
     }
 
     #[test]

@@ -10,6 +10,7 @@ mod read;
 mod rows;
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -242,13 +243,25 @@ impl Library {
         &captured[found.expect("a motion of this library")]
     }
 
-    /// Other captures of the same action in the same style; none where the action is not known.
+    /// Other captures of the same action in the same style; none where the action is not known. What a
+    /// fine-grained pair leads to is no plain capture: it varies its action in a way that no label states.
     pub(super) fn other_takes(&self, target: &Clip) -> impl Iterator<Item = &Clip> {
-        self.clips[..self.num_captured].iter().filter(|clip| {
-            clip.action.is_some()
-                && clip.action == target.action
-                && clip.style == target.style
-                && clip.origin != target.origin
+        let varied: BTreeSet<&MotionId> = self
+            .pairs
+            .iter()
+            .filter(|pair| pair.kind == EditKind::FineGrained)
+            .map(|pair| &self.clips[pair.target].id)
+            .collect();
+        let is_plain = move |clip: &Clip| !varied.contains(&clip.id);
+        let target = is_plain(target).then_some(target);
+        self.clips[..self.num_captured].iter().filter(move |clip| {
+            target.is_some_and(|target| {
+                clip.action.is_some()
+                    && clip.action == target.action
+                    && clip.style == target.style
+                    && clip.origin != target.origin
+                    && is_plain(clip)
+            })
         })
     }
 
