@@ -8,6 +8,7 @@ use datasets_spec::Dataset;
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
 use eval::answers::{Answered, Scores};
+use eval::metric::METRICS_VERSION;
 use eval::protocol::Protocol;
 use pipeline::stage::COMPOSED;
 use serde::Serialize;
@@ -170,7 +171,8 @@ impl<'a> Work<'a> {
             .map(|name| name.to_string_lossy().into_owned())
             .collect();
         let ids: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
-        let key = short("scores", &(names, ids, protocol, &self.recipe));
+        let of = (names, ids, protocol, &self.recipe, METRICS_VERSION);
+        let key = short("scores", &of);
         let folder = self.plan.out.join("scores").join(key);
         if let Ok(done) = Dataset::open(&folder) {
             return Ok(Scores {
