@@ -370,7 +370,7 @@
     backend ??= flat(canvas);
     root.dataset.renderer = backend.name;
 
-    let item, motions, last, playing = false, visible = true, time = 0, before = null, asked = false;
+    let item, motions, last, playing = false, visible = false, time = 0, before = null, asked = false;
 
     function open(at) {
       item = items[at];
@@ -406,7 +406,7 @@
       asked = true;
       requestAnimationFrame((now) => {
         asked = false;
-        if (playing) {
+        if (playing && visible) {
           if (before !== null) time += (now - before) / 1000 * Number(speed.value);
           before = now;
           if (time * item.fps > last + 0.5 * item.fps) time = 0;
