@@ -42,6 +42,12 @@ pub const KEYPOINT_PARENTS: [i8; NUM_KEYPOINTS] = {
     parents
 };
 
+/// The keypoint on the other side of the body; itself on the midline.
+pub const MIRRORED_KEYPOINTS: [usize; NUM_KEYPOINTS] = [
+    0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22, 26, 27,
+    24, 25,
+];
+
 /// Parent of a keypoint, which for the first 22 is that of the body joint; the pelvis is its own.
 ///
 /// # Panics

@@ -39,6 +39,10 @@ pub struct ComposeConfig {
     // Named `plain_pairs` in records of earlier versions.
     #[serde(alias = "plain_pairs")]
     pub undonored_ratio: f64,
+    /// Probability that a training window is mirrored, with left and right exchanged in its instruction. Whole clips
+    /// (recorded triplets, items, TMED) are not mirrored, and are refused with it.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub mirrored_ratio: f64,
     /// Time alignment of the two motions of a pair.
     pub alignment: Alignment,
     /// How soft joints are interpolated.
@@ -66,6 +70,7 @@ impl Default for ComposeConfig {
             base: BaseFilter::default(),
             kinds: EditKind::ALL.to_vec(),
             undonored_ratio: 0.0,
+            mirrored_ratio: 0.0,
             alignment: Alignment::None,
             slerp: SlerpRule::Exact,
             range: RangeRule::PerAxis,
@@ -79,6 +84,10 @@ impl Default for ComposeConfig {
             anchor: Anchor::Pelvis,
         }
     }
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Motions of a split that form the motion base; all by default. The default is left out of the recipe, so
@@ -217,12 +226,17 @@ impl ComposeConfig {
                 });
             }
         }
-        if !(0.0..=1.0).contains(&self.undonored_ratio) {
-            return Err(Error::Config {
-                key: "undonored_ratio",
-                expected: "from 0 to 1",
-                got: self.undonored_ratio,
-            });
+        for (key, got) in [
+            ("undonored_ratio", self.undonored_ratio),
+            ("mirrored_ratio", self.mirrored_ratio),
+        ] {
+            if !(0.0..=1.0).contains(&got) {
+                return Err(Error::Config {
+                    key,
+                    expected: "from 0 to 1",
+                    got,
+                });
+            }
         }
         if self.kinds.is_empty() {
             return Err(Error::Config {
@@ -326,6 +340,7 @@ mod tests {
         assert_eq!(check(|c| c.annotated_ratio = f64::NAN), "annotated_ratio");
         assert_eq!(check(|c| c.window = 2), "window");
         assert_eq!(check(|c| c.undonored_ratio = 1.5), "undonored_ratio");
+        assert_eq!(check(|c| c.mirrored_ratio = -0.1), "mirrored_ratio");
         assert_eq!(check(|c| c.kinds.clear()), "kinds");
         let backwards = |c: &mut ComposeConfig| {
             c.alpha = AlphaDistribution::Uniform {
@@ -361,13 +376,14 @@ mod tests {
 
     #[test]
     fn every_setting_changes_the_recipe() {
-        let changes: [fn(&mut ComposeConfig); 15] = [
+        let changes: [fn(&mut ComposeConfig); 16] = [
             |c| c.mcm_ratio = 0.5,
             |c| c.annotated_ratio = 0.5,
             |c| c.fixed_pairs = true,
             |c| c.base.sources = vec!["humanml3d".to_owned()],
             |c| c.kinds = vec![EditKind::Style],
             |c| c.undonored_ratio = 0.5,
+            |c| c.mirrored_ratio = 0.5,
             |c| c.alignment = Alignment::TimeWarp,
             |c| c.slerp = SlerpRule::Official,
             |c| c.range = RangeRule::Scalar,
@@ -395,6 +411,7 @@ mod tests {
             base: BaseFilter { sources: _ },
             kinds: _,
             undonored_ratio: _,
+            mirrored_ratio: _,
             alignment: _,
             slerp: _,
             range: _,

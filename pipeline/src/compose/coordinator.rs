@@ -91,14 +91,17 @@ impl Stream {
                 if item.is_multiple_of(2) {
                     let segment = self.window_of(at, PARTS_OF_ORIGINAL, room)?;
                     self.composer.original(segment, out);
-                    return Ok(());
+                } else {
+                    let other = draw(Some(at.clip));
+                    let plan = &plans[rng.random_range(0..plans.len())];
+                    let alpha = self.config.alpha.draw(&mut rng) as f32;
+                    let segment = self.window_of(at, plan.parts_of_source(), room)?;
+                    let taken = self.window_of(other, plan.parts_of_target(), other_room)?;
+                    self.composer.blended(segment, taken, plan, alpha, out);
                 }
-                let other = draw(Some(at.clip));
-                let plan = &plans[rng.random_range(0..plans.len())];
-                let alpha = self.config.alpha.draw(&mut rng) as f32;
-                let segment = self.window_of(at, plan.parts_of_source(), room)?;
-                let taken = self.window_of(other, plan.parts_of_target(), other_room)?;
-                self.composer.blended(segment, taken, plan, alpha, out);
+                if self.draws_mirrored(&mut rng) {
+                    self.composer.mirror(out);
+                }
                 Ok(())
             })
     }

@@ -8,6 +8,11 @@ use datasets_spec::{Code, MotionId, Split};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// Whole clips are composed with a setting of windows.
+    #[error(
+        "mirrored_ratio mirrors training windows, not whole clips (recorded triplets, items, TMED); leave it out of their settings"
+    )]
+    MirroredClip,
     /// A row belongs to another split than the library.
     #[error(
         "{table} row {id:?} is of split {found}, the library of split {expected}; pass the rows of one split only"

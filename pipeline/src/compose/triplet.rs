@@ -170,6 +170,9 @@ impl Library {
         pairing: &Pairing,
         config: &ComposeConfig,
     ) -> Result<Triplet, Error> {
+        if config.mirrored_ratio > 0.0 {
+            return Err(Error::MirroredClip);
+        }
         let cut = |clip: usize, start: usize, len: usize| self.clip(clip).crop(start..start + len);
         let mask = match pairing.partner {
             Some(_) => self.mask_of(pairing.subject, pairing.half, config),

@@ -15,7 +15,9 @@ use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
 use kinematics::simd::blocks::{Quaternions, Vectors, lane as lane_of, set};
 use kinematics::simd::lanes::{self, Kernel, LANES};
-use kinematics::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
+use kinematics::skeleton::{
+    KEYPOINT_JOINTS, MIRRORED_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of,
+};
 use kinematics::{FrameParts, FrameSink};
 
 use super::SlerpRule;
@@ -316,6 +318,27 @@ impl Composer {
             blend: Some((target, plan, alpha)),
             out,
         });
+    }
+
+    /// Mirrors a window in place, `[W, 84]`: left and right exchange their points.
+    ///
+    /// The rest joints of a body are not quite symmetric, so that bones of the mirrored window are up to a few
+    /// millimetres longer or shorter than those of the body.
+    pub(super) fn mirror(&self, window: &mut [f32]) {
+        // A model unit at 0 m is the bias.
+        let middle = (2.0 * self.bias[0]) as f32;
+        for frame in window.as_chunks_mut::<FRAME_WIDTH>().0 {
+            for number in (0..FRAME_WIDTH).step_by(3) {
+                frame[number] = middle - frame[number];
+            }
+            for (slot, other) in MIRRORED_KEYPOINTS.into_iter().enumerate() {
+                if slot < other {
+                    for axis in 0..3 {
+                        frame.swap(3 * slot + axis, 3 * other + axis);
+                    }
+                }
+            }
+        }
     }
 
     #[inline(always)]

@@ -58,13 +58,14 @@ impl Streams {
     }
 }
 
-/// The composer's settings without those that thin or fix the training data for an ablation:
+/// The composer's settings without those that thin, fix or mirror the training data:
 /// validation data stay the same.
 pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     ComposeConfig {
         mcm_ratio: 1.0,
         annotated_ratio: 1.0,
         fixed_pairs: false,
+        mirrored_ratio: 0.0,
         ..compose.clone()
     }
 }

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use target::{SharedSides, Target};
 
 use super::draw::Shuffle;
+use super::instruction::mirrored;
 use super::library::{FrameRoom, Pairing, Subject};
 use super::window::{BlendPlan, Composer, Frame, PARTS_OF_ORIGINAL, Thinned, both_parts};
 use super::{ComposeConfig, EditKind, Error, Library};
@@ -241,6 +242,10 @@ impl Stream {
                 sides.chain(&*target.plain).cloned()
             })
             .collect();
+        if self.config.mirrored_ratio > 0.0 {
+            let images: Vec<String> = all.iter().map(|text| mirrored(text)).collect();
+            all.extend(images);
+        }
         all.sort_unstable();
         all.dedup();
         all
@@ -298,7 +303,13 @@ impl Stream {
                     self.compose(&drawn, rooms, original, edited)?;
                     *progress = drawn.progress as f32;
                     instruction.clear();
-                    instruction.push_str(drawn.instruction);
+                    if drawn.is_mirrored {
+                        self.composer.mirror(original);
+                        self.composer.mirror(edited);
+                        instruction.push_str(&mirrored(drawn.instruction));
+                    } else {
+                        instruction.push_str(drawn.instruction);
+                    }
                 }
                 Ok(())
             })
@@ -517,7 +528,14 @@ impl Stream {
             alpha: pairing.alpha,
             progress: shown.0 as f64 / library.len_of(shown.1) as f64,
             instruction: target.wording(&pairing),
+            is_mirrored: self.draws_mirrored(&mut rng),
         }
+    }
+
+    /// Whether a window is mirrored. It is the last draw of a window, and none if no window is mirrored, so that
+    /// all other draws do not depend on the setting.
+    pub(super) fn draws_mirrored(&self, rng: &mut Rng) -> bool {
+        self.config.mirrored_ratio > 0.0 && rng.random_bool(self.config.mirrored_ratio)
     }
 
     /// The wording of a pairing.
@@ -541,4 +559,5 @@ struct DrawnWindow<'a> {
     alpha: f64,
     progress: f64,
     instruction: &'a str,
+    is_mirrored: bool,
 }

@@ -157,6 +157,51 @@ fn a_motion_never_meets_its_own_mirror_image() {
 }
 
 #[test]
+fn a_mirrored_window_is_the_same_window_with_left_and_right_exchanged() {
+    let all = |mirrored_ratio| {
+        let stream = stream(ComposeConfig {
+            mirrored_ratio,
+            ..ComposeConfig::default()
+        });
+        let batch = epoch(&stream, 0);
+        let texts = stream.instructions();
+        assert!(batch.instructions.iter().all(|text| texts.contains(text)));
+        (batch, stream.composer)
+    };
+    let (plain, composer) = all(0.0);
+    let (image, _) = all(1.0);
+    let (some, _) = all(0.5);
+    assert_eq!(plain.progress, image.progress);
+    let mut num_mirrored = 0;
+    for (at, text) in plain.instructions.iter().enumerate() {
+        assert_eq!(image.instructions[at], mirrored(text));
+        let len = plain.edited.len() / plain.instructions.len();
+        for [plain, image, some] in [
+            [&plain.original, &image.original, &some.original],
+            [&plain.edited, &image.edited, &some.edited],
+        ] {
+            let [plain, image, some] = [plain, image, some].map(|all| &all[at * len..][..len]);
+            let mut back = image.to_vec();
+            composer.mirror(&mut back);
+            for (a, b) in plain.iter().zip(&back) {
+                // A difference from the middle, taken twice.
+                assert!((a - b).abs() < 1e-6, "{a} {b}");
+            }
+            // The left wrist of the image is as high as the right one was.
+            assert_eq!(image[3 * 20 + 1], plain[3 * 21 + 1]);
+            assert!(some == plain || some == image);
+            num_mirrored += usize::from(some == image);
+        }
+    }
+    assert!((1..2 * plain.progress.len()).contains(&num_mirrored));
+    let stream = stream(ComposeConfig {
+        mirrored_ratio: 0.5,
+        ..ComposeConfig::default()
+    });
+    assert!(matches!(stream.triplet(0, 0), Err(Error::MirroredClip)));
+}
+
+#[test]
 fn the_ratio_limits_the_partners() {
     let config = ComposeConfig {
         mcm_ratio: 0.3,
