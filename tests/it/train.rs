@@ -249,7 +249,7 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
     fs::write(
         &settings,
         format!(
-            "{SMALL}\n[optimizer]\nlearning_rate = 0.0\n\n[diffusion]\nprediction = \"change\"\n"
+            "{SMALL}\n[optimizer]\nlearning_rate = 0.0\n\n[diffusion]\nnoise = \"white\"\nprediction = \"change\"\n"
         ),
     )
     .expect("writes");

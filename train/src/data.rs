@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::config::narrowed;
+use crate::noise_shape::NoiseShape;
 use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
@@ -209,6 +210,8 @@ pub(crate) struct WindowSampler<'a> {
     pub(crate) text_dropout: f64,
     pub(crate) generated_starts: f64,
     pub(crate) fixed_noise: f64,
+    /// Covariance of the noise; none for white noise.
+    pub(crate) shape: Option<&'a NoiseShape>,
 }
 
 impl WindowSampler<'_> {
@@ -246,6 +249,9 @@ impl WindowSampler<'_> {
                 };
                 for value in &mut noise[first..] {
                     *value = rng.sample(StandardNormal);
+                }
+                if let Some(shape) = self.shape {
+                    shape.apply(noise, self.keypoints, is_start);
                 }
                 (timestep, text_kept, is_start)
             })
@@ -388,6 +394,7 @@ mod tests {
             text_dropout: 0.5,
             generated_starts: 0.25,
             fixed_noise: 0.0,
+            shape: None,
         };
         let batch = sampler.draw(first, num_windows).expect("drawn");
         let firsts: Vec<f32> = batch
@@ -425,6 +432,7 @@ mod tests {
             text_dropout: 0.0,
             generated_starts: 0.0,
             fixed_noise: 0.0,
+            shape: None,
         };
         let batch = sampler.draw(0, 64).expect("drawn");
         let mut square = 0.0f64;

@@ -1,234 +1,26 @@
 //! What MotionReFit's denoiser predicts, its guidance and its loss.
 
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::{FRAME_WIDTH, Normalizer};
-use kinematics::skeleton::{Joint, parent_of};
-use serde::{Deserialize, Serialize};
+use kinematics::normalise::Normalizer;
+use kinematics::skeleton::Joint;
 
-use crate::config::{DiffusionConfig, FixedFrames, Loss, Prediction};
+use crate::bones::{bones, mapped};
+use crate::config::{DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction};
 use crate::data::NoisyBatch;
+use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::denoiser::Denoiser;
-use crate::model::position::Tables;
 use crate::schedule::Schedule;
 
-/// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
-/// numbers of a frame, fitted to training windows.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Extrapolation {
-    /// What of the change of each fixed frame is expected in each frame, `[W, 2]`; the identity on
-    /// the fixed frames themselves.
-    gains: Vec<[f32; FIXED_FRAMES]>,
-    /// Standard deviation in model units of what is left in each frame, `[W]`.
-    spreads: Vec<f32>,
-    /// That of the change where nothing is fixed, `[W]`.
-    start_spreads: Vec<f32>,
-}
-
-/// Lower bound of a frame's spread in model units. It is a few millimetres, the noise of motion
-/// capture.
-const LEAST_SPREAD: f64 = 2e-3;
-
-impl Extrapolation {
-    /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
-    /// are shown with noise of a standard deviation of `fixed_noise` in model units.
-    ///
-    /// # Panics
-    /// If a window has no frame beside the fixed ones.
-    pub fn fit(original: &[f32], edited: &[f32], window: usize, fixed_noise: f64) -> Self {
-        assert!(window > FIXED_FRAMES, "a window has frames to generate");
-        let mut moments = vec![vec![0.0f64; window]; window];
-        let mut count = 0u64;
-        for (original, edited) in original
-            .chunks_exact(window * FRAME_WIDTH)
-            .zip(edited.chunks_exact(window * FRAME_WIDTH))
-        {
-            count += FRAME_WIDTH as u64;
-            for channel in 0..FRAME_WIDTH {
-                let change = |frame: usize| {
-                    let at = frame * FRAME_WIDTH + channel;
-                    f64::from(edited[at]) - f64::from(original[at])
-                };
-                let changes: Vec<f64> = (0..window).map(change).collect();
-                for (row, a) in moments.iter_mut().zip(&changes) {
-                    for (cell, b) in row.iter_mut().zip(&changes) {
-                        *cell += a * b;
-                    }
-                }
-            }
-        }
-        for cell in moments.iter_mut().flatten() {
-            *cell /= count.max(1) as f64;
-        }
-        // The normal equations of two fixed frames; the ridge keeps them apart where nothing moves.
-        let ridge = LEAST_SPREAD * LEAST_SPREAD + fixed_noise * fixed_noise;
-        let (a, b, d) = (moments[0][0] + ridge, moments[0][1], moments[1][1] + ridge);
-        let determinant = a * d - b * b;
-        let mut gains = Vec::with_capacity(window);
-        let mut spreads = Vec::with_capacity(window);
-        for (frame, row) in moments.iter().enumerate() {
-            if frame < FIXED_FRAMES {
-                gains.push(std::array::from_fn(
-                    |fixed| {
-                        if fixed == frame { 1.0 } else { 0.0 }
-                    },
-                ));
-                spreads.push(LEAST_SPREAD as f32);
-                continue;
-            }
-            let (p, q) = (row[0], row[1]);
-            let (g, h) = ((p * d - q * b) / determinant, (q * a - p * b) / determinant);
-            let left = row[frame] - 2.0 * (g * p + h * q) + g * g * a + 2.0 * g * h * b + h * h * d;
-            gains.push([g as f32, h as f32]);
-            spreads.push(left.max(0.0).sqrt().max(LEAST_SPREAD) as f32);
-        }
-        let start_spreads = (0..window)
-            .map(|frame| moments[frame][frame].sqrt().max(LEAST_SPREAD) as f32)
-            .collect();
-        Self {
-            gains,
-            spreads,
-            start_spreads,
-        }
+/// Gates of a keypoint: of the original's bone, of the extrapolated change, of what the network makes and, with
+/// shaped noise, of what the noisy window shows.
+pub(crate) fn num_gates(noise: NoiseKind) -> usize {
+    match noise {
+        NoiseKind::White => 3,
+        NoiseKind::Shaped => 4,
     }
-
-    /// Frames of a window.
-    pub fn window(&self) -> usize {
-        self.gains.len()
-    }
-
-    /// The gains and spreads of windows on a device, those of windows without fixed frames being others.
-    ///
-    /// # Shapes
-    /// `is_start` `[B]`; the results `[B, W, 2]` and `[B, W, 1]`.
-    fn tables(&self, is_start: &[bool], device: &Device) -> (Tensor<3>, Tensor<3>) {
-        let (rows, window) = (is_start.len(), self.window());
-        let gains: Vec<f32> = is_start
-            .iter()
-            .flat_map(|is_start| {
-                let used = if *is_start { 0.0 } else { 1.0 };
-                self.gains
-                    .as_flattened()
-                    .iter()
-                    .map(move |gain| used * gain)
-            })
-            .collect();
-        let spreads: Vec<f32> = is_start
-            .iter()
-            .flat_map(|is_start| {
-                if *is_start {
-                    &self.start_spreads
-                } else {
-                    &self.spreads
-                }
-            })
-            .copied()
-            .collect();
-        (
-            Tensor::from_data(TensorData::new(gains, [rows, window, FIXED_FRAMES]), device),
-            Tensor::from_data(TensorData::new(spreads, [rows, window, 1]), device),
-        )
-    }
-}
-
-/// What a prediction is relative to, beside the noisy window.
-#[derive(Clone, Debug)]
-pub struct Basis {
-    /// Normalised original windows, `[B, W, 84]`.
-    original: Tensor<3>,
-    /// Gains and spreads of the linear guess, for [`Prediction::Residual`].
-    tables: Option<(Tensor<3>, Tensor<3>)>,
-}
-
-impl Basis {
-    /// What predictions for normalised original windows, `[B, W, 84]`, are relative to. `is_start` says
-    /// whether nothing is fixed in a window, `[B]`; `extrapolation` is there for [`Prediction::Residual`].
-    pub fn new(
-        original: Tensor<3>,
-        is_start: &[bool],
-        extrapolation: Option<&Extrapolation>,
-    ) -> Self {
-        let device = original.device();
-        Self {
-            tables: extrapolation.map(|guess| guess.tables(is_start, &device)),
-            original,
-        }
-    }
-
-    /// The guessed change and the spread of what is left, for windows whose fixed frames are clean.
-    fn guess(&self, windows: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
-        let fixed = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
-        let change = fixed(windows) - fixed(&self.original);
-        let (gains, spreads) = self
-            .tables
-            .clone()
-            .expect("a residual comes with what it is relative to");
-        // Two products and a sum; a matrix product of this size is mostly overhead.
-        let part =
-            |frame: usize| gains.clone().narrow(2, frame, 1) * change.clone().narrow(1, frame, 1);
-        (part(0) + part(1), spreads)
-    }
-}
-
-/// Gates of a keypoint: of the original's bone, of the extrapolated change, and of what the network makes.
-pub const NUM_GATES: usize = 3;
-
-/// The linear maps from the keypoints of a frame to the pelvis and the bones, as vectors from parent to
-/// child, and back.
-///
-/// # Shapes
-/// Both `[1, 3 keypoints, 3 keypoints]`. A frame is a row vector, left of the map.
-fn bones(keypoints: usize, device: &Device) -> [Tensor<3>; 2] {
-    /// Computed once for each width and device.
-    static TO_BONES: Tables = Tables::new(to_bones);
-    /// Computed once for each width and device.
-    static TO_POINTS: Tables = Tables::new(to_points);
-    let width = 3 * keypoints;
-    let numbers: Vec<usize> = (0..width).collect();
-    [&TO_BONES, &TO_POINTS].map(|map| map.rows(&numbers, width, device).unsqueeze_dim(0))
-}
-
-/// What numbers of keypoints add to each number of a frame in bones, row by row.
-fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
-    map_rows(numbers, width, |from, to| {
-        if from == to {
-            1.0
-        } else if to > 0 && from == parent_of(to) {
-            -1.0
-        } else {
-            0.0
-        }
-    })
-}
-
-/// What numbers of bones add to each number of a frame in keypoints, row by row.
-fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
-    map_rows(numbers, width, |from, to| {
-        let mut ancestor = to;
-        while ancestor != from && ancestor > 0 {
-            ancestor = parent_of(ancestor);
-        }
-        if ancestor == from { 1.0 } else { 0.0 }
-    })
-}
-
-/// Rows of a linear map of frames, the same for x, y and z: each keypoint `to` becomes the sum over all keypoints
-/// `from` of `weight(from, to)` times their position. A row number of at least `width` gives a row of zeros.
-fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
-    let cell = |from: usize, to: usize| {
-        if from < width && from % 3 == to % 3 {
-            weight(from / 3, to / 3)
-        } else {
-            0.0
-        }
-    };
-    numbers
-        .iter()
-        .flat_map(|&from| (0..width).map(move |to| cell(from, to)))
-        .collect()
 }
 
 impl Schedule {
@@ -264,7 +56,11 @@ impl Schedule {
                 // of its numbers.
                 let [batch, window, numbers] = original.dims();
                 let keypoints = numbers / 3;
-                let made = predicted.clone().narrow(2, 0, numbers) * spread;
+                let made = predicted.clone().narrow(2, 0, numbers);
+                let made = match &basis.shaped {
+                    Some(shaped) => made * shaped.spreads.clone(),
+                    None => made * spread,
+                };
                 let gate = |number: usize| {
                     let logits =
                         predicted
@@ -276,9 +72,16 @@ impl Schedule {
                         .reshape([batch, window, numbers])
                 };
                 let [to_bones, to_points] = bones(keypoints, &original.device());
-                let kept = original.clone().matmul(to_bones.clone()) * gate(0);
-                let carried = guess.matmul(to_bones) * gate(1);
-                (kept + carried + made * gate(2)).matmul(to_points)
+                let kept = mapped(original.clone(), to_bones.clone()) * gate(0);
+                let carried = mapped(guess.clone(), to_bones.clone()) * gate(1);
+                let mut mixed = kept + carried + made * gate(2);
+                if basis.shaped.is_some() {
+                    // Noise of the data's covariance leaves this share of the rest as its best linear guess.
+                    let (signal, _) = self.mixture(timesteps);
+                    let rest = x_t.clone() - original.clone() - guess;
+                    mixed = mixed + signal.times(mapped(rest, to_bones)) * gate(3);
+                }
+                mapped(mixed, to_points)
             }
         }
     }
@@ -316,15 +119,19 @@ impl Loss {
     /// # Shapes
     /// Both `[B, W, D]`; the result is one number.
     pub fn mean(self, predicted: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
-        let difference = predicted - target;
+        self.of_each(predicted - target).mean()
+    }
+
+    /// The loss of each difference.
+    fn of_each(self, difference: Tensor<3>) -> Tensor<3> {
         match self {
             // With c = min(|d|, 1), c (|d| - c / 2) is d^2 / 2 below 1 and |d| - 1/2 above.
             Self::SmoothL1 => {
                 let size = difference.abs();
                 let clipped = size.clone().clamp_max(1.0);
-                (clipped.clone() * (size - clipped.mul_scalar(0.5))).mean()
+                clipped.clone() * (size - clipped.mul_scalar(0.5))
             }
-            Self::Mse => difference.square().mean(),
+            Self::Mse => difference.square(),
         }
     }
 }
@@ -392,16 +199,16 @@ impl Objective<'_> {
             let starts: Vec<f32> = starts.collect();
             Tensor::<3>::from_data(TensorData::new(starts, [batch.len(), 1, 1]), &device)
         });
-        let x_t = self.shown(&x0, &noise, &batch.timesteps, starts.as_ref());
         let original = windows(&batch.original);
         let basis = Basis::new(original.clone(), &batch.is_start, self.extrapolation);
+        let x_t = self.shown(&x0, &noise, &batch.timesteps, starts.as_ref(), &basis);
         let change = || x0.clone() - original.clone();
         let predicted = denoiser.forward(
-            x_t.clone(),
+            basis.seen(x_t.clone()),
             &batch.timesteps,
             text,
             &batch.progress,
-            original.clone(),
+            basis.seen(original.clone()),
         );
         let needs_clean = config.prediction == Prediction::Gated
             || config.contact_weight > 0.0
@@ -454,7 +261,7 @@ impl Objective<'_> {
             let clean = clean.expect("contacts need it");
             // The editor puts the fixed frames back; a foot that rests on them must not leave them.
             let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
-            let contact = self.sliding(clean, x0);
+            let contact = self.sliding(clean, x0, &batch.timesteps);
             loss = loss + contact.mul_scalar(config.contact_weight);
         }
         loss
@@ -468,16 +275,21 @@ impl Objective<'_> {
         noise: &Tensor<3>,
         timesteps: &[usize],
         starts: Option<&Tensor<3>>,
+        basis: &Basis,
     ) -> Tensor<3> {
-        let x_t = self.schedule.q_sample(x0.clone(), timesteps, noise.clone());
+        let noisy = |x: Tensor<3>| self.schedule.q_sample(x, timesteps, noise.clone());
         if self.config.fixed_frames == FixedFrames::Scaled {
-            return x_t;
+            return noisy(x0.clone());
         }
         let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
         let mut clean = first(x0);
         if self.config.fixed_noise > 0.0 {
             clean = clean + first(noise).mul_scalar(self.config.fixed_noise);
         }
+        let x_t = match basis.centre(&put_fixed(x0.clone(), clean.clone())) {
+            Some(centre) => noisy(x0.clone() - centre.clone()) + centre,
+            None => noisy(x0.clone()),
+        };
         let shown = match starts {
             None => clean,
             Some(starts) => clean.clone() + (first(&x_t) - clean) * starts.clone(),
@@ -497,7 +309,7 @@ impl Objective<'_> {
         let device = clean.device();
         let units = Tensor::<3>::from_data(TensorData::new(units, [1, 1, width]), &device);
         let [to_bones, _] = bones(width / 3, &device);
-        let differences = ((clean - wanted) * units).matmul(to_bones);
+        let differences = mapped((clean - wanted) * units, to_bones);
         let nothing = differences.zeros_like();
         self.config.loss.mean(differences, nothing)
     }
@@ -508,7 +320,7 @@ impl Objective<'_> {
     ///
     /// # Shapes
     /// Both `[B, W, D]`, clean windows; the result is one number.
-    fn sliding(&self, clean: Tensor<3>, wanted: Tensor<3>) -> Tensor<1> {
+    fn sliding(&self, clean: Tensor<3>, wanted: Tensor<3>, timesteps: &[usize]) -> Tensor<1> {
         let [batch, window, _] = clean.dims();
         let Normalizer { min, max } = self.normalizer;
         // Displacement of one model unit per frame, in units of REST_SPEED.
@@ -528,8 +340,10 @@ impl Objective<'_> {
         let sliding = speeds(clean) * at_rest;
         let [batch, count, feet, _] = sliding.dims();
         let sliding = sliding.reshape([batch, count, 3 * feet]);
-        let nothing = sliding.zeros_like();
-        self.config.loss.mean(sliding, nothing)
+        let (signal, _) = self.schedule.mixture(timesteps);
+        signal
+            .times(signal.times(self.config.loss.of_each(sliding)))
+            .mean()
     }
 }
 
@@ -546,7 +360,9 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 mod tests {
     use proptest::prelude::*;
 
-    use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+    use burn::tensor::Device;
+    use kinematics::normalise::FRAME_WIDTH;
+    use kinematics::skeleton::{NUM_KEYPOINTS, parent_of};
 
     use super::*;
     use crate::config::ScheduleName;
@@ -586,89 +402,8 @@ mod tests {
         assert_eq!(values(guide(with, without, 3.0)), [5.0, -5.0]);
     }
 
-    #[test]
-    fn a_change_that_goes_on_as_it_began_leaves_no_residual() {
-        const WINDOW: usize = 6;
-        let mut rng = datasets_spec::Seed(3).rng(&["lines"]);
-        let mut normal = || rand::RngExt::sample::<f32, _>(&mut rng, rand_distr::StandardNormal);
-        let numbers = 64 * WINDOW * FRAME_WIDTH;
-        let original: Vec<f32> = (0..numbers).map(|_| normal()).collect();
-        // The change of every number is a line over the frames.
-        let lines: Vec<[f32; 2]> = (0..64 * FRAME_WIDTH)
-            .map(|_| [normal(), normal()])
-            .collect();
-        let edited: Vec<f32> = original
-            .iter()
-            .enumerate()
-            .map(|(at, value)| {
-                let (row, channel) = (at / (WINDOW * FRAME_WIDTH), at % FRAME_WIDTH);
-                let frame = at / FRAME_WIDTH % WINDOW;
-                let [height, slope] = lines[row * FRAME_WIDTH + channel];
-                value + height + slope * frame as f32
-            })
-            .collect();
-        let fitted = Extrapolation::fit(&original, &edited, WINDOW, 0.0);
-        for (frame, [first, second]) in fitted.gains.iter().enumerate() {
-            // A line through frames 0 and 1 reads 1 - f and f of them in frame f. The ridge takes a
-            // few millionths of that.
-            assert!(
-                (first - (1.0 - frame as f32)).abs() < 1e-3,
-                "{frame}: {first}"
-            );
-            assert!((second - frame as f32).abs() < 1e-3, "{frame}: {second}");
-        }
-        for (spread, [first, second]) in fitted.spreads.iter().zip(&fitted.gains) {
-            // What is left is the ridge, seen through the gains.
-            let seen = f64::from(first.hypot(*second)).max(1.0) * LEAST_SPREAD;
-            assert!(f64::from(*spread) < 1.01 * seen, "{spread} {seen}");
-        }
-        // Of nothing fixed nothing follows: the spread is that of the change itself.
-        assert!((fitted.start_spreads[0] - 1.0).abs() < 0.05);
-
-        let windows = |values: &[f32]| {
-            let count = values.len() / (WINDOW * FRAME_WIDTH);
-            Tensor::<3>::from_data(
-                TensorData::new(values.to_vec(), [count, WINDOW, FRAME_WIDTH]),
-                &Device::flex(),
-            )
-        };
-        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-        let x0 = windows(&edited);
-        let nothing = x0.zeros_like();
-        let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
-        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, &basis, &[0; 64]);
-        for (a, b) in edited.iter().zip(values(back)) {
-            // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
-            assert!((a - b).abs() < 0.02, "{a} {b}");
-        }
-    }
-
-    #[test]
-    fn a_frame_that_is_taken_to_bones_and_back_is_as_it_was() {
-        let mut rng = datasets_spec::Seed(6).rng(&["bones"]);
-        for device in [Device::flex(), Device::flex().autodiff()] {
-            for keypoints in [NUM_BODY_JOINTS, NUM_KEYPOINTS] {
-                let width = 3 * keypoints;
-                let frame: Vec<f32> = (0..width)
-                    .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                    .collect();
-                let points = TensorData::new(frame.clone(), [1, 1, width]);
-                let points = Tensor::<3>::from_data(points, &device);
-                let [to_bones, to_points] = bones(keypoints, &device);
-                let bones = points.matmul(to_bones);
-                let wrist = 3 * Joint::LeftWrist.index();
-                let elbow = 3 * Joint::LeftElbow.index();
-                assert_eq!(
-                    values(bones.clone())[wrist + 1],
-                    frame[wrist + 1] - frame[elbow + 1]
-                );
-                for (back, was) in values(bones.matmul(to_points)).iter().zip(&frame) {
-                    // Sums of a dozen numbers of size one.
-                    assert!((back - was).abs() < 1e-5, "{back} {was}");
-                }
-            }
-        }
-    }
+    /// Gates with white noise.
+    const NUM_GATES: usize = 3;
 
     #[test]
     fn gates_choose_between_the_original_the_guess_and_the_network() {
@@ -691,6 +426,7 @@ mod tests {
             gains: vec![[1.0, 0.0], [0.0, 1.0], [-0.5, 1.5]],
             spreads: vec![0.5, 0.5, 0.25],
             start_spreads: vec![1.0; WINDOW],
+            shape: None,
         };
         let basis = Basis::new(frames(&original), &[false], Some(&guess));
         let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
@@ -747,6 +483,43 @@ mod tests {
         }
     }
 
+    #[test]
+    fn noise_of_the_data_s_covariance_shows_its_share_of_the_rest() {
+        const WINDOW: usize = 4;
+        let device = Device::flex();
+        let mut rng = datasets_spec::Seed(8).rng(&["shown"]);
+        let mut normal = |rows: usize| -> Vec<f32> {
+            (0..rows * WINDOW * FRAME_WIDTH)
+                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
+                .collect()
+        };
+        let (originals, edited) = (normal(16), normal(16));
+        let guess = Extrapolation::fit(&originals, &edited, WINDOW, 0.0, NoiseKind::Shaped);
+        let windows = |values: &[f32]| -> Tensor<3> {
+            let shape = [1, WINDOW, FRAME_WIDTH];
+            Tensor::from_data(
+                TensorData::new(values[..WINDOW * FRAME_WIDTH].to_vec(), shape),
+                &device,
+            )
+        };
+        let (original, x_t) = (windows(&originals), windows(&edited));
+        let basis = Basis::new(original, &[false], Some(&guess));
+        let centre = basis.centre(&x_t).expect("noise is shaped");
+        let schedule = Schedule::new(ScheduleName::Cosine, 20).expect("enough steps");
+        // All gates open, and nothing made.
+        let logits = Tensor::<3>::full([1, WINDOW, 4 * NUM_KEYPOINTS], 60.0, &device);
+        let predicted = Tensor::cat(vec![x_t.zeros_like(), logits], 2);
+        for t in [0, 9, 19] {
+            let clean = schedule.clean_of(Prediction::Gated, predicted.clone(), &x_t, &basis, &[t]);
+            let signal = schedule.alphas_cumprod[t].sqrt();
+            let expected = centre.clone() + (x_t.clone() - centre.clone()).mul_scalar(signal);
+            for (a, b) in values(clean).iter().zip(values(expected)) {
+                // Sums of a dozen numbers of size one.
+                assert!((a - b).abs() < 1e-4, "{a} {b}");
+            }
+        }
+    }
+
     /// A schedule, and the settings of losses that square differences.
     fn squares() -> (Schedule, DiffusionConfig) {
         let config = DiffusionConfig {
@@ -791,14 +564,19 @@ mod tests {
         // the ankle by 6 cm.
         let wanted = window(&|frame| [0.3, 0.05 * frame as f32]);
         let jump = window(&|frame| [if frame < 5 { 0.3 } else { 0.33 }, 0.0]);
-        let loss = |clean: &Tensor<3>| -> f32 {
+        let loss_at = |clean: &Tensor<3>, t: usize| -> f32 {
             objective
-                .sliding(clean.clone(), wanted.clone())
+                .sliding(clean.clone(), wanted.clone(), &[t])
                 .into_scalar()
         };
         // 0.6 m/s is six units of rest; the mean is over six steps, four feet and three axes.
-        let expected = 36.0 / (6.0 * 4.0 * 3.0);
-        assert!((loss(&jump) - expected).abs() < 1e-4, "{}", loss(&jump));
+        // A noisy window counts by the share of its signal.
+        for t in [0, 20, 49] {
+            let expected = schedule.alphas_cumprod[t] as f32 * 36.0 / (6.0 * 4.0 * 3.0);
+            let found = loss_at(&jump, t);
+            assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+        }
+        let loss = |clean: &Tensor<3>| loss_at(clean, 0);
         // A foot that moves may move as it likes.
         assert!(loss(&wanted) == 0.0 && loss(&window(&|_| [0.3, 0.0])) == 0.0);
     }

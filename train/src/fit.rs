@@ -11,7 +11,8 @@ use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
 use crate::config::{TextConfig, TextEncoder, TrainConfig};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
-use crate::diffusion::{Extrapolation, Objective};
+use crate::diffusion::Objective;
+use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
@@ -238,13 +239,7 @@ pub fn train_motionrefit<'a>(
         text_dropout: config.diffusion.text_dropout,
         generated_starts: config.diffusion.generated_starts,
         fixed_noise: config.diffusion.fixed_noise,
-    };
-    let val_sampler = WindowSampler {
-        source: corpus.val,
-        seed: seed.derive(&["val"]),
-        timesteps: Timesteps::Spread(config.val_windows),
-        text_dropout: 0.0,
-        ..sampler
+        shape: None,
     };
     let is_extrapolated = config.diffusion.prediction.is_extrapolated();
     let extrapolation = match (is_extrapolated, known_extrapolation) {
@@ -256,16 +251,28 @@ pub fn train_motionrefit<'a>(
                 &windows.edited,
                 config.window,
                 config.diffusion.fixed_noise,
+                config.diffusion.noise,
             ))
         }
         (false, _) => None,
+    };
+    let sampler = WindowSampler {
+        shape: extrapolation.as_ref().and_then(Extrapolation::shape),
+        ..sampler
+    };
+    let val_sampler = WindowSampler {
+        source: corpus.val,
+        seed: seed.derive(&["val"]),
+        timesteps: Timesteps::Spread(config.val_windows),
+        text_dropout: 0.0,
+        ..sampler
     };
     let record = EditorRecord {
         train: config.clone(),
         normalizer: corpus.normalizer,
         text: text.clone(),
         compose: corpus.compose.clone(),
-        extrapolation,
+        extrapolation: extrapolation.clone(),
     };
     let run = Run::open(
         start,

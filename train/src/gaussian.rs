@@ -103,6 +103,7 @@ impl SampleSteps {
         reverse(
             &self.schedule,
             None,
+            None,
             |x, index| clean(x, step(index)),
             |mean, _| mean,
             |index| index.map_or_else(|| start.clone(), |index| noise(step(index))),

@@ -52,6 +52,7 @@
 //! # }
 //! ```
 
+mod bones;
 pub mod captioned;
 pub mod checkpoint;
 pub mod compose;
@@ -64,6 +65,7 @@ pub mod diffusion;
 pub mod edit;
 mod error;
 pub mod exchange;
+pub mod extrapolation;
 pub mod features;
 pub mod fit;
 pub mod gaussian;
@@ -77,6 +79,7 @@ pub mod metrics;
 pub mod mld;
 pub mod model;
 mod nearest;
+pub mod noise_shape;
 pub mod optimizer;
 pub mod registry;
 pub mod sample;

@@ -5,7 +5,13 @@ use std::f64::consts::FRAC_PI_2;
 use burn::tensor::{Tensor, TensorData};
 
 use crate::Error;
-use crate::config::{LINEAR_VARIANCES, ScheduleName};
+use crate::config::ScheduleName;
+
+/// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
+const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
+
+/// Steps the linear schedule was made for.
+const REFERENCE_STEPS: f64 = 1_000.0;
 
 /// The coefficients of a diffusion of `T` steps, all in `f64`.
 ///
@@ -28,15 +34,25 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The linear schedule of a name.
+    /// The schedule of a name.
     ///
     /// # Errors
     /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
     pub fn new(name: ScheduleName, num_steps: usize) -> Result<Self, Error> {
-        let scale = name.variance_scale(num_steps)?;
-        let [first, last] = LINEAR_VARIANCES;
-        let stride = scale * (last - first) / (num_steps - 1) as f64;
-        let betas = (0..num_steps).map(|step| scale * first + step as f64 * stride);
+        let scale = match name {
+            ScheduleName::Official => 1.0,
+            ScheduleName::Rescaled => REFERENCE_STEPS / num_steps as f64,
+            ScheduleName::Cosine => return Self::cosine(num_steps),
+        };
+        let [first, last] = LINEAR_VARIANCES.map(|variance| scale * variance);
+        if num_steps < 2 || last >= 1.0 {
+            return Err(Error::Config {
+                field: "diffusion.num_steps",
+                problem: format!("{num_steps} steps are too few for the schedule"),
+            });
+        }
+        let stride = (last - first) / (num_steps - 1) as f64;
+        let betas = (0..num_steps).map(|step| first + step as f64 * stride);
         Ok(Self::of_betas(betas.collect()))
     }
 

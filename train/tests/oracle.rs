@@ -178,6 +178,7 @@ impl WindowModel for Oracle<'_> {
             let x = reverse(
                 &schedule,
                 fixed.as_ref(),
+                None,
                 |_, _| clean.clone(),
                 |mean, _| mean,
                 |_| {

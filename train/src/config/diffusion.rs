@@ -4,12 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::share;
 use crate::Error;
-
-/// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
-pub(crate) const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
-
-/// Steps the linear schedule was made for.
-const REFERENCE_STEPS: f64 = 1_000.0;
+use crate::schedule::Schedule;
 
 /// A named noise schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,26 +16,9 @@ pub enum ScheduleName {
     Official,
     /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
     Rescaled,
-}
-
-impl ScheduleName {
-    /// Factor of the variances in a schedule of so many steps.
-    ///
-    /// # Errors
-    /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
-    pub(crate) fn variance_scale(self, num_steps: usize) -> Result<f64, Error> {
-        let scale = match self {
-            Self::Official => 1.0,
-            Self::Rescaled => REFERENCE_STEPS / num_steps as f64,
-        };
-        if num_steps < 2 || scale * LINEAR_VARIANCES[1] >= 1.0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: format!("{num_steps} steps are too few for the schedule"),
-            });
-        }
-        Ok(scale)
-    }
+    /// The squared cosine schedule (Nichol and Dhariwal 2021), which spreads its steps evenly over the levels of
+    /// noise. Of the linear schedules with 50 steps, half are nearly pure noise.
+    Cosine,
 }
 
 /// Loss on the prediction.
@@ -85,7 +63,7 @@ pub enum Prediction {
     /// have to pass every number of a frame to keep it.
     Velocity,
     /// What the change differs by from its best linear
-    /// [extrapolation](crate::diffusion::Extrapolation) from the fixed frames, in units
+    /// [extrapolation](crate::extrapolation::Extrapolation) from the fixed frames, in units
     /// of the spread of that difference in each frame. The frames just after the fixed ones, which
     /// follow from them almost, then count as much as any other, and what the network misses there is
     /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
@@ -100,9 +78,27 @@ pub enum Prediction {
 }
 
 impl Prediction {
-    /// Whether it is relative to an [extrapolation](crate::diffusion::Extrapolation) of the change.
+    /// Whether it is relative to an [extrapolation](crate::extrapolation::Extrapolation) of the change.
     pub fn is_extrapolated(self) -> bool {
         matches!(self, Self::Residual | Self::Gated)
+    }
+}
+
+/// Noise that windows are mixed with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NoiseKind {
+    /// White noise about zero, as published.
+    #[default]
+    White,
+    /// Noise about the extrapolated change with the covariance of what it leaves open
+    /// ([`NoiseShape`](crate::noise_shape::NoiseShape)).
+    Shaped,
+}
+
+impl NoiseKind {
+    fn is_white(&self) -> bool {
+        *self == Self::White
     }
 }
 
@@ -114,6 +110,9 @@ pub struct DiffusionConfig {
     pub num_steps: usize,
     /// Noise schedule.
     pub schedule: ScheduleName,
+    /// Noise that windows are mixed with.
+    #[serde(default, skip_serializing_if = "NoiseKind::is_white")]
+    pub noise: NoiseKind,
     /// What the network predicts.
     pub prediction: Prediction,
     /// Loss on the prediction.
@@ -219,6 +218,13 @@ impl DiffusionConfig {
                     .to_owned(),
             });
         }
+        if self.noise == NoiseKind::Shaped && self.prediction != Prediction::Gated {
+            return Err(Error::Config {
+                field: "diffusion.noise",
+                problem: "it is shaped, which needs the prediction gated; set it to white for another one"
+                    .to_owned(),
+            });
+        }
         let needs_clean = self.prediction.is_extrapolated() || self.fixed_noise > 0.0;
         if needs_clean && self.fixed_frames != FixedFrames::Clean {
             return Err(Error::Config {
@@ -226,6 +232,6 @@ impl DiffusionConfig {
                 problem: "a residual and noise on the fixed frames need them clean".to_owned(),
             });
         }
-        self.schedule.variance_scale(self.num_steps).map(|_| ())
+        Schedule::new(self.schedule, self.num_steps).map(|_| ())
     }
 }

@@ -13,9 +13,8 @@ use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
 
-pub(crate) use self::diffusion::LINEAR_VARIANCES;
 pub use self::diffusion::{
-    DiffusionConfig, FixedFrames, Loss, Prediction, PreviousFrames, ScheduleName,
+    DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames, ScheduleName,
 };
 pub use self::run::{Decay, OptimizerConfig, RunLength, RunSettings};
 
@@ -156,7 +155,8 @@ pub enum GuidanceTarget {
     /// The estimate of the clean window, by the gradient there (paper Sec. 5.2).
     CleanPrediction,
     /// The mean of the posterior, by the gradient there times the posterior's standard deviation; the
-    /// last step, which adds no noise, is left alone (released code).
+    /// last step, which adds no noise, is left alone (released code). The coordinator was trained on windows with white
+    /// noise, and sees shaped noise here if the editor's is.
     PosteriorMean,
 }
 
@@ -229,8 +229,9 @@ impl TrainConfig {
     /// most 800 k steps, learning rate 1e-4 with linear decay, a checkpoint every 50 epochs, guidance
     /// `w = 3`, which is weight 4 here); what it leaves open is as released. `Official`: the released
     /// configuration (8 layers, smooth L1, batch 256, 4,000 epochs); `algorithms` section 10 lists
-    /// where the two differ. `Tiny`: our choice. It uses the rescaled schedule, under which the last
-    /// step is almost pure noise, so that sampling starts where training ended. It shows the network the
+    /// where the two differ. `Tiny`: our choice. Its noise is shaped like what an edit leaves open, so that
+    /// so small a network reads it, and its cosine schedule ends in pure noise, where sampling starts. Edits are sampled at
+    /// half the temperature: whole samples are more diverse, but farther from their targets. It shows the network the
     /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
     /// own errors from window to window, and two fifths of the windows have no fixed frames, because the
     /// first window of an edit has none. The instruction is added to every frame. For each bone, gates mix the
@@ -252,6 +253,7 @@ impl TrainConfig {
                 diffusion: DiffusionConfig {
                     num_steps: 100,
                     schedule: ScheduleName::Official,
+                    noise: NoiseKind::White,
                     prediction: Prediction::Noise,
                     loss: Loss::Mse,
                     fixed_frames: FixedFrames::Clean,
@@ -340,8 +342,9 @@ impl TrainConfig {
                     dropout: 0.0,
                 },
                 diffusion: DiffusionConfig {
-                    num_steps: 50,
-                    schedule: ScheduleName::Rescaled,
+                    num_steps: 20,
+                    schedule: ScheduleName::Cosine,
+                    noise: NoiseKind::Shaped,
                     prediction: Prediction::Gated,
                     loss: Loss::SmoothL1,
                     fixed_frames: FixedFrames::Clean,
@@ -349,10 +352,10 @@ impl TrainConfig {
                     clip: false,
                     text_dropout: 0.1,
                     motion_weight: 0.0,
-                    contact_weight: 0.2,
-                    bone_weight: 4.0,
+                    contact_weight: 0.5,
+                    bone_weight: 12.0,
                     guidance: 1.0,
-                    temperature: 1.0,
+                    temperature: 0.5,
                     generated_starts: 0.4,
                     fixed_noise: 0.02,
                     overlap: 4,
@@ -368,7 +371,7 @@ impl TrainConfig {
                 coordinator: GuidanceConfig {
                     target: GuidanceTarget::CleanPrediction,
                     strength: 0.3,
-                    num_steps: 10,
+                    num_steps: 8,
                 },
                 window: WINDOW_FRAMES,
                 keypoints: NUM_KEYPOINTS,
@@ -384,7 +387,7 @@ impl TrainConfig {
                     },
                     batch_size: 64,
                     micro_batch_size: Some(256),
-                    length: RunLength::of_steps(2_400),
+                    length: RunLength::of_steps(4_800),
                     log_every: 20,
                     val_every: 100,
                     keep_epochs: 0,

@@ -8,7 +8,7 @@ use super::denoiser::Denoiser;
 use super::text::{LearnedText, text_vectors};
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
 use crate::data::{NoisyBatch, TextBatch};
-use crate::diffusion::{NUM_GATES, Objective};
+use crate::diffusion::{Objective, num_gates};
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -54,7 +54,7 @@ impl MotionRefit {
         let denoiser =
             Denoiser::of_frames(config, diffusion.previous, text_width, frame_width, device);
         let denoiser = match diffusion.prediction {
-            Prediction::Gated => denoiser.gated(NUM_GATES),
+            Prediction::Gated => denoiser.gated(num_gates(diffusion.noise)),
             _ => denoiser,
         };
         let denoiser = if diffusion.tell_frames {

@@ -19,6 +19,7 @@ use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
 use crate::data::TextVectors;
+use crate::extrapolation::Extrapolation;
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::denoiser::PreparedWeights;
@@ -286,7 +287,11 @@ impl WindowModel for Generator<'_> {
             1 + editor.schedule.len(),
             &editor.device,
         )
-        .scaled(settings.temperature);
+        .scaled(settings.temperature)
+        .shaped(
+            config.extrapolation.as_ref().and_then(Extrapolation::shape),
+            condition.fixed.is_none(),
+        );
         let x = sampler.sample(&condition, |_| noise.step(), |_, _| {});
         let generated = read(x);
         let guided = coordinator.map_or(0.0, |guide| guide.secs.get());

@@ -10,6 +10,8 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
+use crate::noise_shape::NoiseShape;
+
 /// Numbers drawn and sent at once: 16 MB. Most batches need one or two such blocks.
 const BLOCK: usize = 1 << 22;
 
@@ -19,6 +21,8 @@ pub(crate) struct Noise<'a> {
     /// Frames of a sequence and numbers of a frame.
     shape: [usize; 2],
     scale: f32,
+    /// Covariance of the noise, and whether it is that of first windows; none for white noise.
+    covariance: Option<(&'a NoiseShape, bool)>,
     device: &'a Device,
     /// Steps still to be drawn.
     left: usize,
@@ -38,6 +42,7 @@ impl<'a> Noise<'a> {
             rngs: rngs.into_iter().collect(),
             shape,
             scale: 1.0,
+            covariance: None,
             device,
             left: num_steps,
             block: None,
@@ -47,6 +52,12 @@ impl<'a> Noise<'a> {
     /// The same noise times a factor.
     pub(crate) fn scaled(mut self, scale: f64) -> Self {
         self.scale = scale as f32;
+        self
+    }
+
+    /// The same noise with a covariance; `is_start` says whether nothing is fixed in the windows.
+    pub(crate) fn shaped(mut self, shape: Option<&'a NoiseShape>, is_start: bool) -> Self {
+        self.covariance = shape.map(|shape| (shape, is_start));
         self
     }
 
@@ -73,14 +84,20 @@ impl<'a> Noise<'a> {
         let (rows, row) = (self.rngs.len(), frames * width);
         let steps = (BLOCK / (rows * row).max(1)).clamp(1, self.left);
         self.left -= steps;
-        let scale = self.scale;
+        let (scale, covariance) = (self.scale, self.covariance);
         let drawn: Vec<Vec<f32>> = self
             .rngs
             .par_iter_mut()
             .map(|rng| {
-                (0..steps * row)
+                let mut drawn: Vec<f32> = (0..steps * row)
                     .map(|_| scale * rng.sample::<f32, _>(StandardNormal))
-                    .collect()
+                    .collect();
+                if let Some((shape, is_start)) = covariance {
+                    for window in drawn.chunks_exact_mut(row) {
+                        shape.apply(window, width / 3, is_start);
+                    }
+                }
+                drawn
             })
             .collect();
         let mut values = Vec::with_capacity(steps * rows * row);

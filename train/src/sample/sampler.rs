@@ -5,7 +5,8 @@ use std::cell::Cell;
 use burn::tensor::Tensor;
 
 use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
-use crate::diffusion::{Basis, Extrapolation, guide, put_fixed};
+use crate::diffusion::{guide, put_fixed};
+use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::{Denoiser, PreparedWeights};
 use crate::schedule::Schedule;
@@ -112,18 +113,22 @@ impl Sampler<'_> {
                 condition.progress.clone(),
             )
         };
-        let denoiser =
-            self.denoiser
-                .prepare(self.weights, self.schedule.len(), text, &progress, original);
         let is_start = vec![condition.fixed.is_none(); batch];
         let basis = Basis::new(condition.original.clone(), &is_start, self.extrapolation);
+        let denoiser = self.denoiser.prepare(
+            self.weights,
+            self.schedule.len(),
+            text,
+            &progress,
+            basis.seen(original),
+        );
         let push = |target, x: &Tensor<3>, timestep| {
             self.coordinator
                 .and_then(|guide| guide.push(target, x, timestep))
         };
         let estimate = |x: &Tensor<3>, timestep: usize| {
             let input = if is_guided { twice(x) } else { x.clone() };
-            let predicted = denoiser.forward(input, timestep);
+            let predicted = denoiser.forward(basis.seen(input), timestep);
             let predicted = if is_guided {
                 guide(
                     predicted.clone().narrow(0, 0, batch),
@@ -161,9 +166,14 @@ impl Sampler<'_> {
                 None => mean,
             }
         };
+        let placed = match &condition.fixed {
+            Some(fixed) => put_fixed(condition.original.clone(), fixed.clone()),
+            None => condition.original.clone(),
+        };
         reverse(
             self.schedule,
             condition.fixed.as_ref(),
+            basis.centre(&placed).as_ref(),
             estimate,
             nudge,
             noise,
@@ -173,11 +183,12 @@ impl Sampler<'_> {
 }
 
 /// Runs the reverse process from pure noise, `[B, W, 84]`, with `estimate` telling the clean windows of
-/// noisy ones and `nudge` moving the mean of a posterior. `noise` and `on_step` are those of
+/// noisy ones and `nudge` moving the mean of a posterior. Noise is about `centre`, or about zero. `noise` and `on_step` are those of
 /// [`Sampler::sample`].
 pub fn reverse(
     schedule: &Schedule,
     fixed: Option<&Tensor<3>>,
+    centre: Option<&Tensor<3>>,
     estimate: impl Fn(&Tensor<3>, usize) -> Tensor<3>,
     nudge: impl Fn(Tensor<3>, usize) -> Tensor<3>,
     mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
@@ -187,11 +198,21 @@ pub fn reverse(
         Some(fixed) => put_fixed(x, fixed.clone()),
         None => x,
     };
-    let mut x = put(noise(None));
+    // Seen from the centre, and back.
+    let from_centre = |x: Tensor<3>| match centre {
+        Some(centre) => x - centre.clone(),
+        None => x,
+    };
+    let to_windows = |x: Tensor<3>| match centre {
+        Some(centre) => x + centre.clone(),
+        None => x,
+    };
+    let mut x = put(to_windows(noise(None)));
     for timestep in (0..schedule.len()).rev() {
         let x0 = estimate(&x, timestep);
         let timesteps = vec![timestep; x.dims()[0]];
-        let mean = nudge(schedule.posterior_mean(x0, x, &timesteps), timestep);
+        let mean = schedule.posterior_mean(from_centre(x0), from_centre(x), &timesteps);
+        let mean = nudge(to_windows(mean), timestep);
         x = put(schedule.add_noise(mean, timestep, noise(Some(timestep))));
         on_step(timestep, &x);
     }

@@ -1,0 +1,319 @@
+//! What follows from the fixed frames of a window, and what is left open.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::FRAME_WIDTH;
+use serde::{Deserialize, Serialize};
+
+use crate::bones::{bones, mapped};
+use crate::config::NoiseKind;
+use crate::noise_shape::NoiseShape;
+
+/// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
+/// numbers of a frame, fitted to training windows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Extrapolation {
+    /// What of the change of each fixed frame is expected in each frame, `[W, 2]`; the identity on
+    /// the fixed frames themselves.
+    pub(crate) gains: Vec<[f32; FIXED_FRAMES]>,
+    /// Standard deviation in model units of what is left in each frame, `[W]`.
+    pub(crate) spreads: Vec<f32>,
+    /// That of the change where nothing is fixed, `[W]`.
+    pub(crate) start_spreads: Vec<f32>,
+    /// Covariance of what is left, for noise of that shape.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) shape: Option<NoiseShape>,
+}
+
+/// Lower bound of a frame's spread in model units. It is a few millimetres, the noise of motion
+/// capture.
+pub(crate) const LEAST_SPREAD: f64 = 2e-3;
+
+impl Extrapolation {
+    /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
+    /// are shown with noise of a standard deviation of `fixed_noise` in model units, and the shape of the
+    /// noise, if it is not white.
+    ///
+    /// # Panics
+    /// If a window has no frame beside the fixed ones.
+    pub fn fit(
+        original: &[f32],
+        edited: &[f32],
+        window: usize,
+        fixed_noise: f64,
+        noise: NoiseKind,
+    ) -> Self {
+        assert!(window > FIXED_FRAMES, "a window has frames to generate");
+        let changes: Vec<f32> = edited.iter().zip(original).map(|(a, b)| a - b).collect();
+        let mut moments = vec![vec![0.0f64; window]; window];
+        let mut count = 0u64;
+        for changes in changes.chunks_exact(window * FRAME_WIDTH) {
+            count += FRAME_WIDTH as u64;
+            for channel in 0..FRAME_WIDTH {
+                let of_channel = changes[channel..].iter().step_by(FRAME_WIDTH);
+                let changes: Vec<f64> = of_channel.map(|&change| f64::from(change)).collect();
+                for (row, a) in moments.iter_mut().zip(&changes) {
+                    for (cell, b) in row.iter_mut().zip(&changes) {
+                        *cell += a * b;
+                    }
+                }
+            }
+        }
+        for cell in moments.iter_mut().flatten() {
+            *cell /= count.max(1) as f64;
+        }
+        // The normal equations of two fixed frames; the ridge keeps them apart where nothing moves.
+        let ridge = LEAST_SPREAD * LEAST_SPREAD + fixed_noise * fixed_noise;
+        let (a, b, d) = (moments[0][0] + ridge, moments[0][1], moments[1][1] + ridge);
+        let determinant = a * d - b * b;
+        let mut gains = Vec::with_capacity(window);
+        let mut spreads = Vec::with_capacity(window);
+        for (frame, row) in moments.iter().enumerate() {
+            if frame < FIXED_FRAMES {
+                gains.push(std::array::from_fn(
+                    |fixed| {
+                        if fixed == frame { 1.0 } else { 0.0 }
+                    },
+                ));
+                spreads.push(LEAST_SPREAD as f32);
+                continue;
+            }
+            let (p, q) = (row[0], row[1]);
+            let (g, h) = ((p * d - q * b) / determinant, (q * a - p * b) / determinant);
+            let left = row[frame] - 2.0 * (g * p + h * q) + g * g * a + 2.0 * g * h * b + h * h * d;
+            gains.push([g as f32, h as f32]);
+            spreads.push(left.max(0.0).sqrt().max(LEAST_SPREAD) as f32);
+        }
+        let start_spreads = (0..window)
+            .map(|frame| moments[frame][frame].sqrt().max(LEAST_SPREAD) as f32)
+            .collect();
+        let shape = (noise == NoiseKind::Shaped).then(|| {
+            let mut left = changes.clone();
+            for (left, changes) in left
+                .chunks_exact_mut(window * FRAME_WIDTH)
+                .zip(changes.chunks_exact(window * FRAME_WIDTH))
+            {
+                for (at, left) in left.iter_mut().enumerate() {
+                    let (frame, number) = (at / FRAME_WIDTH, at % FRAME_WIDTH);
+                    let [first, second] = gains[frame];
+                    *left -= first * changes[number] + second * changes[FRAME_WIDTH + number];
+                }
+            }
+            NoiseShape::fit(edited, &left, &changes, window)
+        });
+        Self {
+            gains,
+            spreads,
+            start_spreads,
+            shape,
+        }
+    }
+
+    /// Frames of a window.
+    pub fn window(&self) -> usize {
+        self.gains.len()
+    }
+
+    /// The covariance of the noise, if it is not white.
+    pub fn shape(&self) -> Option<&NoiseShape> {
+        self.shape.as_ref()
+    }
+
+    /// The gains and spreads of windows on a device, those of windows without fixed frames being others.
+    ///
+    /// # Shapes
+    /// `is_start` `[B]`; the results `[B, W, 2]` and `[B, W, 1]`.
+    fn tables(&self, is_start: &[bool], device: &Device) -> (Tensor<3>, Tensor<3>) {
+        let (rows, window) = (is_start.len(), self.window());
+        let gains: Vec<f32> = is_start
+            .iter()
+            .flat_map(|is_start| {
+                let used = if *is_start { 0.0 } else { 1.0 };
+                self.gains
+                    .as_flattened()
+                    .iter()
+                    .map(move |gain| used * gain)
+            })
+            .collect();
+        let spreads: Vec<f32> = is_start
+            .iter()
+            .flat_map(|is_start| {
+                if *is_start {
+                    &self.start_spreads
+                } else {
+                    &self.spreads
+                }
+            })
+            .copied()
+            .collect();
+        (
+            Tensor::from_data(TensorData::new(gains, [rows, window, FIXED_FRAMES]), device),
+            Tensor::from_data(TensorData::new(spreads, [rows, window, 1]), device),
+        )
+    }
+}
+
+/// What a prediction is relative to, beside the noisy window.
+#[derive(Clone, Debug)]
+pub struct Basis {
+    /// Normalised original windows, `[B, W, D]`.
+    pub(crate) original: Tensor<3>,
+    /// Gains and spreads of the linear guess, for predictions that are relative to one.
+    tables: Option<(Tensor<3>, Tensor<3>)>,
+    /// What shaped noise adds; none with white noise.
+    pub(crate) shaped: Option<ShapedBasis>,
+}
+
+/// Standards of bones, where noise is shaped.
+#[derive(Clone, Debug)]
+pub(crate) struct ShapedBasis {
+    /// Mean of each number of edited windows, `[1, 1, D]`.
+    mean: Tensor<3>,
+    /// Inverse of its standard deviation, `[1, 1, D]`.
+    scale: Tensor<3>,
+    /// Standard deviation of the noise, `[B, W, D]`.
+    pub(crate) spreads: Tensor<3>,
+}
+
+impl Basis {
+    /// What predictions for normalised original windows, `[B, W, D]`, are relative to. `is_start` says
+    /// whether nothing is fixed in a window, `[B]`; `extrapolation` is there for predictions that are relative to
+    /// one.
+    pub fn new(
+        original: Tensor<3>,
+        is_start: &[bool],
+        extrapolation: Option<&Extrapolation>,
+    ) -> Self {
+        let device = original.device();
+        let [_, window, width] = original.dims();
+        let shape = extrapolation.and_then(Extrapolation::shape);
+        Self {
+            tables: extrapolation.map(|guess| guess.tables(is_start, &device)),
+            shaped: shape.map(|shape| {
+                let row = |values: Vec<f32>| {
+                    Tensor::from_data(TensorData::new(values, [1, 1, width]), &device)
+                };
+                let (mean, scale) = shape.standard(width);
+                let spreads = [false, true].map(|is_start| shape.spreads(width, is_start));
+                let of_rows: Vec<f32> = is_start
+                    .iter()
+                    .flat_map(|&is_start| spreads[usize::from(is_start)].iter().copied())
+                    .collect();
+                ShapedBasis {
+                    mean: row(mean),
+                    scale: row(scale),
+                    spreads: Tensor::from_data(
+                        TensorData::new(of_rows, [is_start.len(), window, width]),
+                        &device,
+                    ),
+                }
+            }),
+            original,
+        }
+    }
+
+    /// Windows as the network sees them: with shaped noise as bones in units of their standard deviation, so that
+    /// a leg is seen as well as the path of the root; otherwise as they are.
+    ///
+    /// # Shapes
+    /// `[B, W, D]`, also of a larger batch.
+    pub fn seen(&self, windows: Tensor<3>) -> Tensor<3> {
+        let Some(ShapedBasis { mean, scale, .. }) = &self.shaped else {
+            return windows;
+        };
+        let [_, _, width] = windows.dims();
+        let [to_bones, _] = bones(width / 3, &windows.device());
+        (mapped(windows, to_bones) - mean.clone()) * scale.clone()
+    }
+
+    /// What shaped noise is about: the guessed windows, for windows whose fixed frames are clean. White noise
+    /// is about zero.
+    pub fn centre(&self, windows: &Tensor<3>) -> Option<Tensor<3>> {
+        self.shaped
+            .as_ref()
+            .map(|_| self.original.clone() + self.guess(windows).0)
+    }
+
+    /// The guessed change and the spread of what is left, for windows whose fixed frames are clean.
+    pub(crate) fn guess(&self, windows: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+        let fixed = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
+        let change = fixed(windows) - fixed(&self.original);
+        let (gains, spreads) = self
+            .tables
+            .clone()
+            .expect("a residual comes with what it is relative to");
+        // Two products and a sum; a matrix product of this size is mostly overhead.
+        let part =
+            |frame: usize| gains.clone().narrow(2, frame, 1) * change.clone().narrow(1, frame, 1);
+        (part(0) + part(1), spreads)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Prediction, ScheduleName};
+    use crate::schedule::Schedule;
+
+    fn values(tensor: Tensor<3>) -> Vec<f32> {
+        tensor.into_data().try_into_vec_as().expect("floats")
+    }
+
+    #[test]
+    fn a_change_that_goes_on_as_it_began_leaves_no_residual() {
+        const WINDOW: usize = 6;
+        let mut rng = datasets_spec::Seed(3).rng(&["lines"]);
+        let mut normal = || rand::RngExt::sample::<f32, _>(&mut rng, rand_distr::StandardNormal);
+        let numbers = 64 * WINDOW * FRAME_WIDTH;
+        let original: Vec<f32> = (0..numbers).map(|_| normal()).collect();
+        // The change of every number is a line over the frames.
+        let lines: Vec<[f32; 2]> = (0..64 * FRAME_WIDTH)
+            .map(|_| [normal(), normal()])
+            .collect();
+        let edited: Vec<f32> = original
+            .iter()
+            .enumerate()
+            .map(|(at, value)| {
+                let (row, channel) = (at / (WINDOW * FRAME_WIDTH), at % FRAME_WIDTH);
+                let frame = at / FRAME_WIDTH % WINDOW;
+                let [height, slope] = lines[row * FRAME_WIDTH + channel];
+                value + height + slope * frame as f32
+            })
+            .collect();
+        let fitted = Extrapolation::fit(&original, &edited, WINDOW, 0.0, NoiseKind::White);
+        for (frame, [first, second]) in fitted.gains.iter().enumerate() {
+            // A line through frames 0 and 1 reads 1 - f and f of them in frame f. The ridge takes a
+            // few millionths of that.
+            assert!(
+                (first - (1.0 - frame as f32)).abs() < 1e-3,
+                "{frame}: {first}"
+            );
+            assert!((second - frame as f32).abs() < 1e-3, "{frame}: {second}");
+        }
+        for (spread, [first, second]) in fitted.spreads.iter().zip(&fitted.gains) {
+            // What is left is the ridge, seen through the gains.
+            let seen = f64::from(first.hypot(*second)).max(1.0) * LEAST_SPREAD;
+            assert!(f64::from(*spread) < 1.01 * seen, "{spread} {seen}");
+        }
+        // Of nothing fixed nothing follows: the spread is that of the change itself.
+        assert!((fitted.start_spreads[0] - 1.0).abs() < 0.05);
+
+        let windows = |values: &[f32]| {
+            let count = values.len() / (WINDOW * FRAME_WIDTH);
+            Tensor::<3>::from_data(
+                TensorData::new(values.to_vec(), [count, WINDOW, FRAME_WIDTH]),
+                &Device::flex(),
+            )
+        };
+        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
+        let x0 = windows(&edited);
+        let nothing = x0.zeros_like();
+        let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
+        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, &basis, &[0; 64]);
+        for (a, b) in edited.iter().zip(values(back)) {
+            // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
+            assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+    }
+}

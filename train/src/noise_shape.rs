@@ -1,0 +1,335 @@
+//! Noise with the covariance of what an edit leaves open.
+
+use kinematics::canonical::FIXED_FRAMES;
+use kinematics::normalise::FRAME_WIDTH;
+use serde::{Deserialize, Serialize};
+
+use crate::bones::{ROOT_NUMBERS, bone_number, parent_number};
+use crate::extrapolation::LEAST_SPREAD;
+
+/// Lower bound of the standard deviation by which a bone is scaled for the network, in model units. Bones of the
+/// trunk hardly change; unbounded, their noise would be seen as large as a swinging leg.
+const LEAST_STANDARD: f64 = 0.01;
+
+/// Added to the diagonal of temporal covariances, relative to their mean, so that they can be factored.
+const RIDGE: f64 = 1e-4;
+
+/// The covariance of what the mean of a window leaves open, by which white noise is shaped, and the statistics of
+/// bones by which the network sees windows.
+///
+/// In model units a swinging leg is small beside the path of the root. White noise hides it in nearly all steps of
+/// the diffusion, so that a small network learns to ignore the noisy window and predicts the mean over all phases of
+/// a gait: a person who glides. Shaped noise hides all parts alike, and the first steps already show a phase.
+///
+/// The covariance is a product. Over frames, each axis of the pelvis has one of its own, and all bones share one in
+/// units of the standard deviation of each number.
+///
+/// # Source
+/// PriorGrad (Lee et al., ICLR 2022, Sec. 3): diffusion about the mean of a prior, with noise of its covariance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseShape {
+    /// Mean of each number of a frame in bones over edited windows, in model units, `[84]`.
+    mean: Vec<f32>,
+    /// Its standard deviation, bounded from below, `[84]`.
+    standard: Vec<f32>,
+    /// Where the first frames are fixed.
+    after_fixed: Covariance,
+    /// Where nothing is fixed.
+    start: Covariance,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Covariance {
+    /// First frame that is open.
+    first: usize,
+    /// Standard deviation of each number of a frame in bones, over all open frames, in model units; 1 for the
+    /// pelvis, `[84]`.
+    spreads: Vec<f32>,
+    /// Lower Cholesky factors of the temporal covariances of pelvis x, y and z and of the bones, of `F` open
+    /// frames, row by row without the zeros, `[4, F (F + 1) / 2]`.
+    factors: Vec<Vec<f32>>,
+}
+
+impl NoiseShape {
+    /// Fits the shape to windows in points, `[N, W, 84]` each: edited windows, and what the means of windows with and
+    /// without fixed frames leave of their change.
+    pub(crate) fn fit(edited: &[f32], after_fixed: &[f32], start: &[f32], window: usize) -> Self {
+        let (mut mean, mut standard) = (Vec::new(), Vec::new());
+        let count = (edited.len() / FRAME_WIDTH).max(1) as f64;
+        for number in 0..FRAME_WIDTH {
+            let (mut sum, mut squares) = (0.0f64, 0.0f64);
+            for frame in edited.chunks_exact(FRAME_WIDTH) {
+                let value = f64::from(bone_number(frame, number));
+                sum += value;
+                squares += value * value;
+            }
+            let of_number = sum / count;
+            let variance = (squares / count - of_number * of_number).max(0.0);
+            mean.push(of_number as f32);
+            standard.push(variance.sqrt().max(LEAST_STANDARD) as f32);
+        }
+        Self {
+            mean,
+            standard,
+            after_fixed: Covariance::fit(after_fixed, window, FIXED_FRAMES),
+            start: Covariance::fit(start, window, 0),
+        }
+    }
+
+    /// Shapes the white noise of a window in place. Fixed frames keep theirs.
+    ///
+    /// # Shapes
+    /// `noise` `[W, 3 K]`, of the first `K` keypoints.
+    pub fn apply(&self, noise: &mut [f32], keypoints: usize, is_start: bool) {
+        self.covariance(is_start).apply(noise, 3 * keypoints);
+    }
+
+    /// Mean, and inverse standard deviation, of the first `width` numbers of a frame in bones.
+    pub(crate) fn standard(&self, width: usize) -> (Vec<f32>, Vec<f32>) {
+        let scale = self.standard[..width].iter().map(|spread| spread.recip());
+        (self.mean[..width].to_vec(), scale.collect())
+    }
+
+    /// Standard deviation of the noise in bones, `[W, width]`; the least one for fixed frames.
+    pub(crate) fn spreads(&self, width: usize, is_start: bool) -> Vec<f32> {
+        let covariance = self.covariance(is_start);
+        let mut out = vec![LEAST_SPREAD as f32; covariance.first * width];
+        for frame in 0..covariance.num_frames() {
+            for number in 0..width {
+                let row = covariance.row(number, frame);
+                let variance: f32 = row.iter().map(|weight| weight * weight).sum();
+                out.push(covariance.spreads[number] * variance.sqrt());
+            }
+        }
+        out
+    }
+
+    fn covariance(&self, is_start: bool) -> &Covariance {
+        if is_start {
+            &self.start
+        } else {
+            &self.after_fixed
+        }
+    }
+}
+
+impl Covariance {
+    fn fit(left: &[f32], window: usize, first: usize) -> Self {
+        let frames = window - first;
+        // Over pairs of frames, for each number of a bone.
+        let mut moments = vec![vec![0.0f64; frames * frames]; FRAME_WIDTH];
+        let mut bone = vec![0.0f64; frames];
+        for window in left.chunks_exact(window * FRAME_WIDTH) {
+            for (number, cells) in moments.iter_mut().enumerate() {
+                let open = window[first * FRAME_WIDTH..].chunks_exact(FRAME_WIDTH);
+                for (value, frame) in bone.iter_mut().zip(open) {
+                    *value = f64::from(bone_number(frame, number));
+                }
+                for (row, a) in cells.chunks_exact_mut(frames).zip(&bone) {
+                    for (cell, b) in row.iter_mut().zip(&bone) {
+                        *cell += a * b;
+                    }
+                }
+            }
+        }
+        let count = (left.len() / (window * FRAME_WIDTH)).max(1) as f64;
+        for cell in moments.iter_mut().flatten() {
+            *cell /= count;
+        }
+        let (root, bones) = moments.split_at(ROOT_NUMBERS);
+        let mut spreads = vec![1.0f32; ROOT_NUMBERS];
+        let mut shared = vec![0.0f64; frames * frames];
+        for cells in bones {
+            let diagonal = cells.iter().step_by(frames + 1);
+            let spread = (diagonal.sum::<f64>() / frames as f64).sqrt();
+            let spread = spread.max(LEAST_SPREAD);
+            spreads.push(spread as f32);
+            for (sum, cell) in shared.iter_mut().zip(cells) {
+                *sum += cell / (spread * spread * bones.len() as f64);
+            }
+        }
+        let factors = root.iter().chain([&shared]);
+        Self {
+            first,
+            spreads,
+            factors: factors.map(|cells| cholesky(cells, frames)).collect(),
+        }
+    }
+
+    /// Open frames.
+    fn num_frames(&self) -> usize {
+        // F (F + 1) / 2 numbers are at least F² / 2, and fewer than (F + 1)² / 2.
+        (2 * self.factors[0].len()).isqrt()
+    }
+
+    /// The weights of the frames up to `frame` in that frame of a number.
+    fn row(&self, number: usize, frame: usize) -> &[f32] {
+        &self.factors[number.min(ROOT_NUMBERS)][frame * (frame + 1) / 2..][..frame + 1]
+    }
+
+    fn apply(&self, noise: &mut [f32], width: usize) {
+        let noise = &mut noise[self.first * width..];
+        for number in 0..width {
+            // A frame depends on none after it, so the last comes first.
+            for frame in (0..noise.len() / width).rev() {
+                let before = noise[number..].iter().step_by(width);
+                let mixed: f32 = self
+                    .row(number, frame)
+                    .iter()
+                    .zip(before)
+                    .map(|(weight, value)| weight * value)
+                    .sum();
+                noise[frame * width + number] = self.spreads[number] * mixed;
+            }
+        }
+        for frame in noise.chunks_exact_mut(width) {
+            // From bones to points: parents come before their children.
+            for number in ROOT_NUMBERS..width {
+                frame[number] += frame[parent_number(number)];
+            }
+        }
+    }
+}
+
+/// The lower Cholesky factor of a covariance, `[F, F]`, row by row without the zeros.
+fn cholesky(covariance: &[f64], size: usize) -> Vec<f32> {
+    let trace: f64 = covariance.iter().step_by(size + 1).sum();
+    let ridge = RIDGE * (trace / size as f64).max(LEAST_SPREAD * LEAST_SPREAD);
+    let first = |row: usize| row * (row + 1) / 2;
+    let mut factor = vec![0.0f64; first(size)];
+    for row in 0..size {
+        for column in 0..=row {
+            let known: f64 = (0..column)
+                .map(|k| factor[first(row) + k] * factor[first(column) + k])
+                .sum();
+            let left = covariance[row * size + column] - known;
+            factor[first(row) + column] = if row == column {
+                (left + ridge).max(ridge).sqrt()
+            } else {
+                left / factor[first(column) + column]
+            };
+        }
+    }
+    factor.into_iter().map(|value| value as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::Seed;
+    use kinematics::skeleton::NUM_BODY_JOINTS;
+    use rand::RngExt;
+    use rand_distr::StandardNormal;
+
+    use super::*;
+
+    const WINDOW: usize = 5;
+
+    /// Windows in points whose bones are `scale(number)` times a random walk over the frames.
+    fn walks(count: usize, scale: impl Fn(usize) -> f32) -> Vec<f32> {
+        let mut rng = Seed(3).rng(&["walks"]);
+        let mut out = Vec::new();
+        for _ in 0..count {
+            let mut bones = vec![0.0f32; FRAME_WIDTH];
+            for _ in 0..WINDOW {
+                for (number, bone) in bones.iter_mut().enumerate() {
+                    *bone += scale(number) * rng.sample::<f32, _>(StandardNormal);
+                }
+                let mut points = bones.clone();
+                for number in ROOT_NUMBERS..FRAME_WIDTH {
+                    points[number] += points[parent_number(number)];
+                }
+                out.extend(points);
+            }
+        }
+        out
+    }
+
+    fn scale(number: usize) -> f32 {
+        0.05 * (1 + number % 4) as f32
+    }
+
+    #[test]
+    fn shaped_noise_has_the_covariance_it_was_fitted_to() {
+        let left = walks(4_000, scale);
+        let shape = NoiseShape::fit(&left, &left, &left, WINDOW);
+        let mut rng = Seed(4).rng(&["noise"]);
+        let numbers = [0, 2, 21, 50, 83];
+        let mut moments = [[[0.0f64; WINDOW]; WINDOW]; 5];
+        const WINDOWS: usize = 4_000;
+        for _ in 0..WINDOWS {
+            let mut noise: Vec<f32> = (0..WINDOW * FRAME_WIDTH)
+                .map(|_| rng.sample(StandardNormal))
+                .collect();
+            shape.apply(&mut noise, FRAME_WIDTH / 3, true);
+            for (cells, number) in moments.iter_mut().zip(numbers) {
+                let bone = |frame: usize| {
+                    f64::from(bone_number(
+                        &noise[frame * FRAME_WIDTH..][..FRAME_WIDTH],
+                        number,
+                    ))
+                };
+                for (a, row) in cells.iter_mut().enumerate() {
+                    for (b, cell) in row.iter_mut().enumerate() {
+                        *cell += bone(a) * bone(b) / WINDOWS as f64;
+                    }
+                }
+            }
+        }
+        let spreads = shape.spreads(FRAME_WIDTH, true);
+        for (cells, number) in moments.iter().zip(numbers) {
+            let step = f64::from(scale(number)).powi(2);
+            for (a, row) in cells.iter().enumerate() {
+                for (b, cell) in row.iter().enumerate() {
+                    // Frames of a random walk share the steps up to the earlier one. 4,000 windows leave 2 % of a
+                    // variance open, twice: of the fit and of the noise.
+                    let expected = step * (1 + a.min(b)) as f64;
+                    let open = 0.1 * step * (1 + a.max(b)) as f64;
+                    assert!(
+                        (cell - expected).abs() < open,
+                        "{number} {a} {b}: {cell} {expected}"
+                    );
+                }
+                let spread = f64::from(spreads[a * FRAME_WIDTH + number]).powi(2);
+                assert!(
+                    (spread / row[a] - 1.0).abs() < 0.1,
+                    "{number} {a}: {spread}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn fixed_frames_keep_white_noise_and_body_joints_do_not_need_the_others() {
+        let left = walks(64, scale);
+        let shape = NoiseShape::fit(&left, &left, &left, WINDOW);
+        let mut rng = Seed(5).rng(&["noise"]);
+        let white: Vec<f32> = (0..WINDOW * FRAME_WIDTH)
+            .map(|_| rng.sample(StandardNormal))
+            .collect();
+        let mut noise = white.clone();
+        shape.apply(&mut noise, FRAME_WIDTH / 3, false);
+        assert_eq!(noise[..2 * FRAME_WIDTH], white[..2 * FRAME_WIDTH]);
+        assert_ne!(noise[2 * FRAME_WIDTH..], white[2 * FRAME_WIDTH..]);
+
+        let width = 3 * NUM_BODY_JOINTS;
+        let narrowed = |noise: &[f32]| -> Vec<f32> {
+            let frames = noise.chunks_exact(FRAME_WIDTH);
+            frames.flat_map(|frame| frame[..width].to_vec()).collect()
+        };
+        let mut narrow = narrowed(&white);
+        shape.apply(&mut narrow, NUM_BODY_JOINTS, false);
+        assert_eq!(narrow, narrowed(&noise));
+        assert_eq!(shape.spreads(width, false).len(), WINDOW * width);
+    }
+
+    #[test]
+    fn a_shape_that_is_written_is_read_again() {
+        let left = walks(64, scale);
+        let shape = NoiseShape::fit(&left, &left, &left, WINDOW);
+        let text = serde_json::to_string(&shape).expect("plain numbers");
+        let read: NoiseShape = serde_json::from_str(&text).expect("the same");
+        assert!(read == shape);
+    }
+}
